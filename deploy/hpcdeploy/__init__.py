@@ -1,0 +1,1 @@
+"""Machines out of a YAML cluster file."""

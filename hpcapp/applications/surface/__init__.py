@@ -1,0 +1,1 @@
+"""Surface reconstruction: oriented points in, a watertight mesh out."""

@@ -1,0 +1,1 @@
+"""The communicator: an Executor whose workers are components reached over ZeroMQ."""

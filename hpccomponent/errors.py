@@ -1,0 +1,104 @@
+"""The whole error tree; every error that a user may see is one of these.
+
+::
+
+    HpcError                      exit 1
+    ├── UsageError                exit 2   contradictory or impossible flags
+    │   ├── ConfigError                    a YAML file: file:line:column, key, what to do
+    │   └── OutputError                    the place to write to cannot be written
+    ├── InputError                exit 3   a file or an array holds no usable points
+    ├── CloudError                exit 4   a cloud, an instance, provisioning
+    └── JobError                  exit 1   the work could not be finished
+        ├── TaskError                      the task's function raised
+        ├── WorkerLostError                a batch outlived too many workers
+        ├── NoWorkersError                 no worker is left, or none ever came
+        └── ProtocolError                  a peer broke the wire protocol
+
+Every error takes positional fields only, so that it survives pickling between processes
+(CPython #80041), and says what is wrong, where, and what to do. The command line prints
+``str(error)`` as one line and leaves with ``error.exit_code``.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "CloudError",
+    "ConfigError",
+    "HpcError",
+    "InputError",
+    "JobError",
+    "NoWorkersError",
+    "OutputError",
+    "ProtocolError",
+    "TaskError",
+    "UsageError",
+    "WorkerLostError",
+]
+
+
+class HpcError(Exception):
+    """Root of the tree.
+
+    Parameters
+    ----------
+    problem : str
+        What is wrong, and where.
+    advice : str
+        What the user can do about it.
+    """
+
+    exit_code = 1
+
+    def __init__(self, problem: str, advice: str = "") -> None:
+        super().__init__(problem, advice)
+        self.problem = problem
+        self.advice = advice
+
+    def __str__(self) -> str:
+        return f"{self.problem}; {self.advice}" if self.advice else self.problem
+
+
+class UsageError(HpcError):
+    """Flags that contradict each other or ask for the impossible."""
+
+    exit_code = 2
+
+
+class ConfigError(UsageError):
+    """A configuration file that is not as it should be."""
+
+
+class OutputError(UsageError):
+    """A place to write to that cannot be written."""
+
+
+class InputError(HpcError):
+    """A file or an array that holds no usable points."""
+
+    exit_code = 3
+
+
+class CloudError(HpcError):
+    """A cloud, an instance or a provisioning step that failed."""
+
+    exit_code = 4
+
+
+class JobError(HpcError):
+    """Work that could not be finished."""
+
+
+class TaskError(JobError):
+    """A task whose function raised on a worker."""
+
+
+class WorkerLostError(JobError):
+    """A batch that was lost together with too many workers."""
+
+
+class NoWorkersError(JobError):
+    """A job without any worker, and none to be expected."""
+
+
+class ProtocolError(JobError):
+    """A peer that broke the wire protocol."""

@@ -1,0 +1,1 @@
+"""Numeric kernels and value types of surface reconstruction: pure functions of arrays."""

@@ -1,0 +1,63 @@
+"""Point clouds in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FloatArray", "IntArray", "PointCloud", "bounding_box"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCloud:
+    """Points in a local frame, with what a scan knows of them.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input, relative to `origin`.
+    normals : ndarray of float64, shape (n, 3), or None
+        Unit length, pointing out of the object (towards the scanner).
+    colors : ndarray of uint8, shape (n, 3), or None
+        Red, green, blue.
+    origin : ndarray of float64, shape (3,)
+        What was subtracted from the input's coordinates; zero unless they are georeferenced.
+    """
+
+    positions: FloatArray
+    normals: FloatArray | None = None
+    colors: NDArray[np.uint8] | None = None
+    origin: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def take(self, selection: NDArray[Any]) -> PointCloud:
+        """Return the points that `selection` (indices or a mask) names, in its order."""
+        return PointCloud(
+            self.positions[selection],
+            None if self.normals is None else self.normals[selection],
+            None if self.colors is None else self.colors[selection],
+            self.origin,
+        )
+
+
+def bounding_box(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the smallest and the largest coordinate along each axis.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        At least one point.
+
+    Returns
+    -------
+    low, high : ndarray of float64, shape (3,)
+    """
+    return positions.min(axis=0), positions.max(axis=0)
