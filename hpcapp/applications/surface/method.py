@@ -1,0 +1,41 @@
+"""The seam between the pipeline and a method of reconstruction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol, TypeVar
+
+from hpcapp.batches import Workforce
+from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.points import PointCloud
+
+__all__ = ["Advance", "Method"]
+
+Advance = Callable[[int, int], None]
+PartitionT = TypeVar("PartitionT")
+QuadricsT = TypeVar("QuadricsT")
+
+
+class Method(Protocol[PartitionT, QuadricsT]):
+    """One way to turn oriented points into a mesh, in three stages."""
+
+    name: str
+
+    def partition(self, cloud: PointCloud, workforce: Workforce) -> PartitionT:
+        """Cut the cloud into the parts that are fitted one by one."""
+        ...
+
+    def fit(self, partition: PartitionT, workforce: Workforce, advance: Advance) -> QuadricsT:
+        """Fit one quadric to each part, on the workers."""
+        ...
+
+    def extract(self, partition: PartitionT, quadrics: QuadricsT, advance: Advance) -> Mesh:
+        """Blend the quadrics and extract the 0-level iso-surface."""
+        ...
+
+    def facts(self, partition: PartitionT) -> dict[str, Any]:
+        """Return what was chosen or found by the way, for the job's report: JSON values.
+
+        The key ``patches`` (how many quadrics are fitted) is always there.
+        """
+        ...

@@ -1,0 +1,95 @@
+"""Above the Executor seam: an application's rows become batches, and results come back in order.
+
+Any ``concurrent.futures.Executor`` serves; only submit, result, cancel and as_completed are used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, as_completed
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+__all__ = ["Workforce", "cut_equal", "map_batches"]
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Workforce:
+    """An Executor and what an application must know to cut work for it.
+
+    Parameters
+    ----------
+    executor : concurrent.futures.Executor
+        Runs the tasks.
+    workers : int
+        How many tasks run at once.
+    batches_per_worker : int
+        Into how many batches each worker's share is cut: 1 for the paper's equal batches,
+        more where fast workers may take more than slow ones.
+    """
+
+    executor: Executor
+    workers: int = 1
+    batches_per_worker: int = 1
+
+    def cut(self, rows: int) -> list[slice]:
+        """Cut `rows` rows into batches for this workforce, in order and equal to within one row."""
+        return cut_equal(rows, self.workers * self.batches_per_worker)
+
+
+def cut_equal(rows: int, batches: int) -> list[slice]:
+    """Cut `rows` rows into at most `batches` runs, equal to within one row, none empty.
+
+    Examples
+    --------
+    >>> cut_equal(5, 2)
+    [slice(0, 3, None), slice(3, 5, None)]
+    >>> cut_equal(1, 4)
+    [slice(0, 1, None)]
+    """
+    batches = max(1, min(batches, rows))
+    short, longer = divmod(rows, batches)
+    starts = [i * short + min(i, longer) for i in range(batches + 1)]
+    return [slice(a, b) for a, b in zip(starts, starts[1:], strict=False) if a < b]
+
+
+def map_batches(
+    workforce: Workforce,
+    task: Callable[..., Result],
+    batches: Sequence[tuple[Any, ...]],
+    advance: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Result]:
+    """Run `task` once per batch and return the results in the order of the batches.
+
+    Parameters
+    ----------
+    workforce : Workforce
+        Where the batches run.
+    task : callable
+        A registered task (see ``docs/design.md``).
+    batches : sequence of tuple
+        The positional arguments of each call.
+    advance : callable, optional
+        Told (batches done, batches in all) after each result.
+
+    Returns
+    -------
+    list
+        One result per batch.
+
+    Raises
+    ------
+    HpcError
+        What a batch raised; batches that have not started are cancelled.
+    """
+    futures = [workforce.executor.submit(task, *batch) for batch in batches]
+    try:
+        for done, future in enumerate(as_completed(futures), start=1):
+            future.result()
+            advance(done, len(futures))
+    finally:
+        for future in futures:
+            future.cancel()
+    return [future.result() for future in futures]

@@ -1,0 +1,71 @@
+"""What a long job tells its user while it runs: stages, and how far each has come."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import perf_counter
+from typing import Protocol
+
+__all__ = ["Progress", "SilentProgress", "StageClock"]
+
+
+class Progress(Protocol):
+    """A display of stages."""
+
+    def begin(self, stage: str) -> None:
+        """Announce that `stage` begins."""
+        ...
+
+    def advance(self, done: int, total: int) -> None:
+        """Announce that `done` of `total` parts of the current stage are finished."""
+        ...
+
+    def end(self, stage: str, seconds: float) -> None:
+        """Announce that `stage` took `seconds`."""
+        ...
+
+
+class SilentProgress:
+    """A display that shows nothing."""
+
+    def begin(self, stage: str) -> None:
+        """Show nothing."""
+
+    def advance(self, done: int, total: int) -> None:
+        """Show nothing."""
+
+    def end(self, stage: str, seconds: float) -> None:
+        """Show nothing."""
+
+
+class StageClock:
+    """Times the stages of a job and passes them on to a display.
+
+    Parameters
+    ----------
+    progress : Progress
+        Where stages are announced.
+
+    Examples
+    --------
+    >>> clock = StageClock(SilentProgress())
+    >>> with clock.stage("fit"):
+    ...     pass
+    >>> list(clock.seconds)
+    ['fit']
+    """
+
+    def __init__(self, progress: Progress) -> None:
+        self.progress = progress
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time the block as the stage `name`; blocks of one name add up."""
+        self.progress.begin(name)
+        start = perf_counter()
+        yield
+        elapsed = perf_counter() - start
+        self.seconds[name] = self.seconds.get(name, 0.0) + elapsed
+        self.progress.end(name, elapsed)
