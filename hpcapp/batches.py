@@ -6,9 +6,12 @@ Any ``concurrent.futures.Executor`` serves; only submit, result, cancel and as_c
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, TypeVar
+
+from hpccomponent.errors import HpcError, TaskError, WorkerLostError
 
 __all__ = ["Workforce", "cut_equal", "map_batches"]
 
@@ -52,14 +55,14 @@ def cut_equal(rows: int, batches: int) -> list[slice]:
     batches = max(1, min(batches, rows))
     short, longer = divmod(rows, batches)
     starts = [i * short + min(i, longer) for i in range(batches + 1)]
-    return [slice(a, b) for a, b in zip(starts, starts[1:], strict=False) if a < b]
+    return [slice(a, b) for a, b in pairwise(starts) if a < b]
 
 
 def map_batches(
     workforce: Workforce,
     task: Callable[..., Result],
     batches: Sequence[tuple[Any, ...]],
-    advance: Callable[[int, int], None] = lambda done, total: None,
+    advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[Result]:
     """Run `task` once per batch and return the results in the order of the batches.
 
@@ -81,15 +84,26 @@ def map_batches(
 
     Raises
     ------
-    HpcError
-        What a batch raised; batches that have not started are cancelled.
+    TaskError
+        The task raised; batches that have not started are cancelled.
+    WorkerLostError
+        The Executor lost a worker and does not replace it.
     """
-    futures = [workforce.executor.submit(task, *batch) for batch in batches]
+    futures: list[Future[Result]] = []
     try:
+        futures.extend(workforce.executor.submit(task, *batch) for batch in batches)
         for done, future in enumerate(as_completed(futures), start=1):
             future.result()
             advance(done, len(futures))
+        return [future.result() for future in futures]
+    except HpcError:
+        raise
+    except BrokenExecutor as error:
+        raise WorkerLostError(
+            f"a worker died while it ran {task.__name__}", "run again, or choose --backend zmq"
+        ) from error
+    except Exception as error:
+        raise TaskError(f"{task.__name__} failed: {type(error).__name__}: {error}") from error
     finally:
         for future in futures:
             future.cancel()
-    return [future.result() for future in futures]

@@ -1,0 +1,190 @@
+"""The verbs of surface reconstruction: ``reconstruct``, ``simulate`` and ``info``.
+
+This module is imported for every ``--help``: numpy and all that stands on it are imported inside.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hpccomponent.errors import UsageError
+
+if TYPE_CHECKING:
+    from hpcapp.applications.surface.job import Settings
+
+__all__ = ["info", "reconstruct", "simulate"]
+
+log = logging.getLogger("hpcapp")
+
+POINTS = click.Path(dir_okay=False, path_type=Path)
+
+
+def _only_for(ctx: click.Context, method: str, names: tuple[str, ...]) -> None:
+    """Raise UsageError where an option of another method was typed."""
+    for name in names:
+        if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+            flag = "--" + name.replace("_", "-")
+            raise UsageError(
+                f"{flag} means nothing to --method {ctx.params['method']}",
+                f"leave it out, or choose --method {method}",
+            )
+
+
+PAPER_OPTIONS = ("delta", "max_points", "cone", "patches", "norm")
+HIERARCHICAL_OPTIONS = ("smoothness", "detail")
+
+
+def _check_flags(ctx: click.Context) -> None:
+    """Raise UsageError where flags contradict each other."""
+    chosen = [name for name in ("grid", "depth", "voxel_size") if ctx.params[name] is not None]
+    if len(chosen) > 1:
+        flags = " and ".join("--" + name.replace("_", "-") for name in chosen)
+        raise UsageError(f"{flags} exclude each other", "give one of them")
+    if ctx.params["output"] == "-" and ctx.params["as_json"]:
+        raise UsageError("-o - and --json both want the standard output", "give one of them")
+    if ctx.params["method"] == "paper":
+        _only_for(ctx, "hierarchical", HIERARCHICAL_OPTIONS)
+    else:
+        _only_for(ctx, "paper", PAPER_OPTIONS)
+
+
+@click.command()
+@click.argument("points", type=POINTS)
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    metavar="MESH",
+    help="Mesh to write: .ply, .obj, .off or .stl; - writes a PLY to standard output.",
+)
+@click.option(
+    "--method",
+    type=click.Choice(["hierarchical", "paper"]),
+    default="hierarchical",
+    show_default=True,
+    help="Hermite quadrics on a pyramid, or the paper's algorithm.",
+)
+@click.option(
+    "--grid",
+    type=click.IntRange(8, 4096),
+    metavar="N",
+    help="Cells along the longest side.  [default: 256]",
+)
+@click.option("--depth", type=click.IntRange(3, 12), metavar="D", help="The same as --grid 2^D.")
+@click.option(
+    "--voxel-size",
+    type=click.FloatRange(0, min_open=True),
+    metavar="S",
+    help="Edge of a cell, in the units of the input.",
+)
+@click.option(
+    "--backend",
+    type=click.Choice(["auto", "serial", "threads", "processes", "zmq"]),
+    default="auto",
+    show_default=True,
+    help="Where batches run.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 1024),
+    metavar="W",
+    help="How many workers; with --backend auto this starts them as real processes.",
+)
+@click.option(
+    "--policy",
+    type=click.Choice(["pull", "equal"]),
+    default="pull",
+    show_default=True,
+    help="Batches to whoever is free, or the paper's equal batches.",
+)
+@click.option(
+    "--smoothness",
+    type=click.FloatRange(0.1, 10),
+    default=1.0,
+    show_default=True,
+    help="Factor on the smoothing that the noise asks for.",
+)
+@click.option(
+    "--detail",
+    type=click.FloatRange(0.1, 10),
+    default=1.0,
+    show_default=True,
+    help="Factor on the finest detail that the spacing allows.",
+)
+@click.option(
+    "--delta",
+    type=click.FloatRange(-1, 1),
+    default=0.1,
+    show_default=True,
+    help="paper: the normal cone's condition.",
+)
+@click.option(
+    "--max-points",
+    type=click.IntRange(1),
+    metavar="N",
+    help="paper: most points of a patch.  [default: no limit]",
+)
+@click.option(
+    "--cone",
+    type=click.Choice(["paper", "complement"]),
+    default="paper",
+    show_default=True,
+    help="paper: n.m > delta as printed, or n.m > 1 - delta.",
+)
+@click.option(
+    "--patches",
+    type=click.IntRange(1),
+    metavar="N",
+    help="paper: split the fullest box until there are N patches, in place of the cone.",
+)
+@click.option(
+    "--norm",
+    type=click.Choice(["consistent", "printed"]),
+    default="consistent",
+    show_default=True,
+    help="paper: columns of D with the factor sqrt(2), or as printed.",
+)
+@click.option(
+    "--outliers/--no-outliers",
+    default=False,
+    show_default=True,
+    help="Remove statistical outliers first.",
+)
+@click.option(
+    "--denoise/--no-denoise",
+    default=False,
+    show_default=True,
+    help="Project the points by moving least squares first.",
+)
+@click.option(
+    "--resample/--no-resample",
+    default=False,
+    show_default=True,
+    help="Resample the points to even density first.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+@click.pass_context
+def reconstruct(ctx: click.Context, **options: Any) -> None:
+    """Reconstruct a watertight mesh from the oriented points of the file POINTS."""
+    _check_flags(ctx)
+    from hpcapp.applications.surface.job import Settings, run_job
+    from hpcapp.progress_display import open_progress
+
+    as_json = options.pop("as_json")
+    settings: Settings = Settings(**options)
+    with open_progress(sys.stderr) as progress:
+        report = run_job(settings, progress)
+    if as_json:
+        click.echo(json.dumps(report))
+    else:
+        log.info(
+            "%s: %d vertices, %d faces, %s, %d component(s)",
+            options["output"], report["vertices"], report["faces"],
+            "watertight" if report["watertight"] else "not watertight", report["components"],
+        )  # fmt: skip

@@ -1,0 +1,219 @@
+"""One reconstruction job from file to file: what ``hpcapp reconstruct`` runs."""
+
+from __future__ import annotations
+
+import logging
+import math
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hpcapp.applications.surface.hierarchical import HierarchicalMethod
+from hpcapp.applications.surface.method import Method
+from hpcapp.applications.surface.paper import PaperMethod
+from hpcapp.applications.surface.pipeline import Preprocess, Reconstruction
+from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
+from hpcapp.applications.surface.preprocess import denoise, remove_outliers, resample
+from hpcapp.backends import Backend, available_cores, open_executor
+from hpcapp.io import check_writable, drop_unusable, read_points, write_mesh
+from hpcapp.io.usable import Dropped
+from hpcapp.progress import Progress, StageClock
+from hpccomponent.errors import UsageError
+from hpccomponent.surface.points import PointCloud, bounding_box
+
+__all__ = ["Settings", "run_job"]
+
+log = logging.getLogger("hpcapp")
+
+DEFAULT_GRID = 256
+MAX_GRID = 4096
+# Below this many points a second thread costs more than it brings.
+THREADS_FROM_POINTS = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What a user typed; see ``hpcapp reconstruct --help`` for each.
+
+    Parameters
+    ----------
+    points : Path
+        The point cloud.
+    output : str
+        The mesh to write; ``-`` for standard output.
+    grid, depth, voxel_size : int, int, float or None
+        The resolution; at most one of the three. `voxel_size` in length units of the input.
+    backend, workers, policy : str, int or None, str
+        Where batches run.
+    """
+
+    points: Path
+    output: str
+    method: str = "hierarchical"
+    grid: int | None = None
+    depth: int | None = None
+    voxel_size: float | None = None
+    backend: str = "auto"
+    workers: int | None = None
+    policy: str = "pull"
+    smoothness: float = 1.0
+    detail: float = 1.0
+    delta: float = 0.1
+    max_points: int | None = None
+    cone: str = "paper"
+    patches: int | None = None
+    norm: str = "consistent"
+    outliers: bool = False
+    denoise: bool = False
+    resample: bool = False
+
+
+def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
+    """Reconstruct a mesh from file to file.
+
+    Parameters
+    ----------
+    settings : Settings
+        What the user asked for.
+    progress : Progress
+        Where stages are announced.
+
+    Returns
+    -------
+    dict
+        The job's report: JSON values; its keys are in ``docs/reconstruct.md``.
+
+    Raises
+    ------
+    HpcError
+        Whatever went wrong; no output is left half written.
+    """
+    clock = StageClock(progress)
+    with _open_output(settings) as target:
+        with clock.stage("read"):
+            cloud, dropped = drop_unusable(read_points(settings.points))
+        _report_dropped(settings.points, dropped)
+        grid = _choose_grid(settings, cloud)
+        method = _choose_method(settings, grid)
+        backend_name = _choose_backend(settings, cloud)
+        with open_executor(
+            backend_name, workers=settings.workers, policy=settings.policy
+        ) as backend:
+            log.info(
+                "method %s, grid %d, backend %s, workers %d, policy %s",
+                method.name, grid, backend.name, backend.workforce.workers, settings.policy,
+            )  # fmt: skip
+            result = run_pipeline(cloud, method, backend.workforce, clock, _steps(settings))
+            report = _describe(settings, grid, result, backend)
+        with clock.stage("write"):
+            write_mesh(target, result.mesh)
+    report["dropped"] = {
+        "non_finite_points": dropped.non_finite_points,
+        "bad_normals": dropped.bad_normals,
+    }
+    report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
+    return report
+
+
+@contextmanager
+def _open_output(settings: Settings) -> Iterator[Path]:
+    """Yield the path to write to; find out now whether it can be written."""
+    if settings.output == "-":
+        with tempfile.TemporaryDirectory(prefix="hpcapp-") as folder:
+            path = Path(folder) / "mesh.ply"
+            yield path
+            with path.open("rb") as mesh:
+                shutil.copyfileobj(mesh, sys.stdout.buffer)
+        return
+    path = Path(settings.output)
+    if path.exists() and settings.points.exists() and path.samefile(settings.points):
+        raise UsageError(f"{path} is the input itself", "give another -o")
+    check_writable(path)
+    yield path
+
+
+def _report_dropped(path: Path, dropped: Dropped) -> None:
+    if dropped.non_finite_points:
+        log.warning("%s: dropped %d points that are NaN or Inf", path, dropped.non_finite_points)
+    if dropped.bad_normals:
+        log.warning("%s: dropped %d points whose normal is zero, NaN or Inf",
+                    path, dropped.bad_normals)  # fmt: skip
+
+
+def _choose_grid(settings: Settings, cloud: PointCloud) -> int:
+    """Return the cells along the longest side that the user asked for in one of three ways."""
+    if settings.depth is not None:
+        return int(2**settings.depth)
+    if settings.voxel_size is None:
+        return settings.grid or DEFAULT_GRID
+    low, high = bounding_box(cloud.positions)
+    cells = math.ceil(float((high - low).max()) / settings.voxel_size)
+    if not 8 <= cells <= MAX_GRID:
+        raise UsageError(
+            f"--voxel-size {settings.voxel_size:g} means {cells} cells along the longest side",
+            f"choose one that gives 8 to {MAX_GRID}; the side is {(high - low).max():g} long",
+        )
+    return cells
+
+
+def _choose_method(settings: Settings, grid: int) -> Method[Any, Any]:
+    if settings.method == "hierarchical":
+        return HierarchicalMethod(grid=grid, smoothness=settings.smoothness, detail=settings.detail)
+    return PaperMethod(
+        delta=settings.delta,
+        max_points=settings.max_points,
+        cone=settings.cone,
+        patches=settings.patches,
+        norm=settings.norm,
+        grid=grid,
+    )
+
+
+def _steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:
+    """Return the preprocessing steps that are switched on, in the paper's order."""
+    wanted: tuple[tuple[bool, str, Preprocess], ...] = (
+        (settings.outliers, "remove outliers", remove_outliers),
+        (settings.denoise, "denoise", denoise),
+        (settings.resample, "resample", resample),
+    )
+    return tuple((name, step) for is_wanted, name, step in wanted if is_wanted)
+
+
+def _choose_backend(settings: Settings, cloud: PointCloud) -> str:
+    """Return the backend: the user's, else processes for `--workers`, else what pays here."""
+    if settings.backend != "auto":
+        return settings.backend
+    if settings.workers is not None:
+        return "zmq"
+    enough = len(cloud) >= THREADS_FROM_POINTS and available_cores() > 1
+    return "threads" if enough else "serial"
+
+
+def _describe(
+    settings: Settings, grid: int, result: Reconstruction, backend: Backend
+) -> dict[str, Any]:
+    traffic = backend.traffic()
+    topology = result.topology
+    return {
+        "method": settings.method,
+        "points": result.points,
+        **result.facts,
+        "grid": grid,
+        "vertices": topology.vertices,
+        "faces": topology.faces,
+        "watertight": topology.watertight,
+        "edge_manifold": topology.edge_manifold,
+        "vertex_manifold": topology.vertex_manifold,
+        "components": topology.components,
+        "genus": topology.genus,
+        "backend": backend.name,
+        "workers": backend.workforce.workers,
+        "policy": settings.policy,
+        "bytes_sent": traffic.bytes_sent,
+        "bytes_received": traffic.bytes_received,
+    }

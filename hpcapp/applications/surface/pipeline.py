@@ -1,0 +1,92 @@
+"""The master process of surface reconstruction: the paper's Figure 1, one stage after the other.
+
+::
+
+    read ─> preprocess ─> partition ─> fit ─> extract ─> check ─> write
+                          │            └─ batches to the workers, quadrics back
+                          └─ patches (paper) or cells (hierarchical)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from hpcapp.applications.surface.method import Method
+from hpcapp.applications.surface.topology import Topology, check_mesh
+from hpcapp.batches import Workforce
+from hpcapp.progress import StageClock
+from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.points import PointCloud
+
+__all__ = ["Preprocess", "Reconstruction", "reconstruct"]
+
+Preprocess = Callable[[PointCloud], PointCloud]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """A mesh, and how it came about.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The 0-level iso-surface.
+    topology : Topology
+        What `check_mesh` found.
+    points : int
+        Points that were left after preprocessing.
+    facts : dict
+        What the method chose and found; ``patches`` is always there.
+    """
+
+    mesh: Mesh
+    topology: Topology
+    points: int
+    facts: dict[str, Any]
+
+
+def reconstruct(
+    cloud: PointCloud,
+    method: Method[Any, Any],
+    workforce: Workforce,
+    clock: StageClock,
+    preprocess: tuple[tuple[str, Preprocess], ...] = (),
+) -> Reconstruction:
+    """Turn oriented points into a mesh.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Finite positions and unit normals (see `hpcapp.io.drop_unusable`).
+    method : Method
+        The strategy: `PaperMethod` or `HierarchicalMethod`.
+    workforce : Workforce
+        Where batches of the fit run.
+    clock : StageClock
+        Times and announces the stages.
+    preprocess : tuple of (str, callable)
+        Named steps that run first, in order.
+
+    Returns
+    -------
+    Reconstruction
+
+    Raises
+    ------
+    HpcError
+        What a stage raised.
+    """
+    for name, step in preprocess:
+        with clock.stage(name):
+            cloud = step(cloud)
+    with clock.stage("partition"):
+        partition = method.partition(cloud, workforce)
+    with clock.stage("fit"):
+        quadrics = method.fit(partition, workforce, clock.progress.advance)
+    with clock.stage("extract"):
+        mesh = method.extract(partition, quadrics, clock.progress.advance)
+    with clock.stage("check"):
+        topology = check_mesh(mesh)
+    return Reconstruction(mesh, topology, len(cloud), method.facts(partition))

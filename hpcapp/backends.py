@@ -1,0 +1,182 @@
+"""Where tasks run: one context manager opens any backend as an Executor.
+
+===========  =========================================================================
+name         what stands behind it
+===========  =========================================================================
+serial       the calling thread
+threads      a thread pool of this process
+processes    a process pool of the standard library, spawned; a lost worker ends the job
+zmq          loaders, components and workers as real processes; lost workers are replaced
+===========  =========================================================================
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, ParamSpec, TypeVar
+
+from hpcapp.batches import Workforce
+from hpccomponent.errors import UsageError
+
+__all__ = ["BACKENDS", "POLICIES", "Backend", "SerialExecutor", "Traffic", "open_executor"]
+
+BACKENDS = ("serial", "threads", "processes", "zmq")
+POLICIES = ("equal", "pull")
+BATCHES_PER_WORKER = {"equal": 1, "pull": 4}
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """What went over the wire.
+
+    Parameters
+    ----------
+    bytes_sent, bytes_received : int
+        In bytes, as the master sees them; zero where there is no wire.
+    """
+
+    bytes_sent: int = 0
+    bytes_received: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Backend:
+    """An open backend.
+
+    Parameters
+    ----------
+    name : str
+        One of `BACKENDS`.
+    workforce : Workforce
+        The Executor, with what is needed to cut work for it.
+    traffic : callable
+        Returns the `Traffic` so far.
+    """
+
+    name: str
+    workforce: Workforce
+    traffic: Callable[[], Traffic] = Traffic
+
+    @property
+    def executor(self) -> Executor:
+        """The Executor that tasks are submitted to."""
+        return self.workforce.executor
+
+
+class SerialExecutor(Executor):
+    """Runs each task within `submit`, in the calling thread."""
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Run `fn` now and return its finished future."""
+        future: Future[T] = Future()
+        future.set_running_or_notify_cancel()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def _leave_interrupts_to_the_master() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def available_cores() -> int:
+    """Return how many cores this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def open_executor(
+    name: str,
+    *,
+    workers: int | None = None,
+    policy: str = "pull",
+    extra_tasks: Sequence[str] = (),
+) -> Iterator[Backend]:
+    """Open a backend; on exit nothing of it is left running.
+
+    Parameters
+    ----------
+    name : str
+        One of `BACKENDS`.
+    workers : int, optional
+        How many tasks run at once; as many as there are cores by default, 1 for `serial`.
+    policy : str
+        ``equal`` hands every worker the same number of batches, ``pull`` hands out the next
+        batch to whoever is free.
+    extra_tasks : sequence of str
+        Tasks beside the installed ones, each ``NAME=module:function``.
+
+    Yields
+    ------
+    Backend
+
+    Raises
+    ------
+    UsageError
+        An unknown name, or a number of workers that the backend cannot have.
+    NoWorkersError
+        The workers did not come up.
+    """
+    if name not in BACKENDS:
+        raise UsageError(f"unknown backend {name!r}", f"choose one of {', '.join(BACKENDS)}")
+    if policy not in POLICIES:
+        raise UsageError(f"unknown policy {policy!r}", f"choose one of {', '.join(POLICIES)}")
+    count = workers if workers is not None else (1 if name == "serial" else available_cores())
+    if count < 1 or (name == "serial" and count > 1):
+        raise UsageError(f"backend {name!r} cannot have {count} workers", "give another --workers")
+    per_worker = BATCHES_PER_WORKER[policy]
+    if name == "zmq":
+        with _open_cluster(count, policy, extra_tasks) as (executor, traffic):
+            yield Backend(name, Workforce(executor, count, per_worker), traffic)
+        return
+    with _open_pool(name, count) as pool:
+        yield Backend(name, Workforce(pool, count, per_worker))
+
+
+@contextmanager
+def _open_pool(name: str, count: int) -> Iterator[Executor]:
+    """Open an Executor of the standard library, or the serial one."""
+    pool: Executor
+    if name == "serial":
+        pool = SerialExecutor()
+    elif name == "threads":
+        pool = ThreadPoolExecutor(count, thread_name_prefix="worker")
+    else:
+        import multiprocessing
+
+        # Spawned, not forked: a fork copies locks that threads of this process may hold.
+        pool = ProcessPoolExecutor(
+            count,
+            mp_context=multiprocessing.get_context("spawn"),
+            initializer=_leave_interrupts_to_the_master,
+        )
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _open_cluster(
+    count: int, policy: str, extra_tasks: Sequence[str]
+) -> Iterator[tuple[Executor, Callable[[], Traffic]]]:
+    """Start loaders on this machine and yield the communicator's Executor."""
+    from hpcapp.local_cluster import LocalCluster
+
+    with LocalCluster(count, policy=policy, extra_tasks=extra_tasks) as cluster:
+
+        def traffic() -> Traffic:
+            counted: Any = cluster.executor.statistics()
+            return Traffic(counted.bytes_sent, counted.bytes_received)
+
+        yield cluster.executor, traffic

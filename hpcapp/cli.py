@@ -1,0 +1,128 @@
+"""The command ``hpcapp VERB``: finds the verb; an error becomes one line and an exit code.
+
+Verbs are click commands registered as entry points ``hpc.commands``; a verb's module is imported
+when it is used, and heavy libraries only inside it, so that the command starts quickly.
+"""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+from importlib import import_module
+from importlib.metadata import entry_points, version
+from typing import Any, NoReturn
+
+import click
+
+from hpccomponent.errors import HpcError
+
+__all__ = ["hpcapp", "main"]
+
+# The verbs that ship; named here so that finding them costs no search through installed packages.
+SHIPPED = {
+    "reconstruct": "hpcapp.applications.surface.commands:reconstruct",
+    "simulate": "hpcapp.applications.surface.commands:simulate",
+    "info": "hpcapp.applications.surface.commands:info",
+}
+EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+
+
+class Verbs(click.Group):
+    """A group whose commands are imported when they are used."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of all verbs, shipped ones first."""
+        del ctx
+        others = {entry.name for entry in entry_points(group="hpc.commands")} - set(SHIPPED)
+        return [*SHIPPED, *sorted(others)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import the verb `cmd_name`; None where there is none."""
+        del ctx
+        if cmd_name in SHIPPED:
+            module, _, attribute = SHIPPED[cmd_name].partition(":")
+            command = getattr(import_module(module), attribute)
+        else:
+            found = entry_points(group="hpc.commands", name=cmd_name)
+            if not found:
+                return None
+            command = next(iter(found)).load()
+        assert isinstance(command, click.Command)  # noqa: S101 - a plug-in's own mistake
+        return command
+
+
+def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+    del param
+    if value and not ctx.resilient_parsing:
+        click.echo(f"hpcapp {version('hpcapp')}")
+        ctx.exit()
+
+
+@click.group(cls=Verbs, context_settings={"help_option_names": ["-h", "--help"]})
+@click.option("--version", is_flag=True, expose_value=False, is_eager=True,
+              callback=_print_version, help="Print the version and leave.")  # fmt: skip
+@click.option("--debug", is_flag=True, help="Log everything; show the traceback of an error.")
+def hpcapp(debug: bool) -> None:
+    """Turn oriented point clouds into watertight meshes, on one machine or on many."""
+    logging.basicConfig(
+        level=logging.DEBUG if debug else logging.INFO,
+        format="%(name)s: %(message)s" if debug else "%(message)s",
+        stream=sys.stderr,
+        force=True,
+    )
+
+
+def _interrupt(signum: int, frame: Any) -> NoReturn:
+    """Let SIGTERM and SIGHUP unwind the stack like Ctrl-C, so that nothing is left behind."""
+    del signum, frame
+    raise KeyboardInterrupt
+
+
+def _report(line: str) -> None:
+    click.echo(f"hpcapp: {line}", err=True)
+
+
+def main(arguments: list[str] | None = None) -> NoReturn:
+    """Run the command and leave with its exit code.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        What was typed after ``hpcapp``; the process's own arguments by default.
+    """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    debug = "--debug" in arguments
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), _interrupt)
+    sys.exit(_run(arguments, debug))
+
+
+def _run(arguments: list[str], debug: bool) -> int:
+    """Run the command; return its exit code."""
+    try:
+        hpcapp.main(arguments, prog_name="hpcapp", standalone_mode=False)
+    except click.exceptions.Exit as leave:
+        return leave.exit_code
+    except click.ClickException as error:
+        _report(error.format_message().replace("\n", " "))
+        return EXIT_USAGE
+    except (KeyboardInterrupt, click.Abort):
+        _report("interrupted")
+        return EXIT_INTERRUPTED
+    except HpcError as error:
+        if debug:
+            logging.getLogger("hpcapp").exception("the error's way:")
+        _report(str(error))
+        return error.exit_code
+    except MemoryError:
+        _report("out of memory; choose a smaller --grid or a machine with more memory")
+        return EXIT_FAILED
+    except Exception as error:
+        if debug:
+            raise
+        _report(f"internal error: {type(error).__name__}: {error}; "
+                "please report it with the output of 'hpcapp --debug ...'")  # fmt: skip
+        return EXIT_FAILED
+    return 0

@@ -1,0 +1,91 @@
+"""Displays of progress: bars on a terminal, a line now and then elsewhere; always on stderr."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, TextIO
+
+from hpcapp.progress import Progress
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bars
+    from rich.progress import TaskID
+
+__all__ = ["LINE_PERIOD_S", "BarProgress", "LineProgress", "open_progress"]
+
+LINE_PERIOD_S = 10.0
+
+
+class LineProgress:
+    """Writes a line when a long stage goes on, and one when it ends.
+
+    Parameters
+    ----------
+    stream : file
+        Where lines go.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._stage = ""
+        self._next_line = 0.0
+
+    def begin(self, stage: str) -> None:
+        """Remember the stage; a short one is announced at its end only."""
+        self._stage = stage
+        self._next_line = time.monotonic() + LINE_PERIOD_S
+
+    def advance(self, done: int, total: int) -> None:
+        """Write a line where `LINE_PERIOD_S` have passed since the last."""
+        if time.monotonic() >= self._next_line:
+            self._next_line = time.monotonic() + LINE_PERIOD_S
+            self._write(f"{self._stage}: {done} of {total}")
+
+    def end(self, stage: str, seconds: float) -> None:
+        """Write how long the stage took."""
+        self._write(f"{stage}: done in {seconds:.2f} s")
+
+    def _write(self, line: str) -> None:
+        self._stream.write(line + "\n")
+        self._stream.flush()
+
+
+class BarProgress:
+    """One bar per stage, drawn by rich."""
+
+    def __init__(self, bars: Bars) -> None:
+        self._bars = bars
+        self._task: TaskID | None = None
+
+    def begin(self, stage: str) -> None:
+        """Draw a new bar."""
+        self._task = self._bars.add_task(stage, total=None)
+
+    def advance(self, done: int, total: int) -> None:
+        """Move the bar."""
+        if self._task is not None:
+            self._bars.update(self._task, completed=done, total=total)
+
+    def end(self, stage: str, seconds: float) -> None:
+        """Fill the bar."""
+        del stage, seconds
+        if self._task is not None:
+            self._bars.update(self._task, completed=1, total=1)
+            self._bars.stop_task(self._task)
+
+
+@contextmanager
+def open_progress(stream: TextIO) -> Iterator[Progress]:
+    """Yield the display that fits `stream`: bars where it is a terminal, lines elsewhere."""
+    if not stream.isatty():
+        yield LineProgress(stream)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
+
+    columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
+    with Bars(*columns, console=Console(file=stream)) as bars:
+        yield BarProgress(bars)

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpcapp.backends import SerialExecutor
+from hpcapp.batches import Workforce, cut_equal, map_batches
+from hpccomponent.errors import InputError, TaskError, WorkerLostError
+
+
+@given(rows=st.integers(0, 10_000), batches=st.integers(1, 64))
+def test_cut_equal_covers_every_row_once_in_order_and_evenly(rows: int, batches: int) -> None:
+    slices = cut_equal(rows, batches)
+    assert [i for s in slices for i in range(s.start, s.stop)] == list(range(rows))
+    sizes = [s.stop - s.start for s in slices]
+    assert len(sizes) == min(rows, batches)
+    assert not sizes or max(sizes) - min(sizes) <= 1
+
+
+def test_workforce_cuts_for_all_its_workers() -> None:
+    assert len(Workforce(SerialExecutor(), workers=3, batches_per_worker=4).cut(1000)) == 12
+
+
+def test_results_come_in_the_order_of_the_batches() -> None:
+    with ThreadPoolExecutor(4) as pool:
+        results = map_batches(Workforce(pool, 4), pow, [(i, 2) for i in range(100)])
+    assert results == [i**2 for i in range(100)]
+
+
+def test_progress_counts_every_batch() -> None:
+    seen: list[tuple[int, int]] = []
+    map_batches(
+        Workforce(SerialExecutor()),
+        abs,
+        [(1,), (2,)],
+        lambda done, total: seen.append((done, total)),
+    )
+    assert seen == [(1, 2), (2, 2)]
+
+
+def divide(a: float, b: float) -> float:
+    return a / b
+
+
+def refuse(message: str) -> None:
+    raise InputError(message, "mend it")
+
+
+def test_a_foreign_exception_is_translated_and_names_the_task() -> None:
+    with pytest.raises(TaskError, match="divide failed: ZeroDivisionError") as caught:
+        map_batches(Workforce(SerialExecutor()), divide, [(1.0, 0.0)])
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+
+
+def test_our_own_errors_pass_as_they_are() -> None:
+    with pytest.raises(InputError, match="mend it"):
+        map_batches(Workforce(SerialExecutor()), refuse, [("bad",)])
+
+
+class BrokenPool(SerialExecutor):
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        raise BrokenExecutor
+
+
+def test_a_broken_pool_is_a_lost_worker() -> None:
+    with pytest.raises(WorkerLostError, match="died while it ran divide"):
+        map_batches(Workforce(BrokenPool()), divide, [(1.0, 2.0)])
