@@ -1,0 +1,54 @@
+"""The paper's rule for splitting a box: its normals spread too far, or it holds too many points.
+
+Who may import it: the kd-tree and the methods of this package.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from hpccomponent.errors import UsageError
+
+__all__ = ["Cone", "SplitRule"]
+
+Cone = Literal["paper", "complement", "none"]
+
+
+@dataclass(frozen=True, slots=True)
+class SplitRule:
+    """When a box of the tree is split.
+
+    Parameters
+    ----------
+    delta : float
+        The paper's threshold on the normal cone, in [0, 1], dimensionless.
+    cone : {"paper", "complement", "none"}
+        A box is split while some normal has ``n . n_mean <= limit``, `n_mean` being normalised.
+        "paper": limit = delta, as the paper prints it. "complement": limit = 1 - delta, as its
+        text and its Figures 2 and 4 ask. "none": normals do not matter.
+    max_points : int, optional
+        A box is split while it holds more points.
+
+    Raises
+    ------
+    UsageError
+        A value outside its range.
+    """
+
+    delta: float = 0.1
+    cone: Cone = "paper"
+    max_points: int | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.delta <= 1.0:
+            raise UsageError(f"delta is {self.delta}", "give a number from 0 to 1, such as 0.1")
+        if self.cone not in ("paper", "complement", "none"):
+            raise UsageError(f"cone is {self.cone!r}", "choose paper, complement or none")
+        if self.max_points is not None and self.max_points < 1:
+            raise UsageError(f"max_points is {self.max_points}", "give 1 or more, or leave it out")
+
+    @property
+    def limit(self) -> float:
+        """The smallest cosine to the mean normal that a patch may not have."""
+        return {"paper": self.delta, "complement": 1.0 - self.delta, "none": -2.0}[self.cone]
