@@ -1,0 +1,90 @@
+"""What there is to know of a point cloud before it is reconstructed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
+
+__all__ = ["describe"]
+
+_MOST_QUERIES = 20_000
+
+
+def describe(cloud: PointCloud) -> dict[str, Any]:
+    """Count and measure a point cloud.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        As it was read, unusable points included.
+
+    Returns
+    -------
+    dict
+        JSON values. ``points``: how many; ``has_normals``, ``has_colors``; ``bounds`` (lowest
+        and highest corner, in the input's coordinates), ``extent`` (per axis), ``diagonal`` and
+        ``spacing`` (median distance to the nearest neighbour that is not a duplicate), in
+        length units of the input, over finite points and None where there are too few;
+        ``origin``: what was subtracted on reading; ``non_finite_points`` and
+        ``non_finite_normals``: rows with NaN or infinity; ``zero_normals``; ``duplicates``:
+        finite points at the place of another, the first at each place not counted.
+
+    Notes
+    -----
+    The spacing is taken at no more than 20,000 points, evenly picked in the file's order,
+    among all points.
+    """
+    finite = cloud.positions[np.isfinite(cloud.positions).all(axis=1)]
+    distinct = _distinct(finite)
+    return {
+        "points": len(cloud),
+        "has_normals": cloud.normals is not None,
+        "has_colors": cloud.colors is not None,
+        **_measure(finite, cloud.origin),
+        "origin": cloud.origin.tolist(),
+        "non_finite_points": len(cloud) - len(finite),
+        **_count_normals(cloud.normals),
+        "duplicates": len(finite) - len(distinct),
+        "spacing": _spacing(distinct),
+    }
+
+
+def _measure(finite: FloatArray, origin: FloatArray) -> dict[str, Any]:
+    if not len(finite):
+        return {"bounds": None, "extent": None, "diagonal": None}
+    low, high = bounding_box(finite)
+    return {
+        "bounds": [(low + origin).tolist(), (high + origin).tolist()],
+        "extent": (high - low).tolist(),
+        "diagonal": float(np.linalg.norm(high - low)),
+    }
+
+
+def _count_normals(normals: FloatArray | None) -> dict[str, int]:
+    if normals is None:
+        return {"non_finite_normals": 0, "zero_normals": 0}
+    return {
+        "non_finite_normals": int((~np.isfinite(normals).all(axis=1)).sum()),
+        "zero_normals": int((normals == 0).all(axis=1).sum()),
+    }
+
+
+def _distinct(finite: FloatArray) -> FloatArray:
+    """Return the first point at each place, in the order of the input."""
+    order = np.lexsort(finite.T)  # stable: of equal points the first stays first
+    ordered = finite[order]
+    first = np.ones(len(finite), bool)
+    first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    return finite[np.sort(order[first])]
+
+
+def _spacing(distinct: FloatArray) -> float | None:
+    if len(distinct) < 2:
+        return None
+    step = -(-len(distinct) // _MOST_QUERIES)
+    distances, _ = cKDTree(distinct).query(distinct[::step], k=2, workers=-1)
+    return float(np.median(distances[:, 1]))

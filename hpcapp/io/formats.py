@@ -1,0 +1,178 @@
+"""Which suffix means which format; foreign errors end here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+from typing import Literal, TypeVar
+
+from hpcapp.io.obj import read_obj, write_obj
+from hpcapp.io.off import read_off, write_off
+from hpcapp.io.ply import read_ply_mesh, read_ply_points, write_ply_mesh, write_ply_points
+from hpcapp.io.staging import check_place
+from hpcapp.io.stl import read_stl, write_stl
+from hpcapp.io.text import read_text_points, write_text_points
+from hpccomponent.errors import InputError, OutputError, UsageError
+from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.points import PointCloud
+
+__all__ = ["check_writable", "read_mesh", "read_points", "write_mesh", "write_points"]
+
+Chosen = TypeVar("Chosen")
+
+_TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")
+_POINT_READERS: dict[str, Callable[[Path], PointCloud]] = {
+    ".ply": read_ply_points,
+    **dict.fromkeys(_TEXT_SUFFIXES, read_text_points),
+}
+_POINT_WRITERS: dict[str, Callable[[Path, PointCloud], None]] = {
+    ".ply": write_ply_points,
+    **dict.fromkeys(_TEXT_SUFFIXES, write_text_points),
+}
+_MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
+    ".ply": read_ply_mesh,
+    ".obj": read_obj,
+    ".off": read_off,
+    ".stl": read_stl,
+}
+_MESH_WRITERS: dict[str, Callable[[Path, Mesh], None]] = {
+    ".ply": write_ply_mesh,
+    ".obj": write_obj,
+    ".off": write_off,
+    ".stl": write_stl,
+}
+
+
+def read_points(path: str | PathLike[str]) -> PointCloud:
+    """Read a point cloud: .ply (a mesh's vertices, too), .xyz, .txt, .asc, .pts.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        The suffix, in any case, chooses the format.
+
+    Returns
+    -------
+    PointCloud
+        Every point of the file, NaN and zero normals included (see `drop_unusable`).
+        Coordinates far from zero are relative to `origin`.
+
+    Raises
+    ------
+    InputError
+        The file cannot be opened, is damaged or holds no points.
+    UsageError
+        The suffix is unknown.
+    """
+    reader = _choose(_POINT_READERS, Path(path), UsageError, "a point cloud is read from")
+    with _translated(path):
+        return reader(Path(path))
+
+
+def read_mesh(path: str | PathLike[str]) -> Mesh:
+    """Read a triangle mesh: .ply, .obj, .off, .stl; polygons become triangle fans.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        The suffix, in any case, chooses the format.
+
+    Returns
+    -------
+    Mesh
+        Coordinates far from zero are relative to `origin`.
+
+    Raises
+    ------
+    InputError
+        The file cannot be opened, is damaged or holds no faces.
+    UsageError
+        The suffix is unknown.
+    """
+    reader = _choose(_MESH_READERS, Path(path), UsageError, "a mesh is read from")
+    with _translated(path):
+        return reader(Path(path))
+
+
+def write_points(path: str | PathLike[str], cloud: PointCloud) -> None:
+    """Write a point cloud, in the input's coordinates: .ply, .xyz, .txt, .asc, .pts.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        The suffix chooses the format. The file appears whole or not at all.
+    cloud : PointCloud
+        May lack normals and colours.
+
+    Raises
+    ------
+    OutputError
+        The suffix is unknown, or the file cannot be written.
+    """
+    _choose(_POINT_WRITERS, Path(path), OutputError, "a point cloud is written to")(
+        Path(path), cloud
+    )
+
+
+def write_mesh(path: str | PathLike[str], mesh: Mesh) -> None:
+    """Write a mesh: .ply, .obj, .off in the input's coordinates, .stl in the local frame.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        The suffix chooses the format. The file appears whole or not at all.
+    mesh : Mesh
+        The same mesh gives the same bytes.
+
+    Raises
+    ------
+    OutputError
+        The suffix is unknown, or the file cannot be written.
+    """
+    _choose(_MESH_WRITERS, Path(path), OutputError, "a mesh is written to")(Path(path), mesh)
+
+
+def check_writable(path: str | PathLike[str], kind: Literal["mesh", "points"] = "mesh") -> None:
+    """Find out before the work whether its result can be written; leave nothing behind.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        Where the result shall appear.
+    kind : {"mesh", "points"}
+        What it will be.
+
+    Raises
+    ------
+    OutputError
+        The suffix is unknown, the folder does not exist or cannot be written, or `path` is
+        not a file.
+    """
+    if kind == "mesh":
+        _choose(_MESH_WRITERS, Path(path), OutputError, "a mesh is written to")
+    else:
+        _choose(_POINT_WRITERS, Path(path), OutputError, "a point cloud is written to")
+    check_place(Path(path))
+
+
+def _choose(
+    by_suffix: Mapping[str, Chosen], path: Path, error: type[UsageError], sentence: str
+) -> Chosen:
+    chosen = by_suffix.get(path.suffix.lower())
+    if chosen is None:
+        named = f"suffix {path.suffix!r}" if path.suffix else "no suffix"
+        raise error(f"{path}: {named}", f"{sentence} {', '.join(by_suffix)}")
+    return chosen
+
+
+@contextmanager
+def _translated(path: str | PathLike[str]) -> Iterator[None]:
+    """Turn the system's errors of reading a file into ours."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{Path(path)}: cannot be read: {error.strerror or error}", "check the file's name"
+        ) from error

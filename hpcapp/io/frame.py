@@ -1,0 +1,81 @@
+"""The local frame: far from zero, float64 arithmetic on coordinates loses what a scan measured.
+
+Used by every reader of this package; writers put the origin back.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpccomponent.surface.points import FloatArray, bounding_box
+
+__all__ = ["FAR_IN_DIAGONALS", "needs_double", "to_local"]
+
+FAR_IN_DIAGONALS = 10.0
+"""Coordinates beyond so many diagonals of the bounding box count as georeferenced."""
+
+_FLOAT32_TOLERANCE = 1e-6
+
+
+def to_local(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Subtract an origin from coordinates that lie far from zero.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In the input's coordinates; rows with NaN or infinity do not count.
+
+    Returns
+    -------
+    local : ndarray of float64, shape (n, 3)
+        Relative to `origin`; `positions` itself where the origin is zero.
+    origin : ndarray of float64, shape (3,)
+        Centre of the bounding box in whole units where the largest coordinate exceeds
+        `FAR_IN_DIAGONALS` diagonals, else zeros.
+
+    Examples
+    --------
+    >>> to_local(np.array([[5.4e6, 0.0, 0.0], [5.4e6, 1.0, 0.25]]))[1]
+    array([5400000.,       0.,       0.])
+    """
+    low, high = _finite_bounds(positions)
+    with np.errstate(over="ignore"):  # a diagonal that overflows is infinite: not far from zero
+        diagonal = np.linalg.norm(high - low)
+    if np.abs([low, high]).max() <= FAR_IN_DIAGONALS * diagonal:
+        return positions, np.zeros(3)
+    origin = np.rint(low / 2 + high / 2) + 0.0  # + 0.0: no negative zero
+    if not origin.any():
+        return positions, origin
+    return positions - origin, origin
+
+
+def needs_double(positions: FloatArray, origin: FloatArray) -> bool:
+    """Tell whether float32 would round coordinates by more than a millionth of the extent.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        Relative to `origin`, as they are in memory.
+    origin : ndarray of float64, shape (3,)
+        Will be added on writing.
+    """
+    if origin.any():
+        return True
+    low, high = _finite_bounds(positions)
+    with np.errstate(over="ignore"):
+        diagonal = np.linalg.norm(high - low)
+    largest = np.abs([low, high]).max()
+    if largest > np.finfo(np.float32).max:
+        return True
+    return bool(largest * np.finfo(np.float32).epsneg > _FLOAT32_TOLERANCE * diagonal > 0)
+
+
+def _finite_bounds(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bound the rows that are finite; zeros where there are none."""
+    if not len(positions):
+        return np.zeros(3), np.zeros(3)
+    low, high = bounding_box(positions)
+    if np.isfinite(low).all() and np.isfinite(high).all():
+        return low, high
+    finite = positions[np.isfinite(positions).all(axis=1)]
+    return bounding_box(finite) if len(finite) else (np.zeros(3), np.zeros(3))

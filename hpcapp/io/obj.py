@@ -1,0 +1,92 @@
+"""Wavefront OBJ: vertices and faces; everything else in it is passed over."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hpcapp.io.columns import Ragged
+from hpcapp.io.polygons import mesh_of_polygons
+from hpcapp.io.rows import Line, line_error, numbered, parse_table, write_rows
+from hpcapp.io.staging import replacing
+from hpccomponent.errors import InputError
+from hpccomponent.surface.mesh import Mesh
+
+__all__ = ["coordinate_format", "read_obj", "write_obj"]
+
+
+def read_obj(path: Path) -> Mesh:
+    """Read an OBJ file as a triangle mesh; polygons become triangle fans.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Mesh
+
+    Raises
+    ------
+    InputError
+        A line is wrong, or there are no faces.
+    OSError
+        The file cannot be read.
+    """
+    vertex_lines: list[Line] = []
+    lengths: list[int] = []
+    corners: list[int] = []
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for line in numbered(file):
+            keyword, *words = line[1].split()
+            if keyword == "v":
+                vertex_lines.append((line[0], " ".join(words[:3])))  # w or a colour may follow
+            elif keyword == "f":
+                lengths.append(len(words))
+                corners += _corners(words, len(vertex_lines), line, path)
+    if not lengths:
+        raise InputError(
+            f"{path}: no faces (lines that start with f): not a mesh", "check the file"
+        )
+    vertices = parse_table(iter(vertex_lines), 3, path)
+    polygons = Ragged(np.array(lengths, np.int64), np.array(corners, np.int64))
+    return mesh_of_polygons(vertices, polygons, path)
+
+
+def _corners(words: list[str], vertices: int, line: Line, path: Path) -> list[int]:
+    """Return vertex indices from 0; a negative one counts back from the latest vertex."""
+    try:
+        numbers = [int(word.partition("/")[0]) for word in words]
+    except ValueError:
+        problem = f"not a face: {line[1].strip()[:60]!r}"
+        raise line_error(path, line, problem, "export the file again") from None
+    return [n - 1 if n > 0 else vertices + n if n < 0 else -1 for n in numbers]
+
+
+def write_obj(path: Path, mesh: Mesh) -> None:
+    """Write a triangle mesh as OBJ, in the input's frame.
+
+    Parameters
+    ----------
+    path : Path
+        Appears whole or not at all.
+    mesh : Mesh
+        Its coordinates are written to the last digit if an origin was subtracted, else to the
+        nine digits that tell one ``float`` from another.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    row = "v " + " ".join([coordinate_format(mesh)] * 3) + "\n"
+    with replacing(path) as file:
+        file.writelines(write_rows(row, mesh.vertices + mesh.origin))
+        file.writelines(write_rows("f %d %d %d\n", mesh.faces + 1))
+
+
+def coordinate_format(mesh: Mesh) -> str:
+    """Return the %-placeholder for a coordinate of a mesh in a text file."""
+    return "%.17g" if mesh.origin.any() else "%.9g"

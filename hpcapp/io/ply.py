@@ -1,0 +1,229 @@
+"""PLY files: strict in what is accepted, double precision where it is needed.
+
+The parts: `ply_header` (what the body holds), `ply_binary` and `ply_ascii` (the body), and here
+what the elements mean: ``vertex`` is a point cloud, ``vertex`` and ``face`` are a mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.columns import Rows
+from hpcapp.io.frame import needs_double, to_local
+from hpcapp.io.ply_ascii import read_ascii
+from hpcapp.io.ply_binary import read_binary
+from hpcapp.io.ply_header import read_header
+from hpcapp.io.polygons import mesh_of_polygons
+from hpcapp.io.staging import replacing
+from hpccomponent.errors import InputError
+from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.points import FloatArray, PointCloud
+
+__all__ = ["read_ply_mesh", "read_ply_points", "write_ply_mesh", "write_ply_points"]
+
+_AXES = ("x", "y", "z")
+_NORMALS = ("nx", "ny", "nz")
+_COLORS = ("red", "green", "blue")
+_FACE_LISTS = ("vertex_indices", "vertex_index")
+_ROWS_AT_ONCE = 1 << 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Column:
+    """One property of the vertices, as it is to be written."""
+
+    name: str
+    dtype: str
+    values: NDArray[np.float64] | NDArray[np.uint8]
+    shift: float = 0.0
+
+
+def read_ply_points(path: Path) -> PointCloud:
+    """Read the vertices of a PLY file as a point cloud.
+
+    Properties other than coordinates, normals and colours of one byte are passed over, as are
+    all elements but ``vertex``.
+
+    Parameters
+    ----------
+    path : Path
+        ascii or binary in either byte order.
+
+    Returns
+    -------
+    PointCloud
+        Normals as they are in the file, of any length.
+
+    Raises
+    ------
+    InputError
+        The file is damaged or holds no points.
+    OSError
+        The file cannot be read.
+    """
+    vertex = _vertices(_read(path, {"vertex"}), path)
+    positions, origin = to_local(_stack(vertex, _AXES))
+    present = [name for name in _NORMALS if name in vertex.scalars]
+    if present and len(present) < len(_NORMALS):
+        raise InputError(
+            f"{path}: element 'vertex' has {', '.join(present)} but not all of nx, ny, nz",
+            "export the file with whole normals, or without",
+        )
+    colors = None
+    if all(name in vertex.scalars and vertex.scalars[name].dtype == np.uint8 for name in _COLORS):
+        colors = np.stack([vertex.scalars[name] for name in _COLORS], axis=1)
+    return PointCloud(positions, _stack(vertex, _NORMALS) if present else None, colors, origin)
+
+
+def read_ply_mesh(path: Path) -> Mesh:
+    """Read a PLY file as a triangle mesh; polygons become triangle fans.
+
+    Parameters
+    ----------
+    path : Path
+        ascii or binary in either byte order.
+
+    Returns
+    -------
+    Mesh
+
+    Raises
+    ------
+    InputError
+        The file is damaged, has no faces, or a face names a vertex that is not there.
+    OSError
+        The file cannot be read.
+    """
+    elements = _read(path, {"vertex", "face"})
+    vertex = _vertices(elements, path)
+    lists = elements["face"].lists if "face" in elements else {}
+    polygons = next((lists[name] for name in _FACE_LISTS if name in lists), None)
+    if polygons is None or polygons.values.dtype.kind not in "iu":
+        raise InputError(
+            f"{path}: no element 'face' with a list vertex_indices of integers: not a mesh",
+            "a point cloud can be meshed with 'hpcapp reconstruct'",
+        )
+    return mesh_of_polygons(_stack(vertex, _AXES), polygons, path)
+
+
+def write_ply_points(path: Path, cloud: PointCloud) -> None:
+    """Write a point cloud as binary little-endian PLY.
+
+    Coordinates are written in the input's frame, as ``double`` if an origin was subtracted or
+    ``float`` would round by more than a millionth of the extent; otherwise as ``float``.
+
+    Parameters
+    ----------
+    path : Path
+        Appears whole or not at all.
+    cloud : PointCloud
+        Its normals are written as ``float``.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    columns = _coordinate_columns(cloud.positions, cloud.origin)
+    if cloud.normals is not None:
+        columns += _plain_columns(_NORMALS, "<f4", cloud.normals)
+    if cloud.colors is not None:
+        columns += _plain_columns(_COLORS, "u1", cloud.colors)
+    with replacing(path) as file:
+        file.write(_header(_vertex_lines(columns)))
+        _write_columns(file, columns)
+
+
+def write_ply_mesh(path: Path, mesh: Mesh) -> None:
+    """Write a triangle mesh as binary little-endian PLY.
+
+    Parameters
+    ----------
+    path : Path
+        Appears whole or not at all.
+    mesh : Mesh
+        Vertices are written like the points of `write_ply_points`.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    columns = _coordinate_columns(mesh.vertices, mesh.origin)
+    faces = np.empty(len(mesh.faces), [("n", "u1"), ("corners", "<i4", (3,))])
+    faces["n"] = 3
+    faces["corners"] = mesh.faces
+    face_lines = [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    with replacing(path) as file:
+        file.write(_header(_vertex_lines(columns) + face_lines))
+        _write_columns(file, columns)
+        file.write(faces.data)
+
+
+def _read(path: Path, wanted: set[str]) -> dict[str, Rows]:
+    header = read_header(path)
+    read = read_binary if header.byte_order else read_ascii
+    return read(path, header, wanted)
+
+
+def _vertices(elements: dict[str, Rows], path: Path) -> Rows:
+    """Return the rows of ``vertex``, which must have coordinates."""
+    if "vertex" not in elements:
+        raise InputError(f"{path}: no element 'vertex'", "export the file as a point cloud or mesh")
+    vertex = elements["vertex"]
+    missing = [name for name in _AXES if name not in vertex.scalars]
+    if missing:
+        raise InputError(
+            f"{path}: element 'vertex' has no property {', '.join(missing)}",
+            "export the file with coordinates x, y and z",
+        )
+    return vertex
+
+
+def _stack(rows: Rows, names: tuple[str, ...]) -> FloatArray:
+    """Copy scalar properties into the columns of one array, block by block for the cache."""
+    columns = [rows.scalars[name] for name in names]
+    stacked = np.empty((len(columns[0]), len(columns)))
+    for start in range(0, len(stacked), _ROWS_AT_ONCE):
+        block = slice(start, start + _ROWS_AT_ONCE)
+        for i, column in enumerate(columns):
+            stacked[block, i] = column[block]
+    return stacked
+
+
+def _plain_columns(
+    names: tuple[str, ...], dtype: str, values: FloatArray | NDArray[np.uint8]
+) -> list[_Column]:
+    return [_Column(name, dtype, column) for name, column in zip(names, values.T, strict=True)]
+
+
+def _coordinate_columns(local: FloatArray, origin: FloatArray) -> list[_Column]:
+    dtype = "<f8" if needs_double(local, origin) else "<f4"
+    return [_Column(*column) for column in zip(_AXES, [dtype] * 3, local.T, origin, strict=True)]
+
+
+def _vertex_lines(columns: list[_Column]) -> list[str]:
+    spelled = {"<f8": "double", "<f4": "float", "u1": "uchar"}
+    properties = [f"property {spelled[c.dtype]} {c.name}" for c in columns]
+    return [f"element vertex {len(columns[0].values)}", *properties]
+
+
+def _header(element_lines: list[str]) -> bytes:
+    start = ["ply", "format binary_little_endian 1.0", "comment hpcapp"]
+    return "\n".join([*start, *element_lines, "end_header", ""]).encode("ascii")
+
+
+def _write_columns(file: BinaryIO, columns: list[_Column]) -> None:
+    rows = len(columns[0].values)
+    with np.errstate(over="ignore"):  # what float cannot hold becomes infinite
+        for start in range(0, rows, _ROWS_AT_ONCE):
+            block = slice(start, min(start + _ROWS_AT_ONCE, rows))
+            part = np.empty(block.stop - start, [(c.name, c.dtype) for c in columns])
+            for c in columns:
+                part[c.name] = c.values[block] + c.shift if c.shift else c.values[block]
+            file.write(part.data)

@@ -1,0 +1,209 @@
+"""The body of a binary PLY file, in either byte order.
+
+All of the body is measured, element by element, so that a wrong count or a cut file is found
+out wherever it is; only the elements asked for are read.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Container
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.columns import Ragged, Rows, positions_within
+from hpcapp.io.ply_header import Element, Header, Property
+from hpccomponent.errors import InputError
+from hpccomponent.surface.points import IntArray
+
+__all__ = ["read_binary"]
+
+_COPY_AGAIN = "copy or export the file again"
+
+
+def read_binary(path: Path, header: Header, wanted: Container[str]) -> dict[str, Rows]:
+    """Read elements of a binary PLY file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : Header
+        As `read_header` gave it.
+    wanted : container of str
+        The names of the elements to read.
+
+    Returns
+    -------
+    dict of str to Rows
+        The elements of `wanted` that the file has; scalars may be views of the mapped file.
+
+    Raises
+    ------
+    InputError
+        The body is shorter or longer than the header says, or holds an impossible list.
+    """
+    body = np.memmap(path, np.uint8, "r")
+    at = header.body_start
+    found = {}
+    for element in header.elements:
+        least = _row_bytes(element.properties) * element.count
+        if least > body.size - at:
+            raise _truncated(path, element, f"needs {least} bytes or more, {body.size - at} follow")
+        rows: NDArray[np.void] | None = _view_even(body, at, element, header.byte_order)
+        if rows is not None:
+            at += rows.nbytes
+            if element.name in wanted:
+                found[element.name] = _columns(rows, element)
+            continue
+        start = at
+        lengths, at = _walk(body, at, element, header.byte_order, path)
+        if element.name in wanted:
+            found[element.name] = _gather(body, start, element, lengths, header.byte_order)
+    if body[at : at + 3].tobytes() not in (b"", b"\n", b"\r\n"):
+        raise InputError(
+            f"{path}: {body.size - at} bytes follow after the last element",
+            "a count in the header is too small: export the file again",
+        )
+    return found
+
+
+def _truncated(path: Path, element: Element, problem: str) -> InputError:
+    return InputError(
+        f"{path}: truncated: element {element.name!r} ({element.count} rows) {problem}", _COPY_AGAIN
+    )
+
+
+def _negative(path: Path, element: Element, row: int) -> InputError:
+    return InputError(
+        f"{path}: element {element.name!r}, row {row}: a list of negative length", _COPY_AGAIN
+    )
+
+
+def _row_bytes(properties: tuple[Property, ...]) -> int:
+    """Return the size of a row whose lists are empty."""
+    return sum(np.dtype(p.count_dtype or p.dtype).itemsize for p in properties)
+
+
+def _row_dtype(element: Element, lengths: list[int], byte_order: str) -> np.dtype[np.void]:
+    """Describe a row whose lists have the given lengths: value i is v<i>, its length n<i>."""
+    fields: list[Any] = []
+    remaining = iter(lengths)
+    for i, p in enumerate(element.properties):
+        if p.count_dtype is None:
+            fields.append((f"v{i}", byte_order + p.dtype))
+        else:
+            fields.append((f"n{i}", byte_order + p.count_dtype))
+            fields.append((f"v{i}", byte_order + p.dtype, (next(remaining),)))
+    return np.dtype(fields)
+
+
+def _view_even(
+    body: NDArray[np.uint8], at: int, element: Element, byte_order: str
+) -> NDArray[np.void] | None:
+    """View the rows as one array if their lists are all as long as the first row's."""
+    lengths: list[int] = []
+    if element.count:
+        cursor = at
+        for p in element.properties:
+            if p.count_dtype is None:
+                cursor += np.dtype(p.dtype).itemsize
+                continue
+            count = np.dtype(byte_order + p.count_dtype)
+            if cursor + count.itemsize > body.size:
+                return None
+            lengths.append(int(np.ndarray((), count, body, cursor)))
+            cursor += count.itemsize + lengths[-1] * np.dtype(p.dtype).itemsize
+            if lengths[-1] < 0 or cursor > body.size:
+                return None
+    else:
+        lengths = [0] * len(element.properties)
+    dtype = _row_dtype(element, lengths, byte_order)
+    if at + dtype.itemsize * element.count > body.size:
+        return None
+    rows: NDArray[np.void] = np.ndarray(element.count, dtype, body, at)
+    counts = [name for name in dtype.names or () if name.startswith("n")]
+    even = all((rows[name] == n).all() for name, n in zip(counts, lengths, strict=False))
+    return rows if even else None
+
+
+def _columns(rows: NDArray[np.void], element: Element) -> Rows:
+    result = Rows({}, {})
+    for i, p in enumerate(element.properties):
+        values = rows[f"v{i}"]
+        if p.count_dtype is None:
+            result.scalars[p.name] = values
+        else:
+            lengths = np.full(len(rows), values.shape[1], np.int64)
+            result.lists[p.name] = Ragged(lengths, values.ravel())
+    return result
+
+
+def _walk(
+    body: NDArray[np.uint8], at: int, element: Element, byte_order: str, path: Path
+) -> tuple[IntArray, int]:
+    """Measure rows of uneven lists one by one.
+
+    Returns
+    -------
+    lengths : ndarray of int64, shape (rows, lists)
+    end : int
+        Where the element ends, in bytes.
+    """
+    steps = []  # for each list: bytes in front, how to read its length, bytes per value
+    gap = 0
+    for p in element.properties:
+        if p.count_dtype is None:
+            gap += np.dtype(p.dtype).itemsize
+        else:
+            count = struct.Struct(byte_order + np.dtype(p.count_dtype).char)
+            steps.append((gap, count.unpack_from, count.size, np.dtype(p.dtype).itemsize))
+            gap = 0
+    view = body.data
+    lengths: list[int] = []
+    for row in range(element.count):
+        try:
+            for before, unpack, count_size, value_size in steps:
+                at += before
+                (length,) = unpack(view, at)
+                if length < 0:
+                    raise _negative(path, element, row)
+                at += count_size + length * value_size
+                lengths.append(length)
+        except struct.error:
+            raise _truncated(path, element, f"ends within row {row}") from None
+        at += gap
+        if at > body.size:
+            raise _truncated(path, element, f"ends within row {row}")
+    return np.array(lengths, np.int64).reshape(element.count, len(steps)), at
+
+
+def _gather(
+    body: NDArray[np.uint8], start: int, element: Element, lengths: IntArray, byte_order: str
+) -> Rows:
+    """Read rows of uneven lists, whose lengths are known."""
+    lists = [p for p in element.properties if p.count_dtype is not None]
+    sizes = np.array([np.dtype(p.dtype).itemsize for p in lists])
+    row_bytes = _row_bytes(element.properties) + lengths @ sizes
+    at = start + np.cumsum(row_bytes) - row_bytes
+    result = Rows({}, {})
+    for p in element.properties:
+        value = np.dtype(byte_order + p.dtype)
+        if p.count_dtype is None:
+            result.scalars[p.name] = _pick(body, at, value)
+            at = at + value.itemsize
+            continue
+        column = lengths[:, len(result.lists)]
+        at = at + np.dtype(p.count_dtype).itemsize
+        values_at = np.repeat(at, column) + positions_within(column) * value.itemsize
+        result.lists[p.name] = Ragged(column, _pick(body, values_at, value))
+        at = at + column * value.itemsize
+    return result
+
+
+def _pick(body: NDArray[np.uint8], at: IntArray, dtype: np.dtype[Any]) -> NDArray[Any]:
+    picked = np.asarray(body[at[:, None] + np.arange(dtype.itemsize)])
+    return picked.view(dtype)[:, 0]

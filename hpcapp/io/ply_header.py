@@ -1,0 +1,183 @@
+"""The header of a PLY file: what elements the body holds, and how they are encoded.
+
+References
+----------
+Greg Turk, "The PLY Polygon File Format", 1994.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from hpccomponent.errors import InputError
+
+__all__ = ["Element", "Header", "Property", "read_header"]
+
+_SPELLINGS = {
+    "i1": ("char", "int8"),
+    "u1": ("uchar", "uint8"),
+    "i2": ("short", "int16"),
+    "u2": ("ushort", "uint16"),
+    "i4": ("int", "int32"),
+    "u4": ("uint", "uint32"),
+    "f4": ("float", "float32"),
+    "f8": ("double", "float64"),
+}
+SCALAR_TYPES = {name: dtype for dtype, names in _SPELLINGS.items() for name in names}
+"""Every scalar type of PLY, under both spellings, as a numpy type without byte order."""
+
+_BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_LONGEST_HEADER = 1 << 20
+_EXPORT_AGAIN = "export the file again as PLY 1.0"
+
+
+@dataclass(frozen=True, slots=True)
+class Property:
+    """A property of an element.
+
+    Parameters
+    ----------
+    name : str
+        As the header spells it.
+    dtype : str
+        Of the value, or of each value of a list: a numpy type without byte order.
+    count_dtype : str or None
+        Of the length in front of a list; None for a scalar.
+    """
+
+    name: str
+    dtype: str
+    count_dtype: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """An element: so many rows of the same properties."""
+
+    name: str
+    count: int
+    properties: tuple[Property, ...]
+
+    @property
+    def has_lists(self) -> bool:
+        """Whether its rows may differ in length."""
+        return any(p.count_dtype is not None for p in self.properties)
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What stands in front of the body.
+
+    Parameters
+    ----------
+    byte_order : str
+        "<" or ">" for a binary body, "" for ascii.
+    elements : tuple of Element
+        In the order of the body.
+    body_start : int
+        Where the body starts, in bytes from the start of the file.
+    body_line : int
+        The number of the body's first line, counted from 1.
+    """
+
+    byte_order: str
+    elements: tuple[Element, ...]
+    body_start: int
+    body_line: int
+
+
+def read_header(path: Path) -> Header:
+    """Read the header of a PLY file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Header
+
+    Raises
+    ------
+    InputError
+        The file is empty, is no PLY file, or a line of its header is wrong.
+    OSError
+        The file cannot be read.
+    """
+    with path.open("rb") as file:
+        head = file.read(_LONGEST_HEADER)
+    if not head:
+        raise InputError(f"{path}: the file is empty", "export or copy it again")
+    first = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
+    if first is None:
+        raise InputError(
+            f"{path}: not a PLY file: its first line is not 'ply'", "check the file and its suffix"
+        )
+    # A lone CR ends the header only where it ends lines: otherwise the next byte may be an LF
+    # that belongs to it, or to a binary body.
+    newline = rb"\r" if first[1] == b"\r" else rb"\r?\n"
+    end = re.search(rb"[\r\n]end_header[ \t]*(?:" + newline + rb"|\Z)", head)
+    if end is None:
+        raise InputError(f"{path}: the PLY header has no 'end_header'", _EXPORT_AGAIN)
+    lines = head[: end.end()].decode("latin-1").splitlines()
+    parser = _HeaderParser(path)
+    for number, line in enumerate(lines[1:-1], start=2):
+        parser.line(number, line.split())
+    byte_order = parser.byte_order
+    if byte_order is None:
+        raise InputError(f"{path}: the PLY header has no 'format' line", _EXPORT_AGAIN)
+    for name, count, properties in parser.elements:
+        if count and not properties:
+            raise InputError(f"{path}: PLY element {name!r} has no properties", _EXPORT_AGAIN)
+    elements = tuple(Element(n, c, tuple(p)) for n, c, p in parser.elements)
+    return Header(byte_order, elements, end.end(), len(lines) + 1)
+
+
+class _HeaderParser:
+    """Takes the header line by line; the last element collects the properties that follow."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.byte_order: str | None = None
+        self.elements: list[tuple[str, int, list[Property]]] = []
+
+    def line(self, number: int, words: list[str]) -> None:
+        """Take one line, split into words."""
+        match words:
+            case [] | ["comment" | "obj_info", *_]:
+                pass
+            case ["format", encoding, "1.0"] if encoding in _BYTE_ORDERS and not self.byte_order:
+                self.byte_order = _BYTE_ORDERS[encoding]
+            case ["element", name, count] if re.fullmatch(r"[0-9]{1,18}", count):
+                self._element(number, name, int(count))
+            case ["property", "list", count_type, value_type, name]:
+                self._property(number, name, value_type, count_type)
+            case ["property", value_type, name]:
+                self._property(number, name, value_type, None)
+            case _:
+                raise self._wrong(number, f"cannot make sense of {' '.join(words)[:60]!r}")
+
+    def _element(self, number: int, name: str, count: int) -> None:
+        if any(name == known for known, _, _ in self.elements):
+            raise self._wrong(number, f"a second element {name!r}")
+        self.elements.append((name, count, []))
+
+    def _property(self, number: int, name: str, value: str, count: str | None) -> None:
+        if not self.elements:
+            raise self._wrong(number, f"property {name!r} before any element")
+        element, _, properties = self.elements[-1]
+        for word in (value, count):
+            if word is not None and word not in SCALAR_TYPES:
+                raise self._wrong(number, f"property {name!r} of unknown type {word!r}")
+        if any(name == known.name for known in properties):
+            raise self._wrong(number, f"a second property {name!r} of element {element!r}")
+        count_dtype = None if count is None else SCALAR_TYPES[count]
+        if count_dtype is not None and count_dtype.startswith("f"):
+            raise self._wrong(number, f"list {name!r} whose length is a {count}")
+        properties.append(Property(name, SCALAR_TYPES[value], count_dtype))
+
+    def _wrong(self, number: int, problem: str) -> InputError:
+        return InputError(f"{self.path}:{number}: PLY header: {problem}", _EXPORT_AGAIN)

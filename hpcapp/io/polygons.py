@@ -1,0 +1,58 @@
+"""Polygons of any number of corners, flat, and their triangles. Used by the readers of meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hpcapp.io.columns import Ragged, positions_within
+from hpcapp.io.frame import to_local
+from hpccomponent.errors import InputError
+from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.points import FloatArray
+
+__all__ = ["mesh_of_polygons"]
+
+
+def mesh_of_polygons(vertices: FloatArray, polygons: Ragged, path: Path) -> Mesh:
+    """Cut polygons into triangle fans and bring the vertices into a local frame.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (v, 3)
+        In the file's coordinates.
+    polygons : Ragged
+        Vertex indices, counted from 0.
+    path : Path
+        The file, for messages.
+
+    Returns
+    -------
+    Mesh
+
+    Raises
+    ------
+    InputError
+        A polygon has fewer than three corners or names a vertex that does not exist.
+    """
+    lengths, corners = polygons.lengths, polygons.values
+    if (lengths < 3).any():
+        face = int(np.argmax(lengths < 3))
+        raise InputError(
+            f"{path}: face {face} has {lengths[face]} corners", "a face needs at least three"
+        )
+    wrong = (corners < 0) | (corners >= len(vertices))
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        face = int(np.searchsorted(np.cumsum(lengths), at, side="right"))
+        raise InputError(
+            f"{path}: face {face} names vertex {corners[at]}, but the file has {len(vertices)}",
+            "the file is damaged: export it again",
+        )
+    triangles = lengths - 2
+    first = np.repeat(np.cumsum(lengths) - lengths, triangles)
+    second = first + positions_within(triangles) + 1
+    faces = np.stack([corners[first], corners[second], corners[second + 1]], axis=1)
+    local, origin = to_local(vertices)
+    return Mesh(local, faces.astype(np.int64, copy=False), origin)

@@ -1,0 +1,140 @@
+"""Lines of numbers into tables, fast while they are right and exact about the line that is not.
+
+Used by the readers of ascii PLY, XYZ, OBJ and OFF.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.errors import InputError
+from hpccomponent.surface.points import FloatArray
+
+__all__ = ["Line", "is_count", "line_error", "numbered", "parse_table", "take_lines", "write_rows"]
+
+Line = tuple[int, str]
+"""The number of a line in its file, counted from 1, and its text."""
+
+_LINES_AT_ONCE = 16384
+
+
+def numbered(lines: Iterable[str], first: int = 1) -> Iterator[Line]:
+    """Number the lines of a file and leave out the blank ones.
+
+    Examples
+    --------
+    >>> list(numbered(["1 2", "", "3 4"]))
+    [(1, '1 2'), (3, '3 4')]
+    """
+    return (line for line in enumerate(lines, first) if line[1] and not line[1].isspace())
+
+
+def is_count(word: str) -> bool:
+    """Tell whether a word is a whole number that can count the lines of a file."""
+    return word.isascii() and word.isdecimal() and len(word) <= 18
+
+
+def line_error(path: Path, line: Line, problem: str, advice: str) -> InputError:
+    """Make the error that names a line of a file."""
+    return InputError(f"{path}:{line[0]}: {problem}", advice)
+
+
+def take_lines(lines: Iterator[Line], count: int, path: Path, rows: str) -> Iterator[Line]:
+    """Yield the next `count` lines.
+
+    Raises
+    ------
+    InputError
+        The file ends before.
+    """
+    taken = 0
+    for line in islice(lines, count):
+        yield line
+        taken += 1
+    if taken < count:
+        raise InputError(
+            f"{path}: truncated: {count} {rows} are announced, the file ends after {taken}",
+            "copy or export the file again",
+        )
+
+
+def parse_table(
+    lines: Iterator[Line], columns: int, path: Path, delimiter: str | None = None
+) -> FloatArray:
+    """Parse lines of numbers, each with the same number of columns.
+
+    Parameters
+    ----------
+    lines : iterator of (int, str)
+        Is consumed.
+    columns : int
+        How many numbers each line must hold.
+    path : Path
+        The file, for messages.
+    delimiter : str, optional
+        What separates the numbers; white space by default.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, columns)
+
+    Raises
+    ------
+    InputError
+        Names the first line that does not fit, and why.
+    """
+    parts = []
+    while chunk := list(islice(lines, _LINES_AT_ONCE)):
+        part = _parse([text for _, text in chunk], delimiter)
+        if part is None or part.shape[1] != columns:
+            raise _find_fault(chunk, columns, path, delimiter)
+        parts.append(part)
+    return np.concatenate(parts) if parts else np.empty((0, columns))
+
+
+def _parse(texts: list[str], delimiter: str | None) -> FloatArray | None:
+    try:
+        return np.loadtxt(texts, np.float64, delimiter=delimiter, comments=None, ndmin=2)
+    except ValueError:
+        return None
+
+
+def _find_fault(chunk: list[Line], columns: int, path: Path, delimiter: str | None) -> InputError:
+    """Look line by line for what the fast way stumbled over."""
+    for line in chunk:
+        tokens = line[1].split(delimiter)
+        if _parse([line[1]], delimiter) is None:
+            bad = next(
+                (t.strip() for t in tokens if not t.strip() or _parse([t], None) is None), ""
+            )
+            advice = "use a decimal point" if "," in bad else "correct or remove the line"
+            return line_error(path, line, f"{bad[:40]!r} is not a number", advice)
+        if len(tokens) != columns:
+            problem = f"{len(tokens)} columns where {columns} are expected"
+            return line_error(path, line, problem, "correct or remove the line")
+    return line_error(path, chunk[0], "lines that are not a table of numbers", "check the file")
+
+
+def write_rows(template: str, table: NDArray[Any]) -> Iterator[bytes]:
+    """Format the rows of a table, many at once.
+
+    Parameters
+    ----------
+    template : str
+        One row with a %-placeholder per column, ending in a newline.
+    table : ndarray, shape (n, columns)
+
+    Yields
+    ------
+    bytes
+        Some rows.
+    """
+    for start in range(0, len(table), _LINES_AT_ONCE):
+        part = table[start : start + _LINES_AT_ONCE]
+        yield (template * len(part) % tuple(part.ravel().tolist())).encode("ascii")

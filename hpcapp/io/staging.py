@@ -1,0 +1,84 @@
+"""Write beside and rename: a reader of the output sees the old file or the whole new one.
+
+Used by every writer of this package.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+from hpccomponent.errors import OutputError
+
+__all__ = ["check_place", "replacing"]
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """Open a temporary file beside `path` that takes its place when the block ends well.
+
+    Whatever ends the block otherwise, an interrupt included, removes the temporary file and
+    leaves what was at `path`.
+
+    Parameters
+    ----------
+    path : Path
+        Where the file shall appear; of a symbolic link, the file it points to.
+
+    Raises
+    ------
+    OutputError
+        The folder or the file cannot be written.
+    """
+    with _beside(path) as (target, beside):
+        with beside.open("xb") as file:
+            yield file
+        os.replace(beside, target)
+
+
+def check_place(path: Path) -> None:
+    """Find out now whether a file can be written later, and leave nothing behind.
+
+    Permissions are tried, not read: what root may do, or a read-only file system forbids,
+    they do not tell.
+
+    Parameters
+    ----------
+    path : Path
+        Where a file will be written.
+
+    Raises
+    ------
+    OutputError
+        The folder does not exist or cannot be written, or `path` is not a file.
+    """
+    with _beside(path) as (_, beside):
+        beside.open("xb").close()
+
+
+@contextmanager
+def _beside(path: Path) -> Iterator[tuple[Path, Path]]:
+    """Give the file meant by `path` and a new name beside it, and free that name afterwards."""
+    target = Path(os.path.realpath(path))
+    beside = target.with_name(f".hpcapp-{secrets.token_hex(8)}.tmp")
+    try:
+        if target.exists() and not target.is_file():
+            raise OutputError(f"{path}: is not a file", "name a file to write to")
+        try:
+            yield target, beside
+        finally:
+            beside.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written: {error.strerror or error}", _advice(target)
+        ) from error
+
+
+def _advice(target: Path) -> str:
+    if not target.parent.is_dir():
+        return f"create the folder {target.parent} first"
+    return f"check the name, and that {target.parent} has room and lets you write"

@@ -1,0 +1,120 @@
+"""STL: triangles one by one, in single precision; read from both kinds, written as binary."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hpcapp.io.columns import Ragged
+from hpcapp.io.polygons import mesh_of_polygons
+from hpcapp.io.rows import numbered, parse_table
+from hpcapp.io.staging import replacing
+from hpccomponent.errors import InputError
+from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.points import FloatArray
+
+__all__ = ["read_stl", "write_stl"]
+
+_HEAD_BYTES = 80
+_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+def read_stl(path: Path) -> Mesh:
+    """Read an STL file as a triangle mesh; corners at the same place become one vertex.
+
+    Parameters
+    ----------
+    path : Path
+        ascii or binary.
+
+    Returns
+    -------
+    Mesh
+
+    Raises
+    ------
+    InputError
+        The file is shorter or longer than it says, or a line is wrong.
+    OSError
+        The file cannot be read.
+    """
+    corners = _binary_corners(path)
+    if corners is None:
+        corners = _ascii_corners(path)
+    if not len(corners):
+        raise InputError(f"{path}: no triangles: not a mesh", "check the file")
+    # + 0.0: -0 and 0 are one place
+    vertices, indices = np.unique(corners + 0.0, axis=0, return_inverse=True)
+    lengths = np.full(len(corners) // 3, 3, np.int64)
+    return mesh_of_polygons(vertices, Ragged(lengths, indices.ravel()), path)
+
+
+def _binary_corners(path: Path) -> FloatArray | None:
+    """Return the corners of a binary file, None for ascii; both kinds may start with ``solid``."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+        count = int.from_bytes(file.read(4), "little")
+        if size == _HEAD_BYTES + 4 + count * _TRIANGLE.itemsize:
+            triangles = np.fromfile(file, _TRIANGLE, count)
+            return triangles["corners"].reshape(-1, 3).astype(np.float64)
+    if head.lstrip().startswith(b"solid"):
+        return None
+    raise InputError(
+        f"{path}: not an STL file, or truncated: {size} bytes do not fit its count of triangles",
+        "copy or export the file again",
+    )
+
+
+def _ascii_corners(path: Path) -> FloatArray:
+    with path.open(encoding="latin-1") as file:
+        vertex_lines = [
+            (number, text.split("vertex", 1)[1])
+            for number, text in numbered(file)
+            if text.lstrip().startswith("vertex")
+        ]
+    corners = parse_table(iter(vertex_lines), 3, path)
+    if len(corners) % 3:
+        raise InputError(
+            f"{path}: truncated: {len(corners)} corners are no whole number of triangles",
+            "copy or export the file again",
+        )
+    return corners
+
+
+def write_stl(path: Path, mesh: Mesh) -> None:
+    """Write a triangle mesh as binary STL, in the local frame.
+
+    Parameters
+    ----------
+    path : Path
+        Appears whole or not at all.
+    mesh : Mesh
+        Single precision would ruin georeferenced coordinates: its origin is not added, but
+        noted in the file's header.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    triangles = np.zeros(len(mesh.faces), _TRIANGLE)
+    corners = mesh.vertices[mesh.faces]
+    triangles["corners"] = corners
+    triangles["normal"] = _unit_normals(corners)
+    head = "hpcapp"
+    if mesh.origin.any():
+        head += " origin " + " ".join(f"{coordinate:.0f}" for coordinate in mesh.origin)
+    with replacing(path) as file:
+        file.write(head.encode("ascii")[:_HEAD_BYTES].ljust(_HEAD_BYTES))
+        file.write(len(triangles).to_bytes(4, "little"))
+        file.write(triangles.data)
+
+
+def _unit_normals(corners: FloatArray) -> FloatArray:
+    """Return the normals of triangles; zero, as STL allows, for those without area."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    units: FloatArray = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+    return units

@@ -1,0 +1,125 @@
+"""What a scan holds beside usable points: dropped, counted, and refused where nothing is left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpccomponent.errors import InputError
+from hpccomponent.surface.points import FloatArray, PointCloud
+
+__all__ = ["FEWEST_POINTS", "Dropped", "drop_unusable"]
+
+FEWEST_POINTS = 10
+"""A quadric has ten coefficients."""
+
+_FLATTEST = 1e-6
+"""Second extent over first, below which points count as collinear: ten roundings of float32."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dropped:
+    """How many points were dropped, each counted once.
+
+    Parameters
+    ----------
+    non_finite_points : int
+        Points with NaN or infinity in their position.
+    bad_normals : int
+        Other points whose normal is zero, NaN or infinite.
+    """
+
+    non_finite_points: int = 0
+    bad_normals: int = 0
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.non_finite_points + self.bad_normals
+
+
+def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[PointCloud, Dropped]:
+    """Drop points without a finite position and a normal; give normals unit length.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        As it was read.
+    source : str, optional
+        The file it came from, for messages.
+
+    Returns
+    -------
+    usable : PointCloud
+        In the order of `cloud`; its colours and origin are kept.
+    dropped : Dropped
+        What is missing in it.
+
+    Raises
+    ------
+    InputError
+        There are no normals, fewer than `FEWEST_POINTS` points are left, or all of them lie in
+        one place or on one line.
+    """
+    if not len(cloud):
+        raise InputError(f"{source} holds no points", "check that the right file was exported")
+    if cloud.normals is None:
+        raise InputError(
+            f"{source} has no normals (nx, ny, nz)",
+            "estimate them first, e.g. in CloudCompare or MeshLab",
+        )
+    finite = np.isfinite(cloud.positions).all(axis=1)
+    units, directed = _normalized(cloud.normals)
+    keep = finite & directed
+    dropped = Dropped(int((~finite).sum()), int((finite & ~directed).sum()))
+    usable = PointCloud(cloud.positions, units, cloud.colors, cloud.origin)
+    if dropped.total:
+        usable = usable.take(keep)
+    _refuse_too_few(usable, dropped, source)
+    _refuse_degenerate(usable.positions, source)
+    return usable, dropped
+
+
+def _normalized(
+    normals: FloatArray,
+) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+    """Return vectors of unit length, and which of them had a length at all."""
+    largest = np.abs(normals).max(axis=1, keepdims=True)
+    directed = np.isfinite(largest) & (largest > 0)
+    # By the largest component first: squares of very long or short vectors leave the range.
+    scaled = np.divide(normals, largest, out=np.zeros_like(normals), where=directed)
+    lengths = np.linalg.norm(scaled, axis=1, keepdims=True)
+    units = np.divide(scaled, lengths, out=scaled, where=directed)
+    return units, directed[:, 0]
+
+
+def _refuse_too_few(usable: PointCloud, dropped: Dropped, source: str) -> None:
+    if len(usable) >= FEWEST_POINTS:
+        return
+    without = (
+        f" after dropping {dropped.non_finite_points} with NaN or infinite coordinates and "
+        f"{dropped.bad_normals} with a zero or NaN normal"
+    )
+    raise InputError(
+        f"{source} has {len(usable) or 'no'} usable points{without if dropped.total else ''}",
+        f"a surface needs at least {FEWEST_POINTS}: check how the file was exported",
+    )
+
+
+def _refuse_degenerate(positions: FloatArray, source: str) -> None:
+    largest = np.abs(positions).max() or 1.0
+    centred = positions / largest
+    if (positions == positions[0]).all():
+        raise InputError(
+            f"{source}: all {len(positions)} points lie in one place",
+            "check how the file was exported",
+        )
+    centred = centred - centred.mean(axis=0)
+    centred /= np.abs(centred).max()
+    squares = np.linalg.eigvalsh(centred.T @ centred)
+    if squares[1] <= _FLATTEST**2 * squares[2]:
+        raise InputError(
+            f"{source}: all {len(positions)} points lie on one line",
+            "a surface cannot be fitted to a line: check how the file was exported",
+        )
