@@ -274,6 +274,8 @@ def _reworded(kind: str, message: str) -> str:
         "dict_type": "should be a mapping of keys to values",
         "list_type": "should be a list",
         "tuple_type": "should be a list",
+        "too_short": "has too few entries",
+        "too_long": "has too many entries",
     }
     if kind in ours:
         return ours[kind]

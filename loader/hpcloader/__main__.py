@@ -1,0 +1,115 @@
+"""``python -m hpcloader``: run the loader, or show what it knows of this machine."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import logging
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from hpccomponent.errors import HpcError
+from hpcloader.builds import Choice, choose_build, read_catalogue
+from hpcloader.daemon import Daemon
+from hpcloader.machine import Machine, read_machine
+from hpcloader.settings import LoaderSettings, read_settings
+from hpcloader.supervisor import Supervisor
+
+__all__ = ["main"]
+
+logger = logging.getLogger("hpcloader")
+
+_VECTOR_FLAGS = ("sse4", "avx", "fma", "asimd", "sve")  # the few of a hundred that people look for
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb of the command line and return its exit code."""
+    arguments = _parser().parse_args(argv)
+    try:
+        return int(arguments.verb(arguments))
+    except HpcError as error:
+        sys.stderr.write(f"hpcloader: {error}\n")
+        return error.exit_code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("hpcloader", description="Starts the worker build that fits.")
+    verbs = parser.add_subparsers(required=True, metavar="VERB")
+    run = verbs.add_parser("run", help="start a component and watch over it")
+    run.add_argument("--config", type=Path, required=True, metavar="FILE", help="loader.yaml")
+    run.add_argument(
+        "--lifeline-fd", type=int, metavar="N", help="leave when this pipe comes to its end"
+    )
+    run.set_defaults(verb=_run)
+    facts = verbs.add_parser("facts", help="show this machine's facts and the chosen build")
+    facts.add_argument("--json", action="store_true", help="one JSON object")
+    facts.add_argument("--catalogue", type=Path, metavar="FILE", help="instead of the loader's own")
+    facts.set_defaults(verb=_facts)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    settings = read_settings(arguments.config)
+    logging.basicConfig(
+        level=logging.INFO,
+        stream=sys.stderr,
+        format=f"%(asctime)s %(levelname)s loader {settings.name}: %(message)s",
+    )
+    choice = choose_build(read_catalogue(settings.catalogue), read_machine())
+    for name, reason in choice.passed_over:
+        logger.info("build %s passed over: %s", name, reason)
+    logger.info("build %s chosen", choice.build.name)
+    supervisor = Supervisor(settings.restart.rule())
+    return Daemon(component_argv(settings, choice), supervisor, arguments.lifeline_fd).run()
+
+
+def component_argv(settings: LoaderSettings, choice: Choice) -> list[str]:
+    """Return the component's command line, without its lifeline."""
+    connection = ["--connection", str(settings.connection), "--build", choice.build.name]
+    tasks = [word for task in (*choice.build.tasks, *settings.tasks) for word in ("--task", task)]
+    return [*choice.build.argv(), *connection, *tasks]
+
+
+def _facts(arguments: argparse.Namespace) -> int:
+    machine = read_machine()
+    choice = choose_build(read_catalogue(arguments.catalogue), machine)
+    text = _facts_json(machine, choice) if arguments.json else _facts_text(machine, choice)
+    sys.stdout.write(text + "\n")
+    return 0
+
+
+def _facts_json(machine: Machine, choice: Choice) -> str:
+    facts = dataclasses.asdict(machine) | {"cpu_flags": sorted(machine.cpu_flags)}
+    passed_over = [{"build": name, "reason": reason} for name, reason in choice.passed_over]
+    command = choice.build.argv()
+    return json.dumps(
+        {
+            "machine": facts,
+            "build": choice.build.name,
+            "command": command,
+            "passed_over": passed_over,
+        }
+    )
+
+
+def _facts_text(machine: Machine, choice: Choice) -> str:
+    vectors = sorted(flag for flag in machine.cpu_flags if flag.startswith(_VECTOR_FLAGS))
+    rows = [
+        ("architecture", machine.architecture),
+        ("vector flags", " ".join(vectors) or "none"),
+        ("cores", str(machine.cores)),
+        ("memory", f"{machine.memory / 2**30:.1f} GiB"),
+        ("GPUs", ", ".join(machine.gpus) or "none"),
+        ("system", machine.system),
+        ("C library", machine.libc or "unknown"),
+        ("Python", machine.python),
+        *(("passed over", f"{name}: {reason}") for name, reason in choice.passed_over),
+        ("build", f"{choice.build.name}: {' '.join(choice.build.argv())}"),
+    ]
+    return "\n".join(f"{label:<13} {value}" for label, value in rows)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,144 @@
+"""Machine facts, read from made-up /proc and /sys trees and from the real one."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hpcloader import machine
+from hpcloader.machine import read_machine
+
+
+def lay_out(root: Path, files: dict[str, str]) -> Path:
+    for name, text in files.items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return root
+
+
+@pytest.fixture
+def many_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(64)), raising=False)
+
+
+def test_this_machine_has_cores_and_memory() -> None:
+    here = read_machine()
+    assert here.cores >= 1
+    assert here.memory > 2**24
+    assert here.architecture
+    assert here.python.split()[1].startswith("3.")
+
+
+def test_affinity_bounds_the_cores(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {3, 5, 7}, raising=False)
+    assert read_machine(tmp_path).cores == 3
+
+
+@pytest.mark.parametrize(
+    ("files", "cores"),
+    [
+        ({"sys/fs/cgroup/a/b/cpu.max": "250000 100000"}, 2),
+        (
+            {"sys/fs/cgroup/a/b/cpu.max": "max 100000", "sys/fs/cgroup/a/cpu.max": "300000 100000"},
+            3,
+        ),
+        ({"sys/fs/cgroup/a/b/cpu.max": "1000 100000"}, 1),
+        ({"sys/fs/cgroup/cpu.max": "400000 100000"}, 4),
+        ({"sys/fs/cgroup/unified/a/b/cpu.max": "500000 100000"}, 5),
+        ({"sys/fs/cgroup/a/b/cpu.max": "max 100000"}, 64),
+        ({"sys/fs/cgroup/a/b/cpu.max": "rubbish"}, 64),
+    ],
+)
+@pytest.mark.usefixtures("many_cores")
+def test_quota_of_cgroup_2_bounds_the_cores(
+    tmp_path: Path, files: dict[str, str], cores: int
+) -> None:
+    root = lay_out(tmp_path, {"proc/self/cgroup": "0::/a/b\n", **files})
+    assert read_machine(root).cores == cores
+
+
+@pytest.mark.parametrize("mount", ["cpu", "cpu,cpuacct"])
+@pytest.mark.parametrize("path", ["job/7", ""])
+@pytest.mark.usefixtures("many_cores")
+def test_quota_of_cgroup_1_bounds_the_cores(tmp_path: Path, mount: str, path: str) -> None:
+    group = f"sys/fs/cgroup/{mount}/{path}"
+    root = lay_out(
+        tmp_path,
+        {
+            "proc/self/cgroup": "4:memory:/job/7\n3:cpu,cpuacct:/job/7\n1:name=systemd:/x\n",
+            f"{group}/cpu.cfs_quota_us": "600000\n",
+            f"{group}/cpu.cfs_period_us": "100000\n",
+        },
+    )
+    assert read_machine(root).cores == 6
+
+
+@pytest.mark.usefixtures("many_cores")
+def test_no_quota_in_cgroup_1_is_no_bound(tmp_path: Path) -> None:
+    root = lay_out(
+        tmp_path,
+        {
+            "proc/self/cgroup": "3:cpu:/\n",
+            "sys/fs/cgroup/cpu/cpu.cfs_quota_us": "-1\n",
+            "sys/fs/cgroup/cpu/cpu.cfs_period_us": "100000\n",
+        },
+    )
+    assert read_machine(root).cores == 64
+
+
+@pytest.mark.parametrize(
+    ("cgroup", "limits", "memory"),
+    [
+        ("0::/a\n", {"sys/fs/cgroup/a/memory.max": "1048576\n"}, 2**20),
+        ("0::/a\n", {"sys/fs/cgroup/a/memory.max": "max\n"}, 2**30),
+        ("4:memory:/a\n", {"sys/fs/cgroup/memory/a/memory.limit_in_bytes": "2097152"}, 2**21),
+        ("4:memory:/a\n", {"sys/fs/cgroup/memory/memory.limit_in_bytes": "4194304"}, 2**22),
+        ("4:memory:/a\n", {"sys/fs/cgroup/memory/memory.limit_in_bytes": str(2**63)}, 2**30),
+        ("0::/../../x\n", {"sys/fs/cgroup/memory.max": "1048576"}, 2**20),
+    ],
+)
+def test_limits_of_control_groups_bound_the_memory(
+    tmp_path: Path, cgroup: str, limits: dict[str, str], memory: int
+) -> None:
+    files = {"proc/meminfo": "MemTotal:  1048576 kB\nMemFree: 1 kB\n", "proc/self/cgroup": cgroup}
+    assert read_machine(lay_out(tmp_path, files | limits)).memory == memory
+
+
+def test_flags_are_those_that_all_processors_share(tmp_path: Path) -> None:
+    cpuinfo = "processor : 0\nflags\t\t: sse avx avx2\n\nprocessor : 1\nflags\t\t: sse avx\n"
+    root = lay_out(tmp_path, {"proc/cpuinfo": cpuinfo})
+    assert read_machine(root).cpu_flags == {"sse", "avx"}
+
+
+def test_flags_of_arm_are_read(tmp_path: Path) -> None:
+    root = lay_out(tmp_path, {"proc/cpuinfo": "Features\t: fp asimd sve\n"})
+    assert read_machine(root).cpu_flags == {"fp", "asimd", "sve"}
+
+
+def test_gpus_are_read_from_the_driver(tmp_path: Path) -> None:
+    cards = {
+        f"proc/driver/nvidia/gpus/0000:0{n}/information": f"Model: \t NVIDIA {name}\nIRQ: 3\n"
+        for n, name in enumerate(["H100", "L4"])
+    }
+    assert read_machine(lay_out(tmp_path, cards)).gpus == ("NVIDIA H100", "NVIDIA L4")
+
+
+@pytest.mark.parametrize(
+    ("script", "gpus"),
+    [
+        ("echo 'NVIDIA L4'; echo 'NVIDIA A2'", ("NVIDIA L4", "NVIDIA A2")),
+        ("echo broken driver; exit 9", ()),
+        ("exec sleep 60", ()),
+    ],
+)
+def test_gpus_are_else_asked_of_the_tool(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, gpus: tuple[str, ...]
+) -> None:
+    tool = tmp_path / "nvidia-smi"
+    tool.write_text(f"#!/bin/sh\n{script}\n")
+    tool.chmod(0o755)
+    monkeypatch.setattr(machine, "_NVIDIA_SMI_WAIT_S", 0.5)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    assert read_machine(tmp_path).gpus == gpus
