@@ -1,0 +1,206 @@
+"""The default method: hierarchical Hermite quadrics, blended by a partition of unity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.surface.estimates import MU, Scale, choose_scale
+from hpcapp.applications.surface.method import Advance
+from hpcapp.applications.surface.pyramid import Pyramid, VertexQuadrics, build_pyramid, fit_pyramid
+from hpcapp.batches import Workforce
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.bricks import grow_bricks, seed_bricks
+from hpccomponent.surface.extraction import drop_small_components, extract_surface
+from hpccomponent.surface.far_field import FarField, solve_far_field
+from hpccomponent.surface.field import BRICK, Field, Grid, evaluate_bricks
+from hpccomponent.surface.lattice import unpack_keys
+from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
+
+__all__ = ["HierarchicalMethod", "HierarchicalPartition", "plan_grid"]
+
+_MARGIN = 4
+_LEAST_GRID = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HierarchicalPartition:
+    """A cloud cut into cells.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+    grid : Grid
+    scale : Scale
+    pyramid : Pyramid
+    """
+
+    cloud: PointCloud
+    grid: Grid
+    scale: Scale
+    pyramid: Pyramid
+
+
+class HierarchicalMethod:
+    """Reconstruct with hierarchical Hermite quadrics.
+
+    Parameters
+    ----------
+    grid : int
+        Cells of the evaluation grid along its longest side, 16 or more.
+    smoothness : float
+        Above 1, noise is taken for larger than it is estimated: smoother. Dimensionless.
+    detail : float
+        Above 1, cells are smaller: more detail, less averaging. Dimensionless.
+
+    Raises
+    ------
+    UsageError
+        The grid is too small, or a factor is not positive.
+    """
+
+    name = "hierarchical"
+
+    def __init__(self, grid: int = 256, smoothness: float = 1.0, detail: float = 1.0) -> None:
+        if grid < _LEAST_GRID:
+            raise UsageError(
+                f"a grid of {grid} cells is too coarse", f"ask for {_LEAST_GRID} or more"
+            )
+        for word, factor in (("smoothness", smoothness), ("detail", detail)):
+            if not (factor > 0.0 and np.isfinite(factor)):
+                raise UsageError(f"{word} is {factor}", "give a positive number; 1 is the default")
+        self.grid = grid
+        self.smoothness = smoothness
+        self.detail = detail
+
+    def partition(self, cloud: PointCloud, workforce: Workforce) -> HierarchicalPartition:
+        """Find spacing, noise and cell size, and sum the moments of the points in each cell.
+
+        Parameters
+        ----------
+        cloud : PointCloud
+            With normals.
+        workforce : Workforce
+
+        Returns
+        -------
+        HierarchicalPartition
+
+        Raises
+        ------
+        InputError
+            There are no normals, or all points are the same.
+        """
+        if cloud.normals is None or not len(cloud):
+            raise InputError("the cloud has no points with normals", "give oriented points")
+        grid = plan_grid(cloud.positions, self.grid)
+        scale = choose_scale(cloud, grid.step, self.smoothness, self.detail, workforce)
+        pyramid = build_pyramid(cloud, scale.cell_size, workforce)
+        return HierarchicalPartition(cloud, grid, scale, pyramid)
+
+    def fit(
+        self, partition: HierarchicalPartition, workforce: Workforce, advance: Advance
+    ) -> VertexQuadrics:
+        """Fit a quadric to every vertex of the lattices, coarse to fine, on the workers."""
+        return fit_pyramid(partition.pyramid, partition.scale.lam, MU, workforce, advance)
+
+    def extract(
+        self, partition: HierarchicalPartition, quadrics: VertexQuadrics, advance: Advance
+    ) -> Mesh:
+        """Blend the quadrics over the far field and extract the surface, brick by brick.
+
+        Raises
+        ------
+        InputError
+            No node lies inside: the normals contradict one another.
+        """
+        grid = partition.grid
+        field = assemble_field(partition, quadrics)
+        seeds = seed_bricks(grid, partition.cloud.positions)
+        places, values = grow_bricks(
+            lambda bricks: evaluate_bricks(field, grid, bricks), seeds, grid.bricks, advance
+        )
+        mesh = drop_small_components(extract_surface(grid, places, values))
+        if not len(mesh.faces):
+            raise InputError(
+                "no part of the cloud encloses a volume",
+                "check that the normals point out of the object, and try a finer --grid",
+            )
+        return Mesh(mesh.vertices, mesh.faces, partition.cloud.origin)
+
+    def facts(self, partition: HierarchicalPartition) -> dict[str, Any]:
+        """Return the estimates, and how many quadrics the finest level has."""
+        return {
+            "patches": len(partition.pyramid.levels[0].touched),
+            "spacing": partition.scale.spacing,
+            "noise": partition.scale.noise,
+            "cell_size": partition.scale.cell_size,
+            "lam": partition.scale.lam,
+            "levels": len(partition.pyramid.levels),
+        }
+
+
+def plan_grid(positions: FloatArray, cells: int) -> Grid:
+    """Lay the evaluation grid around a cloud, with four cells to spare on each side.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input.
+    cells : int
+        Along the longest side, margins included.
+
+    Returns
+    -------
+    Grid
+        Centred on the cloud, each side a whole number of bricks.
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+    """
+    low, high = bounding_box(positions)
+    longest = float((high - low).max())
+    if longest <= 0.0:
+        raise InputError("all points lie at one place", "scan something with an extent")
+    step = longest / (cells - 2 * _MARGIN)
+    sides = np.ceil((high - low) / step + 2 * _MARGIN - 1e-9)
+    x, y, z = (int(bricks) for bricks in np.ceil(sides / BRICK))
+    half = 0.5 * BRICK * step * np.array([x, y, z])
+    return Grid(0.5 * (low + high) - half, step, (x, y, z))
+
+
+def assemble_field(partition: HierarchicalPartition, quadrics: VertexQuadrics) -> Field:
+    """Put quadrics, trust and far field together.
+
+    Parameters
+    ----------
+    partition : HierarchicalPartition
+    quadrics : VertexQuadrics
+
+    Returns
+    -------
+    Field
+    """
+    pyramid = partition.pyramid
+    vertices = pyramid.levels[0].vertices
+    channels = np.zeros((12, len(vertices) + 1))
+    channels[:10, :-1] = quadrics.coefficients.T
+    channels[10, :-1] = 1.0
+    channels[11, :-1] = np.minimum(1.0, quadrics.counts / 6.0 + quadrics.inherited / 16.0)
+    far = _solve_far_field(partition)
+    return Field(pyramid.origin, pyramid.cell_size, vertices, channels, far)
+
+
+def _solve_far_field(partition: HierarchicalPartition) -> FarField:
+    """Solve for the far field of the finest cells: centroids and sums of normals."""
+    grid, pyramid = partition.grid, partition.pyramid
+    finest = pyramid.levels[0]
+    places = unpack_keys(finest.cells) + 0.5 + finest.moments[:, 1:4] / finest.moments[:, :1]
+    centroids = pyramid.origin + pyramid.cell_size * places
+    box = (grid.origin, grid.origin + grid.step * BRICK * np.array(grid.bricks))
+    return solve_far_field(centroids, finest.moments[:, 35:38], box, pyramid.cell_size)

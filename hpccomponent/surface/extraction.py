@@ -1,0 +1,144 @@
+"""Marching cubes over bricks, welded by edge numbers and never by coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface.case_table import EDGES, case_triangles, triangle_counts
+from hpccomponent.surface.field import BRICK, Grid
+from hpccomponent.surface.lattice import OCTANTS, find_keys, pack_places, step_keys
+from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.points import FloatArray, IntArray
+
+__all__ = ["drop_small_components", "extract_surface"]
+
+Float32Array = NDArray[np.float32]
+
+_NEAREST = 0.002
+"""Vertices keep this share of an edge from its ends, so that no triangle has zero area."""
+
+
+def extract_surface(grid: Grid, places: IntArray, values: Float32Array) -> Mesh:
+    """Extract the 0-level of the node values.
+
+    Parameters
+    ----------
+    grid : Grid
+    places : ndarray of int64, shape (b, 3)
+        Sorted, as `grow_bricks` gives them.
+    values : ndarray of float32, shape (b, 9, 9, 9)
+        Negative inside, never 0.
+
+    Returns
+    -------
+    Mesh
+        Closed, edge- and vertex-manifold; faces anticlockwise as seen from outside (positive).
+
+    Notes
+    -----
+    The vertex on an edge belongs to the brick of the edge's lower node.
+    """
+    inside = values < 0.0
+    numbers, vertices = _place_vertices(grid, places, values, inside)
+    faces = _assemble_faces(places, inside, numbers)
+    return Mesh(vertices, faces)
+
+
+def _place_vertices(
+    grid: Grid, places: IntArray, values: Float32Array, inside: NDArray[np.bool_]
+) -> tuple[NDArray[np.int32], FloatArray]:
+    """Number the crossed edges, shape (b, 3, 8, 8, 8), and place a vertex on each."""
+    lower = (slice(None), *[slice(0, BRICK)] * 3)
+    crossed = np.empty((len(places), 3, BRICK, BRICK, BRICK), np.bool_)
+    for axis in range(3):
+        upper = _shifted(axis)
+        np.not_equal(inside[lower], inside[upper], out=crossed[:, axis])
+    numbers = (np.cumsum(crossed.reshape(-1)) - 1).astype(np.int32).reshape(crossed.shape)
+    brick, axis_of, *node = np.nonzero(crossed)
+    local = np.stack(node, axis=1)
+    ends = local + np.eye(3, dtype=np.int64)[axis_of]
+    first = values[brick, local[:, 0], local[:, 1], local[:, 2]].astype(np.float64)
+    second = values[brick, ends[:, 0], ends[:, 1], ends[:, 2]].astype(np.float64)
+    along = np.clip(first / (first - second), _NEAREST, 1.0 - _NEAREST)
+    coordinates = (BRICK * places[brick] + local).astype(np.float64)
+    coordinates[np.arange(len(brick)), axis_of] += along
+    return numbers, grid.origin + coordinates * grid.step
+
+
+def _shifted(axis: int) -> tuple[slice, ...]:
+    """Return the index of the nodes one step up along an axis from the lower 8^3."""
+    return (slice(None), *[slice(1, BRICK + 1) if a == axis else slice(0, BRICK) for a in range(3)])
+
+
+def _assemble_faces(
+    places: IntArray, inside: NDArray[np.bool_], numbers: NDArray[np.int32]
+) -> IntArray:
+    """Look up the triangles of every cell that the surface crosses."""
+    cases = np.zeros((len(places), BRICK, BRICK, BRICK), np.uint8)
+    for corner, octant in enumerate(OCTANTS):
+        index = (slice(None), *[slice(int(o), int(o) + BRICK) for o in octant])
+        cases |= inside[index].astype(np.uint8) << np.uint8(corner)
+    brick, *cell = np.nonzero((cases != 0) & (cases != 255))
+    case = cases[brick, cell[0], cell[1], cell[2]]
+    vertex_of_edge = _edge_numbers(places, brick, np.stack(cell, axis=1), numbers)
+    counts = triangle_counts()[case]
+    owner = np.repeat(np.arange(len(case)), counts)
+    first = np.cumsum(counts) - counts
+    turn = np.arange(len(owner)) - first[owner]
+    edges = case_triangles()[case[owner], turn]
+    return vertex_of_edge[owner[:, None], edges].astype(np.int64)
+
+
+def _edge_numbers(
+    places: IntArray, brick: IntArray, cell: IntArray, numbers: NDArray[np.int32]
+) -> NDArray[np.int32]:
+    """Return the vertex number on each of the 12 edges of some cells, shape (m, 12).
+
+    Edges that are not crossed get numbers without a meaning; no triangle asks for them.
+    """
+    keys = pack_places(places)
+    missing = len(keys)
+    neighbours = np.stack([find_keys(keys, step_keys(keys, o)) for o in OCTANTS], axis=1)
+    neighbours[neighbours == missing] = 0
+    found = np.empty((len(brick), len(EDGES)), np.int32)
+    for edge, (axis, corner) in enumerate(EDGES):
+        node = cell + OCTANTS[corner]
+        over = node == BRICK
+        owner = neighbours[brick, over @ np.array([1, 2, 4])]
+        x, y, z = np.where(over, 0, node).T
+        found[:, edge] = numbers[owner, axis, x, y, z]
+    return found
+
+
+def drop_small_components(mesh: Mesh, share: float = 0.001) -> Mesh:
+    """Drop components with fewer faces than a share of the largest one's.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    share : float
+        Dimensionless, 0 to 1.
+
+    Returns
+    -------
+    Mesh
+        Without vertices that no face uses.
+    """
+    from scipy.sparse import coo_array  # heavy modules: only the default method needs them
+    from scipy.sparse.csgraph import connected_components
+
+    if not len(mesh.faces):
+        return mesh
+    count = len(mesh.vertices)
+    first, second = mesh.faces[:, :2].T, mesh.faces[:, 1:].T
+    rows, columns = np.concatenate(first), np.concatenate(second)
+    links = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(count, count))
+    _, component = connected_components(links, directed=False)
+    sizes = np.bincount(component[mesh.faces[:, 0]])
+    kept = sizes >= share * sizes.max()
+    faces = mesh.faces[kept[component[mesh.faces[:, 0]]]]
+    used = np.zeros(count, np.bool_)
+    used[faces.reshape(-1)] = True
+    renumbered = np.cumsum(used) - 1
+    return Mesh(mesh.vertices[used], renumbered[faces], mesh.origin)

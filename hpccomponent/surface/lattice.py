@@ -1,0 +1,175 @@
+"""Integer places on a lattice: cells, their corners, parents, and how to look them up.
+
+A place is a triple of integers, packed into one int64 key; sorted keys are the only index.
+Level l of the pyramid has cells of edge s * 2^l; cell i spans the corners i and i + 1, its parent
+is cell i >> 1, and corner i of one level is corner i / 2 of the next where i is even.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpccomponent.errors import InputError
+from hpccomponent.surface.points import FloatArray, IntArray
+
+__all__ = [
+    "OCTANTS",
+    "cells_of",
+    "corner_parents",
+    "find_keys",
+    "pack_places",
+    "spread_keys",
+    "step_keys",
+    "unpack_keys",
+]
+
+_BITS = 21
+_BIAS = 1 << (_BITS - 1)
+_MASK = (1 << _BITS) - 1
+_STRIDES = (1 << 2 * _BITS, 1 << _BITS, 1)
+
+OCTANTS: IntArray = np.array([(o & 1, o >> 1 & 1, o >> 2 & 1) for o in range(8)], np.int64)
+"""The eight corners of the unit cube, x fastest."""
+
+
+def pack_places(places: IntArray) -> IntArray:
+    """Pack integer triples into keys that sort like the triples.
+
+    Parameters
+    ----------
+    places : ndarray of int64, shape (..., 3)
+        Each coordinate within +-2^20.
+
+    Returns
+    -------
+    ndarray of int64, shape (...)
+
+    Raises
+    ------
+    InputError
+        A coordinate is out of range.
+
+    Examples
+    --------
+    >>> place = np.array([[-3, 0, 7]])
+    >>> unpack_keys(pack_places(place)).tolist()
+    [[-3, 0, 7]]
+    """
+    if places.size and max(-int(places.min()), int(places.max()) + 1) > _BIAS:
+        raise InputError(
+            f"the cloud spans more than {_BIAS} cells of the lattice",
+            "remove far outliers, or ask for less detail",
+        )
+    biased = places + _BIAS
+    keys: IntArray = biased[..., 0] * _STRIDES[0] + biased[..., 1] * _STRIDES[1] + biased[..., 2]
+    return keys
+
+
+def unpack_keys(keys: IntArray) -> IntArray:
+    """Return the integer triples of packed keys.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (...)
+
+    Returns
+    -------
+    ndarray of int64, shape (..., 3)
+    """
+    parts = [(keys >> shift & _MASK) - _BIAS for shift in (2 * _BITS, _BITS, 0)]
+    return np.stack(parts, axis=-1)
+
+
+def step_keys(keys: IntArray, step: IntArray) -> IntArray:
+    """Return the keys of the places `step` further on.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (...)
+    step : ndarray of int64, shape (3,)
+
+    Returns
+    -------
+    ndarray of int64, shape (...)
+    """
+    return keys + int(np.dot(step, _STRIDES))
+
+
+def find_keys(keys: IntArray, wanted: IntArray) -> IntArray:
+    """Return where each wanted key stands among sorted keys.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+        Sorted, unique, at least one.
+    wanted : ndarray of int64, shape (...)
+
+    Returns
+    -------
+    ndarray of int64, shape (...)
+        The row in `keys`, and k where a key is missing.
+    """
+    rows = np.searchsorted(keys, wanted)
+    found = keys[np.minimum(rows, len(keys) - 1)] == wanted
+    return np.where(found, rows, len(keys))
+
+
+def spread_keys(keys: IntArray, low: int, high: int) -> IntArray:
+    """Return the places within a box around each place.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+    low, high : int
+        The box is [low, high]^3 around each place; (0, 1) turns cells into their corners,
+        (-1, 2) into the corners of the cells and of their neighbours.
+
+    Returns
+    -------
+    ndarray of int64, shape (m,)
+        Sorted, unique.
+    """
+    for stride in _STRIDES[::-1]:
+        # One axis at a time: the intermediate sets stay a few times the input's size.
+        keys = np.unique(np.concatenate([keys + step * stride for step in range(low, high + 1)]))
+    return keys
+
+
+def corner_parents(places: IntArray, octant: IntArray) -> tuple[IntArray, IntArray]:
+    """Return one of the eight parents of each corner, and the corner's place beside it.
+
+    Parameters
+    ----------
+    places : ndarray of int64, shape (v, 3)
+        Corners of a level.
+    octant : ndarray of int64, shape (3,)
+        Which parent; the two parents along an axis with an even coordinate are the same.
+
+    Returns
+    -------
+    keys : ndarray of int64, shape (v,)
+        Corners of the next coarser level.
+    steps : ndarray of int64, shape (v, 3)
+        Corner minus parent in cells of the finer level: -1, 0 or 1.
+    """
+    parents = (places + octant) >> 1
+    return pack_places(parents), places - 2 * parents
+
+
+def cells_of(positions: FloatArray, origin: FloatArray, cell_size: float) -> FloatArray:
+    """Return positions in cells of a lattice: the integer part names the cell.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input.
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) lies.
+    cell_size : float
+        In length units of the input.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 3)
+    """
+    return (positions - origin) / cell_size

@@ -1,0 +1,69 @@
+"""How far apart the points of a cloud lie, by counting occupied boxes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpccomponent.errors import InputError
+from hpccomponent.surface.lattice import cells_of, pack_places
+from hpccomponent.surface.points import FloatArray, IntArray, bounding_box
+
+__all__ = ["estimate_spacing"]
+
+_FEW, _MANY = 3.0, 20.0
+_SAMPLED_POINTS = 200_000
+_ROUNDS = 40
+
+
+def estimate_spacing(positions: FloatArray) -> float:
+    """Estimate the typical distance between neighbouring points of a surface.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input.
+
+    Returns
+    -------
+    float
+        H / sqrt(points per occupied box of edge H), in length units of the input.
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+
+    Notes
+    -----
+    The box edge H is the first, by halving or doubling from a guess, with 3 to 20 points per
+    occupied box. Large clouds are sampled by whole boxes, which leaves the counts unbiased.
+    """
+    low, high = bounding_box(positions)
+    longest = float((high - low).max())
+    if longest <= 0.0:
+        raise InputError(
+            f"all {len(positions)} points lie at one place", "scan something with an extent"
+        )
+    edge = longest * min(0.5, 3.0 / np.sqrt(len(positions)))
+    occupancy = _mean_occupancy(positions, low, edge)
+    for _ in range(_ROUNDS):
+        if _FEW <= occupancy <= _MANY or (occupancy < _FEW and edge >= longest):
+            break
+        edge *= 2.0 if occupancy < _FEW else 0.5
+        occupancy = _mean_occupancy(positions, low, edge)
+    return edge / float(np.sqrt(occupancy))
+
+
+def _mean_occupancy(positions: FloatArray, low: FloatArray, edge: float) -> float:
+    """Return the mean number of points in an occupied box, over a sample of the boxes."""
+    keys = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
+    keys = _sample_boxes(keys, len(keys) // _SAMPLED_POINTS + 1)
+    return len(keys) / max(1, len(np.unique(keys)))
+
+
+def _sample_boxes(keys: IntArray, one_in: int) -> IntArray:
+    """Keep the points of about one box in `one_in`, chosen by a hash of the box."""
+    if one_in == 1:
+        return keys
+    mixed = (keys.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(33)
+    return keys[mixed % np.uint64(one_in) == 0]
