@@ -39,7 +39,7 @@ def grow_bricks(
     evaluate: Evaluate,
     seeds: IntArray,
     bricks: tuple[int, int, int],
-    advance: Callable[[int, int], None] = lambda done, total: None,
+    advance: Callable[[int, int], None] | None = None,
 ) -> tuple[IntArray, Float32Array]:
     """Evaluate the seeds, and every brick behind a face with a sign change, until none is left.
 
@@ -71,7 +71,8 @@ def grow_bricks(
         values = evaluate(unpack_keys(new))
         keys.append(new)
         parts.append(values)
-        advance(len(known), len(known))
+        if advance is not None:
+            advance(len(known) - len(new), len(known))
         new = np.setdiff1d(_reached(new, values, bricks), known)
         known = np.union1d(known, new)
     joined = np.concatenate(keys)

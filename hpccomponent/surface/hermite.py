@@ -108,7 +108,7 @@ def _normal_equations(
         matrix[i, j] = entry * inverse
     for i in range(BASIS):
         matrix[i, i] += _RIDGE
-        for j in np.flatnonzero(_GRAM[i]):
+        for j in np.flatnonzero(_GRAM[i]).tolist():
             right[i] += (mu * _GRAM[i, j]) * prior[j]
     right *= inverse
     return matrix, right

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from hpccomponent.errors import InputError
@@ -44,14 +46,14 @@ def estimate_spacing(positions: FloatArray) -> float:
         raise InputError(
             f"all {len(positions)} points lie at one place", "scan something with an extent"
         )
-    edge = longest * min(0.5, 3.0 / np.sqrt(len(positions)))
+    edge = longest * min(0.5, 3.0 / sqrt(len(positions)))
     occupancy = _mean_occupancy(positions, low, edge)
     for _ in range(_ROUNDS):
         if _FEW <= occupancy <= _MANY or (occupancy < _FEW and edge >= longest):
             break
         edge *= 2.0 if occupancy < _FEW else 0.5
         occupancy = _mean_occupancy(positions, low, edge)
-    return edge / float(np.sqrt(occupancy))
+    return edge / sqrt(occupancy)
 
 
 def _mean_occupancy(positions: FloatArray, low: FloatArray, edge: float) -> float:
@@ -66,4 +68,5 @@ def _sample_boxes(keys: IntArray, one_in: int) -> IntArray:
     if one_in == 1:
         return keys
     mixed = (keys.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(33)
-    return keys[mixed % np.uint64(one_in) == 0]
+    sampled: IntArray = keys[mixed % np.uint64(one_in) == 0]
+    return sampled

@@ -9,11 +9,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from hpcapp.applications.surface.method import Advance
 from hpcapp.batches import Workforce, map_batches
 from hpccomponent.surface.hermite import BASIS, fit_vertices, inherit_quadrics
 from hpccomponent.surface.lattice import (
@@ -32,6 +32,7 @@ from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, boundi
 __all__ = ["Level", "Pyramid", "VertexQuadrics", "build_pyramid", "corner_moments", "fit_pyramid"]
 
 _COARSEST_CELLS = 6
+_ANCESTORS = 0.25  # what a point counts one level further up, where the surface is 4 times larger
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +85,7 @@ class VertexQuadrics:
     counts : ndarray of float64, shape (v,)
         Points in the eight cells around each vertex.
     inherited : ndarray of float64, shape (v,)
-        The mean count of its parents.
+        The mean count of its parents, plus a quarter of what these inherited.
     """
 
     coefficients: FloatArray
@@ -187,7 +188,7 @@ def fit_pyramid(
     lam: float,
     mu: float,
     workforce: Workforce,
-    advance: Callable[[int, int], None] = lambda done, total: None,
+    advance: Advance | None = None,
 ) -> VertexQuadrics:
     """Fit every level, from the coarsest to the finest, each with the one above as prior.
 
@@ -219,21 +220,23 @@ def fit_pyramid(
         quadrics.counts[rows] = moments[:, 0]
         above = (level, quadrics)
         done += len(rows)
-        advance(done, total)
+        if advance is not None:
+            advance(done, total)
     return quadrics
 
 
 def _inherit_level(level: Level, above: tuple[Level, VertexQuadrics] | None) -> VertexQuadrics:
-    """Return the means of the parents' quadrics and counts; zeros at the coarsest level."""
+    """Return the means of the parents' quadrics and support; zeros at the coarsest level."""
     vertices = len(level.vertices)
     start = VertexQuadrics(np.zeros((vertices, BASIS)), np.zeros(vertices), np.zeros(vertices))
     if above is None:
         return start
     parent_level, parents = above
     places = unpack_keys(level.vertices)
+    support = parents.counts + _ANCESTORS * parents.inherited
     for octant in OCTANTS:
         keys, steps = corner_parents(places, octant)
         rows = find_keys(parent_level.vertices, keys)
         start.coefficients[:] += 0.125 * inherit_quadrics(parents.coefficients[rows], steps)
-        start.inherited[:] += 0.125 * parents.counts[rows]
+        start.inherited[:] += 0.125 * support[rows]
     return start
