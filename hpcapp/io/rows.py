@@ -108,17 +108,21 @@ def _parse(texts: list[str], delimiter: str | None) -> FloatArray | None:
 def _find_fault(chunk: list[Line], columns: int, path: Path, delimiter: str | None) -> InputError:
     """Look line by line for what the fast way stumbled over."""
     for line in chunk:
-        tokens = line[1].split(delimiter)
+        tokens = [token.strip() for token in line[1].split(delimiter)]
         if _parse([line[1]], delimiter) is None:
-            bad = next(
-                (t.strip() for t in tokens if not t.strip() or _parse([t], None) is None), ""
-            )
-            advice = "use a decimal point" if "," in bad else "correct or remove the line"
+            bad = next((token for token in tokens if not _is_number(token)), line[1].strip())
+            decimal_comma = "," in bad or (delimiter == "," and " " in bad)
+            advice = "use a decimal point" if decimal_comma else "correct or remove the line"
             return line_error(path, line, f"{bad[:40]!r} is not a number", advice)
         if len(tokens) != columns:
             problem = f"{len(tokens)} columns where {columns} are expected"
             return line_error(path, line, problem, "correct or remove the line")
     return line_error(path, chunk[0], "lines that are not a table of numbers", "check the file")
+
+
+def _is_number(token: str) -> bool:
+    parsed = _parse([token], None) if token else None
+    return parsed is not None and parsed.size == 1
 
 
 def write_rows(template: str, table: NDArray[Any]) -> Iterator[bytes]:
