@@ -16,6 +16,8 @@ from __future__ import annotations
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 
+from hpcapp.communicator.admission import Admission
+from hpcapp.communicator.batching import MAX_TASKS, BatchCutter
 from hpcapp.communicator.policy import Policy
 from hpcapp.communicator.roster import (
     Action,
@@ -31,16 +33,13 @@ from hpcapp.communicator.roster import (
 )
 from hpccomponent.clock import Clock
 from hpccomponent.errors import NoWorkersError, WorkerLostError
-from hpccomponent.protocol.frames import LARGEST_FRAME, SMALLEST_FRAME
-from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register, Result
+from hpccomponent.protocol.frames import LARGEST_FRAME
+from hpccomponent.protocol.messages import Register, Result
 
 __all__ = ["Scheduler"]
 
 CREDIT = 2  # batches in flight per worker
 LOSS_BUDGET = 3  # workers that may be lost under one task
-MAX_TASKS = 64  # per batch
-MAX_BATCH_BYTES = 1_000_000  # of tasks that share a batch; a larger task travels alone
-MAX_BATCH_S = 0.25  # expected work of tasks that share a batch
 
 
 class Scheduler:
@@ -74,19 +73,17 @@ class Scheduler:
         liveness_s: float = 15.0,
         worker_wait_s: float = 60.0,
     ) -> None:
-        self.numerics = numerics
         self.workers: dict[bytes, Worker] = {}
         self.tasks: dict[int, Task] = {}
         self.counts: Counter[str] = Counter()
         self.last_batch = 0
         self._policy = policy
         self._clock = clock
-        self._package = package
-        self._claim = claim
+        self._admission = Admission(package, numerics)
+        self._cutter = BatchCutter(claim)
         self._liveness_s = liveness_s
         self._worker_wait_s = worker_wait_s
         self._queue: OrderedDict[int, Task] = OrderedDict()
-        self._mean_s: dict[str, float] = {}
         self._alone_since: float | None = None
         self._gone: str | None = None
 
@@ -136,11 +133,11 @@ class Scheduler:
 
     def register(self, identity: bytes, register: Register, key: str = "") -> list[Action]:
         """Take a worker in, or say why not; a new incarnation of a worker replaces the old."""
-        reason = self._objection(register, key)
+        reason = self._admission.objection(register, key, self.workers.values())
         if reason is not None:
             self.counts["refused"] += 1
             return [Refuse(identity, reason)]
-        self.numerics = register.numerics
+        self._admission.numerics = register.numerics
         level = min((worker.placed for worker in self._open_workers()), default=0)
         worker = Worker(identity, register, key, self._clock.now(), placed=level)
         # A repeated registration changes nothing: what got lost shows in the next heartbeat.
@@ -168,7 +165,7 @@ class Scheduler:
                 self.counts["dropped"] += 1
                 continue
             self._withdraw(task)
-            self._learn(task.name, result.seconds)
+            self._cutter.learn(task.name, result.seconds)
             actions.append(Deliver(task.number, index, result))
         if is_finished:
             left = worker.batches.pop(batch, {})
@@ -258,24 +255,9 @@ class Scheduler:
         return actions
 
     def _cut(self, source: OrderedDict[int, Task], limit: int) -> list[Task]:
-        """Take tasks that may share a batch: few bytes, little work, none under suspicion."""
-        batch: list[Task] = []
-        size, seconds = 0, 0.0
-        while source and len(batch) < limit:
-            number, task = next(iter(source.items()))
-            size += task.size_bytes
-            seconds += self._mean_s.get(task.name, MAX_BATCH_S)
-            is_full = size > MAX_BATCH_BYTES or seconds > MAX_BATCH_S or task.losses > 0
-            if batch and is_full:
-                break
-            source.popitem(last=False)
-            if not task.is_claimed and not self._claim(number):
-                del self.tasks[number]
-                continue
-            task.is_claimed = True
-            batch.append(task)
-            if task.losses:
-                break
+        batch, cancelled = self._cutter.cut(source, limit)
+        for task in cancelled:
+            del self.tasks[task.number]
         return batch
 
     def _send(self, worker: Worker, batch: list[Task]) -> list[Action]:
@@ -352,28 +334,6 @@ class Scheduler:
         self._alone_since = None
         return actions
 
-    # -- judging -------------------------------------------------------------------------------
-
-    def _objection(self, register: Register, key: str) -> str | None:
-        if register.protocol != PROTOCOL_VERSION:
-            return f"it speaks protocol {register.protocol}, the master {PROTOCOL_VERSION}"
-        if register.package != self._package:
-            return f"it runs hpcapp {register.package}, the master {self._package}"
-        if self.numerics is not None and register.numerics != self.numerics:
-            return (
-                f"its results would differ in their last bits: numerics {register.numerics}, "
-                f"while this job uses {self.numerics}"
-            )
-        if register.largest_frame < SMALLEST_FRAME:
-            return f"its largest frame is {register.largest_frame} bytes, below {SMALLEST_FRAME}"
-        namesakes = (w for w in self.workers.values() if w.register.worker == register.worker)
-        if any(worker.key != key for worker in namesakes):
-            return f"another key is at work under the name {register.worker!r}"
-        return None
-
     def _stranger(self, identity: bytes) -> list[Action]:
         self.counts["dropped"] += 1
         return [AskRegister(identity)]
-
-    def _learn(self, name: str, seconds: float) -> None:
-        self._mean_s[name] = (self._mean_s.get(name, seconds) + seconds) / 2.0
