@@ -16,6 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from hpcapp import local_cluster
+from hpcapp.communicator.executor import CommunicatorExecutor
 from hpcapp.local_cluster import LocalCluster
 from hpccomponent.errors import NoWorkersError, UsageError
 
@@ -173,6 +175,50 @@ def test_an_exception_cuts_running_work_off(tmp_path: Path, error: BaseException
     with pytest.raises(type(error)):
         fail_at_work(error, tmp_path / "x", pids)
     assert len(pids) == 6
+    assert not any(map(is_alive, pids))
+
+
+def test_an_interrupt_while_it_starts_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(CommunicatorExecutor, "wait_for_workers", interrupt)
+    cluster = LocalCluster(2, extra_tasks=NAMES)
+    with pytest.raises(KeyboardInterrupt), cluster:
+        pass
+    assert len(cluster.loader_pids) == 2
+    assert not any(map(is_alive, cluster.loader_pids))
+
+
+def end_with_work_running(path: Path, pids: list[int]) -> None:
+    """Leave the block by its end, and have an interrupt come while that waits for the work."""
+    with LocalCluster(1, extra_tasks=NAMES) as cluster:
+        pids += all_pids(cluster)
+        cluster.executor.submit("cluster.hang", str(path))
+        signal.setitimer(signal.ITIMER_REAL, 0.3)
+
+
+def test_an_interrupt_while_it_waits_for_work_to_end_leaves_nothing(tmp_path: Path) -> None:
+    pids: list[int] = []
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            end_with_work_running(tmp_path / "x", pids)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    assert len(pids) == 3
+    assert not any(map(is_alive, pids))
+
+
+@pytest.mark.parametrize("layer", ["worker", "component", "loader"])
+def test_a_frozen_process_does_not_hold_up_the_end(
+    monkeypatch: pytest.MonkeyPatch, layer: str
+) -> None:
+    monkeypatch.setattr(local_cluster, "_LEAVE_S", 2.0)
+    with LocalCluster(1, extra_tasks=NAMES) as cluster:
+        pids = all_pids(cluster)
+        os.kill(pids[["loader", "worker", "component"].index(layer)], signal.SIGSTOP)
     assert not any(map(is_alive, pids))
 
 
