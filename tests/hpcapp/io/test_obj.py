@@ -25,11 +25,13 @@ def test_corners_in_every_spelling(make_file: Make, face: str) -> None:
     [
         ("", "no faces"),
         ("f 1 2 five", ":5: not a face: 'f 1 2 five'"),
+        ("f 1 2 " + "9" * 25, ":5: not a face"),
         ("f 1.5 2 3", ":5: not a face"),
         ("f 1 2", "face 0 has 2 corners"),
         ("f 1 2 5", "face 0 names vertex 4"),
         ("f 0 1 2", "face 0 names vertex -1"),
         ("v 1 2\nf 1 2 3", ":5: 2 columns where 3"),
+        ("v\nf 1 2 3", ":5: 0 columns where 3"),
         ("v 1 2 x\nf 1 2 3", ":5: 'x' is not a number"),
     ],
 )

@@ -27,6 +27,7 @@ def test_heads_and_faces_in_every_spelling(make_file: Make, head: str, face: str
         ("OFF\n4 1 0\n" + SQUARE + "3 0 1 2\n3 0 2 3\n", ":8: lines follow after the last face"),
         ("OFF\n4 1 0\n" + SQUARE + "3 0 1\n", ":7: not a face"),
         ("OFF\n4 1 0\n" + SQUARE + "3 0 1 b\n", ":7: not a face"),
+        ("OFF\n4 1 0\n" + SQUARE + "3 0 1 " + "9" * 25, ":7: not a face"),
         ("OFF\n4 1 0\n" + SQUARE + "-1 0 1\n", ":7: not a face"),
         ("OFF\n3 2 0\n" + SQUARE + "3 0 1 2\n", "not a face|has 0 corners|names vertex"),
         ("OFF\n4 1 0\n0 0 0\n1 0 0\n1,5 1 0\n0 1 0\n3 0 1 2\n", ":5: '1,5' is not a number"),
