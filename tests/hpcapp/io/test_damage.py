@@ -51,7 +51,9 @@ def damage(content: bytes, cuts: list[tuple[float, int, bytes]]) -> bytes:
     return content
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=150)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=150, deadline=None
+)
 @given(st.sampled_from([BINARY, ASCII]), damages, st.floats(0, 1))
 def test_damaged_ply(
     tmp_path: Path, whole: bytes, cuts: list[tuple[float, int, bytes]], kept: float
@@ -64,7 +66,9 @@ def test_damaged_ply(
             read(path)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None
+)
 @given(st.sampled_from([".obj", ".off", ".stl", ".xyz"]), damages)
 def test_other_damaged_files(
     tmp_path: Path, tetrahedron: Mesh, suffix: str, cuts: list[tuple[float, int, bytes]]
@@ -82,7 +86,7 @@ def test_other_damaged_files(
             read_mesh(path)
 
 
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(*[st.floats()] * 6), max_size=30))
 def test_any_numbers_are_judged(rows: list[tuple[float, ...]]) -> None:
     table = np.array(rows, np.float64).reshape(-1, 6)

@@ -1,10 +1,18 @@
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hpcapp.io import check_writable, read_mesh, read_points, write_mesh, write_points
+from hpcapp.io import (
+    check_writable,
+    drop_unusable,
+    read_mesh,
+    read_points,
+    write_mesh,
+    write_points,
+)
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import PointCloud
@@ -88,3 +96,16 @@ def test_a_truncated_mesh_is_refused_wherever_it_is_cut(
     for kept in range(len(whole) - 3):  # an ascii file cut in its last number is another mesh
         with pytest.raises(InputError):
             read_mesh(make_file(f"cut{suffix}", whole[:kept]))
+
+
+def test_the_stanford_bunny_is_read() -> None:
+    folder = Path(os.environ.get("HPCAPP_DATA", "nowhere"))
+    scan, truth = folder / "bunny_35947.ply", folder / "bunny_zipper_mesh.ply"
+    if not (scan.is_file() and truth.is_file()):
+        pytest.skip("HPCAPP_DATA names no folder with the bunny")
+    cloud, dropped = drop_unusable(read_points(scan))
+    mesh = read_mesh(truth)
+    assert len(cloud) == len(mesh.vertices) == 35_947
+    assert dropped.total == 0
+    assert mesh.faces.shape == (69_451, 3)
+    assert (read_points(truth).positions == mesh.vertices).all()

@@ -30,7 +30,9 @@ def test_everything_of_a_cloud_comes_back(tmp_path: Path, cloud: PointCloud) -> 
     assert again.colors.dtype == np.uint8
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None
+)
 @given(
     hnp.arrays(np.float64, st.tuples(st.integers(0, 30), st.just(3)), elements=COORDINATES),
     st.sampled_from([0.0, 1e3, 5.4e6]),

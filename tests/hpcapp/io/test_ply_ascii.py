@@ -26,7 +26,9 @@ def test_legal_oddities_simply_work(make_ply: Make, newline: str) -> None:
     assert cloud.positions.tolist() == [[1, 2, 3], [4, 5, -6.25]]
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None
+)
 @given(hnp.arrays(np.float64, st.tuples(st.integers(1, 20), st.just(3)), elements=st.floats(-5, 5)))
 def test_decimal_numbers_come_back_exactly(make_ply: Make, points: np.ndarray) -> None:
     points = np.vstack([points, [[5.0, 5.0, 5.0], [-5.0, -5.0, -5.0]]])  # wide: no origin

@@ -80,7 +80,9 @@ def tables(draw: st.DrawFn) -> Table:
     return draw(st.sampled_from("<>")), columns
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None
+)
 @given(tables())
 def test_any_scalars_come_back(make_ply: Make, drawn: Table) -> None:
     order, columns = drawn

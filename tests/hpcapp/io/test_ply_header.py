@@ -30,7 +30,9 @@ def spell(element: tuple[str, int, list[tuple[str, str, str | None]]]) -> list[s
     ]
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None
+)
 @given(
     elements,
     st.sampled_from(["\n", "\r\n", "\r"]),

@@ -2,13 +2,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hpcapp.io.columns import Ragged
 from hpcapp.io.polygons import mesh_of_polygons
 
 
+@settings(deadline=None)  # a busy machine is no fault
 @given(st.lists(st.integers(3, 12), min_size=1, max_size=8))
 def test_fans_cover_their_polygons_and_keep_their_sense(corners: list[int]) -> None:
     rings = []

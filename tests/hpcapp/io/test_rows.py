@@ -2,7 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -12,6 +12,7 @@ from hpccomponent.errors import InputError
 PATH = Path("some.file")
 
 
+@settings(deadline=None)  # a busy machine is no fault
 @given(
     hnp.arrays(np.float64, st.tuples(st.integers(0, 9), st.integers(1, 4)), elements=st.floats())
 )
