@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface.field import BRICK, NODES, Grid
-from hpccomponent.surface.lattice import cells_of, pack_places, step_keys, unpack_keys
+from hpccomponent.surface.lattice import cells_of, pack_places, step_keys, unique_keys, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = ["grow_bricks", "seed_bricks"]
@@ -32,7 +32,7 @@ def seed_bricks(grid: Grid, positions: FloatArray) -> IntArray:
         Sorted, unique keys.
     """
     places = np.floor(cells_of(positions, grid.origin, BRICK * grid.step)).astype(np.int64)
-    return np.unique(pack_places(places))
+    return unique_keys(pack_places(places))
 
 
 def grow_bricks(
@@ -90,4 +90,4 @@ def _reached(keys: IntArray, values: Float32Array, bricks: tuple[int, int, int])
             face = np.take(inside, layer, axis=axis + 1).reshape(len(keys), -1)
             crossed = face.any(axis=1) & ~face.all(axis=1) & (places[:, axis] != last)
             reached.append(step_keys(keys[crossed], step * np.eye(3, dtype=np.int64)[axis]))
-    return np.unique(np.concatenate(reached))
+    return unique_keys(np.concatenate(reached))

@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 
 from hpccomponent.errors import InputError
-from hpccomponent.surface.lattice import cells_of, pack_places
+from hpccomponent.surface.lattice import cells_of, pack_places, unique_keys
 from hpccomponent.surface.points import FloatArray, IntArray, bounding_box
 
 __all__ = ["estimate_spacing"]
@@ -60,7 +60,7 @@ def _mean_occupancy(positions: FloatArray, low: FloatArray, edge: float) -> floa
     """Return the mean number of points in an occupied box, over a sample of the boxes."""
     keys = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
     keys = _sample_boxes(keys, len(keys) // _SAMPLED_POINTS + 1)
-    return len(keys) / max(1, len(np.unique(keys)))
+    return len(keys) / max(1, len(unique_keys(keys)))
 
 
 def _sample_boxes(keys: IntArray, one_in: int) -> IntArray:

@@ -24,6 +24,7 @@ from hpccomponent.surface.lattice import (
     pack_places,
     spread_keys,
     step_keys,
+    unique_keys,
     unpack_keys,
 )
 from hpccomponent.surface.moments import accumulate_moments, scale_moments, shift_moments
@@ -118,7 +119,7 @@ def build_pyramid(cloud: PointCloud, cell_size: float, workforce: Workforce) -> 
     for _ in range(coarser):
         cells, moments = _merge_cells(cells, moments)
         touched = spread_keys(cells, 0, 1)
-        vertices = np.union1d(touched, _all_parents(vertices))
+        vertices = unique_keys(np.concatenate([touched, _all_parents(vertices)]))
         levels.append(Level(cells, moments, touched, vertices))
     return Pyramid(low, cell_size, tuple(levels))
 
@@ -134,8 +135,8 @@ def _finest_moments(
     order = np.argsort(keys, kind="stable")
     local = (places - corners - 0.5)[order]
     normals = cloud.normals[order]
-    cells, first = np.unique(keys[order], return_index=True)
-    offsets = np.append(first, len(keys)).astype(np.int64)
+    cells = unique_keys(keys)
+    offsets = np.append(np.searchsorted(keys[order], cells), len(keys)).astype(np.int64)
     batches = []
     for cut in workforce.cut(len(cells)):
         bounds = offsets[cut.start : cut.stop + 1]
@@ -148,7 +149,7 @@ def _merge_cells(cells: IntArray, moments: FloatArray) -> tuple[IntArray, FloatA
     """Sum the moments of each eight children about the centre of their parent."""
     places = unpack_keys(cells)
     parent_keys = pack_places(places >> 1)
-    parents = np.unique(parent_keys)
+    parents = unique_keys(parent_keys)
     owners = find_keys(parents, parent_keys)
     which = (places & 1) @ np.array([1, 2, 4])
     merged = np.zeros((len(parents), moments.shape[1]))
@@ -161,8 +162,8 @@ def _merge_cells(cells: IntArray, moments: FloatArray) -> tuple[IntArray, FloatA
 def _all_parents(vertices: IntArray) -> IntArray:
     """Return every parent of some vertices, sorted."""
     places = unpack_keys(vertices)
-    parents = [np.unique(corner_parents(places, octant)[0]) for octant in OCTANTS]
-    return np.unique(np.concatenate(parents))
+    parents = [unique_keys(corner_parents(places, octant)[0]) for octant in OCTANTS]
+    return unique_keys(np.concatenate(parents))
 
 
 def corner_moments(level: Level) -> FloatArray:
