@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hpccomponent.errors import InputError
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["Norm", "evaluate_quadrics", "fit_patches", "gradient_quadrics"]
+__all__ = ["evaluate_quadrics", "fit_patches", "gradient_quadrics"]
 
 #: Exponents of x, y and z in each element of the basis.
 EXPONENTS = np.array(

@@ -104,7 +104,7 @@ def test_coefficients_obey_their_constraint(norm, n):
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 def test_the_fit_turns_and_moves_with_the_points(seed):
     rng = np.random.default_rng(seed)
     positions, normals = ellipsoid(rng)
@@ -141,7 +141,7 @@ def batches(draw):
 
 
 @given(batches(), st.sampled_from(["consistent", "printed"]))
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 def test_a_patch_does_not_depend_on_its_batch_to_the_last_bit(batch, norm):
     counts, cuts, flat, seed = batch
     rng = np.random.default_rng(seed)
