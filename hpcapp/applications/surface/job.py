@@ -96,7 +96,7 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
     clock = StageClock(progress)
     with _open_output(settings) as target:
         with clock.stage("read"):
-            cloud, dropped = drop_unusable(read_points(settings.points))
+            cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
         _report_dropped(settings.points, dropped)
         grid = _choose_grid(settings, cloud)
         method = _choose_method(settings, grid)
