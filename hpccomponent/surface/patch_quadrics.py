@@ -32,6 +32,8 @@ COLUMN_WEIGHTS = {
 }
 #: Fewer points leave every quadric through them undecided, and a plane is fitted instead.
 FEWEST_POINTS = 10
+#: Points that are summed at once.
+CHUNK = 16_384
 #: Eigenvalues up to this fraction of the largest are zero but for rounding.
 ZERO_EIGENVALUE = 1e-14
 
@@ -100,23 +102,19 @@ def fit_patches(
     [[-0.5, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]]
     """
     _check(positions, normals, offsets, centers, scales, norm)
-    weights = COLUMN_WEIGHTS[norm]
-    counts = np.diff(offsets)
-    coefficients = np.zeros((len(counts), 10))
-    filled = np.flatnonzero(counts)
-    if not len(filled):
-        return coefficients
-    # Empty patches own no point: the others' runs lie side by side without them.
-    first, counts = offsets[:-1][filled], counts[filled]
-    owner = np.repeat(filled, counts)
-    local = (positions - centers[owner]) / scales[owner, None]
-    moments = _moments(local, first) / counts[:, None]
-    slopes = _normal_moments(local, normals, first) / counts[:, None]
-
-    many = counts >= FEWEST_POINTS
-    few = ~many
-    coefficients[filled[many]] = _fit(moments[many], slopes[many], weights)
-    coefficients[filled[few]] = _fit_planes(moments[few], slopes[few], normals[first[few]], weights)
+    coefficients = np.zeros((len(scales), 10))
+    begin = 0
+    while begin < len(scales):
+        # Whole patches, about as many points as the caches hold, and one patch at least.
+        end = int(np.searchsorted(offsets, offsets[begin] + CHUNK, side="right")) - 1
+        end = max(end, begin + 1)
+        points, rows = slice(offsets[begin], offsets[end]), slice(begin, end)
+        owner = np.repeat(np.arange(begin, end), np.diff(offsets[begin : end + 1]))
+        local = (positions[points] - centers[owner]) / scales[owner, None]
+        own_offsets = offsets[begin : end + 1] - offsets[begin]
+        weights = COLUMN_WEIGHTS[norm]
+        coefficients[rows] = _fit_chunk(local, normals[points], own_offsets, weights)
+        begin = end
     return coefficients
 
 
@@ -244,6 +242,26 @@ def _normal_moments(local: FloatArray, normals: FloatArray, first: IntArray) -> 
     columns += [y * a + x * b, z * b + y * c, z * a + x * c]
     sums = [np.add.reduceat(np.ascontiguousarray(column), first) for column in columns]
     return np.stack([np.zeros(len(first)), *sums], axis=1)
+
+
+def _fit_chunk(
+    local: FloatArray, normals: FloatArray, offsets: IntArray, weights: FloatArray
+) -> FloatArray:
+    """Fit one quadric to each run of points that are in patch coordinates already."""
+    coefficients = np.zeros((len(offsets) - 1, 10))
+    filled = np.flatnonzero(np.diff(offsets))
+    if not len(filled):
+        return coefficients
+    # Empty patches own no point: the others' runs lie side by side without them.
+    first, counts = offsets[:-1][filled], np.diff(offsets)[filled]
+    moments = _moments(local, first) / counts[:, None]
+    slopes = _normal_moments(local, normals, first) / counts[:, None]
+
+    many = counts >= FEWEST_POINTS
+    few = ~many
+    coefficients[filled[many]] = _fit(moments[many], slopes[many], weights)
+    coefficients[filled[few]] = _fit_planes(moments[few], slopes[few], normals[first[few]], weights)
+    return coefficients
 
 
 def _fit(moments: FloatArray, slopes: FloatArray, weights: FloatArray) -> FloatArray:
