@@ -16,13 +16,8 @@ from hpccomponent.surface.points import FloatArray, IntArray
 __all__ = ["evaluate_quadrics", "fit_patches", "gradient_quadrics"]
 
 #: Exponents of x, y and z in each element of the basis.
-EXPONENTS = np.array(
-    [
-        (0, 0, 0),
-        *((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-        *((2, 0, 0), (0, 2, 0), (0, 0, 2)),
-        *((1, 1, 0), (0, 1, 1), (1, 0, 1)),
-    ]
+EXPONENTS = np.vstack(
+    [[(0, 0, 0)], np.eye(3, dtype=int), np.diag([2, 2, 2]), [(1, 1, 0), (0, 1, 1), (1, 0, 1)]]
 )
 #: What the columns of D are multiplied by: in the symmetric 4 x 4 matrix of a quadric the linear
 #: and mixed coefficients stand twice, so a unit norm of that matrix counts their squares double.
@@ -102,7 +97,7 @@ def fit_patches(
     [[-0.5, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]]
     """
     _check(positions, normals, offsets, centers, scales, norm)
-    coefficients = np.zeros((len(scales), 10))
+    coefficients, weights = np.zeros((len(scales), 10)), COLUMN_WEIGHTS[norm]
     begin = 0
     while begin < len(scales):
         # Whole patches, about as many points as the caches hold, and one patch at least.
@@ -112,7 +107,6 @@ def fit_patches(
         owner = np.repeat(np.arange(begin, end), np.diff(offsets[begin : end + 1]))
         local = (positions[points] - centers[owner]) / scales[owner, None]
         own_offsets = offsets[begin : end + 1] - offsets[begin]
-        weights = COLUMN_WEIGHTS[norm]
         coefficients[rows] = _fit_chunk(local, normals[points], own_offsets, weights)
         begin = end
     return coefficients
