@@ -99,14 +99,11 @@ def _spread(places: FloatArray, normals: FloatArray) -> FloatArray:
     """Spread the normals on the nodes around them, shape (3, g, g, g)."""
     corners = _corner_weights(places)
     nodes = np.concatenate([nodes for nodes, _ in corners])
-    field = [
-        np.bincount(
-            nodes, np.concatenate([weights * component for _, weights in corners]), _NODES**3
-        )
-        for component in normals.T
-    ]
-    spread: FloatArray = np.stack(field).reshape(3, _NODES, _NODES, _NODES)
-    return spread
+    field = np.empty((3, _NODES**3))
+    for axis, component in enumerate(normals.T):
+        weights = np.concatenate([weights * component for _, weights in corners])
+        field[axis] = np.bincount(nodes, weights, _NODES**3)
+    return field.reshape(3, _NODES, _NODES, _NODES)
 
 
 def _integrate(field: FloatArray, smoothing: float) -> FloatArray:
