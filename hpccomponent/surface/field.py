@@ -20,6 +20,7 @@ from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = [
     "BRICK",
+    "CHANNELS",
     "NODES",
     "Field",
     "Grid",
@@ -35,6 +36,8 @@ NODES = BRICK + 1
 """Nodes along the edge of a brick."""
 
 CHANNELS = 12
+"""Ten coefficients, presence and trust of a vertex."""
+
 _CHUNK_NODES = 1 << 17
 _TINY = np.float32(1e-30)
 

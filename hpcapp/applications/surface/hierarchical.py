@@ -15,7 +15,7 @@ from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.bricks import grow_bricks, seed_bricks
 from hpccomponent.surface.extraction import drop_small_components, extract_surface
 from hpccomponent.surface.far_field import FarField, solve_far_field
-from hpccomponent.surface.field import BRICK, Field, Grid, evaluate_bricks
+from hpccomponent.surface.field import BRICK, CHANNELS, Field, Grid, evaluate_bricks
 from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
@@ -188,7 +188,7 @@ def assemble_field(partition: HierarchicalPartition, quadrics: VertexQuadrics) -
     """
     pyramid = partition.pyramid
     vertices = pyramid.levels[0].vertices
-    channels = np.zeros((12, len(vertices) + 1))
+    channels = np.zeros((CHANNELS, len(vertices) + 1))
     channels[:10, :-1] = quadrics.coefficients.T
     channels[10, :-1] = 1.0
     channels[11, :-1] = np.minimum(1.0, quadrics.counts / 6.0 + quadrics.inherited / 16.0)
