@@ -102,6 +102,26 @@ def _serve_the_master() -> None:
     die_with_parent(master.pid, signal.SIGKILL)
 
 
+def _start_workers(pool: Executor, count: int) -> None:
+    """Start all workers of a pool deaf to Ctrl-C, which is for the master.
+
+    A worker takes a while to come up, and would show a traceback if it were interrupted then;
+    it inherits what is blocked here. A thread other than the main one never hears of Ctrl-C.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        for _ in range(count):
+            pool.submit(_come_up)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _come_up() -> None:
+    """Do nothing: the first task of each worker makes it start."""
+
+
 def available_cores() -> int:
     """Return how many cores this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -177,6 +197,8 @@ def _open_pool(name: str, count: int) -> Iterator[Executor]:
             initializer=_serve_the_master,
         )
     try:
+        if name == "processes":
+            _start_workers(pool, count)
         yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)

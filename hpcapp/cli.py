@@ -79,7 +79,7 @@ def hpcapp(debug: bool) -> None:
 
 
 def _interrupt(signum: int, frame: Any) -> NoReturn:
-    """Let SIGTERM and SIGHUP unwind the stack like Ctrl-C, so that nothing is left behind."""
+    """Let every request to end unwind the stack, so that nothing is left behind."""
     del signum, frame
     raise KeyboardInterrupt
 
@@ -116,7 +116,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in arguments
     _fill_closed_descriptors()
-    for name in ("SIGTERM", "SIGHUP"):
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _interrupt)
     sys.exit(_run(arguments, debug))
