@@ -14,11 +14,12 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from hpcapp.batches import Workforce
 from hpccomponent.errors import UsageError
@@ -109,7 +110,7 @@ def _start_workers(pool: Executor, count: int) -> None:
     it inherits what is blocked here. A thread other than the main one never hears of Ctrl-C.
     """
     if not hasattr(signal, "pthread_sigmask"):
-        return
+        return  # they start with the tasks, then
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         for _ in range(count):
@@ -182,26 +183,71 @@ def open_executor(
 @contextmanager
 def _open_pool(name: str, count: int) -> Iterator[Executor]:
     """Open an Executor of the standard library, or the serial one."""
-    pool: Executor
-    if name == "serial":
-        pool = SerialExecutor()
-    elif name == "threads":
-        pool = ThreadPoolExecutor(count, thread_name_prefix="worker")
-    else:
-        import multiprocessing
-
-        # Spawned, not forked: a fork copies locks that threads of this process may hold.
-        pool = ProcessPoolExecutor(
-            count,
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=_serve_the_master,
-        )
+    if name == "processes":
+        with _open_processes(count) as processes:
+            yield processes
+        return
+    pool = (
+        SerialExecutor()
+        if name == "serial"
+        else ThreadPoolExecutor(count, thread_name_prefix="worker")
+    )
     try:
-        if name == "processes":
-            _start_workers(pool, count)
         yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _open_processes(count: int) -> Iterator[Executor]:
+    """Open a pool of processes whose workers end with it, and whose losses are noticed."""
+    import multiprocessing
+
+    # Spawned, not forked: a fork copies locks that threads of this process may hold.
+    pool = ProcessPoolExecutor(
+        count,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_serve_the_master,
+    )
+    watcher = None
+    try:
+        _start_workers(pool, count)
+        watcher = threading.Thread(target=_watch_workers, args=_insides(pool), name="pool watcher")
+        watcher.start()
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+        if watcher is not None and watcher.ident is not None:
+            watcher.join()
+
+
+def _insides(pool: ProcessPoolExecutor) -> tuple[list[Any], Any]:
+    """Return the workers of a pool, and the end of a pipe that they write results to.
+
+    Private to the standard library, which offers no other way to learn of a lost worker.
+    """
+    results: Any = pool._result_queue
+    return list(pool._processes.values()), results._writer
+
+
+def _watch_workers(processes: list[Any], writer: Any) -> None:
+    """Break the pool when a worker dies, even one that dies while it writes a result.
+
+    The pool then waits for the rest of the result for ever: the master itself and the other
+    workers keep the pipe open. Without them the pool reads its end, and fails what waits.
+    """
+    from multiprocessing.connection import wait
+
+    running = {process.sentinel: process for process in processes}
+    while running:
+        ended = [running.pop(sentinel) for sentinel in wait(list(running))]
+        for process in ended:
+            process.join()  # its pipe closes a moment before its exit code is known
+        if any(process.exitcode for process in ended):
+            for process in running.values():
+                process.kill()
+            writer.close()
+            return
 
 
 @contextmanager

@@ -1,0 +1,90 @@
+"""What the backends promise beyond the contract of `test_executor_contract`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+
+import pytest
+
+from hpcapp.backends import BACKENDS, SerialExecutor, available_cores, open_executor
+from hpcapp.batches import map_batches
+from hpccomponent.errors import UsageError, WorkerLostError
+
+
+@pytest.mark.parametrize(
+    ("name", "workers", "policy", "words"),
+    [
+        ("cloud", None, "pull", "choose one of serial, threads, processes, zmq"),
+        ("threads", 2, "fair", "choose one of equal, pull"),
+        ("threads", 0, "pull", "cannot have 0 workers"),
+        ("serial", 2, "pull", "choose another --backend"),
+    ],
+)
+def test_what_cannot_be_opened_is_refused(
+    name: str, workers: int | None, policy: str, words: str
+) -> None:
+    with (
+        pytest.raises(UsageError, match=words),
+        open_executor(name, workers=workers, policy=policy),
+    ):
+        pass
+
+
+def open_executor_defaults() -> dict[str, int]:
+    found = {}
+    for name in ("serial", "threads"):
+        with open_executor(name) as backend:
+            found[name] = backend.workforce.workers
+    return found
+
+
+def test_as_many_workers_as_cores_unless_told() -> None:
+    assert open_executor_defaults() == {"serial": 1, "threads": available_cores()}
+    assert set(BACKENDS) == {"serial", "threads", "processes", "zmq"}
+
+
+def test_equal_batches_are_one_for_each_worker() -> None:
+    for policy, batches in (("equal", 2), ("pull", 8)):
+        with open_executor("threads", workers=2, policy=policy) as backend:
+            assert len(backend.workforce.cut(100)) == batches
+
+
+def test_the_serial_executor_keeps_errors_in_their_futures() -> None:
+    assert SerialExecutor().submit(divmod, 7, 2).result() == (3, 1)
+    assert isinstance(SerialExecutor().submit(divmod, 7, 0).exception(), ZeroDivisionError)
+
+
+@pytest.mark.usefixtures("standing_helpers")
+def test_a_pool_that_loses_a_worker_says_so() -> None:
+    with open_executor("processes", workers=1) as backend:
+        pid = backend.executor.submit(os.getpid).result()
+        with pytest.raises(WorkerLostError, match="choose --backend zmq"):
+            map_batches(backend.workforce, os.kill, [(pid, signal.SIGKILL)])
+
+
+@pytest.mark.usefixtures("standing_helpers")
+def test_a_worker_that_dies_while_it_writes_its_result_is_noticed() -> None:
+    with open_executor("processes", workers=2) as backend:
+        pool = backend.executor
+        assert isinstance(pool, ProcessPoolExecutor)
+        waiting = pool.submit(bytes, 8)
+        waiting.result()
+        os.write(pool._result_queue._writer.fileno(), struct.pack("!i", 1 << 20))  # and no more
+        waiting = pool.submit(bytes, 8)
+        os.kill(next(iter(pool._processes)), signal.SIGKILL)
+        with pytest.raises(BrokenExecutor):
+            waiting.result()
+
+
+@pytest.mark.usefixtures("standing_helpers")
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks here")
+def test_a_pool_is_deaf_to_interrupts_and_leaves_the_masters_mask_alone() -> None:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, set())
+    with open_executor("processes", workers=1) as backend:
+        pid = backend.executor.submit(os.getpid).result()
+        os.kill(pid, signal.SIGINT)
+        assert backend.executor.submit(os.getpid).result() == pid
+        assert signal.pthread_sigmask(signal.SIG_BLOCK, set()) == before
