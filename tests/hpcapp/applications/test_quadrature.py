@@ -55,3 +55,11 @@ def test_what_cannot_be_asked_is_refused(
 def test_a_tolerance_out_of_reach_is_said_to_be() -> None:
     with pytest.raises(JobError, match="ask for a larger tolerance"):
         integrate("root", -1.0, 1.0, 1e-30, SERIAL)
+    with pytest.raises(JobError, match="1000000 intervals"):
+        integrate("wave", 0.0, 1e6, 1e-9, SERIAL)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_range_beyond_the_numbers_is_said_to_be() -> None:
+    with pytest.raises(JobError, match="choose nearer ends"):
+        integrate("root", 0.0, 1e300, 1e-9, SERIAL)

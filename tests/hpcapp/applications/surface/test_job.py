@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hpcapp.applications.surface.job import Settings, run_job
+from hpcapp.io import read_mesh, write_mesh
+from hpcapp.progress import SilentProgress
+from hpccomponent.errors import HpcError, OutputError
+from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.points import PointCloud
+
+SILENT = SilentProgress()
+
+
+@pytest.mark.usefixtures("standing_helpers")
+@pytest.mark.parametrize("method", ["hierarchical", "paper"])
+def test_every_backend_writes_the_same_bytes(
+    method: str, sphere_file: Path, tmp_path: Path
+) -> None:
+    meshes = {}
+    for backend, workers in (
+        ("serial", None),
+        ("threads", 3),
+        ("processes", 2),
+        ("zmq", 1),
+        ("zmq", 2),
+    ):
+        path = tmp_path / f"{backend}-{workers}.ply"
+        settings = Settings(
+            sphere_file, str(path), method, grid=32, backend=backend, workers=workers
+        )
+        report = run_job(settings, SILENT)
+        assert report["workers"] == (workers or 1)
+        assert (report["bytes_sent"] > 0) == (backend == "zmq")
+        meshes[path.name] = path.read_bytes()
+    assert len(set(meshes.values())) == 1
+
+
+def test_three_ways_to_say_the_resolution(sphere_file: Path, tmp_path: Path) -> None:
+    found = []
+    for resolution in ({"grid": 32}, {"depth": 5}, {"voxel_size": 2.0 / 31.5}):
+        settings = Settings(sphere_file, str(tmp_path / "m.ply"), **resolution)  # type: ignore[arg-type]
+        run_job(settings, SILENT)
+        found.append((tmp_path / "m.ply").read_bytes())
+    assert len(set(found)) == 1
+
+
+def test_preprocessing_runs_when_asked(sphere_file: Path, tmp_path: Path) -> None:
+    settings = Settings(
+        sphere_file, str(tmp_path / "m.ply"), grid=16, outliers=True, denoise=True, resample=True
+    )
+    report = run_job(settings, SILENT)
+    stages = list(report["stages"])
+    assert stages[:5] == ["read", "remove outliers", "denoise", "resample", "partition"]
+    assert report["points"] < 1500
+
+
+def test_a_georeferenced_scan_keeps_its_place(
+    sphere: PointCloud, tmp_path: Path, sphere_file: Path
+) -> None:
+    place = np.array([5_400_000.0, 400_000.0, 100.0])
+    rows = np.hstack([sphere.positions + place, sphere.normals])
+    np.savetxt(tmp_path / "far.xyz", rows, fmt="%.9f")
+    run_job(Settings(tmp_path / "far.xyz", str(tmp_path / "far.ply"), grid=32), SILENT)
+    mesh = read_mesh(tmp_path / "far.ply")
+    radii = np.linalg.norm(mesh.vertices + mesh.origin - place, axis=1)
+    assert np.abs(radii - 1.0).max() < 0.03
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OutputError("no room")])
+def test_a_job_that_fails_leaves_the_old_mesh(
+    error: type[BaseException] | BaseException,
+    sphere_file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def write_half(path: Path, mesh: Mesh) -> None:
+        def fail(*_: object) -> None:
+            raise error
+
+        monkeypatch.setattr(os, "replace", fail)
+        write_mesh(path, mesh)
+
+    monkeypatch.setattr("hpcapp.applications.surface.job.write_mesh", write_half)
+    old = tmp_path / "mesh.ply"
+    old.write_bytes(b"the mesh of yesterday")
+    with pytest.raises((KeyboardInterrupt, HpcError)):
+        run_job(Settings(sphere_file, str(old), grid=16), SILENT)
+    assert old.read_bytes() == b"the mesh of yesterday"
+    assert {path.name for path in tmp_path.iterdir()} == {"sphere.ply", "mesh.ply"}
+
+
+def test_two_objects_far_apart_are_two_components(sphere: PointCloud, tmp_path: Path) -> None:
+    assert sphere.normals is not None
+    rows = np.hstack([sphere.positions, sphere.normals])
+    np.savetxt(tmp_path / "two.xyz", np.vstack([rows, rows + np.array([6.0, 0, 0, 0, 0, 0])]))
+    report = run_job(Settings(tmp_path / "two.xyz", str(tmp_path / "m.ply"), grid=96), SILENT)
+    assert (report["components"], report["watertight"]) == (2, True)
+    assert report["warnings"] == []

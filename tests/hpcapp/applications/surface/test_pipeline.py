@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hpcapp.applications.surface.paper import PaperMethod
+from hpcapp.applications.surface.pipeline import reconstruct
+from hpcapp.backends import SerialExecutor
+from hpcapp.batches import Workforce
+from hpcapp.progress import SilentProgress, StageClock
+from hpccomponent.errors import InputError
+from hpccomponent.surface.points import PointCloud
+
+SERIAL = Workforce(SerialExecutor())
+
+
+def test_the_stages_run_in_the_papers_order(sphere: PointCloud) -> None:
+    clock = StageClock(SilentProgress())
+    halve = ("halve", lambda cloud: cloud.take(np.arange(0, len(cloud), 2)))
+    result = reconstruct(sphere, PaperMethod(grid=24), SERIAL, clock, (halve,))
+    assert list(clock.seconds) == ["halve", "partition", "fit", "extract", "check"]
+    assert result.points == len(sphere) // 2
+    assert result.facts["patches"] >= 1
+    assert result.topology.watertight
+    assert result.topology.faces == len(result.mesh.faces)
+    radii = np.linalg.norm(result.mesh.vertices, axis=1)
+    assert np.median(np.abs(radii - 1.0)) < 0.05
+
+
+def test_what_a_step_refuses_ends_the_job(sphere: PointCloud) -> None:
+    def refuse(cloud: PointCloud) -> PointCloud:
+        raise InputError("nothing to see", "scan again")
+
+    clock = StageClock(SilentProgress())
+    with pytest.raises(InputError, match="scan again"):
+        reconstruct(sphere, PaperMethod(), SERIAL, clock, (("refuse", refuse),))
+    assert clock.seconds == {}
