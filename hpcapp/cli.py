@@ -54,6 +54,18 @@ class Verbs(click.Group):
         return command
 
 
+class _LogLines(logging.Handler):
+    """Writes to whatever stderr is at the time: bars put a stream there that spares them."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one record."""
+        try:
+            sys.stderr.write(self.format(record) + "\n")
+            sys.stderr.flush()
+        except OSError:
+            self.handleError(record)
+
+
 def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> None:
     del param
     if value and not ctx.resilient_parsing:
@@ -70,7 +82,7 @@ def hpcapp(debug: bool) -> None:
     logging.basicConfig(
         level=logging.DEBUG if debug else logging.INFO,
         format="%(name)s: %(message)s" if debug else "%(message)s",
-        stream=sys.stderr,
+        handlers=[_LogLines()],
         force=True,
     )
     logging.raiseExceptions = debug  # a log that cannot be written must not end the job
