@@ -20,7 +20,7 @@ __all__ = ["available_memory", "check_memory", "estimate_memory"]
 #: The paper's method holds every node of a cube: values, their magnitudes, masks, a median's copy.
 BYTES_PER_NODE = 16.0
 #: The default method holds bricks along the surface; measured on spheres, mesh and check included.
-BYTES_PER_SURFACE_CELL = 900.0
+BYTES_PER_SURFACE_CELL = 1200.0
 #: Below this a job fits on any machine that runs it.
 SMALL_GRID = 256
 
