@@ -19,7 +19,7 @@ import signal
 import socket
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 
 import zmq
@@ -265,5 +265,12 @@ def _catch_signals() -> socket.socket:
     reading, writing = socket.socketpair()
     writing.setblocking(False)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda _number, _frame: writing.send(b"t"))
+
+    def wake(number: int, frame: object) -> None:
+        del number, frame
+        # A second SIGTERM may come when the pair is full, or closed because we leave already.
+        with suppress(OSError):
+            writing.send(b"t")
+
+    signal.signal(signal.SIGTERM, wake)
     return reading

@@ -20,9 +20,11 @@ from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
-__all__ = ["HierarchicalMethod", "HierarchicalPartition", "plan_grid"]
+__all__ = ["MARGIN", "HierarchicalMethod", "HierarchicalPartition", "plan_grid"]
 
-_MARGIN = 4
+MARGIN = 4
+"""Cells of the grid that stay free on each side of the cloud."""
+
 _LEAST_GRID = 16
 
 
@@ -167,8 +169,8 @@ def plan_grid(positions: FloatArray, cells: int) -> Grid:
     longest = float((high - low).max())
     if longest <= 0.0:
         raise InputError("all points lie at one place", "scan something with an extent")
-    step = longest / (cells - 2 * _MARGIN)
-    sides = np.ceil((high - low) / step + 2 * _MARGIN - 1e-9)
+    step = longest / (cells - 2 * MARGIN)
+    sides = np.ceil((high - low) / step + 2 * MARGIN - 1e-9)
     x, y, z = (int(bricks) for bricks in np.ceil(sides / BRICK))
     half = 0.5 * BRICK * step * np.array([x, y, z])
     return Grid(0.5 * (low + high) - half, step, (x, y, z))

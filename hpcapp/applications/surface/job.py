@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hpcapp.applications.surface.doubts import doubt_closure, doubt_normals, doubt_resolution
-from hpcapp.applications.surface.hierarchical import HierarchicalMethod
+from hpcapp.applications.surface.hierarchical import MARGIN, HierarchicalMethod
 from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.method import Method
 from hpcapp.applications.surface.paper import PaperMethod
@@ -176,8 +176,9 @@ def _choose_grid(settings: Settings, cloud: PointCloud) -> int:
         return settings.grid or DEFAULT_GRID
     low, high = bounding_box(cloud.positions)
     longest = float((high - low).max())
+    margins = 2 * MARGIN if settings.method == "hierarchical" else 0  # inside its grid
     with np.errstate(over="ignore"):
-        cells = float(np.ceil(np.float64(longest) / settings.voxel_size))
+        cells = float(np.ceil(np.float64(longest) / settings.voxel_size)) + margins
     if not MIN_GRID <= cells <= MAX_GRID:  # NaN is not, either
         raise UsageError(
             f"--voxel-size {settings.voxel_size:g} means {cells:g} cells along the longest side",

@@ -42,7 +42,7 @@ def test_every_backend_writes_the_same_bytes(
 
 def test_three_ways_to_say_the_resolution(sphere_file: Path, tmp_path: Path) -> None:
     found = []
-    for resolution in ({"grid": 32}, {"depth": 5}, {"voxel_size": 2.0 / 31.5}):
+    for resolution in ({"grid": 32}, {"depth": 5}, {"voxel_size": 2.0 / 23.5}):
         settings = Settings(sphere_file, str(tmp_path / "m.ply"), **resolution)  # type: ignore[arg-type]
         run_job(settings, SILENT)
         found.append((tmp_path / "m.ply").read_bytes())
