@@ -16,6 +16,7 @@ May be imported by anyone. The component leaves it alone, because pydantic is sl
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import types
@@ -112,16 +113,22 @@ def parse_config(text: str, name: str, model: type[ModelT]) -> ModelT:
     hpccomponent.errors.ConfigError: loader.yaml:1:1: first_s: missing key
     loader.yaml:1:1: frist_s: unknown key (got 2), did you mean "first_s"?
     """
-    root = _compose(text, name)
     found: list[Problem] = []
-    value = _plain_value(root, (), found, ())
+    try:
+        root = _compose(text, name)
+        value = _plain_value(root, (), found, ())
+        valid = model.model_validate_json(json.dumps(value), strict=True)
+    except RecursionError:
+        raise ConfigError(f"{name}: nested too deeply to be read") from None
+    except ValidationError as error:
+        known = {location for _, location, _ in found}
+        for detail in error.errors(include_url=False, include_input=False):
+            problem = _describe(detail, root, model)
+            if problem[1] not in known:  # a value that could not be read is not wrong twice
+                found.append(problem)
     if found:
         raise _error(name, found)
-    try:
-        return model.model_validate_json(json.dumps(value), strict=True)
-    except ValidationError as error:
-        details = error.errors(include_url=False, include_input=False)
-        raise _error(name, [_describe(detail, root, model) for detail in details]) from None
+    return valid
 
 
 def _compose(text: str, name: str) -> yaml.MappingNode:
@@ -141,8 +148,6 @@ def _compose(text: str, name: str) -> yaml.MappingNode:
         line = text.count("\n", 0, error.position) + 1
         column = error.position - (text.rfind("\n", 0, error.position) + 1) + 1
         raise ConfigError(f"{name}:{line}:{column}: not YAML: {error.reason}") from None
-    except RecursionError:
-        raise ConfigError(f"{name}: nested too deeply to be read") from None
     if root is None:
         raise ConfigError(f"{name}: the file is empty")
     if not isinstance(root, yaml.MappingNode):
@@ -171,14 +176,9 @@ def _plain_value(
     if node.tag in _PLAIN:
         return node.value
     if node.tag in _TYPED:
-        try:
+        # an explicit tag may stand before what it does not fit: !!int x
+        with contextlib.suppress(ValueError, KeyError, yaml.YAMLError):
             return yaml.SafeLoader("").construct_object(node)
-        except (
-            ValueError,
-            KeyError,
-            yaml.YAMLError,
-        ):  # an explicit tag on a scalar that is none: !!int x
-            pass
     found.append((node, location, f"not a value that {node.tag.removeprefix(_TAG)!r} can describe"))
     return None
 
@@ -309,7 +309,8 @@ def _valid_keys(model: type[BaseModel], loc: Location) -> set[str]:
         inner = [member for kind in candidates for member in _step(kind, part)]
         named = [kind for kind in candidates if _is_tagged(kind, part)]
         candidates = inner or named or candidates
-    return {key for kind in candidates if _is_model(kind) for key in kind.model_fields}
+    models = [kind for kind in candidates if _is_model(kind)]
+    return {field.alias or name for kind in models for name, field in kind.model_fields.items()}
 
 
 def _members(annotation: Any) -> Iterator[Any]:

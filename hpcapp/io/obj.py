@@ -8,7 +8,7 @@ import numpy as np
 
 from hpcapp.io.columns import Ragged
 from hpcapp.io.polygons import mesh_of_polygons
-from hpcapp.io.rows import Line, line_error, numbered, parse_table, write_rows
+from hpcapp.io.rows import Line, line_error, numbered, parse_index, parse_table, write_rows
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
 from hpccomponent.surface.mesh import Mesh
@@ -58,7 +58,7 @@ def read_obj(path: Path) -> Mesh:
 def _corners(words: list[str], vertices: int, line: Line, path: Path) -> list[int]:
     """Return vertex indices from 0; a negative one counts back from the latest vertex."""
     try:
-        numbers = [int(word.partition("/")[0]) for word in words]
+        numbers = [parse_index(word.partition("/")[0]) for word in words]
     except ValueError:
         problem = f"not a face: {line[1].strip()[:60]!r}"
         raise line_error(path, line, problem, "export the file again") from None

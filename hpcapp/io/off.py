@@ -11,7 +11,16 @@ import numpy as np
 from hpcapp.io.columns import Ragged
 from hpcapp.io.obj import coordinate_format
 from hpcapp.io.polygons import mesh_of_polygons
-from hpcapp.io.rows import Line, is_count, line_error, numbered, parse_table, take_lines, write_rows
+from hpcapp.io.rows import (
+    Line,
+    is_count,
+    line_error,
+    numbered,
+    parse_index,
+    parse_table,
+    take_lines,
+    write_rows,
+)
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
 from hpccomponent.surface.mesh import Mesh
@@ -72,8 +81,8 @@ def _polygons(lines: Iterator[Line], path: Path) -> Ragged:
     for line in lines:
         try:
             length, *rest = line[1].split()
-            lengths.append(int(length))
-            corners += [int(word) for word in rest[: lengths[-1]]]
+            lengths.append(parse_index(length))
+            corners += [parse_index(word) for word in rest[: lengths[-1]]]
         except ValueError:
             fits = False
         else:

@@ -44,9 +44,9 @@ def read_ascii(path: Path, header: Header, wanted: Container[str]) -> dict[str, 
         not a row of it.
     """
     found = {}
-    with path.open("rb") as file:
+    with path.open("rb") as file, io.TextIOWrapper(file, "latin-1") as text:
         file.seek(header.body_start)
-        lines = numbered(io.TextIOWrapper(file, "latin-1"), header.body_line)
+        lines = numbered(text, header.body_line)
         for element in header.elements:
             taken = take_lines(lines, element.count, path, f"rows of element {element.name!r}")
             if element.name not in wanted:

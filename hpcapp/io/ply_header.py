@@ -149,7 +149,9 @@ class _HeaderParser:
         match words:
             case [] | ["comment" | "obj_info", *_]:
                 pass
-            case ["format", encoding, "1.0"] if encoding in _BYTE_ORDERS and not self.byte_order:
+            case ["format", encoding, "1.0"] if (
+                encoding in _BYTE_ORDERS and self.byte_order is None
+            ):
                 self.byte_order = _BYTE_ORDERS[encoding]
             case ["element", name, count] if re.fullmatch(r"[0-9]{1,18}", count):
                 self._element(number, name, int(count))

@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 from hpccomponent.errors import InputError
 from hpccomponent.surface.points import FloatArray
 
-__all__ = ["Line", "is_count", "line_error", "numbered", "parse_table", "take_lines", "write_rows"]
+__all__ = [
+    "Line",
+    "is_count",
+    "line_error",
+    "numbered",
+    "parse_index",
+    "parse_table",
+    "take_lines",
+    "write_rows",
+]
 
 Line = tuple[int, str]
 """The number of a line in its file, counted from 1, and its text."""
@@ -38,6 +47,14 @@ def numbered(lines: Iterable[str], first: int = 1) -> Iterator[Line]:
 def is_count(word: str) -> bool:
     """Tell whether a word is a whole number that can count the lines of a file."""
     return word.isascii() and word.isdecimal() and len(word) <= 18
+
+
+def parse_index(word: str) -> int:
+    """Parse an index, perhaps negative; ValueError if it is none, or beyond 64 bits."""
+    index = int(word)
+    if index.bit_length() > 63:
+        raise ValueError(word)
+    return index
 
 
 def line_error(path: Path, line: Line, problem: str, advice: str) -> InputError:
@@ -92,13 +109,15 @@ def parse_table(
     parts = []
     while chunk := list(islice(lines, _LINES_AT_ONCE)):
         part = _parse([text for _, text in chunk], delimiter)
-        if part is None or part.shape[1] != columns:
+        if part is None or part.shape != (len(chunk), columns):
             raise _find_fault(chunk, columns, path, delimiter)
         parts.append(part)
     return np.concatenate(parts) if parts else np.empty((0, columns))
 
 
 def _parse(texts: list[str], delimiter: str | None) -> FloatArray | None:
+    if not any(map(str.strip, texts)):
+        return None  # loadtxt would warn
     try:
         return np.loadtxt(texts, np.float64, delimiter=delimiter, comments=None, ndmin=2)
     except ValueError:
@@ -108,17 +127,23 @@ def _parse(texts: list[str], delimiter: str | None) -> FloatArray | None:
 def _find_fault(chunk: list[Line], columns: int, path: Path, delimiter: str | None) -> InputError:
     """Look line by line for what the fast way stumbled over."""
     for line in chunk:
-        tokens = line[1].split(delimiter)
-        if _parse([line[1]], delimiter) is None:
-            bad = next(
-                (t.strip() for t in tokens if not t.strip() or _parse([t], None) is None), ""
-            )
-            advice = "use a decimal point" if "," in bad else "correct or remove the line"
-            return line_error(path, line, f"{bad[:40]!r} is not a number", advice)
-        if len(tokens) != columns:
+        row = _parse([line[1]], delimiter)
+        if row is not None and row.size == columns:
+            continue
+        tokens = [token.strip() for token in line[1].split(delimiter)]
+        bad = next((token for token in tokens if not _is_number(token)), None)
+        if bad is None:
             problem = f"{len(tokens)} columns where {columns} are expected"
             return line_error(path, line, problem, "correct or remove the line")
+        decimal_comma = "," in bad or (delimiter == "," and " " in bad)
+        advice = "use a decimal point" if decimal_comma else "correct or remove the line"
+        return line_error(path, line, f"{bad[:40]!r} is not a number", advice)
     return line_error(path, chunk[0], "lines that are not a table of numbers", "check the file")
+
+
+def _is_number(token: str) -> bool:
+    parsed = _parse([token], None)
+    return parsed is not None and parsed.size == 1
 
 
 def write_rows(template: str, table: NDArray[Any]) -> Iterator[bytes]:

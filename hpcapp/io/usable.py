@@ -69,7 +69,8 @@ def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[P
             f"{source} has no normals (nx, ny, nz)",
             "estimate them first, e.g. in CloudCompare or MeshLab",
         )
-    finite = np.isfinite(cloud.positions).all(axis=1)
+    # Column by column here and below: reductions along rows of three are several times slower.
+    finite = np.logical_and.reduce([np.isfinite(column) for column in cloud.positions.T])
     units, directed = _normalized(cloud.normals)
     keep = finite & directed
     dropped = Dropped(int((~finite).sum()), int((finite & ~directed).sum()))
@@ -85,11 +86,11 @@ def _normalized(
     normals: FloatArray,
 ) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
     """Return vectors of unit length, and which of them had a length at all."""
-    largest = np.abs(normals).max(axis=1, keepdims=True)
+    largest = np.maximum.reduce([np.abs(column) for column in normals.T])[:, None]
     directed = np.isfinite(largest) & (largest > 0)
     # By the largest component first: squares of very long or short vectors leave the range.
     scaled = np.divide(normals, largest, out=np.zeros_like(normals), where=directed)
-    lengths = np.linalg.norm(scaled, axis=1, keepdims=True)
+    lengths = np.sqrt(np.einsum("ij,ij->i", scaled, scaled))[:, None]
     units = np.divide(scaled, lengths, out=scaled, where=directed)
     return units, directed[:, 0]
 
@@ -108,15 +109,15 @@ def _refuse_too_few(usable: PointCloud, dropped: Dropped, source: str) -> None:
 
 
 def _refuse_degenerate(positions: FloatArray, source: str) -> None:
-    largest = np.abs(positions).max() or 1.0
-    centred = positions / largest
-    if (positions == positions[0]).all():
+    centred = positions / (np.abs(positions).max() or 1.0)  # squares must not leave the range
+    centred = centred - centred.mean(axis=0)
+    spread = np.abs(centred).max()
+    if spread == 0 or (positions == positions[0]).all():
         raise InputError(
             f"{source}: all {len(positions)} points lie in one place",
             "check how the file was exported",
         )
-    centred = centred - centred.mean(axis=0)
-    centred /= np.abs(centred).max()
+    centred /= spread
     squares = np.linalg.eigvalsh(centred.T @ centred)
     if squares[1] <= _FLATTEST**2 * squares[2]:
         raise InputError(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface.field import BRICK, NODES, Grid
-from hpccomponent.surface.lattice import cells_of, pack_places, step_keys, unpack_keys
+from hpccomponent.surface.lattice import cells_of, pack_places, step_keys, unique_keys, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = ["grow_bricks", "seed_bricks"]
@@ -32,14 +32,14 @@ def seed_bricks(grid: Grid, positions: FloatArray) -> IntArray:
         Sorted, unique keys.
     """
     places = np.floor(cells_of(positions, grid.origin, BRICK * grid.step)).astype(np.int64)
-    return np.unique(pack_places(places))
+    return unique_keys(pack_places(places))
 
 
 def grow_bricks(
     evaluate: Evaluate,
     seeds: IntArray,
     bricks: tuple[int, int, int],
-    advance: Callable[[int, int], None] = lambda done, total: None,
+    advance: Callable[[int, int], None] | None = None,
 ) -> tuple[IntArray, Float32Array]:
     """Evaluate the seeds, and every brick behind a face with a sign change, until none is left.
 
@@ -71,7 +71,8 @@ def grow_bricks(
         values = evaluate(unpack_keys(new))
         keys.append(new)
         parts.append(values)
-        advance(len(known), len(known))
+        if advance is not None:
+            advance(len(known) - len(new), len(known))
         new = np.setdiff1d(_reached(new, values, bricks), known)
         known = np.union1d(known, new)
     joined = np.concatenate(keys)
@@ -89,4 +90,4 @@ def _reached(keys: IntArray, values: Float32Array, bricks: tuple[int, int, int])
             face = np.take(inside, layer, axis=axis + 1).reshape(len(keys), -1)
             crossed = face.any(axis=1) & ~face.all(axis=1) & (places[:, axis] != last)
             reached.append(step_keys(keys[crossed], step * np.eye(3, dtype=np.int64)[axis]))
-    return np.unique(np.concatenate(reached))
+    return unique_keys(np.concatenate(reached))

@@ -125,4 +125,5 @@ def triangle_counts() -> NDArray[np.int64]:
     -------
     ndarray of int64, shape (256,)
     """
-    return (case_triangles()[:, :, 0] >= 0).sum(axis=1)
+    counts: NDArray[np.int64] = (case_triangles()[:, :, 0] >= 0).sum(axis=1)
+    return counts

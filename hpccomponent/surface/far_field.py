@@ -97,11 +97,16 @@ def _corner_weights(places: FloatArray) -> list[tuple[IntArray, FloatArray]]:
 
 def _spread(places: FloatArray, normals: FloatArray) -> FloatArray:
     """Spread the normals on the nodes around them, shape (3, g, g, g)."""
-    field = np.zeros((3, _NODES**3))
-    for nodes, weights in _corner_weights(places):
-        for axis in range(3):
-            field[axis] += np.bincount(nodes, weights * normals[:, axis], _NODES**3)
-    return field.reshape(3, _NODES, _NODES, _NODES)
+    corners = _corner_weights(places)
+    nodes = np.concatenate([nodes for nodes, _ in corners])
+    field = [
+        np.bincount(
+            nodes, np.concatenate([weights * component for _, weights in corners]), _NODES**3
+        )
+        for component in normals.T
+    ]
+    spread: FloatArray = np.stack(field).reshape(3, _NODES, _NODES, _NODES)
+    return spread
 
 
 def _integrate(field: FloatArray, smoothing: float) -> FloatArray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,7 @@ _TINY = np.float32(1e-30)
 
 Float32Array = NDArray[np.float32]
 Pair = tuple[IntArray, IntArray]
+Array = TypeVar("Array", bound=NDArray[Any])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +137,7 @@ def _settle_signs(values: Float32Array, nodes: IntArray, grid: Grid) -> Float32A
     return np.where(x | y | z, np.abs(values), values)
 
 
-def _cross(per_axis: NDArray[np.generic]) -> tuple[NDArray[np.generic], ...]:
+def _cross(per_axis: Array) -> tuple[Array, Array, Array]:
     """Reshape three (b, k) arrays so that they broadcast to (b, k, k, k)."""
     x, y, z = per_axis
     return x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]
@@ -228,16 +229,13 @@ def interpolate_far(values: Float32Array, lower: IntArray, local: FloatArray) ->
     layers, lower = _needed_layers(lower)
     x, y, z = _cross(np.clip(layers, 0, len(values) - 1))
     rows = (x * len(values) + y) * len(values) + z
-    sums = values.reshape(1, -1)
-    for axis, index in enumerate(
-        (
-            _x_index(rows, lower[0]),
-            _y_index(lower[1], rows.shape[3]),
-            _z_index(lower[2], rows.shape[3]),
-        )
-    ):
-        sums = _collapse_axis(sums, index, local[axis], local[axis], axis, _keep)
-    return sums[0]
+    size = rows.shape[3]
+    indices = (_x_index(rows, lower[0]), _y_index(lower[1], size), _z_index(lower[2], size))
+    sums: NDArray[Any] = values.reshape(1, -1)
+    for axis, (index, height) in enumerate(zip(indices, local, strict=True)):
+        sums = _collapse_axis(sums, index, height, height, axis, _keep)
+    far: FloatArray = sums[0]
+    return far
 
 
 def _x_index(rows: IntArray, lower: IntArray) -> Pair:

@@ -108,7 +108,7 @@ def _normal_equations(
         matrix[i, j] = entry * inverse
     for i in range(BASIS):
         matrix[i, i] += _RIDGE
-        for j in np.flatnonzero(_GRAM[i]):
+        for j in np.flatnonzero(_GRAM[i]).tolist():
             right[i] += (mu * _GRAM[i, j]) * prior[j]
     right *= inverse
     return matrix, right
@@ -145,8 +145,18 @@ def inherit_quadrics(parents: FloatArray, steps: IntArray) -> FloatArray:
     ndarray of float64, shape (v, 10)
         f_child(u) = 2 f_parent((u + step) / 2).
     """
-    c = parents.T
-    x, y, z = steps.T.astype(np.float64)
+    children = np.empty_like(parents)
+    for start in range(0, len(parents), _CHUNK_ROWS):
+        rows = slice(start, start + _CHUNK_ROWS)
+        columns = np.ascontiguousarray(parents[rows].T)
+        shifts = np.ascontiguousarray(steps[rows].T.astype(np.float64))
+        children[rows] = _inherit_columns(columns, shifts).T
+    return children
+
+
+def _inherit_columns(c: FloatArray, shifts: FloatArray) -> FloatArray:
+    """Express quadrics (10, v) about places that are `shifts` (3, v) further on."""
+    x, y, z = shifts
     child = np.empty_like(c)
     child[4:] = 0.5 * c[4:]
     child[1] = c[1] + c[4] * x + 0.5 * (c[7] * y + c[9] * z)
@@ -156,7 +166,7 @@ def inherit_quadrics(parents: FloatArray, steps: IntArray) -> FloatArray:
     square = c[4] * (x * x) + c[5] * (y * y) + c[6] * (z * z)
     mixed = c[7] * (x * y) + c[8] * (y * z) + c[9] * (z * x)
     child[0] = 2.0 * c[0] + linear + 0.5 * (square + mixed)
-    return np.ascontiguousarray(child.T)
+    return child
 
 
 def evaluate_residuals(moments: FloatArray, coefficients: FloatArray) -> FloatArray:

@@ -20,6 +20,7 @@ __all__ = [
     "pack_places",
     "spread_keys",
     "step_keys",
+    "unique_keys",
     "unpack_keys",
 ]
 
@@ -114,6 +115,28 @@ def find_keys(keys: IntArray, wanted: IntArray) -> IntArray:
     return np.where(found, rows, len(keys))
 
 
+def unique_keys(keys: IntArray) -> IntArray:
+    """Return the keys, sorted, each once.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+
+    Returns
+    -------
+    ndarray of int64, shape (u,)
+
+    Notes
+    -----
+    Sorting keys is several times faster than the hash table of `numpy.unique`.
+    """
+    ordered = np.sort(keys)
+    first = np.empty(len(ordered), np.bool_)
+    first[:1] = True
+    np.not_equal(ordered[1:], ordered[:-1], out=first[1:])
+    return ordered[first]
+
+
 def spread_keys(keys: IntArray, low: int, high: int) -> IntArray:
     """Return the places within a box around each place.
 
@@ -131,7 +154,7 @@ def spread_keys(keys: IntArray, low: int, high: int) -> IntArray:
     """
     for stride in _STRIDES[::-1]:
         # One axis at a time: the intermediate sets stay a few times the input's size.
-        keys = np.unique(np.concatenate([keys + step * stride for step in range(low, high + 1)]))
+        keys = unique_keys(np.concatenate([keys + step * stride for step in range(low, high + 1)]))
     return keys
 
 

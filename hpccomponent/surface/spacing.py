@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from hpccomponent.errors import InputError
-from hpccomponent.surface.lattice import cells_of, pack_places
+from hpccomponent.surface.lattice import cells_of, pack_places, unique_keys
 from hpccomponent.surface.points import FloatArray, IntArray, bounding_box
 
 __all__ = ["estimate_spacing"]
@@ -44,21 +46,21 @@ def estimate_spacing(positions: FloatArray) -> float:
         raise InputError(
             f"all {len(positions)} points lie at one place", "scan something with an extent"
         )
-    edge = longest * min(0.5, 3.0 / np.sqrt(len(positions)))
+    edge = longest * min(0.5, 3.0 / sqrt(len(positions)))
     occupancy = _mean_occupancy(positions, low, edge)
     for _ in range(_ROUNDS):
         if _FEW <= occupancy <= _MANY or (occupancy < _FEW and edge >= longest):
             break
         edge *= 2.0 if occupancy < _FEW else 0.5
         occupancy = _mean_occupancy(positions, low, edge)
-    return edge / float(np.sqrt(occupancy))
+    return edge / sqrt(occupancy)
 
 
 def _mean_occupancy(positions: FloatArray, low: FloatArray, edge: float) -> float:
     """Return the mean number of points in an occupied box, over a sample of the boxes."""
     keys = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
     keys = _sample_boxes(keys, len(keys) // _SAMPLED_POINTS + 1)
-    return len(keys) / max(1, len(np.unique(keys)))
+    return len(keys) / max(1, len(unique_keys(keys)))
 
 
 def _sample_boxes(keys: IntArray, one_in: int) -> IntArray:
@@ -66,4 +68,5 @@ def _sample_boxes(keys: IntArray, one_in: int) -> IntArray:
     if one_in == 1:
         return keys
     mixed = (keys.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(33)
-    return keys[mixed % np.uint64(one_in) == 0]
+    sampled: IntArray = keys[mixed % np.uint64(one_in) == 0]
+    return sampled

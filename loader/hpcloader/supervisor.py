@@ -115,7 +115,8 @@ class Supervisor:
     -----
     A clean exit (code 0: the master is done) is followed by a start as well, because the next
     master may come; it slows the starts like any quick end but never makes the supervisor give
-    up. Exit code 2 (configuration) does so at once, because no restart changes a file.
+    up. Exit code 2 (a wrong configuration, or a refusal by the master) does so at once, because
+    no restart changes that.
 
     Examples
     --------
@@ -149,7 +150,8 @@ class Supervisor:
         self._count(now - self._started, code)
         if code == EXIT_CONFIG:
             return self._end(
-                "the component says that its configuration is wrong (exit code 2)", EXIT_CONFIG
+                "the component's configuration is wrong, or its master refused it (exit code 2)",
+                EXIT_CONFIG,
             )
         if self._quick_failures >= self.rule.give_up_after:
             return self._end(

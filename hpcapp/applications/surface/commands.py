@@ -72,11 +72,11 @@ def _check_flags(ctx: click.Context) -> None:
 )
 @click.option(
     "--grid",
-    type=click.IntRange(8, 4096),
+    type=click.IntRange(16, 4096),
     metavar="N",
     help="Cells along the longest side.  [default: 256]",
 )
-@click.option("--depth", type=click.IntRange(3, 12), metavar="D", help="The same as --grid 2^D.")
+@click.option("--depth", type=click.IntRange(4, 12), metavar="D", help="The same as --grid 2^D.")
 @click.option(
     "--voxel-size",
     type=click.FloatRange(0, min_open=True),
@@ -188,3 +188,69 @@ def reconstruct(ctx: click.Context, **options: Any) -> None:
             options["output"], report["vertices"], report["faces"],
             "watertight" if report["watertight"] else "not watertight", report["components"],
         )  # fmt: skip
+
+
+@click.command()
+@click.argument("points", type=POINTS)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+def info(points: Path, as_json: bool) -> None:
+    """Print what the point cloud POINTS holds: count, bounds, normals, spacing, NaN points."""
+    from hpcapp.applications.surface.info import describe
+    from hpcapp.io import read_points
+
+    facts = describe(read_points(points))
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    width = max(map(len, facts))
+    for name, value in facts.items():
+        click.echo(f"{name.replace('_', ' '):<{width}}  {_readable(value)}")
+
+
+def _readable(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return "  ".join(_readable(item) for item in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_readable(item)}" for name, item in value.items())
+    return str(value)
+
+
+@click.command()
+@click.option("--shape", required=True, help="Which model; an unknown name lists all.")
+@click.option("-o", "--output", required=True, type=POINTS, help="Point cloud to write (.ply, ...).")
+@click.option("--points", type=int, default=100_000, show_default=True, help="Exactly so many.")
+@click.option("--views", type=int, default=20, show_default=True,
+              help="Positions of the scanner; 0 samples the whole surface evenly.")
+@click.option("--noise", type=float, default=0.0, show_default=True,
+              help="Depth noise (standard deviation), as a fraction of the diagonal.")
+@click.option("--dropout", type=float, default=0.0, show_default=True,
+              help="Share of each view that is lost, in blotches.")
+@click.option("--grazing", type=float, default=80.0, show_default=True,
+              help="Greatest angle of incidence that still echoes, in degrees.")
+@click.option("--pose-error", type=float, default=0.0, show_default=True,
+              help="Misplacement of each view, as a fraction of the diagonal.")
+@click.option("--outliers", type=float, default=0.0, show_default=True,
+              help="Share of points that are wrong, near and far.")
+@click.option("--density-ratio", type=float, default=1.0, show_default=True,
+              help="Density at the dense end over that at the sparse end.")
+@click.option("--missing", type=int, default=0, show_default=True,
+              help="Balls from which nothing came back.")
+@click.option("--flipped", type=float, default=0.0, show_default=True,
+              help="Share of points whose normal has the wrong sign.")
+@click.option("--normals", type=click.Choice(["pca", "exact"]), default="pca", show_default=True,
+              help="From the neighbours' plane, or the model's own.")
+@click.option("--seed", type=int, default=0, show_default=True, help="One seed gives one scan.")
+def simulate(shape: str, output: Path, **settings: Any) -> None:
+    """Scan an analytic model, whose true surface is known, and write the points."""
+    from hpcapp.applications.surface.scanner import ScanSettings, simulate_scan
+    from hpcapp.applications.surface.shapes import find_shape
+    from hpcapp.io import check_writable, write_points
+
+    check_writable(output)
+    cloud = simulate_scan(find_shape(shape), ScanSettings(**settings))
+    write_points(output, cloud)
+    log.info("%s: %d points of %s", output, len(cloud), shape)

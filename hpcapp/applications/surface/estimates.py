@@ -20,6 +20,8 @@ MU = 0.3
 
 _PROBE_SPACINGS = 4.0
 _PROBE_LAM = 0.3
+_PROBE_SHARE = 0.15
+_PROBE_ROUNDS = 4
 _PROBE_POINTS = 24
 _FREE = 10
 
@@ -61,9 +63,22 @@ def estimate_noise(cloud: PointCloud, spacing: float, workforce: Workforce) -> f
     Notes
     -----
     Quadrics in cells of four spacings; the median over the vertices with 24 points or more of
-    the residual variance, RSS / (n - 10).
+    the residual variance, RSS / (n - 10). Where the noise exceeds 0.15 of such a cell, the cells
+    cut its tails off, and larger ones are tried.
     """
-    pyramid = build_pyramid(cloud, _PROBE_SPACINGS * spacing, workforce)
+    cell_size = _PROBE_SPACINGS * spacing
+    noise = _probe_noise(cloud, cell_size, workforce)
+    for _ in range(_PROBE_ROUNDS):
+        if noise <= _PROBE_SHARE * cell_size:
+            break
+        cell_size *= 2.0
+        noise = _probe_noise(cloud, cell_size, workforce)
+    return noise
+
+
+def _probe_noise(cloud: PointCloud, cell_size: float, workforce: Workforce) -> float:
+    """Return the median residual of quadrics in cells of one size."""
+    pyramid = build_pyramid(cloud, cell_size, workforce)
     quadrics = fit_pyramid(pyramid, _PROBE_LAM, MU, workforce)
     finest = pyramid.levels[0]
     moments = corner_moments(finest)

@@ -197,10 +197,14 @@ def assemble_field(partition: HierarchicalPartition, quadrics: VertexQuadrics) -
 
 
 def _solve_far_field(partition: HierarchicalPartition) -> FarField:
-    """Solve for the far field of the finest cells: centroids and sums of normals."""
+    """Solve for the far field of the finest cells: centroids and mean normals.
+
+    Each cell counts once: its area, not its points, is what a scan's uneven density leaves alone.
+    """
     grid, pyramid = partition.grid, partition.pyramid
     finest = pyramid.levels[0]
     places = unpack_keys(finest.cells) + 0.5 + finest.moments[:, 1:4] / finest.moments[:, :1]
     centroids = pyramid.origin + pyramid.cell_size * places
     box = (grid.origin, grid.origin + grid.step * BRICK * np.array(grid.bricks))
-    return solve_far_field(centroids, finest.moments[:, 35:38], box, pyramid.cell_size)
+    normals = finest.moments[:, 35:38] / finest.moments[:, :1]
+    return solve_far_field(centroids, normals, box, pyramid.cell_size)

@@ -153,10 +153,10 @@ def _choose_grid(settings: Settings, cloud: PointCloud) -> int:
         return settings.grid or DEFAULT_GRID
     low, high = bounding_box(cloud.positions)
     cells = math.ceil(float((high - low).max()) / settings.voxel_size)
-    if not 8 <= cells <= MAX_GRID:
+    if not 16 <= cells <= MAX_GRID:
         raise UsageError(
             f"--voxel-size {settings.voxel_size:g} means {cells} cells along the longest side",
-            f"choose one that gives 8 to {MAX_GRID}; the side is {(high - low).max():g} long",
+            f"choose one that gives 16 to {MAX_GRID}; the side is {(high - low).max():g} long",
         )
     return cells
 

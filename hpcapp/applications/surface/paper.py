@@ -1,12 +1,13 @@
-"""``--method paper``: the paper's algorithm in full, as the strategy object of its four stages.
+"""``--method paper``: the paper's algorithm in full, as a strategy object.
 
 ::
 
-    preprocess ── outliers, noise, density (each only if asked for)
     partition ─── kd-tree, by the normal cone and max_points, or by count     kdtree.py
     fit ───────── one quadric for each patch, in equal batches, on workers    patch_quadrics.py
     extract ───── indicator blend on a grid of nodes, marching cubes          indicator_blend.py
                                                                               iso_surface.py
+
+The preprocessing (outliers, noise, density) is the pipeline's, by the steps of `preprocess.py`.
 
 What it can reproduce of the paper's figures, and what not: ``docs/paper.md``.
 """
@@ -18,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface import preprocess
 from hpcapp.applications.surface.indicator_blend import (
     plan_grid,
     sample_indicator_blend,
@@ -27,17 +27,15 @@ from hpcapp.applications.surface.indicator_blend import (
 from hpcapp.applications.surface.iso_surface import extract_iso_surface
 from hpcapp.applications.surface.kdtree import (
     Patches,
-    Root,
     partition_by_count,
     partition_by_rule,
 )
 from hpcapp.applications.surface.method import Advance
-from hpcapp.applications.surface.split_rule import Cone, SplitRule
+from hpcapp.applications.surface.split_rule import SplitRule
 from hpcapp.batches import Workforce, map_batches
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.patch_quadrics import (
-    Norm,
     evaluate_quadrics,
     fit_patches,
     gradient_quadrics,
@@ -66,7 +64,7 @@ class PaperPartition:
     measured: dict[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class PaperMethod:
     """The paper's algorithm.
 
@@ -87,8 +85,6 @@ class PaperMethod:
         Which constraint the fit obeys; see `fit_patches`.
     grid : int
         Cells along the longest side.
-    outliers, denoise, resample : bool
-        Which steps of the preprocessing are done, in this order.
 
     Raises
     ------
@@ -98,14 +94,11 @@ class PaperMethod:
 
     delta: float = 0.1
     max_points: int | None = None
-    cone: Cone = "paper"
-    root: Root = "cube"
+    cone: str = "paper"
+    root: str = "cube"
     patches: int | None = None
-    norm: Norm = "consistent"
+    norm: str = "consistent"
     grid: int = 64
-    outliers: bool = False
-    denoise: bool = False
-    resample: bool = False
     name: str = field(default="paper", init=False)
 
     def __post_init__(self) -> None:
@@ -121,20 +114,12 @@ class PaperMethod:
             ("norm", self.norm, ("consistent", "printed")),
         ):
             if value not in allowed:
-                raise UsageError(f"{option} is {value!r}", f"choose {' or '.join(allowed)}")
+                raise UsageError(
+                    f"{option} is {value!r}", f"choose {', '.join(allowed[:-1])} or {allowed[-1]}"
+                )
 
-    def preprocess(self, cloud: PointCloud) -> PointCloud:
-        """Return the cloud after the steps that were asked for."""
-        if self.outliers:
-            cloud = preprocess.remove_outliers(cloud)
-        if self.denoise:
-            cloud = preprocess.denoise(cloud)
-        if self.resample:
-            cloud = preprocess.resample(cloud)
-        return cloud
-
-    def cut(self, cloud: PointCloud) -> PaperPartition:
-        """Cut a cloud that needs no more preprocessing into patches.
+    def partition(self, cloud: PointCloud, workforce: Workforce) -> PaperPartition:  # noqa: ARG002 - the protocol's; the tree grows on the master
+        """Cut the cloud into patches.
 
         Raises
         ------
@@ -151,10 +136,6 @@ class PaperMethod:
             rule = SplitRule(self.delta, self.cone, self.max_points)
             patches = partition_by_rule(cloud.positions, cloud.normals, rule, self.root)
         return PaperPartition(cloud.take(patches.order), patches)
-
-    def partition(self, cloud: PointCloud, workforce: Workforce) -> PaperPartition:  # noqa: ARG002 - the protocol's; the tree is built here
-        """Preprocess the cloud as asked for, and cut it into patches."""
-        return self.cut(self.preprocess(cloud))
 
     def fit(self, partition: PaperPartition, workforce: Workforce, advance: Advance) -> FloatArray:
         """Fit the patches on the workers, as many patches to each batch.
@@ -178,16 +159,14 @@ class PaperMethod:
 
     def facts(self, partition: PaperPartition) -> dict[str, Any]:
         """Return the number of patches, the rule that made them, and the fit's residuals."""
-        rule: dict[str, Any] = {"root": self.root, "norm": self.norm, "grid": self.grid}
+        rule: dict[str, Any] = {"root": self.root, "norm": self.norm}
         if self.patches is None:
             rule |= {"delta": self.delta, "cone": self.cone, "max_points": self.max_points}
-        steps = {"outliers": self.outliers, "denoise": self.denoise, "resample": self.resample}
         return {
             "patches": len(partition.patches),
             "points_fitted": len(partition.points),
             "largest_patch": int(np.diff(partition.patches.offsets).max()),
             **rule,
-            "preprocessing": [step for step, is_done in steps.items() if is_done],
             **partition.measured,
         }
 

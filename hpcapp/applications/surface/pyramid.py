@@ -9,11 +9,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from hpcapp.applications.surface.method import Advance
 from hpcapp.batches import Workforce, map_batches
 from hpccomponent.surface.hermite import BASIS, fit_vertices, inherit_quadrics
 from hpccomponent.surface.lattice import (
@@ -24,6 +24,7 @@ from hpccomponent.surface.lattice import (
     pack_places,
     spread_keys,
     step_keys,
+    unique_keys,
     unpack_keys,
 )
 from hpccomponent.surface.moments import accumulate_moments, scale_moments, shift_moments
@@ -32,6 +33,7 @@ from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, boundi
 __all__ = ["Level", "Pyramid", "VertexQuadrics", "build_pyramid", "corner_moments", "fit_pyramid"]
 
 _COARSEST_CELLS = 6
+_ANCESTORS = 0.25  # what a point counts one level further up, where the surface is 4 times larger
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +86,7 @@ class VertexQuadrics:
     counts : ndarray of float64, shape (v,)
         Points in the eight cells around each vertex.
     inherited : ndarray of float64, shape (v,)
-        The mean count of its parents.
+        The mean count of its parents, plus a quarter of what these inherited.
     """
 
     coefficients: FloatArray
@@ -117,7 +119,7 @@ def build_pyramid(cloud: PointCloud, cell_size: float, workforce: Workforce) -> 
     for _ in range(coarser):
         cells, moments = _merge_cells(cells, moments)
         touched = spread_keys(cells, 0, 1)
-        vertices = np.union1d(touched, _all_parents(vertices))
+        vertices = unique_keys(np.concatenate([touched, _all_parents(vertices)]))
         levels.append(Level(cells, moments, touched, vertices))
     return Pyramid(low, cell_size, tuple(levels))
 
@@ -133,8 +135,8 @@ def _finest_moments(
     order = np.argsort(keys, kind="stable")
     local = (places - corners - 0.5)[order]
     normals = cloud.normals[order]
-    cells, first = np.unique(keys[order], return_index=True)
-    offsets = np.append(first, len(keys)).astype(np.int64)
+    cells = unique_keys(keys)
+    offsets = np.append(np.searchsorted(keys[order], cells), len(keys)).astype(np.int64)
     batches = []
     for cut in workforce.cut(len(cells)):
         bounds = offsets[cut.start : cut.stop + 1]
@@ -147,7 +149,7 @@ def _merge_cells(cells: IntArray, moments: FloatArray) -> tuple[IntArray, FloatA
     """Sum the moments of each eight children about the centre of their parent."""
     places = unpack_keys(cells)
     parent_keys = pack_places(places >> 1)
-    parents = np.unique(parent_keys)
+    parents = unique_keys(parent_keys)
     owners = find_keys(parents, parent_keys)
     which = (places & 1) @ np.array([1, 2, 4])
     merged = np.zeros((len(parents), moments.shape[1]))
@@ -160,8 +162,8 @@ def _merge_cells(cells: IntArray, moments: FloatArray) -> tuple[IntArray, FloatA
 def _all_parents(vertices: IntArray) -> IntArray:
     """Return every parent of some vertices, sorted."""
     places = unpack_keys(vertices)
-    parents = [np.unique(corner_parents(places, octant)[0]) for octant in OCTANTS]
-    return np.unique(np.concatenate(parents))
+    parents = [unique_keys(corner_parents(places, octant)[0]) for octant in OCTANTS]
+    return unique_keys(np.concatenate(parents))
 
 
 def corner_moments(level: Level) -> FloatArray:
@@ -187,7 +189,7 @@ def fit_pyramid(
     lam: float,
     mu: float,
     workforce: Workforce,
-    advance: Callable[[int, int], None] = lambda done, total: None,
+    advance: Advance | None = None,
 ) -> VertexQuadrics:
     """Fit every level, from the coarsest to the finest, each with the one above as prior.
 
@@ -219,21 +221,23 @@ def fit_pyramid(
         quadrics.counts[rows] = moments[:, 0]
         above = (level, quadrics)
         done += len(rows)
-        advance(done, total)
+        if advance is not None:
+            advance(done, total)
     return quadrics
 
 
 def _inherit_level(level: Level, above: tuple[Level, VertexQuadrics] | None) -> VertexQuadrics:
-    """Return the means of the parents' quadrics and counts; zeros at the coarsest level."""
+    """Return the means of the parents' quadrics and support; zeros at the coarsest level."""
     vertices = len(level.vertices)
     start = VertexQuadrics(np.zeros((vertices, BASIS)), np.zeros(vertices), np.zeros(vertices))
     if above is None:
         return start
     parent_level, parents = above
     places = unpack_keys(level.vertices)
+    support = parents.counts + _ANCESTORS * parents.inherited
     for octant in OCTANTS:
         keys, steps = corner_parents(places, octant)
         rows = find_keys(parent_level.vertices, keys)
         start.coefficients[:] += 0.125 * inherit_quadrics(parents.coefficients[rows], steps)
-        start.inherited[:] += 0.125 * parents.counts[rows]
+        start.inherited[:] += 0.125 * support[rows]
     return start

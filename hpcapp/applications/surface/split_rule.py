@@ -6,13 +6,10 @@ Who may import it: the kd-tree and the methods of this package.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from hpccomponent.errors import UsageError
 
-__all__ = ["Cone", "SplitRule"]
-
-Cone = Literal["paper", "complement", "none"]
+__all__ = ["SplitRule"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +34,7 @@ class SplitRule:
     """
 
     delta: float = 0.1
-    cone: Cone = "paper"
+    cone: str = "paper"
     max_points: int | None = None
 
     def __post_init__(self) -> None:

@@ -1,0 +1,271 @@
+"""Measure the communicator beside a minimal ROUTER/DEALER, in one run, CURVE on in both.
+
+Run it as ``python benchmarks/communicator.py [--rounds N] [--json FILE]``. Two workers on
+loopback; the rounds of the engines take turns, and medians are compared, because absolute figures
+drift while ratios in one run hold. Dask with TLS is measured too where it is installed (the
+``bench`` extra). The minimal peer has no scheduler, no failure handling and no second process
+per worker: it is the floor that ZeroMQ itself sets.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Protocol
+
+import numpy as np
+import zmq
+
+from hpcapp.communicator.executor import CommunicatorExecutor
+from hpccomponent.protocol.connection import write_connection
+
+WORKERS = 2
+NO_OPERATIONS = 5000
+ROUND_TRIPS = 300
+BLOCKS, BLOCK_BYTES = 24, 8 * 1024 * 1024  # 200 MB out; a tenth of each comes back
+LIMITS = {  # metric: (other engine, what the communicator must reach of its figure)
+    "no-op tasks/s": {"minimal": (0.2, "at least"), "dask": (10.0, "at least")},
+    "round trip us": {"minimal": (4.0, "at most")},
+    "throughput MB/s": {"minimal": (0.6, "at least"), "dask": (2.0, "at least")},
+    "start s": {"minimal": (4.0, "at most")},
+}
+
+
+def no_operation() -> None:
+    """Do nothing."""
+
+
+def shrink(block: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return a tenth of the block."""
+    return block[: len(block) // 10].copy()
+
+
+class Engine(Protocol):
+    """What is measured."""
+
+    def start(self) -> None:
+        """Return when both workers have answered."""
+
+    def no_operations(self, count: int) -> None:
+        """Run `count` empty tasks, all submitted at once."""
+
+    def shrink_blocks(self, block: np.ndarray[Any, Any], count: int) -> None:
+        """Send `block` `count` times, and wait for what comes back."""
+
+
+class Communicator:
+    """The communicator with two components."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self._stack = stack
+
+    def start(self) -> None:
+        """Start components, and have each answer."""
+        own = Path(__file__)
+        tasks = [f"bench.{name}={own.stem}:{name}" for name in ("no_operation", "shrink")]
+        folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
+        self._executor = CommunicatorExecutor(extra_tasks=tasks)
+        self._stack.callback(self._executor.shutdown)
+        for number in range(WORKERS):
+            path = folder / f"{number}.json"
+            write_connection(path, self._executor.invite(f"worker-{number}"))
+            command = [sys.executable, "-P", "-m", "hpccomponent", "--connection", str(path)]
+            for task in tasks:
+                command += ["--task", task]
+            self._stack.enter_context(_running(command))
+        self._executor.wait_for_workers(WORKERS, 60.0)
+        self.no_operations(WORKERS)
+
+    def no_operations(self, count: int) -> None:
+        """Run empty tasks."""
+        for future in [self._executor.submit("bench.no_operation") for _ in range(count)]:
+            future.result()
+
+    def shrink_blocks(self, block: np.ndarray[Any, Any], count: int) -> None:
+        """Send blocks."""
+        for future in [self._executor.submit("bench.shrink", block) for _ in range(count)]:
+            future.result()
+
+
+class Minimal:
+    """ROUTER and DEALER with CURVE, two requests in flight per worker, and nothing else."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self._stack = stack
+
+    def start(self) -> None:
+        """Start both peers, and wait for their hello."""
+        public, secret = zmq.curve_keypair()
+        context = self._stack.enter_context(zmq.Context())
+        self._router = self._stack.enter_context(context.socket(zmq.ROUTER))
+        self._router.setsockopt(zmq.CURVE_SERVER, 1)
+        self._router.setsockopt(zmq.CURVE_SECRETKEY, secret)
+        port = self._router.bind_to_random_port("tcp://127.0.0.1")
+        command = [sys.executable, __file__, "--peer", str(port), public.decode()]
+        for _ in range(WORKERS):
+            self._stack.enter_context(_running(command))
+        self._peers = [self._router.recv_multipart()[0] for _ in range(WORKERS)]
+
+    def no_operations(self, count: int) -> None:
+        """Send empty requests."""
+        self._exchange(b"n", b"", count)
+
+    def shrink_blocks(self, block: np.ndarray[Any, Any], count: int) -> None:
+        """Send blocks."""
+        self._exchange(b"s", block, count)
+
+    def _exchange(self, kind: bytes, payload: Any, count: int) -> None:
+        free_slots = [peer for _ in range(2 if kind == b"s" else 64) for peer in self._peers]
+        sent = received = 0
+        while received < count:
+            while free_slots and sent < count:
+                self._router.send_multipart([free_slots.pop(0), kind, payload], copy=False)
+                sent += 1
+            frames = self._router.recv_multipart(copy=False)
+            free_slots.append(frames[0].bytes)
+            received += 1
+
+
+def run_peer(port: str, server_key: str) -> None:
+    """Be a worker of `Minimal`."""
+    public, secret = zmq.curve_keypair()
+    with zmq.Context() as context, context.socket(zmq.DEALER) as dealer:
+        dealer.setsockopt(zmq.CURVE_SERVERKEY, server_key.encode())
+        dealer.setsockopt(zmq.CURVE_PUBLICKEY, public)
+        dealer.setsockopt(zmq.CURVE_SECRETKEY, secret)
+        dealer.connect(f"tcp://127.0.0.1:{port}")
+        dealer.send(b"hello")
+        while True:
+            kind, payload = dealer.recv_multipart(copy=False)
+            if kind.bytes == b"s":
+                dealer.send(shrink(np.frombuffer(payload.buffer)), copy=False)
+            else:
+                dealer.send(b"")
+
+
+class Dask:
+    """Dask distributed with TLS, a scheduler and two single-threaded worker processes."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self._stack = stack
+
+    def start(self) -> None:
+        """Start the cluster, and have a task answer."""
+        from distributed import Client, LocalCluster, Security
+
+        cluster = LocalCluster(
+            n_workers=WORKERS,
+            threads_per_worker=1,
+            protocol="tls",
+            security=Security.temporary(),
+            dashboard_address=None,
+        )
+        self._stack.enter_context(cluster)
+        self._client = self._stack.enter_context(Client(cluster))
+        self.no_operations(WORKERS)
+
+    def no_operations(self, count: int) -> None:
+        """Run empty tasks."""
+        self._client.gather([self._client.submit(no_operation, pure=False) for _ in range(count)])
+
+    def shrink_blocks(self, block: np.ndarray[Any, Any], count: int) -> None:
+        """Send blocks."""
+        self._client.gather([self._client.submit(shrink, block, pure=False) for _ in range(count)])
+
+
+@contextmanager
+def _running(command: list[str]) -> Iterator[None]:
+    here = str(Path(__file__).parent)
+    process = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": here})
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def measure(make: Callable[[ExitStack], Engine]) -> dict[str, float]:
+    """Start an engine, and take each figure once."""
+    block = np.random.default_rng(1).random(BLOCK_BYTES // 8)
+    with ExitStack() as stack:
+        engine = make(stack)
+        start_s = _time(engine.start)
+        engine.no_operations(500)  # queues are levelled, durations learned
+        trips = [_time(lambda: engine.no_operations(1)) for _ in range(ROUND_TRIPS)]
+        rate = NO_OPERATIONS / _time(lambda: engine.no_operations(NO_OPERATIONS))
+        engine.shrink_blocks(block, 4)
+        seconds = _time(lambda: engine.shrink_blocks(block, BLOCKS))
+    return {
+        "start s": start_s,
+        "round trip us": statistics.median(trips) * 1e6,
+        "no-op tasks/s": rate,
+        "throughput MB/s": BLOCKS * BLOCK_BYTES / 1e6 / seconds,
+    }
+
+
+def _time(action: Callable[[], None]) -> float:
+    start = perf_counter()
+    action()
+    return perf_counter() - start
+
+
+def main() -> int:
+    """Measure, print the table, and return 1 if a limit is missed."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--json", metavar="FILE", help="write the medians here as well")
+    parser.add_argument("--peer", nargs=2, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.peer:
+        run_peer(*options.peer)
+    engines: dict[str, Callable[[ExitStack], Engine]]
+    engines = {"communicator": Communicator, "minimal": Minimal}
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        print("dask: skipped, distributed is not installed (the bench extra)")
+    else:
+        engines["dask"] = Dask
+    rounds: dict[str, list[dict[str, float]]] = {name: [] for name in engines}
+    for _ in range(options.rounds):
+        for name, make in engines.items():
+            rounds[name].append(measure(make))
+    medians = {
+        name: {metric: statistics.median(r[metric] for r in taken) for metric in taken[0]}
+        for name, taken in rounds.items()
+    }
+    verdicts = judge(medians)
+    print(json.dumps(medians, indent=2))
+    if options.json:
+        Path(options.json).write_text(json.dumps(medians, indent=2) + "\n", encoding="utf-8")
+    return 0 if all(verdicts) else 1
+
+
+def judge(medians: dict[str, dict[str, float]]) -> list[bool]:
+    """Print one line per limit, and return whether each is kept."""
+    verdicts = []
+    print(f"{'':16}  {'communicator':>12}  {'other':>12}  {'ratio':>6}  limit")
+    for metric, limits in LIMITS.items():
+        for other, (factor, sense) in limits.items():
+            if other not in medians:
+                continue
+            own, theirs = medians["communicator"][metric], medians[other][metric]
+            ratio = own / theirs
+            verdicts.append(ratio <= factor if sense == "at most" else ratio >= factor)
+            word = "ok" if verdicts[-1] else "MISSED"
+            line = f"{metric:16}  {own:12.2f}  {theirs:12.2f}  {ratio:6.2f}"
+            print(f"{line}  {sense} {factor:g} x {other}: {word}")
+    return verdicts
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,42 @@
+"""One peer, one cloud, one mesh: peer_methods.py open3d:8|pymeshlab:8 IN.ply OUT.ply.
+
+Runs in an interpreter that has the peer; it needs nothing of ours.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+
+def run_open3d(depth: int, source: str, target: str) -> None:
+    """Reconstruct by Open3D's screened Poisson."""
+    import open3d
+
+    cloud = open3d.io.read_point_cloud(Path(source))
+    mesh, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(cloud, depth=depth)
+    open3d.io.write_triangle_mesh(Path(target), mesh)
+
+
+def run_pymeshlab(depth: int, source: str, target: str) -> None:
+    """Reconstruct by pymeshlab's screened Poisson."""
+    import pymeshlab  # type: ignore[import-untyped]
+
+    meshes = pymeshlab.MeshSet()
+    meshes.load_new_mesh(source)
+    meshes.generate_surface_reconstruction_screened_poisson(depth=depth)
+    meshes.save_current_mesh(target, save_vertex_color=False, save_vertex_quality=False)
+
+
+PEERS = {"open3d": run_open3d, "pymeshlab": run_pymeshlab}
+
+
+def main() -> None:
+    """Run the peer that the command line names."""
+    peer, source, target = sys.argv[1:4]
+    name, depth = peer.split(":")
+    PEERS[name](int(depth), source, target)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,47 @@
+"""Who may work for this master: versions, numerics, and one key per name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from hpcapp.communicator.roster import Worker
+from hpccomponent.protocol.frames import SMALLEST_FRAME
+from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register
+
+__all__ = ["Admission"]
+
+
+@dataclass(slots=True)
+class Admission:
+    """What a component must have in common with its master.
+
+    Parameters
+    ----------
+    package : str
+        The release; another could give other results.
+    numerics : str or None
+        The numerics id; None until the first worker has set it. A job uses one, so that every
+        worker gives the same bits.
+    """
+
+    package: str
+    numerics: str | None = None
+
+    def objection(self, register: Register, key: str, workers: Iterable[Worker]) -> str | None:
+        """Return why a component cannot join `workers`, or None if it can."""
+        if register.protocol != PROTOCOL_VERSION:
+            return f"it speaks protocol {register.protocol}, the master {PROTOCOL_VERSION}"
+        if register.package != self.package:
+            return f"it runs hpcapp {register.package}, the master {self.package}"
+        if self.numerics is not None and register.numerics != self.numerics:
+            return (
+                f"its results would differ in their last bits: numerics {register.numerics}, "
+                f"while this job uses {self.numerics}"
+            )
+        if register.largest_frame < SMALLEST_FRAME:
+            return f"its largest frame is {register.largest_frame} bytes, below {SMALLEST_FRAME}"
+        namesakes = (worker for worker in workers if worker.register.worker == register.worker)
+        if any(worker.key != key for worker in namesakes):
+            return f"another key is at work under the name {register.worker!r}"
+        return None

@@ -1,0 +1,374 @@
+"""The communicator's thread: feeds the scheduler, and carries out what it decides.
+
+::
+
+    submit, cancel (any thread) ──> inbox ──┐
+    RouterTransport ── messages ────────────┼──> scheduler ──> actions ──> transport, futures
+    clock ── ticks, probes ─────────────────┘
+"""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any
+
+from hpcapp.communicator.roster import (
+    Action,
+    AskRegister,
+    Assign,
+    Deliver,
+    Dismiss,
+    Fail,
+    Refuse,
+    Welcome,
+)
+from hpcapp.communicator.scheduler import Scheduler
+from hpcapp.communicator.transport import Received, RouterTransport
+from hpccomponent import errors
+from hpccomponent.clock import Clock
+from hpccomponent.errors import HpcError, JobError, ProtocolError, TaskError
+from hpccomponent.protocol.codec import decode_values
+from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer, join_frames, split_buffers
+from hpccomponent.protocol.messages import (
+    Batch,
+    Call,
+    Drain,
+    Failure,
+    Farewell,
+    Goodbye,
+    Heartbeat,
+    Lost,
+    MasterMessage,
+    Ping,
+    Refused,
+    Register,
+    RegisterAgain,
+    Registered,
+    Result,
+    Results,
+    decode_component_message,
+    encode_message,
+)
+
+__all__ = ["Engine", "Entry", "Timing"]
+
+_log = logging.getLogger(__name__)
+
+MESSAGES_PER_ROUND = 200  # then the inbox and the clock have their turn
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """How often the parties speak, and how long they listen; all in seconds.
+
+    Parameters
+    ----------
+    heartbeat_s : float
+        Between two heartbeats of a component; ZeroMQ's own come as often, four may be missed.
+    liveness_s : float
+        After so long without a message a worker is lost.
+    silence_s : float
+        After so long without a message from the master a component leaves.
+    worker_wait_s : float
+        After so long without any worker the tasks fail.
+    probe_s : float
+        Between two probes of every connection.
+    """
+
+    heartbeat_s: float = 1.0
+    liveness_s: float = 15.0
+    silence_s: float = 60.0
+    worker_wait_s: float = 60.0
+    probe_s: float = 0.5
+
+
+@dataclass(slots=True, eq=False)
+class Entry:
+    """A submitted task: its future, and its encoded arguments until it is done."""
+
+    future: Future[Any]
+    name: str
+    header: bytes
+    buffers: list[Buffer]
+    is_claimed: bool = False
+
+    def claim(self) -> bool:
+        """Mark the future as running; False if it was cancelled before."""
+        if not self.is_claimed and not self.future.set_running_or_notify_cancel():
+            return False
+        self.is_claimed = True
+        return True
+
+
+class Engine:
+    """One thread that owns the sockets, the scheduler and the futures' results.
+
+    Parameters
+    ----------
+    make_scheduler : callable
+        Makes the scheduler around the engine's `claim`.
+    transport : RouterTransport
+        Likewise; the engine closes it.
+    clock : Clock
+        The scheduler's.
+    timing : Timing
+        How often to speak.
+    """
+
+    def __init__(
+        self,
+        make_scheduler: Callable[[Callable[[int], bool]], Scheduler],
+        transport: RouterTransport,
+        clock: Clock,
+        timing: Timing,
+    ) -> None:
+        self.session = secrets.token_hex(8)
+        self.counts: Counter[str] = Counter()
+        self.roster = threading.Condition()
+        self.scheduler = make_scheduler(self._claim)
+        self._transport = transport
+        self._clock = clock
+        self._timing = timing
+        self._entries: dict[int, Entry] = {}
+        self._inbox: deque[Callable[[], list[Action]]] = deque()
+        self._is_asleep = False
+        self._is_closing = False
+        self._is_abandoned = False
+        self._probe_at = clock.now()
+        self._thread = threading.Thread(target=self._run, name="communicator", daemon=True)
+        self._thread.start()
+
+    # -- from any thread -----------------------------------------------------------------------
+
+    def post(self, event: Callable[[], list[Action]]) -> None:
+        """Have `event` called on the engine's thread, and the actions it returns carried out."""
+        self._inbox.append(event)
+        if self._is_asleep:
+            self._is_asleep = False  # one waker is enough
+            self._transport.wake()
+
+    def submit(self, number: int, entry: Entry) -> None:
+        """Take a task."""
+        self._entries[number] = entry
+        size = len(entry.header) + sum([len(buffer) for buffer in entry.buffers])
+        self.post(lambda: self.scheduler.submit(number, entry.name, size))
+
+    def cancel(self, number: int) -> None:
+        """Forget a task whose future was cancelled."""
+        self.post(lambda: self._cancel(number))
+
+    def cancel_all(self) -> None:
+        """Cancel every future whose task has not left for a worker."""
+        for entry in list(self._entries.values()):
+            entry.future.cancel()
+
+    def close(self, abandon: bool = False) -> None:
+        """End the thread once all tasks are done, or at once, failing those that are not."""
+
+        def event() -> list[Action]:
+            self._is_closing = True
+            self._is_abandoned = self._is_abandoned or abandon
+            return []
+
+        self.post(event)
+
+    def join(self, timeout_s: float | None = None) -> None:
+        """Wait for the thread to end."""
+        self._thread.join(timeout_s)
+
+    # -- on the engine's thread ----------------------------------------------------------------
+
+    def _run(self) -> None:
+        reason = "the communicator was shut down"
+        try:
+            while not (self._is_closing and (self._is_abandoned or not self._entries)):
+                self._is_asleep = True
+                patience_s = max(0.0, self._probe_at - self._clock.now())
+                # The flag first, then the look: a post in between sees the flag, and wakes.
+                self._transport.wait(0.0 if self._inbox else min(patience_s, 0.5))
+                self._is_asleep = False
+                self._take_inbox()
+                self._take_messages()
+                self._keep_time()
+            for identity in self.scheduler.workers:
+                self._say(identity, Farewell(self.session))
+        except BaseException as error:
+            # Whatever it is, nobody may wait for ever for a future of ours.
+            _log.exception("the communicator broke")
+            reason = f"the communicator broke: {error!r}"
+        finally:
+            self._transport.close()
+            for number in list(self._entries):
+                self._fail(number, JobError(reason, "submit the work anew"))
+
+    def _take_inbox(self) -> None:
+        if not self._inbox:
+            return
+        while self._inbox:
+            self._carry_out(self._inbox.popleft()())
+        self._carry_out(self.scheduler.dispatch())
+
+    def _take_messages(self) -> None:
+        for _ in range(MESSAGES_PER_ROUND):
+            received = self._transport.receive()
+            if received is None:
+                return
+            try:
+                self._take_message(received)
+            except ProtocolError as error:
+                self.counts["dropped"] += 1
+                _log.warning("a message of %r was dropped: %s", received.identity[:100], error)
+
+    def _take_message(self, received: Received) -> None:
+        if not received.frames:
+            raise ProtocolError("it is empty")
+        message = decode_component_message(received.frames[0])
+        worker, scheduler = received.identity, self.scheduler
+        if isinstance(message, Register):
+            self._carry_out(scheduler.register(worker, message, received.key))
+            self._announce()
+            return
+        known = scheduler.workers.get(worker)
+        if known is not None and known.key != received.key:
+            raise ProtocolError("it came under another key than its sender registered with")
+        if message.session != self.session and known is not None:
+            self.counts["dropped"] += 1
+            return
+        match message:
+            case Results():
+                sizes = [size for result in message.results for size in result.sizes]
+                self._take_results(worker, message, join_frames(received.frames[1:], sizes))
+            case Heartbeat():
+                self._carry_out(
+                    scheduler.heartbeat(worker, message.progress, message.last_batch, message.held)
+                )
+            case Lost():
+                self._carry_out(
+                    scheduler.batch_lost(worker, message.batch, message.reason, message.is_blamed)
+                )
+            case Goodbye():
+                self._carry_out(scheduler.goodbye(worker, message.reason))
+
+    def _take_results(self, worker: bytes, message: Results, buffers: list[Buffer]) -> None:
+        actions = self.scheduler.results(
+            worker, message.batch, message.results, message.is_finished
+        )
+        supply = iter(buffers)
+        groups = [[next(supply) for _ in result.sizes] for result in message.results]
+        # The next batch leaves first; decoding can wait, an idle worker should not.
+        self._carry_out([action for action in actions if not isinstance(action, Deliver)])
+        for action in actions:
+            if isinstance(action, Deliver):
+                self._deliver(action.task, action.result, groups[action.index])
+
+    def _keep_time(self) -> None:
+        now = self._clock.now()
+        if not self._transport.take_disconnected() and now < self._probe_at:
+            return
+        self._probe_at = now + self._timing.probe_s
+        ping = Ping(self.session, self.scheduler.last_batch)
+        for identity in list(self.scheduler.workers):
+            if not self._say(identity, ping):
+                self._carry_out(self.scheduler.disconnected(identity, "its connection broke"))
+        self._carry_out(self.scheduler.tick())
+        self._announce()
+
+    def _announce(self) -> None:
+        with self.roster:
+            self.roster.notify_all()
+
+    def _carry_out(self, actions: Iterable[Action]) -> None:
+        pending = deque(actions)
+        while pending:
+            action = pending.popleft()
+            match action:
+                case Assign():
+                    if not self._assign(action):
+                        lost = self.scheduler.disconnected(action.worker, "its connection broke")
+                        pending.extend(lost)
+                case Deliver():
+                    self._deliver(action.task, action.result, [])
+                case Fail():
+                    self._fail(action.task, action.error)
+                case Welcome():
+                    timing = self._timing
+                    self._say(
+                        action.worker,
+                        Registered(
+                            self.session, timing.heartbeat_s, timing.silence_s, action.largest_frame
+                        ),
+                    )
+                case Refuse():
+                    _log.warning("a worker was refused: %s", action.reason)
+                    self._say(action.worker, Refused(action.reason))
+                case AskRegister():
+                    self._say(action.worker, RegisterAgain())
+                case Dismiss():
+                    self._say(action.worker, Drain(self.session))
+
+    def _say(self, identity: bytes, message: MasterMessage) -> bool:
+        return self._transport.send(identity, [encode_message(message)])
+
+    def _assign(self, action: Assign) -> bool:
+        calls, buffers = [], []
+        for number in action.tasks:
+            entry = self._entries[number]
+            sizes = [len(buffer) for buffer in entry.buffers]
+            calls.append(Call(number, entry.name, entry.header, sizes))
+            buffers += entry.buffers
+        self.counts["batches"] += 1
+        message = encode_message(Batch(self.session, action.batch, calls))
+        worker = self.scheduler.workers[action.worker]
+        largest = min(LARGEST_FRAME, worker.register.largest_frame)
+        return self._transport.send(action.worker, [message, *split_buffers(buffers, largest)])
+
+    def _claim(self, number: int) -> bool:
+        if self._entries[number].claim():
+            return True
+        del self._entries[number]
+        return False
+
+    def _cancel(self, number: int) -> list[Action]:
+        entry = self._entries.get(number)
+        if entry is None or entry.claim():
+            return []
+        del self._entries[number]
+        return self.scheduler.cancel(number)
+
+    def _deliver(self, number: int, result: Result, buffers: list[Buffer]) -> None:
+        entry = self._entries[number]
+        if result.failure is not None:
+            self._fail(number, _rebuild(result.failure, entry.name))
+            return
+        try:
+            (value,) = decode_values(result.header, buffers)
+        except (ProtocolError, ValueError) as error:
+            self._fail(number, ProtocolError(f"the result of task {entry.name!r}: {error}"))
+            return
+        del self._entries[number]
+        entry.future.set_result(value)
+
+    def _fail(self, number: int, error: HpcError) -> None:
+        entry = self._entries.pop(number)
+        if entry.claim():
+            # One exception raised in two places would mix their tracebacks.
+            own = type(error)(error.problem, error.advice)
+            for note in getattr(error, "__notes__", []):
+                own.add_note(note)
+            entry.future.set_exception(own)
+
+
+def _rebuild(failure: Failure, task: str) -> HpcError:
+    """Make an error of what a task raised; one of our own tree keeps its class and exit code."""
+    if failure.kind in errors.__all__:
+        error: HpcError = getattr(errors, failure.kind)(failure.problem, failure.advice)
+    else:
+        error = TaskError(f"task {task!r} failed: {failure.problem}", failure.advice)
+    error.add_note(f"On the worker:\n{failure.traceback}")
+    return error

@@ -1,0 +1,289 @@
+"""The communicator as the App sees it: a ``concurrent.futures.Executor``.
+
+::
+
+    executor = CommunicatorExecutor()
+    connection = executor.invite("worker-1")        a component elsewhere reads it from a file
+    executor.wait_for_workers(1, timeout_s=30.0)
+    future = executor.submit("surface.fit_patches", positions, normals)
+
+Arguments are values: large arrays are sent without a copy, possibly more than once, so that they
+must not change before their future is done. Result arrays are read-only.
+"""
+
+from __future__ import annotations
+
+import atexit
+import itertools
+import threading
+import weakref
+from collections.abc import Callable, Iterable
+from concurrent.futures import Executor, Future
+from types import TracebackType
+from typing import Any, TypeVar
+
+from hpcapp.communicator.engine import Engine, Entry, Timing
+from hpcapp.communicator.policy import Policy, PullPolicy
+from hpcapp.communicator.scheduler import Scheduler
+from hpcapp.communicator.transport import RouterTransport
+from hpccomponent.clock import Clock, MonotonicClock
+from hpccomponent.errors import NoWorkersError, UsageError
+from hpccomponent.protocol.codec import encode_values
+from hpccomponent.protocol.connection import Connection
+from hpccomponent.protocol.keys import KeyPair, is_key, make_key_pair
+from hpccomponent.runtime.numerics import package_version
+from hpccomponent.runtime.tasks import TaskRegistry
+
+__all__ = ["CommunicatorExecutor"]
+
+ResultT = TypeVar("ResultT")
+EXIT_S = 5.0  # how long the interpreter's exit waits for the communicator's thread
+
+
+class _TaskFuture(Future[Any]):
+    """A future that tells the engine when it is cancelled."""
+
+    def __init__(self, number: int, engine: Engine) -> None:
+        super().__init__()
+        self._number = number
+        self._engine = weakref.ref(engine)
+
+    def cancel(self) -> bool:
+        """Cancel the task unless it has left for a worker, or is done."""
+        was_cancelled = super().cancel()
+        engine = self._engine()
+        if was_cancelled and engine is not None:
+            engine.cancel(self._number)
+        return was_cancelled
+
+
+class CommunicatorExecutor(Executor):
+    """Runs registered tasks on the workers that connect to it.
+
+    Parameters
+    ----------
+    policy : Policy, optional
+        How tasks are spread; `PullPolicy` by default.
+    bind : str
+        ZeroMQ endpoint to listen on: loopback and any free port by default.
+    allowed_keys : iterable of str
+        Public keys (Z85) of workers that may connect; `allow` and `invite` add more.
+    keys : KeyPair, optional
+        The master's own keys; fresh ones by default.
+    extra_tasks : iterable of str
+        ``NAME=module:function`` of tasks that are not installed as entry points.
+    numerics : str, optional
+        The numerics id that workers must have; by default that of the first one.
+    timing : Timing
+        How often the parties speak, and how long they listen.
+    clock : Clock, optional
+        Monotonic time.
+
+    Raises
+    ------
+    UsageError
+        If nothing can listen at `bind`, or a key or an extra task is malformed.
+    """
+
+    def __init__(
+        self,
+        *,
+        policy: Policy | None = None,
+        bind: str = "tcp://127.0.0.1:0",
+        allowed_keys: Iterable[str] = (),
+        keys: KeyPair | None = None,
+        extra_tasks: Iterable[str] = (),
+        numerics: str | None = None,
+        timing: Timing | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        self._tasks = TaskRegistry(extra_tasks)
+        self._allowed: set[str] = set()
+        for key in allowed_keys:
+            self.allow(key)
+        self._keys = keys or make_key_pair()
+        self._numbers = itertools.count(1)
+        self._lock = threading.Lock()
+        self._is_shut_down = False
+        self._gone: str | None = None
+        timing = timing or Timing()
+        clock = clock or MonotonicClock()
+
+        def make_scheduler(claim: Callable[[int], bool]) -> Scheduler:
+            return Scheduler(
+                policy or PullPolicy(),
+                clock,
+                package_version(),
+                claim,
+                numerics,
+                timing.liveness_s,
+                timing.worker_wait_s,
+            )
+
+        self._transport = RouterTransport(
+            bind, self._keys, self._allowed.__contains__, timing.heartbeat_s
+        )
+        self._engine = Engine(make_scheduler, self._transport, clock, timing)
+        atexit.register(self._exit)
+
+    @property
+    def endpoint(self) -> str:
+        """Return where workers connect to."""
+        return self._transport.endpoint
+
+    @property
+    def server_key(self) -> str:
+        """Return the master's public key."""
+        return self._keys.public
+
+    @property
+    def workers(self) -> int:
+        """Return how many workers are registered now."""
+        return len(self._engine.scheduler.workers)
+
+    def statistics(self) -> dict[str, int]:
+        """Return counts since the start: bytes, tasks, batches, losses, and what was dropped."""
+        scheduled, own = self._engine.scheduler.counts, self._engine.counts
+        return {
+            "bytes_sent": self._transport.bytes_sent,
+            "bytes_received": self._transport.bytes_received,
+            "tasks": own["tasks"],
+            "batches": own["batches"],
+            "losses": scheduled["losses"],
+            "resent": scheduled["resent"],
+            "dropped": own["dropped"] + scheduled["dropped"],
+            "refused": scheduled["refused"] + self._transport.troubles.total(),
+        }
+
+    # -- workers -------------------------------------------------------------------------------
+
+    def allow(self, public_key: str) -> None:
+        """Let the owner of `public_key` connect.
+
+        Raises
+        ------
+        UsageError
+            If it is not a key.
+        """
+        if not is_key(public_key):
+            raise UsageError(f"{public_key!r} is not a Z85 CURVE key of 40 characters")
+        self._allowed.add(public_key)
+
+    def revoke(self, public_key: str) -> None:
+        """Keep the owner of `public_key` out, and turn its workers away."""
+        self._allowed.discard(public_key)
+        self._engine.post(lambda: self._engine.scheduler.expel(public_key))
+
+    def invite(self, worker: str) -> Connection:
+        """Make keys for one worker, allow them, and return what its component must know."""
+        keys = make_key_pair()
+        self.allow(keys.public)
+        return Connection(self.endpoint, self.server_key, keys.public, keys.secret, worker)
+
+    def wait_for_workers(self, count: int, timeout_s: float) -> None:
+        """Wait until `count` workers are registered.
+
+        Raises
+        ------
+        NoWorkersError
+            If they have not come in `timeout_s` seconds, or the launcher says that they will
+            not; the message names what kept peers out.
+        """
+        with self._engine.roster:
+            self._engine.roster.wait_for(
+                lambda: self.workers >= count or self._gone is not None, timeout_s
+            )
+        if self.workers >= count:
+            return
+        reason = self._gone or f"waited for {timeout_s:g} s"
+        hints = "".join(f"; {trouble}" for trouble in self._transport.troubles)
+        raise NoWorkersError(
+            f"{self.workers} of {count} workers registered at {self.endpoint} ({reason}{hints})",
+            "look at the log of the loaders and components",
+        )
+
+    def workers_gone(self, reason: str) -> None:
+        """Take the launcher's word that no worker will come (any more), and why."""
+        with self._engine.roster:
+            self._gone = reason
+            self._engine.roster.notify_all()
+        self._engine.post(lambda: self._engine.scheduler.workers_gone(reason))
+
+    # -- tasks ---------------------------------------------------------------------------------
+
+    def submit(
+        self, fn: Callable[..., ResultT] | str, /, *args: Any, **kwargs: Any
+    ) -> Future[ResultT]:
+        """Have a registered task run on some worker.
+
+        Parameters
+        ----------
+        fn : callable or str
+            The task's function, or its name.
+        *args
+            Values (see ``docs/design.md``); arrays must not change before the future is done.
+
+        Returns
+        -------
+        concurrent.futures.Future
+
+        Raises
+        ------
+        UsageError
+            If `fn` is not registered, an argument cannot travel, or there are keyword arguments.
+        RuntimeError
+            After `shutdown`, as every Executor.
+        """
+        if kwargs:
+            raise UsageError(
+                f"task arguments {sorted(kwargs)} are given by keyword",
+                "pass them by position: a task is a function of values in their order",
+            )
+        name = self._tasks.name_of(fn)
+        header, buffers = encode_values(args)
+        number = next(self._numbers)
+        future: Future[ResultT] = _TaskFuture(number, self._engine)
+        with self._lock:
+            if self._is_shut_down:
+                raise RuntimeError("cannot schedule new futures after shutdown")
+            self._engine.counts["tasks"] += 1
+            self._engine.submit(number, Entry(future, name, header, buffers))
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End as ``concurrent.futures`` documents: workers are told farewell after the last task.
+
+        Parameters
+        ----------
+        wait : bool
+            Return only when every future is done and the sockets are closed.
+        cancel_futures : bool
+            Cancel what has not left for a worker.
+        """
+        with self._lock:
+            self._is_shut_down = True
+        if cancel_futures:
+            self._engine.cancel_all()
+        self._engine.close()
+        if wait:
+            self._engine.join()
+            atexit.unregister(self._exit)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        # After an error (or Ctrl-C) nobody waits for results: running tasks are abandoned.
+        if kind is None:
+            self.shutdown(wait=True)
+        else:
+            self._exit()
+            atexit.unregister(self._exit)
+
+    def _exit(self) -> None:
+        with self._lock:
+            self._is_shut_down = True
+        self._engine.close(abandon=True)
+        self._engine.join(EXIT_S)

@@ -1,0 +1,125 @@
+"""What the scheduler knows of tasks and workers, and the actions that it asks for."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+
+from hpccomponent.errors import HpcError
+from hpccomponent.protocol.messages import Register, Result
+
+__all__ = [
+    "Action",
+    "AskRegister",
+    "Assign",
+    "Deliver",
+    "Dismiss",
+    "Fail",
+    "Refuse",
+    "Task",
+    "Welcome",
+    "Worker",
+]
+
+
+@dataclass(slots=True, eq=False)
+class Task:
+    """A task that has no result yet.
+
+    `losses` counts the workers that were lost while it was (or may have been) running; a task
+    is claimed once, right before it first leaves.
+    """
+
+    number: int
+    name: str
+    size_bytes: int
+    losses: int = 0
+    is_claimed: bool = False
+    worker: bytes | None = None
+    batch: int = -1
+
+
+@dataclass(slots=True, eq=False)
+class Worker:
+    """A registered worker, under its identity on the socket.
+
+    `batches` holds what is on its way or at work, in order: batch number to the tasks that have
+    no result yet. `backlog` holds what waits for this worker and no other.
+    """
+
+    identity: bytes
+    register: Register
+    key: str
+    seen: float
+    placed: int = 0
+    progress: int = 0
+    is_draining: bool = False
+    batches: dict[int, dict[int, None]] = field(default_factory=dict)
+    backlog: OrderedDict[int, Task] = field(default_factory=OrderedDict)
+
+    @property
+    def queued(self) -> int:
+        """Return how many batches the worker holds, at work or on their way."""
+        return len(self.batches)
+
+
+@dataclass(frozen=True, slots=True)
+class Welcome:
+    """Tell a worker that it is registered."""
+
+    worker: bytes
+    largest_frame: int
+
+
+@dataclass(frozen=True, slots=True)
+class Refuse:
+    """Tell a worker that it is not wanted, and why."""
+
+    worker: bytes
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class AskRegister:
+    """Tell an unknown sender to register again."""
+
+    worker: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Dismiss:
+    """Tell a worker to finish what it has, and leave."""
+
+    worker: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Assign:
+    """Send a batch of tasks, by their numbers."""
+
+    worker: bytes
+    batch: int
+    tasks: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Deliver:
+    """Hand the first result of a task to whoever waits for it.
+
+    `index` is its place among the results that arrived together.
+    """
+
+    task: int
+    index: int
+    result: Result
+
+
+@dataclass(frozen=True, slots=True)
+class Fail:
+    """Give a task up."""
+
+    task: int
+    error: HpcError
+
+
+Action = Welcome | Refuse | AskRegister | Dismiss | Assign | Deliver | Fail

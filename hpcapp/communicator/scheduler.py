@@ -1,0 +1,339 @@
+"""The scheduler as a state machine: events in, actions out, time injected; no socket, no thread.
+
+::
+
+    submit ──> queue ──policy──> backlog of a worker ──credit window──> batch in flight ──> result
+                 ^                      │                                  │
+                 └──────────────────────┴──────── the worker is lost ──────┘
+
+Promises: every submitted task ends exactly once, by a result, an error, or its cancellation; a
+result that comes twice is dropped; a task that was running on too many lost workers is given up,
+and so is everything when no worker is left and none is to be expected.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Iterable, Sequence
+
+from hpcapp.communicator.admission import Admission
+from hpcapp.communicator.batching import MAX_TASKS, BatchCutter
+from hpcapp.communicator.policy import Policy
+from hpcapp.communicator.roster import (
+    Action,
+    AskRegister,
+    Assign,
+    Deliver,
+    Dismiss,
+    Fail,
+    Refuse,
+    Task,
+    Welcome,
+    Worker,
+)
+from hpccomponent.clock import Clock
+from hpccomponent.errors import NoWorkersError, WorkerLostError
+from hpccomponent.protocol.frames import LARGEST_FRAME
+from hpccomponent.protocol.messages import Register, Result
+
+__all__ = ["Scheduler"]
+
+CREDIT = 2  # batches in flight per worker
+LOSS_BUDGET = 3  # workers that may be lost under one task
+
+
+class Scheduler:
+    """The brain of the communicator.
+
+    Parameters
+    ----------
+    policy : Policy
+        Which worker gets the next tasks.
+    clock : Clock
+        Monotonic time.
+    package : str
+        The release that components must have.
+    claim : callable
+        Called with a task's number right before it first leaves; False if it was cancelled.
+    numerics : str, optional
+        Numerics id that components must have; by default that of the first one.
+    liveness_s : float
+        A worker that has been silent for so long is lost, in seconds.
+    worker_wait_s : float
+        How long tasks wait for a worker when there is none, in seconds.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        clock: Clock,
+        package: str,
+        claim: Callable[[int], bool],
+        numerics: str | None = None,
+        liveness_s: float = 15.0,
+        worker_wait_s: float = 60.0,
+    ) -> None:
+        self.workers: dict[bytes, Worker] = {}
+        self.tasks: dict[int, Task] = {}
+        self.counts: Counter[str] = Counter()
+        self.last_batch = 0
+        self._policy = policy
+        self._clock = clock
+        self._admission = Admission(package, numerics)
+        self._cutter = BatchCutter(claim)
+        self._liveness_s = liveness_s
+        self._worker_wait_s = worker_wait_s
+        self._queue: OrderedDict[int, Task] = OrderedDict()
+        self._alone_since: float | None = None
+        self._gone: str | None = None
+
+    # -- events of the App ---------------------------------------------------------------------
+
+    def submit(self, number: int, name: str, size_bytes: int) -> list[Action]:
+        """Take a new task; call `dispatch` after the last of several."""
+        if self._gone is not None and not self.workers:
+            self.tasks[number] = Task(number, name, size_bytes)
+            return self._give_up(self._gone)
+        self.tasks[number] = self._queue[number] = Task(number, name, size_bytes)
+        if not self.workers and self._alone_since is None:
+            self._alone_since = self._clock.now()
+        return []
+
+    def cancel(self, number: int) -> list[Action]:
+        """Forget a task that has not left; one that has left runs on, its result is dropped."""
+        task = self.tasks.pop(number, None)
+        if task is not None:
+            self._withdraw(task)
+        return self.dispatch()
+
+    def workers_gone(self, reason: str) -> list[Action]:
+        """Take the launcher's word that no worker will come; tasks fail once none is left."""
+        self._gone = reason
+        return self._give_up(reason) if not self.workers else []
+
+    def drain(self, identity: bytes) -> list[Action]:
+        """Let a worker finish what it has and leave; what it has not been sent goes elsewhere."""
+        worker = self.workers.get(identity)
+        if worker is None:
+            return []
+        worker.is_draining = True
+        self._requeue(worker.backlog.values())
+        worker.backlog.clear()
+        return [Dismiss(identity), *self.dispatch()]
+
+    def expel(self, key: str) -> list[Action]:
+        """Turn away the workers of a revoked key; what they had goes elsewhere, without blame."""
+        actions: list[Action] = []
+        for worker in [worker for worker in self.workers.values() if worker.key == key]:
+            actions.append(Refuse(worker.identity, "its key was revoked"))
+            actions += self._lose(worker, "its key was revoked", is_blamed=False)
+        return actions + self.dispatch()
+
+    # -- events of the workers -----------------------------------------------------------------
+
+    def register(self, identity: bytes, register: Register, key: str = "") -> list[Action]:
+        """Take a worker in, or say why not; a new incarnation of a worker replaces the old."""
+        reason = self._admission.objection(register, key, self.workers.values())
+        if reason is not None:
+            self.counts["refused"] += 1
+            return [Refuse(identity, reason)]
+        self._admission.numerics = register.numerics
+        level = min((worker.placed for worker in self._open_workers()), default=0)
+        worker = Worker(identity, register, key, self._clock.now(), placed=level)
+        # A repeated registration changes nothing: what got lost shows in the next heartbeat.
+        self.workers.setdefault(identity, worker).seen = worker.seen
+        self._gone = self._alone_since = None
+        actions: list[Action] = []
+        for other in list(self.workers.values()):
+            if other.identity != identity and other.register.worker == register.worker:
+                actions += self._lose(other, "it was started anew", is_blamed=True)
+        largest = min(LARGEST_FRAME, register.largest_frame)
+        return [*actions, Welcome(identity, largest), *self.dispatch()]
+
+    def results(
+        self, identity: bytes, batch: int, results: Sequence[Result], is_finished: bool
+    ) -> list[Action]:
+        """Take results; those of tasks that are done already are dropped and counted."""
+        worker = self.workers.get(identity)
+        if worker is None:
+            return self._stranger(identity)
+        worker.seen = self._clock.now()
+        actions: list[Action] = []
+        for index, result in enumerate(results):
+            task = self.tasks.pop(result.task, None)
+            if task is None:
+                self.counts["dropped"] += 1
+                continue
+            self._withdraw(task)
+            self._cutter.learn(task.name, result.seconds)
+            actions.append(Deliver(task.number, index, result))
+        if is_finished:
+            left = worker.batches.pop(batch, {})
+            actions += self._retry(left, worker, "it left out a result", is_blamed=True)
+        return actions + self.dispatch()
+
+    def heartbeat(
+        self, identity: bytes, progress: int, last_batch: int, held: Iterable[int]
+    ) -> list[Action]:
+        """Take a sign of life, which acknowledges batches too.
+
+        Messages keep their order, so that of the batches up to `last_batch` (named by the last
+        ping that got through) those are lost that the worker neither holds nor has answered.
+        """
+        worker = self.workers.get(identity)
+        if worker is None:
+            return self._stranger(identity)
+        worker.seen = self._clock.now()
+        worker.progress = progress
+        lost = {batch for batch in worker.batches if batch <= last_batch}.difference(held)
+        actions: list[Action] = []
+        for batch in sorted(lost):
+            self.counts["resent"] += 1
+            numbers = worker.batches.pop(batch)
+            actions += self._retry(numbers, worker, "a message got lost", is_blamed=False)
+        return actions + self.dispatch() if lost else actions
+
+    def batch_lost(self, identity: bytes, batch: int, reason: str, is_blamed: bool) -> list[Action]:
+        """Take the news that a worker process died; `is_blamed` on this batch, or a bystander."""
+        worker = self.workers.get(identity)
+        if worker is None:
+            return self._stranger(identity)
+        worker.seen = self._clock.now()
+        self.counts["losses"] += is_blamed
+        numbers = worker.batches.pop(batch, {})
+        return self._retry(numbers, worker, reason, is_blamed) + self.dispatch()
+
+    def goodbye(self, identity: bytes, reason: str) -> list[Action]:
+        """Take leave of a worker that was preempted or drained: nothing is held against tasks."""
+        worker = self.workers.get(identity)
+        if worker is None:
+            return []
+        return self._lose(worker, reason, is_blamed=False) + self.dispatch()
+
+    def disconnected(self, identity: bytes, reason: str) -> list[Action]:
+        """Take the news that the way to a worker is broken: it is lost."""
+        worker = self.workers.get(identity)
+        if worker is None:
+            return []
+        return self._lose(worker, reason, is_blamed=True) + self.dispatch()
+
+    def tick(self) -> list[Action]:
+        """Take the time: silent workers are lost, and waiting for workers has an end."""
+        now = self._clock.now()
+        actions: list[Action] = []
+        for worker in list(self.workers.values()):
+            if now - worker.seen > self._liveness_s:
+                silence = f"it has been silent for {self._liveness_s:g} s"
+                actions += self._lose(worker, silence, is_blamed=True)
+        if self._alone_since is not None and now - self._alone_since > self._worker_wait_s:
+            actions += self._give_up(f"none came within {self._worker_wait_s:g} s")
+        return actions + self.dispatch()
+
+    # -- placing -------------------------------------------------------------------------------
+
+    def dispatch(self) -> list[Action]:
+        """Place what waits, and send what the credit windows allow."""
+        actions: list[Action] = []
+        workers = self._open_workers()
+        while self._queue and workers:
+            placement = self._policy.place(len(self._queue), workers)
+            if placement is None:
+                break
+            worker = workers[placement.worker]
+            if placement.is_fixed:
+                number, task = self._queue.popitem(last=False)
+                task.worker = worker.identity
+                worker.backlog[number] = task
+                worker.placed += 1
+            else:
+                batch = self._cut(self._queue, min(placement.tasks, MAX_TASKS))
+                worker.placed += len(batch)
+                actions += self._send(worker, batch)
+        for worker in workers:
+            while worker.backlog and len(worker.batches) < CREDIT:
+                actions += self._send(worker, self._cut(worker.backlog, MAX_TASKS))
+        return actions
+
+    def _cut(self, source: OrderedDict[int, Task], limit: int) -> list[Task]:
+        batch, cancelled = self._cutter.cut(source, limit)
+        for task in cancelled:
+            del self.tasks[task.number]
+        return batch
+
+    def _send(self, worker: Worker, batch: list[Task]) -> list[Action]:
+        if not batch:
+            return []
+        self.last_batch += 1
+        worker.batches[self.last_batch] = {}
+        for task in batch:
+            task.worker, task.batch = worker.identity, self.last_batch
+            worker.batches[self.last_batch][task.number] = None
+        return [Assign(worker.identity, self.last_batch, tuple(task.number for task in batch))]
+
+    def _open_workers(self) -> list[Worker]:
+        return [worker for worker in self.workers.values() if not worker.is_draining]
+
+    # -- losing --------------------------------------------------------------------------------
+
+    def _lose(self, worker: Worker, reason: str, is_blamed: bool) -> list[Action]:
+        del self.workers[worker.identity]
+        self.counts["losses"] += is_blamed
+        self._requeue(worker.backlog.values())
+        actions: list[Action] = []
+        # Batches run in order, so that only the first can have been at work.
+        for index, numbers in enumerate(worker.batches.values()):
+            actions += self._retry(numbers, worker, reason, is_blamed and index == 0)
+        if not self.workers:
+            if self._gone is not None:
+                return actions + self._give_up(self._gone)
+            self._alone_since = self._clock.now() if self.tasks else None
+        return actions
+
+    def _retry(
+        self, numbers: Iterable[int], worker: Worker, reason: str, is_blamed: bool
+    ) -> list[Action]:
+        actions: list[Action] = []
+        again = []
+        for number in numbers:
+            task = self.tasks[number]
+            task.losses += is_blamed
+            if task.losses < LOSS_BUDGET:
+                again.append(task)
+                continue
+            del self.tasks[number]
+            error = WorkerLostError(
+                f"task {task.name!r} lost {task.losses} workers one after the other, the last "
+                f"({worker.register.worker}) because {reason}",
+                "look for a crash or a lack of memory in what the task does with this batch",
+            )
+            actions.append(Fail(number, error))
+        self._requeue(again)
+        return actions
+
+    def _requeue(self, tasks: Iterable[Task]) -> None:
+        for task in reversed(list(tasks)):
+            task.worker = None
+            self._queue[task.number] = task
+            self._queue.move_to_end(task.number, last=False)
+
+    def _withdraw(self, task: Task) -> None:
+        self._queue.pop(task.number, None)
+        worker = self.workers.get(task.worker) if task.worker is not None else None
+        if worker is not None:
+            worker.backlog.pop(task.number, None)
+            worker.batches.get(task.batch, {}).pop(task.number, None)
+
+    def _give_up(self, reason: str) -> list[Action]:
+        error = NoWorkersError(
+            f"{len(self.tasks)} tasks have no worker: {reason}",
+            "look at the log of the loaders and components, and start workers",
+        )
+        actions: list[Action] = [Fail(number, error) for number in self.tasks]
+        self.tasks.clear()
+        self._queue.clear()
+        self._alone_since = None
+        return actions
+
+    def _stranger(self, identity: bytes) -> list[Action]:
+        self.counts["dropped"] += 1
+        return [AskRegister(identity)]

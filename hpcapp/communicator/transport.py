@@ -1,0 +1,205 @@
+"""The ROUTER socket and what guards it; the only module of the App that imports zmq.
+
+::
+
+    any thread ── wake() ──> socket pair ─┐
+    components ── CURVE ──> ROUTER ───────┤
+    libzmq ── ZAP: may this key in? ──────┼── wait() ──> receive(), take_disconnected()
+    libzmq ── monitor: what failed ───────┘
+
+Everything but `RouterTransport.wake` is for one thread only.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import zmq
+from zmq.utils import z85
+
+from hpccomponent.errors import UsageError
+from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer
+from hpccomponent.protocol.keys import KeyPair
+from hpccomponent.protocol.sockets import MONITORED_EVENTS, bound_socket, describe_event
+
+__all__ = ["Received", "RouterTransport"]
+
+_log = logging.getLogger(__name__)
+
+ZAP_ENDPOINT = "inproc://zeromq.zap.01"
+ZAP_DOMAIN = b"hpc"
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A wire message: who sent it, under which key, and its frames."""
+
+    identity: bytes
+    key: str
+    frames: list[memoryview]
+
+
+class RouterTransport:
+    """A ROUTER that only known keys reach, and that says what became of a message.
+
+    Parameters
+    ----------
+    bind : str
+        ZeroMQ endpoint to listen on; port 0 means any free one.
+    keys : KeyPair
+        The master's own keys.
+    is_allowed : callable
+        Tells of a public key (Z85) whether its owner may connect.
+    heartbeat_s : float
+        How often ZeroMQ itself probes each connection, in seconds.
+
+    Raises
+    ------
+    UsageError
+        If nothing can listen there.
+    """
+
+    def __init__(
+        self,
+        bind: str,
+        keys: KeyPair,
+        is_allowed: Callable[[str], bool],
+        heartbeat_s: float = 1.0,
+    ) -> None:
+        self.bytes_sent = 0
+        self.bytes_received = 0
+        self.troubles: Counter[str] = Counter()
+        self._is_allowed = is_allowed
+        self._was_disconnected = False
+        with ExitStack() as stack:
+            reading, self._writing = (stack.enter_context(end) for end in socket.socketpair())
+            reading.setblocking(False)
+            self._writing.setblocking(False)
+            self._waking = reading
+            context = stack.enter_context(zmq.Context())
+            self._zap = stack.enter_context(context.socket(zmq.REP))
+            self._zap.setsockopt(zmq.LINGER, 0)
+            self._zap.bind(ZAP_ENDPOINT)
+            self._router = stack.enter_context(context.socket(zmq.ROUTER))
+            _guard(self._router, keys, heartbeat_s)
+            self._monitor = stack.enter_context(self._router.get_monitor_socket(MONITORED_EVENTS))
+            try:
+                self._router.bind(bind)
+            except zmq.ZMQError as error:
+                raise UsageError(
+                    f"cannot listen on {bind}: {error.strerror}",
+                    "give an address of this machine and a free port, as in tcp://127.0.0.1:0",
+                ) from error
+            self.endpoint: str = self._router.get_string(zmq.LAST_ENDPOINT)
+            self._poller = zmq.Poller()
+            for source in (self._router, self._zap, self._monitor, reading):
+                self._poller.register(source, zmq.POLLIN)
+            self._stack = stack.pop_all()
+
+    def wake(self) -> None:
+        """Let `wait` return; from any thread."""
+        try:
+            self._writing.send(b"w")
+        except OSError:
+            return  # it is awake already, or closed
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait until a message has come, or `wake` was called, or the time is over."""
+        ready = dict(self._poller.poll(max(0, int(timeout_s * 1000.0))))
+        if self._waking.fileno() in ready:
+            self._waking.recv(4096)
+        if self._zap in ready:
+            self._judge()
+        if self._monitor in ready:
+            self._hear_monitor()
+
+    def receive(self) -> Received | None:
+        """Return the next message that has come, if any."""
+        try:
+            frames = self._router.recv_multipart(zmq.NOBLOCK, copy=False)
+        except zmq.Again:
+            return None
+        self.bytes_received += sum([len(frame) for frame in frames])
+        try:
+            key = str(frames[-1].get("User-Id"))
+        except zmq.ZMQError:
+            key = ""  # no handshake, no key: nobody's
+        return Received(frames[0].bytes, key, [frame.buffer for frame in frames[1:]])
+
+    def send(self, identity: bytes, frames: Sequence[Buffer]) -> bool:
+        """Send a message without waiting; large frames are not copied.
+
+        Parameters
+        ----------
+        identity : bytes
+            The receiver.
+        frames : sequence of bytes-like
+            Must not change until they have been sent; nobody tells when.
+
+        Returns
+        -------
+        bool
+            False if there is no way to the receiver, or no room for the message on it.
+        """
+        try:
+            self._router.send_multipart([identity, *frames], zmq.NOBLOCK, copy=False)
+        except zmq.ZMQError as error:
+            if error.errno not in (zmq.EHOSTUNREACH, zmq.EAGAIN):
+                _log.warning("a message could not be sent: %s", error.strerror)
+            return False
+        self.bytes_sent += sum([len(frame) for frame in frames])
+        return True
+
+    def take_disconnected(self) -> bool:
+        """Tell whether some connection has ended since the last call: time to probe them all."""
+        was_disconnected, self._was_disconnected = self._was_disconnected, False
+        return was_disconnected
+
+    def close(self) -> None:
+        """Close all sockets, after half a second at most for what is on its way."""
+        self._router.disable_monitor()
+        self._stack.close()
+
+    def _judge(self) -> None:
+        """Answer ZeroMQ's question (RFC 27) whether a key may connect."""
+        version, request, _domain, address, _identity, mechanism, *credentials = (
+            self._zap.recv_multipart()
+        )
+        key = ""
+        if mechanism == b"CURVE" and len(credentials) == 1:
+            key = z85.encode(credentials[0]).decode()
+        if key and self._is_allowed(key):
+            self._zap.send_multipart([version, request, b"200", b"OK", key.encode(), b""])
+            return
+        self._note(f"a peer at {address.decode()} was refused: its key is not on the list")
+        self._zap.send_multipart([version, request, b"400", b"key not on the list", b"", b""])
+
+    def _hear_monitor(self) -> None:
+        while self._monitor.poll(0):
+            trouble = describe_event(self._monitor.recv_multipart())
+            if trouble is None:
+                self._was_disconnected = True
+            else:
+                self._note(trouble)
+
+    def _note(self, trouble: str) -> None:
+        self.troubles[trouble] += 1
+        if self.troubles[trouble] == 1:  # a peer that keeps trying must not fill the log
+            _log.warning("%s", trouble)
+
+
+def _guard(router: zmq.Socket[bytes], keys: KeyPair, heartbeat_s: float) -> None:
+    bound_socket(router, LARGEST_FRAME, heartbeat_s)
+    # Without it a message to nobody is lost without a word, and a full queue drops silently.
+    router.setsockopt(zmq.ROUTER_MANDATORY, 1)
+    # A component that reconnects keeps its identity; another key under it is turned away above.
+    router.setsockopt(zmq.ROUTER_HANDOVER, 1)
+    router.setsockopt(zmq.CURVE_SERVER, 1)
+    router.setsockopt(zmq.CURVE_PUBLICKEY, keys.public.encode())
+    router.setsockopt(zmq.CURVE_SECRETKEY, keys.secret.encode())
+    router.setsockopt(zmq.ZAP_DOMAIN, ZAP_DOMAIN)

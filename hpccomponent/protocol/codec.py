@@ -1,0 +1,266 @@
+"""Values to bytes and back, without pickle: a small header, and raw buffers for what is large.
+
+A value is an ndarray of numbers, an int, float, bool, str, bytes or None, or a tuple, list or
+string-keyed dict of these. The header is MessagePack; what MessagePack lacks is an array whose
+first entry is a tag. Small arrays travel in the header, large ones as buffers of their own, in
+the order in which the header names them, so that no two values can share one.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from hpccomponent.errors import ProtocolError, UsageError
+from hpccomponent.protocol.frames import Buffer
+
+__all__ = ["decode_values", "encode_values"]
+
+TUPLE, LIST, ARRAY, SCALAR, TEXT, BYTES, BIG = range(7)
+EMBEDDED_BYTES = 4096  # below this an own frame costs more than a copy into the header
+MAX_HEADER_BYTES = 4 * 1024 * 1024
+MAX_DEPTH = 50
+DTYPES = frozenset(
+    [
+        "|b1",
+        "|i1",
+        "|u1",
+        "<i2",
+        "<u2",
+        "<i4",
+        "<u4",
+        "<i8",
+        "<u8",
+        "<f2",
+        "<f4",
+        "<f8",
+        "<c8",
+        "<c16",
+    ]
+)
+PLAIN = (type(None), bool, float)
+
+_encode = msgspec.msgpack.Encoder().encode
+_decode = msgspec.msgpack.Decoder(strict=True).decode
+
+
+def encode_values(values: tuple[Any, ...]) -> tuple[bytes, list[Buffer]]:
+    """Encode a tuple of values.
+
+    Parameters
+    ----------
+    values : tuple
+        The arguments or the result of a task; large contiguous arrays are not copied and must
+        not change until the buffers have been used.
+
+    Returns
+    -------
+    header : bytes
+        At most 4 MiB.
+    buffers : list of bytes-like
+        The large parts, little-endian, in the order in which the header names them.
+
+    Raises
+    ------
+    UsageError
+        If a value is of no type that may travel, is nested too deeply (or contains itself), or
+        if the header grows too large.
+    """
+    buffers: list[Buffer] = []
+    try:
+        header = _encode([_pack(value, buffers, 0) for value in values])
+    except UnicodeEncodeError as error:
+        raise UsageError("a str holds half a surrogate pair", "pass it as bytes") from error
+    if len(header) > MAX_HEADER_BYTES:
+        raise UsageError(
+            f"the small values of one task take {len(header)} bytes, more than {MAX_HEADER_BYTES}",
+            "pass long lists of numbers as one ndarray",
+        )
+    return header, buffers
+
+
+def decode_values(header: Buffer, buffers: Sequence[Buffer]) -> tuple[Any, ...]:
+    """Decode what `encode_values` made; trusts neither the header nor the buffers.
+
+    Parameters
+    ----------
+    header : bytes-like
+        The header.
+    buffers : sequence of bytes-like
+        The buffers, each in one piece.
+
+    Returns
+    -------
+    tuple
+        The values. Arrays are aligned, C-contiguous and read-only; large ones are views of
+        their buffers.
+
+    Raises
+    ------
+    ProtocolError
+        If header and buffers do not describe such values.
+    """
+    try:
+        packed = _decode(header)
+        if type(packed) is not list:
+            raise ProtocolError("a header of values is not an array")
+        supply = iter(buffers)
+        values = tuple([_unpack(entry, supply, 0) for entry in packed])
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise ProtocolError(f"a header of values cannot be decoded: {error}") from error
+    if next(supply, None) is not None:
+        raise ProtocolError("a message carries more buffers than its header names")
+    return values
+
+
+def _pack(value: Any, buffers: list[Buffer], depth: int) -> Any:
+    kind = type(value)
+    if kind in PLAIN:
+        return value
+    if kind is int:
+        if -(2**63) <= value < 2**63:
+            return value
+        return [BIG, value.to_bytes(value.bit_length() // 8 + 1, "little", signed=True)]
+    packer = _PACKERS.get(kind)
+    if packer is None and isinstance(value, np.generic):
+        packer = _pack_scalar
+    if packer is None or depth > MAX_DEPTH:
+        raise UsageError(
+            f"a value of type {kind.__module__}.{kind.__qualname__} cannot travel to a worker"
+            if packer is None
+            else f"values are nested more than {MAX_DEPTH} deep",
+            "pass ndarrays of numbers, int, float, bool, str, bytes, None, "
+            "or tuples, lists and string-keyed dicts of these",
+        )
+    return packer(value, buffers, depth)
+
+
+def _pack_array(value: np.ndarray[Any, Any], buffers: list[Buffer], depth: int) -> list[Any]:
+    del depth
+    code = value.dtype.newbyteorder("<").str
+    if code not in DTYPES:
+        raise UsageError(
+            f"an array of dtype {value.dtype} cannot travel to a worker",
+            "pass booleans, integers, floats or complex numbers of a standard size",
+        )
+    array = np.asarray(value, dtype=code, order="C")
+    if array.nbytes <= EMBEDDED_BYTES:
+        return [ARRAY, code, list(value.shape), array.tobytes()]
+    buffers.append(array.reshape(-1).view(np.uint8).data)
+    return [ARRAY, code, list(value.shape), None]
+
+
+def _pack_scalar(value: np.generic, buffers: list[Buffer], depth: int) -> list[Any]:
+    return [SCALAR, *_pack_array(np.asarray(value), buffers, depth)[1:]]
+
+
+def _pack_text(value: str, buffers: list[Buffer], depth: int) -> Any:
+    del depth
+    if len(value) <= EMBEDDED_BYTES // 4:
+        return value
+    buffers.append(value.encode())
+    return [TEXT]
+
+
+def _pack_bytes(value: bytes, buffers: list[Buffer], depth: int) -> Any:
+    del depth
+    if len(value) <= EMBEDDED_BYTES:
+        return value
+    buffers.append(value)
+    return [BYTES]
+
+
+def _pack_tuple(value: tuple[Any, ...], buffers: list[Buffer], depth: int) -> list[Any]:
+    return [TUPLE, *[_pack(entry, buffers, depth + 1) for entry in value]]
+
+
+def _pack_list(value: list[Any], buffers: list[Buffer], depth: int) -> list[Any]:
+    return [LIST, *[_pack(entry, buffers, depth + 1) for entry in value]]
+
+
+def _pack_dict(value: dict[Any, Any], buffers: list[Buffer], depth: int) -> dict[str, Any]:
+    for key in value:
+        if type(key) is not str:
+            raise UsageError(f"a dict has the key {key!r}", "only strings may be keys")
+    return {key: _pack(entry, buffers, depth + 1) for key, entry in value.items()}
+
+
+_PACKERS: dict[type, Callable[[Any, list[Buffer], int], Any]] = {
+    np.ndarray: _pack_array,
+    np.memmap: _pack_array,
+    str: _pack_text,
+    bytes: _pack_bytes,
+    tuple: _pack_tuple,
+    list: _pack_list,
+    dict: _pack_dict,
+}
+
+
+def _unpack(packed: Any, supply: Any, depth: int) -> Any:
+    kind = type(packed)
+    if kind in PLAIN or kind is int or kind is str or kind is bytes:
+        return packed
+    if depth > MAX_DEPTH:
+        raise ProtocolError(f"received values are nested more than {MAX_DEPTH} deep")
+    if kind is dict:
+        if any(type(key) is not str for key in packed):
+            raise ProtocolError("a received dict has a key that is not a string")
+        return {key: _unpack(entry, supply, depth + 1) for key, entry in packed.items()}
+    if kind is not list or not packed or type(packed[0]) is not int:
+        raise ProtocolError(f"a header holds a {kind.__name__} without a tag")
+    tag = packed[0]
+    if tag == TUPLE:
+        return tuple([_unpack(entry, supply, depth + 1) for entry in packed[1:]])
+    if tag == LIST:
+        return [_unpack(entry, supply, depth + 1) for entry in packed[1:]]
+    if tag in (ARRAY, SCALAR):
+        array = _unpack_array(packed, supply)
+        return array if tag == ARRAY else array[()]
+    if tag == BIG and len(packed) == 2 and type(packed[1]) is bytes:
+        return int.from_bytes(packed[1], "little", signed=True)
+    if tag in (TEXT, BYTES) and len(packed) == 1:
+        blob = bytes(_take(supply))
+        return blob if tag == BYTES else blob.decode()
+    raise ProtocolError(f"a header holds an entry with the unknown tag {tag}")
+
+
+def _unpack_array(packed: list[Any], supply: Any) -> np.ndarray[Any, Any]:
+    if len(packed) != 4:
+        raise ProtocolError("an array is not described by dtype, shape and bytes")
+    _, code, shape, blob = packed
+    if type(code) is not str or code not in DTYPES:
+        raise ProtocolError(f"an array has the dtype {code!r}, which may not travel")
+    if type(shape) is not list or not all(type(n) is int and n >= 0 for n in shape):
+        raise ProtocolError(f"an array has the shape {shape!r}")
+    if packed[0] == SCALAR and shape:
+        raise ProtocolError(f"a number has the shape {shape!r}")
+    buffer = _take(supply) if blob is None else blob
+    if type(buffer) not in (bytes, bytearray, memoryview):
+        raise ProtocolError("the bytes of an array are not bytes")
+    dtype = np.dtype(code)
+    count = 1
+    for extent in shape:
+        count *= extent
+    if count * dtype.itemsize != memoryview(buffer).nbytes:
+        raise ProtocolError(f"an array of shape {shape} and dtype {code} has the wrong size")
+    try:
+        array = np.frombuffer(buffer, dtype=dtype).reshape(shape)
+    except ValueError as error:  # more axes than numpy allows, or an extent beyond its index type
+        raise ProtocolError(f"an array has the shape {shape}: {error}") from error
+    if not array.flags.aligned:
+        array = array.copy()
+    if sys.byteorder == "big":
+        array = array.astype(dtype.newbyteorder("="))
+    array.flags.writeable = False
+    return array
+
+
+def _take(supply: Any) -> Buffer:
+    buffer = next(supply, None)
+    if buffer is None:
+        raise ProtocolError("a message carries fewer buffers than its header names")
+    return buffer  # type: ignore[no-any-return]

@@ -1,0 +1,240 @@
+"""The messages between master and component, and their strict decoding.
+
+::
+
+    component                                   master
+      │ Register (versions, build, capabilities)  │
+      │ ────────────────────────────────────────> │
+      │        Registered (session) or Refused    │
+      │ <──────────────────────────────────────── │
+      │        Batch (calls; buffers in frames)   │
+      │ <──────────────────────────────────────── │
+      │ Results, Lost, Heartbeat                  │
+      │ ────────────────────────────────────────> │
+      │        Ping, RegisterAgain, Drain         │
+      │ <──────────────────────────────────────── │
+      │ Goodbye                         Farewell  │
+
+The first frame of a wire message is one of these in MessagePack; the frames after it are the
+buffers that its calls or results announce. Every message after the handshake names the session,
+which lives as long as one master.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+from hpccomponent.errors import ProtocolError
+
+__all__ = [
+    "PROTOCOL_VERSION",
+    "Batch",
+    "Call",
+    "ComponentMessage",
+    "Drain",
+    "Failure",
+    "Farewell",
+    "Goodbye",
+    "Heartbeat",
+    "Lost",
+    "MasterMessage",
+    "Ping",
+    "Refused",
+    "Register",
+    "RegisterAgain",
+    "Registered",
+    "Result",
+    "Results",
+    "decode_component_message",
+    "decode_master_message",
+    "encode_message",
+]
+
+PROTOCOL_VERSION = 1
+
+Count = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
+Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+Line = Annotated[str, msgspec.Meta(max_length=4000)]
+
+
+class Register(msgspec.Struct, frozen=True, tag=True):
+    """The first message of a component.
+
+    Unknown fields are let pass here, and here only, so that a newer component gets a refusal
+    that names the versions, and not silence.
+    """
+
+    protocol: int
+    package: Line
+    worker: Name
+    incarnation: Name
+    build: Line
+    numerics: Line
+    cores: Count
+    memory_bytes: Count
+    largest_frame: Count
+
+
+class Registered(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """The master's yes: from now on the session, and what both keep to.
+
+    `heartbeat_s` is how often the component reports, `silence_s` how long it waits for a silent
+    master (both in seconds), `largest_frame` what neither sends more than (in bytes).
+    """
+
+    session: Name
+    heartbeat_s: Seconds
+    silence_s: Seconds
+    largest_frame: Annotated[int, msgspec.Meta(ge=1024, lt=2**31)]
+
+
+class Refused(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """The master's no, with its reason; the component leaves."""
+
+    reason: Line
+
+
+class RegisterAgain(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """The answer to a message of a component that the master does not know."""
+
+
+class Ping(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """The master lives; sending it also probes the way to the component.
+
+    `last_batch` is the number of the last batch that was sent, to any component.
+    """
+
+    session: Name
+    last_batch: Count
+
+
+class Drain(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """Finish what you have, then say goodbye."""
+
+    session: Name
+
+
+class Farewell(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """The job is over; leave."""
+
+    session: Name
+
+
+class Call(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """One task: its number, its name, its encoded arguments, and the length of its buffers."""
+
+    task: Count
+    name: Name
+    header: bytes
+    sizes: list[Count]
+
+
+class Batch(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """Tasks for one worker, to be run in their order."""
+
+    session: Name
+    batch: Count
+    calls: Annotated[list[Call], msgspec.Meta(min_length=1)]
+
+
+class Failure(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """What a task raised: the class's name, one line, what to do, and the remote traceback."""
+
+    kind: Name
+    problem: Line
+    advice: Line
+    traceback: str
+
+
+class Result(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """What became of one task, and how many seconds its function took."""
+
+    task: Count
+    seconds: Seconds
+    header: bytes
+    sizes: list[Count]
+    failure: Failure | None = None
+
+
+class Results(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """Results of a batch, as they become ready; `is_finished` with the last of them."""
+
+    session: Name
+    batch: Count
+    results: list[Result]
+    is_finished: bool
+
+
+class Lost(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """The worker process died; `is_blamed` on the batch that it was running."""
+
+    session: Name
+    batch: Count
+    reason: Line
+    is_blamed: bool
+
+
+class Heartbeat(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """The component lives, and has received every batch up to `last_batch` that was not lost.
+
+    `progress` counts the tasks that its worker has finished, `held` names the batches that it
+    has not finished, `last_batch` is that of the last ping.
+    """
+
+    session: Name
+    progress: Count
+    last_batch: Count
+    held: list[Count]
+
+
+class Goodbye(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """The component leaves of its own accord; what it has not finished goes elsewhere."""
+
+    session: Name
+    reason: Line
+
+
+MasterMessage = Registered | Refused | RegisterAgain | Ping | Drain | Farewell | Batch
+ComponentMessage = Register | Results | Lost | Heartbeat | Goodbye
+
+_encoder = msgspec.msgpack.Encoder()
+_master_decoder: msgspec.msgpack.Decoder[MasterMessage] = msgspec.msgpack.Decoder(MasterMessage)
+_component_decoder: msgspec.msgpack.Decoder[ComponentMessage] = msgspec.msgpack.Decoder(
+    ComponentMessage
+)
+
+
+def encode_message(message: MasterMessage | ComponentMessage) -> bytes:
+    """Encode a message as the first frame of a wire message."""
+    return _encoder.encode(message)
+
+
+def decode_master_message(frame: bytes | memoryview) -> MasterMessage:
+    """Decode what a master sent.
+
+    Raises
+    ------
+    ProtocolError
+        If the frame is not exactly such a message.
+    """
+    try:
+        return _master_decoder.decode(frame)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise ProtocolError(f"a message from the master cannot be decoded: {error}") from error
+
+
+def decode_component_message(frame: bytes | memoryview) -> ComponentMessage:
+    """Decode what a component sent.
+
+    Raises
+    ------
+    ProtocolError
+        If the frame is not exactly such a message.
+    """
+    try:
+        return _component_decoder.decode(frame)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise ProtocolError(f"a message from a component cannot be decoded: {error}") from error

@@ -1,0 +1,275 @@
+"""The worker's side of the protocol as a state machine: events in, actions out, time injected.
+
+::
+
+              Registered                    Drain and nothing left, Farewell,
+    joining ─────────────> working ───────> Refused, silence, repeated crashes ──> stopped
+       ^                      │
+       └──────────────────────┘ RegisterAgain
+
+The component (``runtime/component.py``) does the I/O: it feeds in what arrives and carries out
+the actions that every event returns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+from hpccomponent.protocol.frames import SMALLEST_FRAME, Buffer
+from hpccomponent.protocol.messages import (
+    Batch,
+    ComponentMessage,
+    Drain,
+    Farewell,
+    Goodbye,
+    Heartbeat,
+    Lost,
+    MasterMessage,
+    Ping,
+    Refused,
+    Register,
+    RegisterAgain,
+    Registered,
+    Results,
+)
+
+__all__ = [
+    "Action",
+    "ExitCode",
+    "Run",
+    "Send",
+    "StartWorker",
+    "State",
+    "Stop",
+    "WorkerSession",
+]
+
+REGISTER_S = 2.0  # between two registrations without an answer
+WINDOW = 2  # batches in the channel at once: the worker never waits for the next one
+MAX_CRASHES = 5  # of the worker in a row, without one finished batch between them
+LONGEST_BACKOFF_S = 5.0
+
+
+class ExitCode(IntEnum):
+    """How a component ends, for the loader that started it."""
+
+    DONE = 0  # the master said farewell, the lifeline closed, or SIGTERM came
+    WORKER_CRASHES = 1  # the worker keeps dying: another build, or another machine
+    REFUSED = 2  # bad connection file, or the master refused: starting it again is no use
+    MASTER_SILENT = 5  # the master has been silent for too long
+
+
+class State(Enum):
+    """Where a session stands."""
+
+    JOINING = "joining"
+    WORKING = "working"
+    DRAINING = "draining"
+    STOPPED = "stopped"
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    """Send a message to the master, with the buffers that it announces."""
+
+    message: ComponentMessage
+    buffers: Sequence[Buffer] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Hand a batch to the worker process."""
+
+    batch: Batch
+    frames: Sequence[Buffer]
+
+
+@dataclass(frozen=True, slots=True)
+class StartWorker:
+    """Start a worker process, `delay_s` seconds from now."""
+
+    delay_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """End the component."""
+
+    code: ExitCode
+    reason: str
+
+
+Action = Send | Run | StartWorker | Stop
+
+
+@dataclass(slots=True)
+class _Held:
+    batch: Batch
+    frames: Sequence[Buffer]
+    is_running: bool = False
+
+
+class WorkerSession:
+    """One component's life with its master.
+
+    Parameters
+    ----------
+    register : Register
+        How the component introduces itself.
+    now : float
+        The present moment of a monotonic clock, in seconds, as in every event.
+    silence_s : float
+        How long to wait for a master that says nothing, in seconds, until the master names
+        its own figure.
+    """
+
+    def __init__(self, register: Register, now: float, silence_s: float = 60.0) -> None:
+        self.state = State.JOINING
+        self.session = ""
+        self.largest_frame = SMALLEST_FRAME
+        self.progress = 0
+        self.dropped = 0
+        self._register = register
+        self._silence_s = silence_s
+        self._heartbeat_s = REGISTER_S
+        self._heard = now
+        self._said = now
+        self._held: dict[int, _Held] = {}
+        self._last_batch = 0
+        self._crashes = 0
+        self._worker_is_up = False
+
+    def begin(self) -> list[Action]:
+        """Introduce the component, and start its worker meanwhile."""
+        return [Send(self._register), StartWorker(0.0)]
+
+    def receive(self, message: MasterMessage, frames: Sequence[Buffer], now: float) -> list[Action]:
+        """Take a message of the master; one of another session is dropped and counted."""
+        if isinstance(message, Registered):
+            self._join(message, now)
+            return []
+        if isinstance(message, Refused):
+            return self._stop(ExitCode.REFUSED, f"the master refused this worker: {message.reason}")
+        if isinstance(message, RegisterAgain):
+            self._heard = self._said = now
+            if self.state is State.WORKING:
+                self.state = State.JOINING
+            return [Send(self._register)]
+        if message.session != self.session:
+            self.dropped += 1
+            return []
+        self._heard = now
+        if isinstance(message, Farewell):
+            return self._stop(ExitCode.DONE, "the master said farewell")
+        if isinstance(message, Drain):
+            self.state = State.DRAINING
+            return self._leave_if_drained()
+        if isinstance(message, Batch):
+            if message.batch in self._held:
+                self.dropped += 1
+                return []
+            self._held[message.batch] = _Held(message, frames)
+            return self._feed()
+        if isinstance(message, Ping):
+            self._last_batch = message.last_batch
+        return []
+
+    def worker_started(self) -> list[Action]:
+        """Take the news that the worker process takes batches."""
+        self._worker_is_up = True
+        return self._feed()
+
+    def worker_results(
+        self, results: Results, buffers: Sequence[Buffer], now: float
+    ) -> list[Action]:
+        """Take results of the worker, and pass them on."""
+        self.progress += len(results.results)
+        if results.is_finished:
+            self._held.pop(results.batch, None)
+            self._crashes = 0
+        self._said = now
+        actions: list[Action] = [Send(results, buffers)]
+        return actions + self._feed() + self._leave_if_drained()
+
+    def worker_died(self, reason: str) -> list[Action]:
+        """Take the news that the worker process is gone: its batches are lost."""
+        self._worker_is_up = False
+        self._crashes += 1
+        actions: list[Action] = []
+        running = [number for number, held in self._held.items() if held.is_running]
+        for number in running:
+            session = self._held.pop(number).batch.session
+            actions.append(Send(Lost(session, number, reason[:1000], number == running[0])))
+        if self._crashes >= MAX_CRASHES:
+            why = f"the worker process died {self._crashes} times in a row, last: {reason}"
+            return [*actions, *self._depart(ExitCode.WORKER_CRASHES, why)]
+        if self.state is not State.STOPPED:
+            delay_s = 0.0 if self._crashes == 1 else 0.25 * 2.0 ** (self._crashes - 1)
+            actions.append(StartWorker(min(delay_s, LONGEST_BACKOFF_S)))
+        return actions + self._leave_if_drained()
+
+    def tick(self, now: float) -> list[Action]:
+        """Take the time: heartbeats, registration anew, and an end to a silent master."""
+        if self.state is State.STOPPED:
+            return []
+        if now - self._heard > self._silence_s:
+            silence = f"the master has been silent for {self._silence_s:g} s"
+            return self._stop(ExitCode.MASTER_SILENT, silence)
+        if now < self.next_tick():
+            return []
+        self._said = now
+        if self.state is State.JOINING:
+            return [Send(self._register)]
+        return [Send(Heartbeat(self.session, self.progress, self._last_batch, list(self._held)))]
+
+    def next_tick(self) -> float:
+        """Return when `tick` has something to do next, in seconds of the clock."""
+        interval = REGISTER_S if self.state is State.JOINING else self._heartbeat_s
+        return min(self._said + interval, self._heard + self._silence_s + 0.001)
+
+    def terminate(self, reason: str) -> list[Action]:
+        """Leave at once; the master gives unfinished batches to others, without blame."""
+        return self._depart(ExitCode.DONE, reason)
+
+    def _join(self, message: Registered, now: float) -> None:
+        if message.session != self.session:
+            self._last_batch = 0
+            self._held = {n: held for n, held in self._held.items() if held.is_running}
+        self.session = message.session
+        self.largest_frame = min(message.largest_frame, self._register.largest_frame)
+        self._heartbeat_s = message.heartbeat_s
+        self._silence_s = message.silence_s
+        self._heard = self._said = now
+        if self.state is State.JOINING:
+            self.state = State.WORKING
+
+    def _feed(self) -> list[Action]:
+        if not self._worker_is_up or self.state is State.STOPPED:
+            return []
+        running = sum(held.is_running for held in self._held.values())
+        waiting = [held for held in self._held.values() if not held.is_running]
+        actions: list[Action] = []
+        for held in waiting[: WINDOW - running]:
+            held.is_running = True
+            actions.append(Run(held.batch, held.frames))
+            held.frames = ()
+        return actions
+
+    def _leave_if_drained(self) -> list[Action]:
+        if self.state is State.DRAINING and not self._held:
+            return self._depart(ExitCode.DONE, "drained")
+        return []
+
+    def _depart(self, code: ExitCode, reason: str) -> list[Action]:
+        if self.state is State.STOPPED:
+            return []
+        goodbye: list[Action] = [Send(Goodbye(self.session, reason[:1000]))] if self.session else []
+        return goodbye + self._stop(code, reason)
+
+    def _stop(self, code: ExitCode, reason: str) -> list[Action]:
+        if self.state is State.STOPPED:
+            return []
+        self.state = State.STOPPED
+        return [Stop(code, reason)]

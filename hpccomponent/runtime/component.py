@@ -1,0 +1,272 @@
+"""The component: I/O around the worker session, on one thread.
+
+::
+
+    master ══ CURVE ══> DEALER ──┐                      ┌──> channel ──> worker process
+                                 ├── poll ── session ───┤
+    lifeline, SIGTERM ───────────┘                      └──> DEALER ══> master
+
+Heartbeats go on while the worker computes, because the worker is a process of its own.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import secrets
+import signal
+import socket
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import zmq
+
+from hpccomponent.errors import ProtocolError
+from hpccomponent.protocol.connection import Connection
+from hpccomponent.protocol.frames import LARGEST_FRAME, group_frames, split_buffers
+from hpccomponent.protocol.messages import (
+    PROTOCOL_VERSION,
+    Batch,
+    Register,
+    Results,
+    decode_component_message,
+    decode_master_message,
+    encode_message,
+)
+from hpccomponent.protocol.session import (
+    Action,
+    ExitCode,
+    Run,
+    Send,
+    StartWorker,
+    Stop,
+    WorkerSession,
+)
+from hpccomponent.protocol.sockets import MONITORED_EVENTS, bound_socket, describe_event
+from hpccomponent.runtime.channel import ChannelClosedError, cut_payload
+from hpccomponent.runtime.numerics import numerics_id, package_version
+from hpccomponent.runtime.process import WorkerProcess
+
+__all__ = ["ComponentOptions", "run_component"]
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentOptions:
+    """What a component is started with.
+
+    Parameters
+    ----------
+    build : str
+        Name of the worker build in the loader's catalogue.
+    tasks : sequence of str
+        ``NAME=module:function`` of tasks that are not installed as entry points.
+    lifeline : int or None
+        Descriptor of a pipe; the component leaves when its other end closes.
+    silence_s : float
+        How long to wait for a master that has not answered yet, in seconds.
+    """
+
+    build: str = "portable"
+    tasks: Sequence[str] = ()
+    lifeline: int | None = None
+    silence_s: float = 60.0
+
+
+def run_component(connection: Connection, options: ComponentOptions) -> ExitCode:
+    """Serve one master until it, the lifeline or a signal ends the component.
+
+    Parameters
+    ----------
+    connection : Connection
+        Where the master is, and this worker's keys.
+    options : ComponentOptions
+        How to serve.
+
+    Returns
+    -------
+    ExitCode
+    """
+    with ExitStack() as stack:
+        return _Component(connection, options, stack).run()
+
+
+class _Component:
+    def __init__(self, connection: Connection, options: ComponentOptions, stack: ExitStack) -> None:
+        self._options = options
+        self._endpoint = connection.endpoint
+        self._register = _introduce(connection, options)
+        self._session = WorkerSession(self._register, time.monotonic(), options.silence_s)
+        self._stop: Stop | None = None
+        self._worker: WorkerProcess | None = None
+        self._start_at: float | None = None
+        stack.callback(self._end_worker)
+        context = stack.enter_context(zmq.Context())
+        self._socket = stack.enter_context(_open_socket(context, connection, self._register))
+        self._monitor = stack.enter_context(self._socket.get_monitor_socket(MONITORED_EVENTS))
+        self._signals = stack.enter_context(_catch_signals())
+        self._poller = zmq.Poller()
+        sources = [self._socket, self._monitor, self._signals, options.lifeline]
+        for source in sources:
+            if source is not None:
+                self._poller.register(source, zmq.POLLIN)
+        self._socket.connect(connection.endpoint)
+
+    def run(self) -> ExitCode:
+        self._carry_out(self._session.begin())
+        while self._stop is None:
+            ready = dict(self._poller.poll(self._patience_ms()))
+            if self._signals.fileno() in ready:
+                self._carry_out(self._session.terminate("this component was told to end"))
+            if self._options.lifeline in ready:
+                self._carry_out(self._session.terminate("the lifeline closed"))
+            if self._worker is not None and self._worker.channel.fileno() in ready:
+                self._hear_worker(self._worker)
+            if self._socket in ready:
+                self._hear_master()
+            if self._monitor in ready:
+                self._hear_monitor()
+            self._keep_time()
+        level = logging.INFO if self._stop.code is ExitCode.DONE else logging.ERROR
+        _log.log(level, "worker %s leaves: %s", self._register.worker, self._stop.reason)
+        return self._stop.code
+
+    def _patience_ms(self) -> int:
+        moments = [self._session.next_tick()]
+        if self._start_at is not None:
+            moments.append(self._start_at)
+        return max(0, math.ceil((min(moments) - time.monotonic()) * 1000.0))
+
+    def _keep_time(self) -> None:
+        now = time.monotonic()
+        if self._start_at is not None and now >= self._start_at:
+            self._start_at = None
+            self._start_worker()
+        self._carry_out(self._session.tick(now))
+
+    def _hear_master(self) -> None:
+        while self._stop is None:
+            try:
+                frames = self._socket.recv_multipart(zmq.NOBLOCK, copy=False)
+            except zmq.Again:
+                return
+            try:
+                message = decode_master_message(frames[0].buffer)
+                buffers = [frame.buffer for frame in frames[1:]]
+                if isinstance(message, Batch):
+                    group_frames(buffers, _sizes(message))  # or it would fail on its way out
+            except ProtocolError as error:
+                self._session.dropped += 1
+                _log.warning("a message was dropped: %s", error)
+                continue
+            self._carry_out(self._session.receive(message, buffers, time.monotonic()))
+
+    def _hear_worker(self, worker: WorkerProcess) -> None:
+        try:
+            control, payload = worker.channel.receive()
+            results = decode_component_message(control)
+            if not isinstance(results, Results):
+                raise ProtocolError("the worker process sent something else than results")
+            sizes = [size for result in results.results for size in result.sizes]
+            buffers = cut_payload(payload, sizes)
+        except (ProtocolError, OSError) as error:
+            reason = self._end_worker()
+            if not isinstance(error, ChannelClosedError):
+                reason = str(error)
+            _log.warning("%s", reason)
+            self._carry_out(self._session.worker_died(reason))
+        else:
+            self._carry_out(self._session.worker_results(results, buffers, time.monotonic()))
+
+    def _hear_monitor(self) -> None:
+        trouble = describe_event(self._monitor.recv_multipart())
+        if trouble is not None:
+            _log.warning("the connection to %s failed: %s", self._endpoint, trouble)
+
+    def _carry_out(self, actions: Sequence[Action]) -> None:
+        for action in actions:
+            match action:
+                case Send():
+                    self._send(action)
+                case Run():
+                    self._run(action)
+                case StartWorker():
+                    self._start_at = time.monotonic() + action.delay_s
+                case Stop():
+                    self._stop = action
+
+    def _send(self, action: Send) -> None:
+        frames = split_buffers(action.buffers, self._session.largest_frame)
+        try:
+            message = encode_message(action.message)
+            self._socket.send_multipart([message, *frames], zmq.NOBLOCK, copy=False)
+        except zmq.Again:
+            # The master reads nothing, or is not there: silence will end this component.
+            _log.debug("no room to send a %s", type(action.message).__name__)
+
+    def _run(self, action: Run) -> None:
+        if self._worker is None:
+            return
+        try:
+            pieces = group_frames(action.frames, _sizes(action.batch))
+            self._worker.channel.send(encode_message(action.batch), pieces)
+        except (ChannelClosedError, OSError) as error:
+            reason = self._end_worker()
+            if not isinstance(error, ChannelClosedError):
+                reason = f"a batch could not be handed to the worker process: {error}"
+            self._carry_out(self._session.worker_died(reason))
+
+    def _start_worker(self) -> None:
+        self._worker = WorkerProcess(self._options.tasks)
+        self._poller.register(self._worker.channel.fileno(), zmq.POLLIN)
+        self._carry_out(self._session.worker_started())
+
+    def _end_worker(self) -> str:
+        worker, self._worker = self._worker, None
+        if worker is None:
+            return ""
+        self._poller.unregister(worker.channel.fileno())
+        return worker.end()
+
+
+def _sizes(batch: Batch) -> list[int]:
+    return [size for call in batch.calls for size in call.sizes]
+
+
+def _introduce(connection: Connection, options: ComponentOptions) -> Register:
+    return Register(
+        protocol=PROTOCOL_VERSION,
+        package=package_version(),
+        worker=connection.worker,
+        incarnation=secrets.token_hex(8),
+        build=options.build,
+        numerics=numerics_id(options.build),
+        cores=os.cpu_count() or 1,
+        memory_bytes=os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
+        largest_frame=LARGEST_FRAME,
+    )
+
+
+def _open_socket(
+    context: zmq.Context[zmq.Socket[bytes]], connection: Connection, register: Register
+) -> zmq.Socket[bytes]:
+    dealer = context.socket(zmq.DEALER)
+    bound_socket(dealer, LARGEST_FRAME)
+    dealer.setsockopt(zmq.ROUTING_ID, f"{register.worker}/{register.incarnation}".encode())
+    dealer.setsockopt(zmq.CURVE_SERVERKEY, connection.server_key.encode())
+    dealer.setsockopt(zmq.CURVE_PUBLICKEY, connection.public_key.encode())
+    dealer.setsockopt(zmq.CURVE_SECRETKEY, connection.secret_key.encode())
+    return dealer
+
+
+def _catch_signals() -> socket.socket:
+    """Turn SIGTERM into a readable socket, and leave Ctrl-C to the master."""
+    reading, writing = socket.socketpair()
+    writing.setblocking(False)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda _number, _frame: writing.send(b"t"))
+    return reading

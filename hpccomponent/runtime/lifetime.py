@@ -1,0 +1,64 @@
+"""Nothing outlives its parent: the kernel's signal on Linux, the end of a pipe everywhere."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+
+__all__ = ["die_with_parent", "exit_at_end_of_pipe"]
+
+PR_SET_PDEATHSIG = 1
+
+
+def die_with_parent(parent: int, with_signal: signal.Signals) -> bool:
+    """Ask the kernel to send this process `with_signal` when its parent's thread ends.
+
+    Parameters
+    ----------
+    parent : int
+        Process id of the parent, as it was before the call.
+    with_signal : signal.Signals
+        What the kernel sends.
+
+    Returns
+    -------
+    bool
+        False where the kernel knows no such thing; the end of a pipe must serve alone there.
+
+    Notes
+    -----
+    A parent that died before the call sends nothing any more; then this process sends the
+    signal to itself.
+    """
+    if not sys.platform.startswith("linux"):
+        return False
+    import ctypes
+
+    if ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, int(with_signal), 0, 0, 0) != 0:
+        return False
+    if os.getppid() != parent:
+        os.kill(os.getpid(), with_signal)
+    return True
+
+
+def exit_at_end_of_pipe(descriptor: int, code: int) -> threading.Thread:
+    """Start a thread that ends the process at once when the other end of a pipe closes.
+
+    Parameters
+    ----------
+    descriptor : int
+        Reading end of the pipe; nothing is ever written to the other.
+    code : int
+        Exit code of the process.
+    """
+
+    def watch() -> None:
+        while os.read(descriptor, 1):
+            pass
+        os._exit(code)
+
+    thread = threading.Thread(target=watch, name="lifeline", daemon=True)
+    thread.start()
+    return thread

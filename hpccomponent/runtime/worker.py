@@ -1,0 +1,133 @@
+"""The worker process: runs the tasks that its component hands over, one after the other.
+
+Started by the component as ``python -P -m hpccomponent.runtime.worker``, with numpy's threads
+set to one; it ends when the channel does, and the kernel ends it when the component dies while a
+task computes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import socket
+import sys
+import traceback
+from time import perf_counter
+
+from hpccomponent import errors
+from hpccomponent.protocol.codec import decode_values, encode_values
+from hpccomponent.protocol.frames import Buffer
+from hpccomponent.protocol.messages import (
+    Batch,
+    Call,
+    Failure,
+    Result,
+    Results,
+    decode_master_message,
+    encode_message,
+)
+from hpccomponent.runtime.channel import Channel, ChannelClosedError, cut_payload
+from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
+from hpccomponent.runtime.tasks import TaskRegistry
+
+__all__ = ["main", "run_batch", "run_call"]
+
+FLUSH_S = 0.005  # results wait this long for company, so that cheap tasks share a message
+FLUSH_BYTES = 256 * 1024
+LINE_LENGTH = 1000
+
+
+def run_call(
+    call: Call, buffers: list[memoryview], tasks: TaskRegistry
+) -> tuple[Result, list[Buffer]]:
+    """Run one task.
+
+    Parameters
+    ----------
+    call : Call
+        What to run.
+    buffers : list of memoryview
+        Its buffers.
+    tasks : TaskRegistry
+        Where its name is looked up.
+
+    Returns
+    -------
+    result : Result
+        The encoded value, or what the task raised; never an exception.
+    buffers : list of bytes-like
+        The buffers of the value.
+    """
+    start = perf_counter()
+    try:
+        task = tasks.resolve(call.name)
+        arguments = decode_values(call.header, buffers)
+        start = perf_counter()  # not the import: the master learns from it what a task takes
+        value = task(*arguments)
+        seconds = perf_counter() - start
+        header, output = encode_values((value,))
+    except BaseException as error:
+        failure = _describe(error)
+        return Result(call.task, perf_counter() - start, b"", [], failure), []
+    return Result(call.task, seconds, header, [len(buffer) for buffer in output]), output
+
+
+def run_batch(batch: Batch, payload: memoryview, tasks: TaskRegistry, channel: Channel) -> None:
+    """Run the tasks of a batch and send results as they become ready, cheap ones together."""
+    buffers = iter(cut_payload(payload, [size for call in batch.calls for size in call.sizes]))
+    ready: list[Result] = []
+    output: list[Buffer] = []
+    size = 0
+    flushed = perf_counter()
+    last = batch.calls[-1]
+    for call in batch.calls:
+        result, values = run_call(call, [next(buffers) for _ in call.sizes], tasks)
+        ready.append(result)
+        output += values
+        size += len(result.header) + sum(result.sizes)
+        if call is not last and size < FLUSH_BYTES and perf_counter() - flushed < FLUSH_S:
+            continue
+        message = Results(batch.session, batch.batch, ready, call is last)
+        channel.send(encode_message(message), [[value] for value in output])
+        ready, output, size, flushed = [], [], 0, perf_counter()
+
+
+def _describe(error: BaseException) -> Failure:
+    problem = str(error)
+    advice = ""
+    kind = type(error).__name__
+    if isinstance(error, errors.HpcError):
+        problem, advice = error.problem, error.advice
+    else:
+        problem = f"{kind}: {problem}" if problem else kind
+    line = " ".join(problem.split())[:LINE_LENGTH]
+    trace = "".join(traceback.format_exception(error))
+    return Failure(kind[:LINE_LENGTH], line, advice[:LINE_LENGTH], trace[-20_000:])
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Serve the channel until the component closes it; returns the exit code."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's Ctrl-C is for the master only
+    parser = argparse.ArgumentParser(prog="hpccomponent.runtime.worker", allow_abbrev=False)
+    parser.add_argument("--channel-fd", type=int, required=True)
+    parser.add_argument("--lifeline-fd", type=int, required=True)
+    parser.add_argument("--parent", type=int, required=True)
+    parser.add_argument("--task", action="append", default=[])
+    options = parser.parse_args(arguments)
+    if not die_with_parent(options.parent, signal.SIGKILL):
+        exit_at_end_of_pipe(options.lifeline_fd, 0)
+    tasks = TaskRegistry(options.task)
+    channel = Channel(socket.socket(fileno=options.channel_fd))
+    try:
+        while True:
+            control, payload = channel.receive()
+            batch = decode_master_message(control)
+            if isinstance(batch, Batch):
+                run_batch(batch, payload, tasks, channel)
+            del control, payload  # or the last batch would stay mapped while this one waits
+    except ChannelClosedError:
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,166 @@
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hpcapp.applications.surface.hierarchical import HierarchicalMethod, plan_grid
+from hpcapp.applications.surface.topology import check_mesh
+from hpcapp.batches import Workforce
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.field import BRICK
+from hpccomponent.surface.points import PointCloud
+
+
+def ignore(done, total):
+    """Show no progress."""
+
+
+def reconstruct(cloud, method, batches=1):
+    with ThreadPoolExecutor(2) as executor:
+        workforce = Workforce(executor, 1, batches)
+        partition = method.partition(cloud, workforce)
+        quadrics = method.fit(partition, workforce, ignore)
+        return method.extract(partition, quadrics, ignore), method.facts(partition)
+
+
+def sphere(count, noise=0.0):
+    rng = np.random.default_rng(1)
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return PointCloud((1 + noise * rng.normal(size=(count, 1))) * normals, normals)
+
+
+def torus(count, major=1.0, minor=0.4):
+    rng = np.random.default_rng(2)
+    angles = rng.uniform(0, 2 * np.pi, (3 * count, 2))
+    even = rng.uniform(0, major + minor, 3 * count) < major + minor * np.cos(angles[:, 1])
+    u, v = angles[even][:count].T
+    normals = np.stack([np.cos(u) * np.cos(v), np.sin(u) * np.cos(v), np.sin(v)], axis=1)
+    ring = np.stack([np.cos(u), np.sin(u), np.zeros_like(u)], axis=1)
+    return PointCloud(major * ring + minor * normals, normals)
+
+
+def torus_distance(points, major=1.0, minor=0.4):
+    return np.hypot(np.hypot(points[:, 0], points[:, 1]) - major, points[:, 2]) - minor
+
+
+def assert_closed(mesh, genus):
+    found = check_mesh(mesh)
+    assert found.watertight
+    assert found.outward
+    assert (found.components, found.genus) == (1, genus)
+
+
+def test_a_clean_sphere_comes_out_within_a_fraction_of_the_grid_step():
+    method = HierarchicalMethod(64)
+    mesh, facts = reconstruct(sphere(10_000), method)
+    assert_closed(mesh, genus=0)
+    errors = np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1.0)
+    step = 2.0 / 56
+    assert errors.max() < 0.1 * step
+    assert errors.mean() < 0.01 * step
+    assert facts["patches"] > 1000
+    assert facts["noise"] < 0.1 * facts["spacing"] < facts["cell_size"]
+
+
+def test_a_clean_torus_keeps_its_handle():
+    mesh, _ = reconstruct(torus(10_000), HierarchicalMethod(64))
+    assert_closed(mesh, genus=1)
+    errors = np.abs(torus_distance(mesh.vertices))
+    assert errors.mean() < 0.02 * 2.8 / 56
+
+
+def test_noise_is_averaged_away():
+    noise = 0.01
+    mesh, facts = reconstruct(sphere(20_000, noise), HierarchicalMethod(64))
+    assert_closed(mesh, genus=0)
+    errors = np.linalg.norm(mesh.vertices, axis=1) - 1.0
+    assert np.sqrt((errors**2).mean()) < 0.3 * noise
+    assert facts["noise"] == pytest.approx(noise, rel=0.1)
+
+
+def test_normals_of_the_mesh_follow_the_surface():
+    mesh, _ = reconstruct(sphere(10_000), HierarchicalMethod(64))
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    cosines = (normals * (a + b + c)).sum(axis=1)
+    cosines /= np.linalg.norm(normals, axis=1) * np.linalg.norm(a + b + c, axis=1)
+    assert np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean() < 1.0
+
+
+def test_a_hole_is_closed():
+    cloud = sphere(20_000)
+    mesh, _ = reconstruct(cloud.take(cloud.positions[:, 2] < 0.85), HierarchicalMethod(64))
+    assert_closed(mesh, genus=0)
+    assert np.linalg.norm(mesh.vertices, axis=1).min() > 0.75
+
+
+def test_an_open_sheet_still_gives_a_closed_mesh():
+    rng = np.random.default_rng(3)
+    flat = np.concatenate([rng.uniform(-1, 1, (4000, 2)), np.zeros((4000, 1))], axis=1)
+    mesh, _ = reconstruct(
+        PointCloud(flat, np.tile([0.0, 0.0, 1.0], (4000, 1))), HierarchicalMethod(48)
+    )
+    assert check_mesh(mesh).watertight
+
+
+def test_bits_do_not_depend_on_the_batches():
+    cloud = torus(3000)
+    meshes = [reconstruct(cloud, HierarchicalMethod(48), n)[0] for n in (1, 3, 16)]
+    for mesh in meshes[1:]:
+        assert mesh.vertices.tobytes() == meshes[0].vertices.tobytes()
+        assert mesh.faces.tobytes() == meshes[0].faces.tobytes()
+
+
+def test_the_origin_of_the_cloud_stays_with_the_mesh():
+    cloud = sphere(2000)
+    moved = PointCloud(cloud.positions, cloud.normals, origin=np.array([5e5, 4e6, 100.0]))
+    mesh, _ = reconstruct(moved, HierarchicalMethod(32))
+    assert np.array_equal(mesh.origin, moved.origin)
+
+
+@pytest.mark.parametrize("count", [10, 60, 500])
+def test_a_sparse_cloud_gives_one_closed_ball(count):
+    mesh, _ = reconstruct(sphere(count), HierarchicalMethod(48))
+    assert_closed(mesh, genus=0)
+
+
+def test_the_grid_covers_the_cloud_with_cells_to_spare():
+    cloud = sphere(500)
+    positions = cloud.positions * [3.0, 1.0, 0.2] + [100.0, 0.0, 0.0]
+    grid = plan_grid(positions, 128)
+    sides = BRICK * np.array(grid.bricks)
+    assert sides[0] == 128
+    assert sides.max() == sides[0]
+    low, high = grid.origin, grid.origin + grid.step * sides
+    assert (positions.min(axis=0) - low > 3.9 * grid.step).all()
+    assert (high - positions.max(axis=0) > 3.9 * grid.step).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [((8,), "too coarse"), ((64, 0.0), "smoothness"), ((64, 1.0, float("nan")), "detail")],
+)
+def test_impossible_settings_are_refused(arguments, message):
+    with pytest.raises(UsageError, match=message):
+        HierarchicalMethod(*arguments)
+
+
+def test_a_cloud_that_says_nothing_is_refused():
+    with pytest.raises(InputError, match="no points with normals"):
+        reconstruct(PointCloud(np.zeros((5, 3))), HierarchicalMethod(32))
+    with pytest.raises(InputError, match="at one place"):
+        reconstruct(PointCloud(np.ones((5, 3)), np.ones((5, 3))), HierarchicalMethod(32))
+
+
+def test_the_bunny_is_closed_in_one_piece():
+    folder = os.environ.get("HPCAPP_DATA")
+    if not folder:
+        pytest.skip("HPCAPP_DATA names no folder with bunny_35947.ply")
+    from hpcapp.io import read_points
+
+    cloud = read_points(Path(folder) / "bunny_35947.ply")
+    mesh, _ = reconstruct(cloud, HierarchicalMethod(128))
+    assert_closed(mesh, genus=0)

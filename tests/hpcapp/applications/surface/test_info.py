@@ -1,0 +1,67 @@
+import json
+
+import numpy as np
+import pytest
+
+from hpcapp.applications.surface.info import describe
+from hpccomponent.surface.points import PointCloud
+
+
+def grid(step: float = 0.25) -> np.ndarray:
+    """Corners of 8 x 8 x 8 cubes."""
+    return np.stack(np.meshgrid(*[np.arange(9)] * 3), axis=-1).reshape(-1, 3) * step
+
+
+def test_a_grid_is_measured() -> None:
+    facts = describe(PointCloud(grid()))
+    assert facts["points"] == 729
+    assert facts["bounds"] == [[0, 0, 0], [2, 2, 2]]
+    assert facts["extent"] == [2, 2, 2]
+    assert facts["diagonal"] == pytest.approx(np.sqrt(12))
+    assert facts["spacing"] == pytest.approx(0.25)
+    assert facts["duplicates"] == 0
+    assert not facts["has_normals"]
+    assert not facts["has_colors"]
+
+
+def test_bounds_are_in_the_coordinates_of_the_input() -> None:
+    facts = describe(PointCloud(grid(), origin=np.array([5.4e6, 0.0, -10.0])))
+    assert facts["bounds"] == [[5400000, 0, -10], [5400002, 2, -8]]
+    assert facts["origin"] == [5400000, 0, -10]
+
+
+def test_what_is_wrong_is_counted_and_does_not_disturb() -> None:
+    positions = np.vstack([grid(), grid()[:5], grid()[:1], [[np.nan, 0, 0], [0, np.inf, 900]]])
+    normals = np.ones((len(positions), 3))
+    normals[[3, 4, 5]] = 0.0
+    normals[7, 1] = np.nan
+    colors = np.zeros((len(positions), 3), np.uint8)
+    facts = describe(PointCloud(positions, normals, colors))
+    assert facts["points"] == 737
+    assert facts["non_finite_points"] == 2
+    assert facts["non_finite_normals"] == 1
+    assert facts["zero_normals"] == 3
+    assert facts["duplicates"] == 6
+    assert facts["spacing"] == pytest.approx(0.25)
+    assert facts["bounds"] == [[0, 0, 0], [2, 2, 2]]
+    assert facts["has_normals"]
+    assert facts["has_colors"]
+
+
+def test_many_points_are_measured_from_some() -> None:
+    line = np.zeros((50_001, 3))
+    line[:, 0] = np.arange(50_001) / 8
+    assert describe(PointCloud(line))["spacing"] == 1 / 8
+
+
+@pytest.mark.parametrize("positions", [np.empty((0, 3)), np.full((3, 3), np.nan)])
+def test_nothing_to_measure_is_none(positions: np.ndarray) -> None:
+    facts = describe(PointCloud(positions))
+    assert facts["bounds"] is None
+    assert facts["spacing"] is None
+    assert facts["points"] == len(positions)
+
+
+def test_the_facts_are_json() -> None:
+    facts = describe(PointCloud(grid(), grid(), np.zeros((729, 3), np.uint8)))
+    assert json.loads(json.dumps(facts)) == facts

@@ -1,0 +1,111 @@
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hpcapp.io import (
+    check_writable,
+    drop_unusable,
+    read_mesh,
+    read_points,
+    write_mesh,
+    write_points,
+)
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.points import PointCloud
+
+Make = Callable[..., Path]
+MESH_SUFFIXES = [".ply", ".obj", ".off", ".stl", ".PLY", ".Obj"]
+POINT_SUFFIXES = [".ply", ".xyz", ".txt", ".asc", ".pts"]
+
+
+def corners(mesh: Mesh) -> np.ndarray:
+    """Every triangle by the places of its corners, in a fixed order."""
+    triangles = (mesh.vertices + mesh.origin)[mesh.faces]
+    first = [np.lexsort(t.T[::-1])[0] for t in triangles]
+    turned = np.array([np.roll(t, -i, axis=0) for t, i in zip(triangles, first, strict=True)])
+    return np.array(sorted(turned.reshape(-1, 9).tolist()))
+
+
+@pytest.mark.parametrize("suffix", MESH_SUFFIXES)
+def test_a_mesh_comes_back_in_every_format(tmp_path: Path, tetrahedron: Mesh, suffix: str) -> None:
+    write_mesh(tmp_path / f"mesh{suffix}", tetrahedron)
+    again = read_mesh(str(tmp_path / f"mesh{suffix}"))
+    assert again.vertices.shape == (4, 3)  # STL's corners are one vertex again
+    assert (corners(again) == corners(tetrahedron)).all()
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".off"])
+def test_a_georeferenced_mesh_comes_back(tmp_path: Path, tetrahedron: Mesh, suffix: str) -> None:
+    fine = Mesh(tetrahedron.vertices / 7, tetrahedron.faces, np.array([4.5e5, 5.4e6, 300.0]))
+    write_mesh(tmp_path / f"mesh{suffix}", fine)
+    again = read_mesh(tmp_path / f"mesh{suffix}")
+    assert again.origin.any()
+    assert np.abs(corners(again) - corners(fine)).max() < 1e-6
+
+
+@pytest.mark.parametrize("suffix", POINT_SUFFIXES)
+def test_a_cloud_comes_back_in_every_format(tmp_path: Path, cloud: PointCloud, suffix: str) -> None:
+    write_points(tmp_path / f"cloud{suffix}", cloud)
+    again = read_points(tmp_path / f"cloud{suffix}")
+    assert (again.positions == cloud.positions).all()
+    np.testing.assert_array_equal(again.normals, cloud.normals)
+    np.testing.assert_array_equal(again.colors, cloud.colors)
+
+
+def test_unknown_suffixes_are_answered_with_the_known(
+    tmp_path: Path, cloud: PointCloud, tetrahedron: Mesh
+) -> None:
+    for call in (
+        lambda: read_points(tmp_path / "scan.las"),
+        lambda: write_points(tmp_path / "scan.stl", cloud),
+        lambda: read_mesh(tmp_path / "mesh"),
+        lambda: write_mesh(tmp_path / "mesh.glb", tetrahedron),
+        lambda: check_writable(tmp_path / "mesh.glb"),
+        lambda: check_writable(tmp_path / "mesh.obj", "points"),
+    ):
+        with pytest.raises(UsageError, match=r"suffix.*\.ply, "):
+            call()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["missing.ply", "missing.xyz", "folder.ply", "folder.xyz"])
+def test_a_file_that_cannot_be_opened_is_bad_input(tmp_path: Path, name: str) -> None:
+    (tmp_path / "folder.ply").mkdir()
+    (tmp_path / "folder.xyz").mkdir()
+    with pytest.raises(InputError, match=f"{name}: cannot be read: (No such|Is a dir)"):
+        read_points(tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".stl"])
+@pytest.mark.parametrize("content", [b"", b"\n", b"junk\0\xff 1 2 3\n" * 20, b"solid x\n"])
+def test_what_is_no_mesh_is_refused(make_file: Make, suffix: str, content: bytes) -> None:
+    with pytest.raises(InputError, match=suffix):
+        read_mesh(make_file(f"bad{suffix}", content))
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".off", ".stl"])
+def test_a_truncated_mesh_is_refused_wherever_it_is_cut(
+    make_file: Make, tmp_path: Path, tetrahedron: Mesh, suffix: str
+) -> None:
+    write_mesh(tmp_path / f"whole{suffix}", tetrahedron)
+    whole = (tmp_path / f"whole{suffix}").read_bytes()
+    for kept in range(len(whole) - 3):  # an ascii file cut in its last number is another mesh
+        with pytest.raises(InputError):
+            read_mesh(make_file(f"cut{suffix}", whole[:kept]))
+
+
+def test_the_stanford_bunny_is_read() -> None:
+    folder = Path(os.environ.get("HPCAPP_DATA", "nowhere"))
+    scan, truth = folder / "bunny_35947.ply", folder / "bunny_zipper_mesh.ply"
+    if not (scan.is_file() and truth.is_file()):
+        pytest.skip("HPCAPP_DATA names no folder with the bunny")
+    cloud, dropped = drop_unusable(read_points(scan))
+    mesh = read_mesh(truth)
+    assert len(cloud) == len(mesh.vertices) == 35_947
+    assert dropped.total == 0
+    assert mesh.faces.shape == (69_451, 3)
+    assert (read_points(truth).positions == mesh.vertices).all()

@@ -1,0 +1,104 @@
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hpcapp.io import check_writable, write_mesh
+from hpcapp.io.staging import check_place, replacing
+from hpccomponent.errors import OutputError
+from hpccomponent.surface.mesh import Mesh
+
+
+@pytest.mark.parametrize("end", [KeyboardInterrupt, RuntimeError, SystemExit])
+@pytest.mark.parametrize("old", [b"old", None])
+def test_whatever_ends_the_writing_leaves_what_was_there(
+    tmp_path: Path, end: type[BaseException], old: bytes | None
+) -> None:
+    path = tmp_path / "mesh.ply"
+    if old is not None:
+        path.write_bytes(old)
+
+    def write_half() -> None:
+        with replacing(path) as file:
+            file.write(b"half a mesh")
+            file.flush()
+            raise end
+
+    with pytest.raises(end):
+        write_half()
+    assert [p.read_bytes() for p in tmp_path.iterdir()] == ([old] if old is not None else [])
+
+
+def test_the_place_keeps_the_old_file_until_the_new_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.ply"
+    path.write_bytes(b"old")
+    with replacing(path) as file:
+        file.write(b"new")
+        assert path.read_bytes() == b"old"
+    assert path.read_bytes() == b"new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_full_disk_is_an_output_error(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.ply"
+    with pytest.raises(OutputError, match="cannot be written: No space left"), replacing(path):
+        raise OSError(28, os.strerror(28))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_writer_that_fails_half_way_leaves_nothing(tmp_path: Path) -> None:
+    not_faces = np.array([[0, 1]])
+    with pytest.raises((ValueError, TypeError)):
+        write_mesh(tmp_path / "mesh.off", Mesh(np.zeros((3, 3)), not_faces))
+    assert not list(tmp_path.iterdir())
+
+
+def test_new_files_have_the_usual_permissions(tmp_path: Path) -> None:
+    with replacing(tmp_path / "new"):
+        pass
+    (tmp_path / "usual").touch()
+    assert (tmp_path / "new").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+def test_a_link_stays_and_its_file_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "link.ply").symlink_to(tmp_path / "deep" / "mesh.ply")
+    with replacing(tmp_path / "link.ply") as file:
+        file.write(b"new")
+    assert (tmp_path / "link.ply").is_symlink()
+    assert (tmp_path / "deep" / "mesh.ply").read_bytes() == b"new"
+
+
+def test_a_good_place_is_left_as_it_was(tmp_path: Path) -> None:
+    check_writable(tmp_path / "mesh.ply")
+    check_writable(tmp_path / "scan.xyz", "points")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("missing/mesh.ply", "No such file or directory; create the folder"),
+        ("file/mesh.ply", "Not a directory; create the folder"),
+        ("folder.ply", "is not a file"),
+        ("pipe.ply", "is not a file"),
+        ("n" * 300 + ".ply", "File name too long"),
+    ],
+)
+def test_bad_places_are_found_out_early(tmp_path: Path, name: str, said: str) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.ply").mkdir()
+    os.mkfifo(tmp_path / "pipe.ply")
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(OutputError, match=said):
+        check_place(tmp_path / name)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_folder_that_refuses_is_found_out_even_by_root() -> None:
+    place = Path("/proc/mesh.ply")
+    if not place.parent.is_dir():
+        pytest.skip("no /proc: no folder at hand that refuses root")
+    with pytest.raises(OutputError, match="cannot be written"):
+        check_place(place)

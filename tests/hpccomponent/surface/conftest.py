@@ -1,0 +1,30 @@
+"""Node values of a function that is known everywhere, brick by brick."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hpccomponent.surface.field import BRICK, NODES, Grid
+
+Function = Callable[[np.ndarray], np.ndarray]
+
+
+@pytest.fixture(scope="session")
+def brick_values() -> Callable[[Function, Grid], Callable[[np.ndarray], np.ndarray]]:
+    """Turn a function of positions into one of bricks, with the outermost nodes outside."""
+
+    def prepare(function: Function, grid: Grid) -> Callable[[np.ndarray], np.ndarray]:
+        def evaluate(places: np.ndarray) -> np.ndarray:
+            steps = np.stack(np.meshgrid(*[np.arange(NODES)] * 3, indexing="ij"), axis=-1)
+            nodes = BRICK * places[:, None, None, None, :] + steps
+            values = function(grid.origin + grid.step * nodes).astype(np.float32)
+            values[values == 0.0] = 1e-30
+            outermost = ((nodes == 0) | (nodes == BRICK * np.array(grid.bricks))).any(axis=-1)
+            return np.where(outermost, np.abs(values), values)
+
+        return evaluate
+
+    return prepare

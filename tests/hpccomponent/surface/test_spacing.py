@@ -1,0 +1,35 @@
+import numpy as np
+import pytest
+
+from hpccomponent.errors import InputError
+from hpccomponent.surface.spacing import estimate_spacing
+
+
+def sphere(count, seed=0):
+    directions = np.random.default_rng(seed).normal(size=(count, 3))
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("count", [500, 20_000, 500_000])
+def test_spacing_follows_the_area_per_point(count):
+    """Boxes cover up to twice the area that passes through them, so it errs on the large side."""
+    true = np.sqrt(4 * np.pi / count)
+    assert 1.0 * true < estimate_spacing(sphere(count)) < 1.6 * true
+
+
+def test_spacing_scales_and_moves_with_the_cloud():
+    points = sphere(3000)
+    spacing = estimate_spacing(points)
+    assert estimate_spacing(8.0 * points) == pytest.approx(8.0 * spacing)
+    assert estimate_spacing(points + 1e4) == pytest.approx(spacing, rel=0.05)
+
+
+@pytest.mark.parametrize("points", [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0]] * 9 + [[1, 2, 3]]])
+def test_a_few_points_have_a_spacing_too(points):
+    spacing = estimate_spacing(np.array(points, dtype=float))
+    assert 0 < spacing < np.inf
+
+
+def test_points_at_one_place_are_refused():
+    with pytest.raises(InputError, match="all 10 points lie at one place"):
+        estimate_spacing(np.ones((10, 3)))

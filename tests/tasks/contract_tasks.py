@@ -1,0 +1,62 @@
+"""Task functions for the tests of executors: importable by name on every backend."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def echo(*values: Any) -> Any:
+    """Return the only value, or all of them as a tuple."""
+    return values[0] if len(values) == 1 else values
+
+
+def no_operation() -> None:
+    """Do nothing."""
+
+
+def total(values: np.ndarray[Any, Any]) -> float:
+    """Return the sum, in the order of the values."""
+    return float(np.add.reduce(values))
+
+
+def fail(reason: str) -> None:
+    """Raise."""
+    raise ValueError(reason)
+
+
+def append_line(path: str) -> None:
+    """Leave one line per run."""
+    with Path(path).open("a", encoding="utf-8") as stream:
+        stream.write(f"{os.getpid()}\n")
+
+
+def wait_for_file(path: str) -> str:
+    """Return once a file exists: the test says when."""
+    while not Path(path).exists():
+        time.sleep(0.005)
+    return path
+
+
+def announce_and_wait(started: str, released: str) -> int:
+    """Leave the process id in a file, and return it once another file exists."""
+    beside = Path(f"{started}.part")
+    beside.write_text(str(os.getpid()), encoding="utf-8")
+    beside.rename(started)
+    wait_for_file(released)
+    return os.getpid()
+
+
+def kill_worker() -> None:
+    """End the process that runs this task, as a crash would."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def read_process() -> tuple[int, int, str]:
+    """Return the process's id, its parent's, and how many threads BLAS may use."""
+    return os.getpid(), os.getppid(), os.environ["OPENBLAS_NUM_THREADS"]
