@@ -8,8 +8,7 @@ import numpy as np
 
 from hpcapp.applications.surface.pyramid import build_pyramid, corner_moments, fit_pyramid
 from hpcapp.batches import Workforce
-from hpccomponent.surface.hermite import evaluate_residuals
-from hpccomponent.surface.lattice import find_keys
+from hpccomponent.surface import kernels
 from hpccomponent.surface.points import PointCloud
 from hpccomponent.surface.spacing import estimate_spacing
 
@@ -85,8 +84,8 @@ def _probe_noise(cloud: PointCloud, cell_size: float, workforce: Workforce) -> f
     rich = moments[:, 0] >= _PROBE_POINTS
     if not rich.any():
         return 0.0
-    coefficients = quadrics.coefficients[find_keys(finest.vertices, finest.touched)]
-    residuals = evaluate_residuals(moments[rich], coefficients[rich])
+    coefficients = quadrics.coefficients[kernels.find_keys(finest.vertices, finest.touched)]
+    residuals = kernels.evaluate_residuals(moments[rich], coefficients[rich])
     return pyramid.cell_size * float(np.sqrt(np.median(residuals / (moments[rich, 0] - _FREE))))
 
 

@@ -15,19 +15,9 @@ import numpy as np
 
 from hpcapp.applications.surface.method import Advance
 from hpcapp.batches import Workforce, map_batches
-from hpccomponent.surface.hermite import BASIS, fit_vertices, inherit_quadrics
-from hpccomponent.surface.lattice import (
-    OCTANTS,
-    cells_of,
-    corner_parents,
-    find_keys,
-    pack_places,
-    spread_keys,
-    step_keys,
-    unique_keys,
-    unpack_keys,
-)
-from hpccomponent.surface.moments import accumulate_moments, scale_moments, shift_moments
+from hpccomponent.surface import kernels
+from hpccomponent.surface.hermite import BASIS
+from hpccomponent.surface.lattice import OCTANTS, step_keys
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, bounding_box
 
 __all__ = ["Level", "Pyramid", "VertexQuadrics", "build_pyramid", "corner_moments", "fit_pyramid"]
@@ -114,12 +104,12 @@ def build_pyramid(cloud: PointCloud, cell_size: float, workforce: Workforce) -> 
     longest = float((high - low).max())
     coarser = max(0, int(np.floor(np.log2(longest / cell_size / _COARSEST_CELLS))))
     cells, moments = _finest_moments(cloud, low, cell_size, workforce)
-    vertices = spread_keys(cells, -1, 2)
-    levels = [Level(cells, moments, spread_keys(cells, 0, 1), vertices)]
+    vertices = kernels.spread_keys(cells, -1, 2)
+    levels = [Level(cells, moments, kernels.spread_keys(cells, 0, 1), vertices)]
     for _ in range(coarser):
-        cells, moments = _merge_cells(cells, moments)
-        touched = spread_keys(cells, 0, 1)
-        vertices = unique_keys(np.concatenate([touched, _all_parents(vertices)]))
+        cells, moments = kernels.merge_cells(cells, moments)
+        touched = kernels.spread_keys(cells, 0, 1)
+        vertices = kernels.unite_keys(touched, kernels.parent_keys(vertices))
         levels.append(Level(cells, moments, touched, vertices))
     return Pyramid(low, cell_size, tuple(levels))
 
@@ -129,41 +119,15 @@ def _finest_moments(
 ) -> tuple[IntArray, FloatArray]:
     """Sort the points by cell and sum the moments of each cell."""
     assert cloud.normals is not None  # noqa: S101 - checked by the method, at its border
-    places = cells_of(cloud.positions, origin, cell_size)
-    corners = np.floor(places)
-    keys = pack_places(corners.astype(np.int64))
-    order = np.argsort(keys, kind="stable")
-    local = (places - corners - 0.5)[order]
-    normals = cloud.normals[order]
-    cells = unique_keys(keys)
-    offsets = np.append(np.searchsorted(keys[order], cells), len(keys)).astype(np.int64)
+    cells, offsets, local, normals = kernels.sort_points(
+        cloud.positions, cloud.normals, origin, cell_size
+    )
     batches = []
     for cut in workforce.cut(len(cells)):
         bounds = offsets[cut.start : cut.stop + 1]
         points = slice(int(bounds[0]), int(bounds[-1]))
         batches.append((local[points], normals[points], bounds - bounds[0]))
-    return cells, np.concatenate(map_batches(workforce, accumulate_moments, batches))
-
-
-def _merge_cells(cells: IntArray, moments: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Sum the moments of each eight children about the centre of their parent."""
-    places = unpack_keys(cells)
-    parent_keys = pack_places(places >> 1)
-    parents = unique_keys(parent_keys)
-    owners = find_keys(parents, parent_keys)
-    which = (places & 1) @ np.array([1, 2, 4])
-    merged = np.zeros((len(parents), moments.shape[1]))
-    for child, octant in enumerate(OCTANTS):
-        chosen = which == child
-        merged[owners[chosen]] += shift_moments(moments[chosen], octant - 0.5)
-    return parents, scale_moments(merged)
-
-
-def _all_parents(vertices: IntArray) -> IntArray:
-    """Return every parent of some vertices, sorted."""
-    places = unpack_keys(vertices)
-    parents = [unique_keys(corner_parents(places, octant)[0]) for octant in OCTANTS]
-    return unique_keys(np.concatenate(parents))
+    return cells, np.concatenate(map_batches(workforce, kernels.accumulate_moments, batches))
 
 
 def corner_moments(level: Level) -> FloatArray:
@@ -177,11 +141,7 @@ def corner_moments(level: Level) -> FloatArray:
     -------
     ndarray of float64, shape (t, 44)
     """
-    total = np.zeros((len(level.touched), level.moments.shape[1]))
-    for octant in OCTANTS:
-        rows = find_keys(level.touched, step_keys(level.cells, octant))
-        total[rows] += shift_moments(level.moments, 0.5 - octant)
-    return total
+    return kernels.corner_moments(level.touched, level.cells, level.moments)
 
 
 def fit_pyramid(
@@ -209,16 +169,16 @@ def fit_pyramid(
     """
     total = sum(len(level.touched) for level in pyramid.levels)
     done = 0
+    weights = (lam, mu)
     above: tuple[Level, VertexQuadrics] | None = None
     for level in reversed(pyramid.levels):
         quadrics = _inherit_level(level, above)
-        rows = find_keys(level.vertices, level.touched)
-        moments = corner_moments(level)
+        rows = kernels.find_keys(level.vertices, level.touched)
         prior = quadrics.coefficients[rows]
-        batches = [(moments[cut], prior[cut], lam, mu) for cut in workforce.cut(len(rows))]
-        fitted = map_batches(workforce, fit_vertices, batches)
-        quadrics.coefficients[rows] = np.concatenate(fitted)
-        quadrics.counts[rows] = moments[:, 0]
+        batches = [_fit_batch(level, prior, weights, cut) for cut in workforce.cut(len(rows))]
+        fitted = map_batches(workforce, kernels.fit_corners, batches)
+        quadrics.coefficients[rows] = np.concatenate([part for part, _ in fitted])
+        quadrics.counts[rows] = np.concatenate([counts for _, counts in fitted])
         above = (level, quadrics)
         done += len(rows)
         if advance is not None:
@@ -233,11 +193,20 @@ def _inherit_level(level: Level, above: tuple[Level, VertexQuadrics] | None) -> 
     if above is None:
         return start
     parent_level, parents = above
-    places = unpack_keys(level.vertices)
     support = parents.counts + _ANCESTORS * parents.inherited
-    for octant in OCTANTS:
-        keys, steps = corner_parents(places, octant)
-        rows = find_keys(parent_level.vertices, keys)
-        start.coefficients[:] += 0.125 * inherit_quadrics(parents.coefficients[rows], steps)
-        start.inherited[:] += 0.125 * support[rows]
-    return start
+    means, inherited = kernels.inherit_level(
+        level.vertices, parent_level.vertices, parents.coefficients, support
+    )
+    return VertexQuadrics(means, start.counts, inherited)
+
+
+def _fit_batch(
+    level: Level, prior: FloatArray, weights: tuple[float, float], cut: slice
+) -> tuple[FloatArray | IntArray, ...]:
+    """Return the arguments of a fit: some corners, and a run of cells that holds all around them."""
+    touched = level.touched[cut]
+    first = step_keys(touched[0], -OCTANTS[-1])
+    bounds = np.searchsorted(level.cells, (first, touched[-1] + 1))
+    near = slice(int(bounds[0]), int(bounds[1]))
+    lam, mu = (np.full(len(touched), weight) for weight in weights)
+    return touched, level.cells[near], level.moments[near], prior[cut], lam, mu
