@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
@@ -152,7 +152,8 @@ def _open_pool(name: str, count: int) -> Iterator[Executor]:
     elif name == "threads":
         pool = ThreadPoolExecutor(count, thread_name_prefix="worker")
     else:
-        import multiprocessing
+        import multiprocessing  # heavy, like the pool
+        from concurrent.futures import ProcessPoolExecutor
 
         # Spawned, not forked: a fork copies locks that threads of this process may hold.
         pool = ProcessPoolExecutor(

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.points import IntArray
+from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["Survey", "label_components", "survey_mesh"]
+__all__ = ["Survey", "label_components", "signed_volume", "survey_mesh"]
 
 Labels = NDArray[np.int32]
 
@@ -116,6 +116,26 @@ def survey_mesh(faces: IntArray, vertices: int) -> Survey:
         _count_fans(faces, edges),
         np.bincount(edges.ends[:, 0], minlength=vertices).astype(np.int32),
     )
+
+
+def signed_volume(vertices: FloatArray, faces: IntArray, reference: FloatArray) -> float:
+    """Return the volume inside a closed mesh, negative if its faces look inwards.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (v, 3)
+    faces : ndarray of int64, shape (f, 3)
+    reference : ndarray of float64, shape (3,)
+        A point near the mesh: a mesh far from the origin loses no digits.
+
+    Returns
+    -------
+    float
+        In cubed length units of the input; of no meaning for an open mesh.
+    """
+    local = vertices - reference
+    a, b, c = (local[faces[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
 def _group_edges(faces: IntArray, vertices: int) -> _Edges:

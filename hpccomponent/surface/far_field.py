@@ -30,7 +30,8 @@ class FarField:
     Parameters
     ----------
     values : ndarray of float32, shape (g, g, g)
-        In length units of the input, positive outside, at most 1.5 steps large.
+        In length units of the input, positive outside, at most 1.5 steps large; 0 far from the
+        box that the field was asked to cover.
     origin : ndarray of float64, shape (3,)
         Where node (0, 0, 0) lies.
     step : float
@@ -77,7 +78,8 @@ def solve_far_field(
     step = edge / _NODES
     origin = 0.5 * (low + high) - 0.5 * edge
     places = (centroids - origin) / step
-    chi = _integrate(places, normals, max(1.0, smoothing / step))
+    held = _held_rows((low - origin) / step, (high - origin) / step)
+    chi = _integrate(places, normals, max(1.0, smoothing / step), held)
     unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     chi -= np.float32(sample_grid(chi, places).mean())
     rise = sample_grid(chi, places + unit) - sample_grid(chi, places - unit)
@@ -87,24 +89,60 @@ def solve_far_field(
     return FarField(chi, origin, step)
 
 
-def _integrate(places: FloatArray, normals: FloatArray, smoothing: float) -> Float32Array:
+def _integrate(
+    places: FloatArray, normals: FloatArray, smoothing: float, held: tuple[slice, slice]
+) -> Float32Array:
     """Return the function whose gradient is nearest to the normals smeared by `smoothing` steps.
 
-    In single precision and one component after the other: the grids are most of the memory.
+    Only between the planes and rows `held`, and 0 elsewhere; all samples lie between them.
+    In single precision and one component after the other: the grids are most of the memory. The
+    transforms run axis by axis, so that rows without a sample are skipped and sums share them.
     """
-    from hpccomponent.surface.kernels import spread_component
-
     full = (2.0 * np.pi * np.fft.fftfreq(_NODES)).astype(np.float32)
     half = (2.0 * np.pi * np.fft.rfftfreq(_NODES)).astype(np.float32)
-    waves = (full[:, None, None], full[None, :, None], half[None, None, :])
-    square = waves[0] ** 2 + waves[1] ** 2 + waves[2] ** 2
+    kx, ky, kz = full[:, None, None], full[None, :, None], half[None, None, :]
+    total = _transform_rows(places, normals, 2, held)
+    total *= kz
+    total = np.fft.fft(total, axis=1)
+    total += ky * np.fft.fft(_transform_rows(places, normals, 1, held), axis=1)
+    total = np.fft.fft(_pad_planes(total, held), axis=0)
+    first = np.fft.fft(_transform_rows(places, normals, 0, held), axis=1)
+    total += kx * np.fft.fft(_pad_planes(first, held), axis=0)
+    square = kx**2 + ky**2 + kz**2
     square[0, 0, 0] = 1.0
-    total = np.zeros(square.shape, np.complex64)
-    for axis, wave in enumerate(waves):
-        spectrum = np.fft.rfftn(spread_component(places, normals, axis, _NODES))
-        spectrum *= wave
-        total += spectrum
     total *= np.exp(np.float32(-0.5 * smoothing**2) * square) / square
     total *= np.complex64(-1j)
     total[0, 0, 0] = 0.0
-    return np.fft.irfftn(total, s=(_NODES,) * 3, axes=(0, 1, 2)).astype(np.float32, copy=False)
+    total = np.fft.ifft(total, axis=0)[held[0]]
+    total = np.fft.ifft(total, axis=1)[:, held[1]]
+    chi = np.zeros((_NODES,) * 3, np.float32)
+    chi[held] = np.fft.irfft(total, _NODES, axis=2)
+    return chi
+
+
+def _held_rows(low: FloatArray, high: FloatArray) -> tuple[slice, slice]:
+    """Return the planes and the rows of the grid that a box and two nodes around it take up."""
+    first = np.maximum(np.floor(low).astype(int) - 2, 0)
+    last = np.minimum(np.ceil(high).astype(int) + 3, _NODES)
+    return slice(first[0], last[0]), slice(first[1], last[1])
+
+
+def _transform_rows(
+    places: FloatArray, normals: FloatArray, axis: int, held: tuple[slice, slice]
+) -> NDArray[np.complex64]:
+    """Transform one component along z, within the planes that hold samples."""
+    from hpccomponent.surface.kernels import spread_component  # which knows fields
+
+    grid = spread_component(places, normals, axis, _NODES)[held]
+    rows = np.zeros((grid.shape[0], _NODES, _NODES // 2 + 1), np.complex64)
+    rows[:, held[1]] = np.fft.rfft(grid, axis=2)
+    return rows
+
+
+def _pad_planes(
+    planes: NDArray[np.complex64], held: tuple[slice, slice]
+) -> NDArray[np.complex64]:
+    """Put the planes that hold samples between those that hold none."""
+    padded = np.zeros((_NODES, *planes.shape[1:]), np.complex64)
+    padded[held[0]] = planes
+    return padded

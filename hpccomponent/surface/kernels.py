@@ -33,6 +33,7 @@ __all__ = [
     "parent_keys",
     "sample_grid",
     "seed_bricks",
+    "signed_volume",
     "sort_points",
     "spread_component",
     "spread_keys",
@@ -283,6 +284,15 @@ def survey_mesh(faces: IntArray, vertices: int) -> Survey:
 
         return connectivity.survey_mesh(faces, vertices)
     return Survey(*_native.survey_mesh(_integers(faces), vertices))
+
+
+def signed_volume(vertices: FloatArray, faces: IntArray, reference: FloatArray) -> float:
+    """Return the volume inside a closed mesh; see `connectivity.signed_volume`."""
+    if _native is None:
+        from hpccomponent.surface import connectivity
+
+        return connectivity.signed_volume(vertices, faces, reference)
+    return float(_native.signed_volume(_floats(vertices), _integers(faces), _floats(reference)))
 
 
 def _field_values(field: Field) -> tuple[Any, ...]:

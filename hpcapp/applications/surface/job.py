@@ -15,10 +15,8 @@ from typing import Any
 
 from hpcapp.applications.surface.hierarchical import HierarchicalMethod
 from hpcapp.applications.surface.method import Method
-from hpcapp.applications.surface.paper import PaperMethod
 from hpcapp.applications.surface.pipeline import Preprocess, Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
-from hpcapp.applications.surface.preprocess import denoise, remove_outliers, resample
 from hpcapp.backends import Backend, available_cores, open_executor
 from hpcapp.io import check_writable, drop_unusable, read_points, write_mesh
 from hpcapp.io.usable import Dropped
@@ -99,7 +97,8 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
             cloud, dropped = drop_unusable(read_points(settings.points))
         _report_dropped(settings.points, dropped)
         grid = _choose_grid(settings, cloud)
-        method = _choose_method(settings, grid)
+        threads = available_cores() if len(cloud) >= THREADS_FROM_POINTS else 1
+        method = _choose_method(settings, grid, threads)
         backend_name = _choose_backend(settings, cloud)
         with open_executor(
             backend_name, workers=settings.workers, policy=settings.policy
@@ -161,9 +160,11 @@ def _choose_grid(settings: Settings, cloud: PointCloud) -> int:
     return cells
 
 
-def _choose_method(settings: Settings, grid: int) -> Method[Any, Any]:
+def _choose_method(settings: Settings, grid: int, threads: int) -> Method[Any, Any]:
     if settings.method == "hierarchical":
-        return HierarchicalMethod(grid=grid, smoothness=settings.smoothness, detail=settings.detail)
+        return HierarchicalMethod(grid, settings.smoothness, settings.detail, threads)
+    from hpcapp.applications.surface.paper import PaperMethod  # it stands on heavy modules
+
     return PaperMethod(
         delta=settings.delta,
         max_points=settings.max_points,
@@ -176,6 +177,10 @@ def _choose_method(settings: Settings, grid: int) -> Method[Any, Any]:
 
 def _steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:
     """Return the preprocessing steps that are switched on, in the paper's order."""
+    if not (settings.outliers or settings.denoise or settings.resample):
+        return ()  # what the steps stand on is heavy
+    from hpcapp.applications.surface.preprocess import denoise, remove_outliers, resample
+
     wanted: tuple[tuple[bool, str, Preprocess], ...] = (
         (settings.outliers, "remove outliers", remove_outliers),
         (settings.denoise, "denoise", denoise),

@@ -127,7 +127,20 @@ def _finest_moments(
         bounds = offsets[cut.start : cut.stop + 1]
         points = slice(int(bounds[0]), int(bounds[-1]))
         batches.append((local[points], normals[points], bounds - bounds[0]))
-    return cells, np.concatenate(map_batches(workforce, kernels.accumulate_moments, batches))
+    return cells, _join(map_batches(workforce, kernels.accumulate_moments, batches))
+
+
+def _join(parts: list[FloatArray]) -> FloatArray:
+    """Concatenate arrays and let go of each as soon as it is copied; `parts` is empty then."""
+    if len(parts) == 1:
+        return parts.pop()
+    joined = np.empty((sum(map(len, parts)), *parts[0].shape[1:]))
+    end = len(joined)
+    while parts:
+        part = parts.pop()
+        joined[end - len(part) : end] = part
+        end -= len(part)
+    return joined
 
 
 def corner_moments(level: Level) -> FloatArray:
@@ -177,8 +190,8 @@ def fit_pyramid(
         prior = quadrics.coefficients[rows]
         batches = [_fit_batch(level, prior, weights, cut) for cut in workforce.cut(len(rows))]
         fitted = map_batches(workforce, kernels.fit_corners, batches)
-        quadrics.coefficients[rows] = np.concatenate([part for part, _ in fitted])
-        quadrics.counts[rows] = np.concatenate([counts for _, counts in fitted])
+        quadrics.coefficients[rows] = _join([part for part, _ in fitted])
+        quadrics.counts[rows] = _join([counts for _, counts in fitted])
         above = (level, quadrics)
         done += len(rows)
         if advance is not None:

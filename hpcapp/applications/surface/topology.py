@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from hpccomponent.surface import kernels
 from hpccomponent.surface.connectivity import Survey
-from hpccomponent.surface.kernels import label_components, survey_mesh
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import IntArray
 
@@ -90,11 +90,11 @@ def check_mesh(mesh: Mesh) -> Topology:
     faces, used = _renumber(mesh.faces)
     if not len(faces):
         return Topology(False, True, True, True, False, 0, None, (), 0, 0, 0)
-    survey = survey_mesh(faces, used)
+    survey = kernels.survey_mesh(faces, used)
     edge_manifold = not survey.overfull and not survey.degenerate
     vertex_manifold = survey.fans == used
     watertight = edge_manifold and vertex_manifold and not survey.boundary
-    components, label = label_components(faces, used)
+    components, label = kernels.label_components(faces, used)
     genera = _component_genera(faces, survey, label, components) if watertight else ()
     return Topology(
         watertight,
@@ -125,10 +125,7 @@ def signed_volume(mesh: Mesh) -> float:
     """
     if not len(mesh.faces):
         return 0.0
-    # Relative to the mean vertex, so that a mesh far from the origin loses no digits.
-    local = mesh.vertices - mesh.vertices.mean(axis=0)
-    a, b, c = (local[mesh.faces[:, k]] for k in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+    return kernels.signed_volume(mesh.vertices, mesh.faces, mesh.vertices.mean(axis=0))
 
 
 def _renumber(faces: IntArray) -> tuple[IntArray, int]:

@@ -52,14 +52,14 @@ struct Shape {
 
 // Collapse z. raw: [channel][z][y][lanes]; out: [channel][y][node][lanes], with
 // [1, x, y, xx, yy, xy, presence, trust].
-HPC_INLINE void collapse_z(const double* raw, const Shape& shape, const Axis& axis, double* out, const int lanes) {
+HPC_INLINE void collapse_z(const double* __restrict raw, const Shape& shape, const Axis& axis, double* __restrict out, const int lanes) {
   const int64_t from = int64_t{1} * shape.z * shape.y * lanes, to = int64_t{1} * shape.y * NODES * lanes;
   for (int y = 0; y < shape.y; ++y)
     for (int node = 0; node < NODES; ++node) {
       const double w = axis.weight[node], v = 1.0 - w, t = axis.local[node], s = t - 1.0;
-      const double* a = raw + (axis.below[node] * shape.y + y) * lanes;
+      const double* __restrict a = raw + (axis.below[node] * shape.y + y) * lanes;
       const double* b = a + shape.y * lanes;
-      double* o = out + (y * NODES + node) * lanes;
+      double* __restrict o = out + (y * NODES + node) * lanes;
       for (int i = 0; i < lanes; ++i) {
         const auto A = [&](int channel) { return a[channel * from + i]; };
         const auto B = [&](int channel) { return b[channel * from + i]; };
@@ -77,13 +77,13 @@ HPC_INLINE void collapse_z(const double* raw, const Shape& shape, const Axis& ax
 
 // Collapse y. in: [channel][y][z node][lanes]; out: [channel][y node][z node][lanes], with
 // [1, x, xx, presence, trust].
-HPC_INLINE void collapse_y(const double* in, const Shape& shape, const Axis& axis, double* out, const int lanes) {
+HPC_INLINE void collapse_y(const double* __restrict in, const Shape& shape, const Axis& axis, double* __restrict out, const int lanes) {
   const int64_t from = int64_t{1} * shape.y * NODES * lanes, to = int64_t{1} * NODES * NODES * lanes;
   for (int node = 0; node < NODES; ++node) {
     const double w = axis.weight[node], v = 1.0 - w, t = axis.local[node], s = t - 1.0;
     const double* a = in + axis.below[node] * NODES * lanes;
     const double* b = a + NODES * lanes;
-    double* o = out + node * NODES * lanes;
+    double* __restrict o = out + node * NODES * lanes;
     for (int i = 0; i < NODES * lanes; ++i) {
       const auto A = [&](int channel) { return a[channel * from + i]; };
       const auto B = [&](int channel) { return b[channel * from + i]; };

@@ -134,31 +134,6 @@ HPC_CLONES void fit_rows(const double* moments, const Fits& fits, int64_t start,
   }
 }
 
-// The cells around each vertex of a block: rows of `moments`, -1 where there is no point.
-using Around = int64_t[8][LANES];
-
-// Sum the moments of the cells around the vertices of a block, octant after octant.
-HPC_INLINE void gather_block(const double* moments, const Around& around, Block& total) {
-  for (int column = 0; column < COLUMNS; ++column) EACH_LANE total[column][lane] = 0.0;
-  for (int octant = 0; octant < 8; ++octant) {
-    Block part;
-    double steps[3][LANES];
-    bool any = false;
-    EACH_LANE any = any || around[octant][lane] >= 0;
-    if (!any) continue;
-    for (int axis = 0; axis < 3; ++axis)
-      EACH_LANE steps[axis][lane] = (octant >> axis & 1) ? -0.5 : 0.5;
-    EACH_LANE {
-      const int64_t row = around[octant][lane];
-      for (int column = 0; column < COLUMNS; ++column)
-        part[column][lane] = row < 0 ? 0.0 : moments[row * COLUMNS + column];
-    }
-    shift_block(part, steps);
-    for (int column = 0; column < COLUMNS; ++column)
-      EACH_LANE total[column][lane] += part[column][lane];
-  }
-}
-
 // Looks up the cells around vertices that come in the order of their keys.
 class Corners {
  public:
@@ -168,7 +143,7 @@ class Corners {
   void find(int64_t start, int width, Around& around) {
     for (int octant = 0; octant < 8; ++octant) {
       int64_t back = 0;
-      for (int axis = 0; axis < 3; ++axis) back += (octant >> axis & 1) * STRIDES[axis];
+      for (int axis = 0; axis < 3; ++axis) back += (octant >> axis & 1) ? 0 : STRIDES[axis];
       EACH_LANE around[octant][lane] = lane < width ? fingers_[octant].find(vertices_[start + lane] - back) : -1;
     }
   }

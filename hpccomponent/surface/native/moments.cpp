@@ -23,28 +23,55 @@ struct Products {
 
 constexpr Products PRODUCTS;
 
-HPC_INLINE void write_monomials(const double* u, const double* n, double* m) {
-  m[0] = 1.0;
-  for (int column = 1; column < MONOMIALS; ++column)
-    m[column] = m[PRODUCTS.source[column]] * u[PRODUCTS.axis[column]];
-  for (int axis = 0; axis < 3; ++axis) {
-    m[35 + axis] = n[axis];
-    m[38 + axis] = 2.0 * u[axis] * n[axis];
+#define EACH_LANE for (int lane = 0; lane < LANES; ++lane)
+
+// One point of each lane's cell; lanes whose cell has no more points hold zeros.
+struct Points {
+  double one[LANES], u[3][LANES], n[3][LANES];
+};
+
+HPC_INLINE void add_points(const Points& p, Block& sums) {
+  double m[MONOMIALS][LANES];
+  EACH_LANE m[0][lane] = p.one[lane];
+  EACH_LANE sums[0][lane] += m[0][lane];
+  for (int column = 1; column < MONOMIALS; ++column) {
+    EACH_LANE m[column][lane] = m[PRODUCTS.source[column]][lane] * p.u[PRODUCTS.axis[column]][lane];
+    EACH_LANE sums[column][lane] += m[column][lane];
   }
-  m[41] = u[1] * n[0] + u[0] * n[1];
-  m[42] = u[2] * n[1] + u[1] * n[2];
-  m[43] = u[2] * n[0] + u[0] * n[2];
+  for (int a = 0; a < 3; ++a) {
+    // xx, yy, zz follow from one axis; xy, yz, zx from two neighbouring ones.
+    const int b = (a + 1) % 3;
+    EACH_LANE sums[35 + a][lane] += p.n[a][lane];
+    EACH_LANE sums[38 + a][lane] += 2.0 * p.u[a][lane] * p.n[a][lane];
+    EACH_LANE sums[41 + a][lane] += p.u[b][lane] * p.n[a][lane] + p.u[a][lane] * p.n[b][lane];
+  }
 }
 
+// Each lane sums the points of one cell, in their order.
 HPC_CLONES void sum_cells(const double* local, const double* normals, const int64_t* offsets,
                           int64_t start, int64_t stop, double* moments) {
-  for (int64_t cell = start; cell < stop; ++cell) {
-    double sums[COLUMNS] = {0.0}, terms[COLUMNS];
-    for (int64_t i = offsets[cell]; i < offsets[cell + 1]; ++i) {
-      write_monomials(local + 3 * i, normals + 3 * i, terms);
-      for (int column = 0; column < COLUMNS; ++column) sums[column] += terms[column];
+  for (; start < stop; start += LANES) {
+    const int width = static_cast<int>(std::min<int64_t>(LANES, stop - start));
+    int64_t longest = 0;
+    for (int lane = 0; lane < width; ++lane)
+      longest = std::max(longest, offsets[start + lane + 1] - offsets[start + lane]);
+    Block sums = {};
+    Points points = {};
+    for (int64_t turn = 0; turn < longest; ++turn) {
+      for (int lane = 0; lane < width; ++lane) {
+        const int64_t i = offsets[start + lane] + turn;
+        const bool present = i < offsets[start + lane + 1];
+        points.one[lane] = present ? 1.0 : 0.0;
+        for (int axis = 0; axis < 3; ++axis) {
+          points.u[axis][lane] = present ? local[3 * i + axis] : 0.0;
+          points.n[axis][lane] = present ? normals[3 * i + axis] : 0.0;
+        }
+      }
+      add_points(points, sums);
     }
-    for (int column = 0; column < COLUMNS; ++column) moments[cell * COLUMNS + column] = sums[column];
+    for (int lane = 0; lane < width; ++lane)
+      for (int column = 0; column < COLUMNS; ++column)
+        moments[(start + lane) * COLUMNS + column] = sums[column][lane];
   }
 }
 
@@ -98,27 +125,6 @@ Output<double> shift_moments(Input moments_of, Input shift_of) {
   return give(std::move(shifted), {static_cast<size_t>(count), COLUMNS});
 }
 
-// Add rows to their parents', child after child; `order` holds key * 8 + octant.
-HPC_CLONES void merge_rows(const double* moments, const Ranked* order, int64_t count,
-                           const int32_t* owners, double* merged) {
-  Block block;
-  double steps[3][LANES];
-  for (int64_t start = 0; start < count; start += LANES) {
-    const int width = static_cast<int>(std::min<int64_t>(LANES, count - start));
-    for (int lane = 0; lane < LANES; ++lane) {
-      const Ranked child = order[start + std::min(lane, width - 1)];
-      for (int axis = 0; axis < 3; ++axis) steps[axis][lane] = (child.key >> axis & 1) ? 0.5 : -0.5;
-      for (int column = 0; column < COLUMNS; ++column)
-        block[column][lane] = moments[child.row * static_cast<int64_t>(COLUMNS) + column];
-    }
-    shift_block(block, steps);
-    for (int lane = 0; lane < width; ++lane) {
-      double* row = merged + owners[start + lane] * static_cast<int64_t>(COLUMNS);
-      for (int column = 0; column < COLUMNS; ++column) row[column] += block[column][lane];
-    }
-  }
-}
-
 // Express rows in cells of twice the size; powers of two are exact.
 HPC_CLONES void scale_rows(double* rows, int64_t count) {
   double factors[COLUMNS];
@@ -143,6 +149,7 @@ Output<double> scale_moments(Input moments_of) {
 
 // Rank cells by parent, then by octant.
 std::vector<Ranked> rank_children(const int64_t* cells, int64_t count, Span& span) {
+  if (!count) return {};
   Place low{BIAS, BIAS, BIAS}, high{-BIAS, -BIAS, -BIAS};
   for (int64_t i = 0; i < count; ++i) {
     const Place place = unpack(cells[i]);
@@ -162,29 +169,53 @@ std::vector<Ranked> rank_children(const int64_t* cells, int64_t count, Span& spa
   return order;
 }
 
+// The children of each parent, octants with x fastest; -1 where there is none.
+struct Family {
+  int64_t key;
+  int64_t children[8];
+};
+
+std::vector<Family> group_children(const int64_t* cells, int64_t count) {
+  Span span({0, 0, 0}, {0, 0, 0});
+  const std::vector<Ranked> order = rank_children(cells, count, span);
+  std::vector<Family> families;
+  families.reserve(order.size() / 2);
+  for (size_t i = 0; i < order.size(); ++i) {
+    if (!i || order[i].key >> 3 != order[i - 1].key >> 3)
+      families.push_back({pack(span.restore(order[i].key >> 3)), {-1, -1, -1, -1, -1, -1, -1, -1}});
+    families.back().children[order[i].key & 7] = order[i].row;
+  }
+  return families;
+}
+
+HPC_CLONES void merge_rows(const double* moments, const Family* families, int64_t count, double* merged) {
+  Block block;
+  Around around;
+  for (int64_t start = 0; start < count; start += LANES) {
+    const int width = static_cast<int>(std::min<int64_t>(LANES, count - start));
+    for (int octant = 0; octant < 8; ++octant)
+      EACH_LANE around[octant][lane] = lane < width ? families[start + lane].children[octant] : -1;
+    gather_block(moments, around, block);
+    for (int lane = 0; lane < width; ++lane)
+      for (int column = 0; column < COLUMNS; ++column)
+        merged[(start + lane) * COLUMNS + column] = block[column][lane];
+  }
+}
+
 nb::tuple merge_cells(Input cells_of, Input moments_of) {
   const int64_t* cells = check_keys(cells_of, "cells");
   const int64_t count = rows_of(cells_of);
   const double* moments = check<double>(moments_of, "moments", {count, COLUMNS});
   std::vector<int64_t> parents;
   Buffer<double> merged;
-  if (count) {
+  {
     nb::gil_scoped_release unlocked;
-    Span span({0, 0, 0}, {0, 0, 0});
-    const std::vector<Ranked> order = rank_children(cells, count, span);
-    std::vector<int32_t> owners(static_cast<size_t>(count));
-    for (int64_t i = 0; i < count; ++i) {
-      if (!i || order[i].key >> 3 != order[i - 1].key >> 3)
-        parents.push_back(pack(span.restore(order[i].key >> 3)));
-      owners[i] = static_cast<int32_t>(parents.size() - 1);
-    }
-    const int64_t size = static_cast<int64_t>(parents.size());
+    const std::vector<Family> families = group_children(cells, count);
+    const int64_t size = static_cast<int64_t>(families.size());
+    for (const Family& family : families) parents.push_back(family.key);
     merged = make_buffer<double>(size * COLUMNS);
-    std::fill(merged.get(), merged.get() + size * COLUMNS, 0.0);
-    merge_rows(moments, order.data(), count, owners.data(), merged.get());
+    merge_rows(moments, families.data(), size, merged.get());
     scale_rows(merged.get(), size);
-  } else {
-    merged = make_buffer<double>(0);
   }
   const size_t size = parents.size();
   return nb::make_tuple(give(std::move(parents)), give(std::move(merged), {size, COLUMNS}));

@@ -10,7 +10,7 @@ namespace hpc {
 constexpr int MONOMIALS = 35;
 constexpr int COLUMNS = 44;
 // Rows are worked on in blocks of so many, one lane each.
-constexpr int LANES = 16;
+constexpr int LANES = 8;
 
 struct Exponent {
   int power[3];
@@ -91,6 +91,66 @@ HPC_INLINE void shift_block(Block& rows, const double (&step)[3][LANES]) {
   }
   for (const auto& term : NORMAL_SHIFTS)
     add_scaled(rows[term[0]], rows[term[1]], step[term[2]], term[3]);
+}
+
+// Sum two blocks about the centre between them: `low` lies half a cell below it along an axis,
+// `high` half a cell above. Even powers of the shift see the sum, odd ones the difference.
+HPC_INLINE void sum_pair(const Block& low, const Block& high, int axis, Block& sum) {
+  Block difference, source;
+  for (int column = 0; column < COLUMNS; ++column)
+    for (int lane = 0; lane < LANES; ++lane) {
+      source[column][lane] = low[column][lane] + high[column][lane];
+      difference[column][lane] = high[column][lane] - low[column][lane];
+      sum[column][lane] = source[column][lane];
+    }
+  constexpr double HALVES[4] = {0.5, 0.25, 0.125, 0.0625};
+  for (const ShiftTerm& term : SHIFTS.terms[axis]) {
+    const double factor = term.factor * HALVES[term.power - 1];
+    const double* from = term.power % 2 ? difference[term.source] : source[term.source];
+    for (int lane = 0; lane < LANES; ++lane) sum[term.column][lane] += factor * from[lane];
+  }
+  for (const auto& term : NORMAL_SHIFTS)
+    if (term[2] == axis)
+      for (int lane = 0; lane < LANES; ++lane)
+        sum[term[0]][lane] += (0.5 * term[3]) * difference[term[1]][lane];
+}
+
+// The cells around each lane's centre: rows of moments, -1 where there is no point; octants with
+// x fastest.
+using Around = int64_t[8][LANES];
+
+// Load the moments of one octant; return whether any lane has some.
+HPC_INLINE bool load_octant(const double* moments, const Around& around, int octant, Block& block) {
+  bool any = false;
+  for (int lane = 0; lane < LANES; ++lane) any = any || around[octant][lane] >= 0;
+  for (int column = 0; column < COLUMNS; ++column)
+    for (int lane = 0; lane < LANES; ++lane) block[column][lane] = 0.0;
+  for (int lane = 0; any && lane < LANES; ++lane) {
+    const int64_t row = around[octant][lane];
+    if (row < 0) continue;
+    for (int column = 0; column < COLUMNS; ++column)
+      block[column][lane] = moments[row * COLUMNS + column];
+  }
+  return any;
+}
+
+// Sum the moments around the centres of a block: pairs along z, then y, then x.
+HPC_INLINE void gather_block(const double* moments, const Around& around, Block& total) {
+  Block low, high, rows[2], planes[2];
+  for (int x = 0; x < 2; ++x) {
+    for (int y = 0; y < 2; ++y) {
+      const bool any_low = load_octant(moments, around, x + 2 * y, low);
+      const bool any_high = load_octant(moments, around, x + 2 * y + 4, high);
+      if (any_low || any_high) {
+        sum_pair(low, high, 2, rows[y]);
+      } else {
+        for (int column = 0; column < COLUMNS; ++column)
+          for (int lane = 0; lane < LANES; ++lane) rows[y][column][lane] = 0.0;
+      }
+    }
+    sum_pair(rows[0], rows[1], 1, planes[x]);
+  }
+  sum_pair(planes[0], planes[1], 0, total);
 }
 
 }  // namespace hpc

@@ -140,11 +140,33 @@ nb::tuple survey_mesh(Input faces_of, int64_t vertices) {
                         give(std::move(edges_of), {static_cast<size_t>(vertices)}));
 }
 
+// The volume relative to a reference point, face after face.
+double signed_volume(Input vertices_of, Input faces_of, Input reference_of) {
+  const double* vertices = check<double>(vertices_of, "vertices", {ANY, 3});
+  const int64_t* faces = check_faces(faces_of, rows_of(vertices_of));
+  const double* reference = check<double>(reference_of, "reference", {3});
+  const int64_t count = rows_of(faces_of);
+  nb::gil_scoped_release unlocked;
+  double total = 0.0;
+  for (int64_t f = 0; f < count; ++f) {
+    double corner[3][3];
+    for (int k = 0; k < 3; ++k)
+      for (int axis = 0; axis < 3; ++axis)
+        corner[k][axis] = vertices[3 * faces[3 * f + k] + axis] - reference[axis];
+    for (int axis = 0; axis < 3; ++axis) {
+      const int next = (axis + 1) % 3, last = (axis + 2) % 3;
+      total += corner[0][axis] * (corner[1][next] * corner[2][last] - corner[1][last] * corner[2][next]);
+    }
+  }
+  return total / 6.0;
+}
+
 }  // namespace
 
 void bind_topology(nb::module_& module) {
   module.def("label_components", &label_components);
   module.def("survey_mesh", &survey_mesh);
+  module.def("signed_volume", &signed_volume);
 }
 
 }  // namespace hpc
