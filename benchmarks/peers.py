@@ -102,7 +102,7 @@ def measure_process(command: list[str], log: Path) -> Usage:
 
 
 def run_contender(
-    contender: Contender, cloud: str, source: Path, truth: Truth, folder: Path
+    contender: Contender, cloud: str, source: Path, truth: Truth, folder: Path, samples: int
 ) -> Outcome:
     """Run one contender on one cloud and measure its mesh.
 
@@ -116,6 +116,8 @@ def run_contender(
     truth : Truth
     folder : Path
         Where mesh, log and outcome are kept.
+    samples : int
+        Points on either surface for the distances.
 
     Returns
     -------
@@ -128,14 +130,19 @@ def run_contender(
     measures = None
     if usage.exit_code == 0 and target.exists():
         mesh = read_global_mesh(target)
-        measures = as_json(measure_mesh(mesh, truth)) if len(mesh.faces) else None
+        measures = as_json(measure_mesh(mesh, truth, samples)) if len(mesh.faces) else None
     outcome = Outcome(cloud, contender.name, usage, measures)
     stem.with_suffix(".json").write_text(json.dumps(asdict(outcome)))
     return outcome
 
 
 def run_all(
-    clouds: list[Cloud], contenders: list[Contender], folder: Path, fresh: bool, repeats: int
+    clouds: list[Cloud],
+    contenders: list[Contender],
+    folder: Path,
+    fresh: bool = False,
+    repeats: int = 1,
+    samples: int = 50_000,
 ) -> Iterator[list[Outcome]]:
     """Yield each cloud's outcomes, ours first; of repeated runs the one with the median CPU."""
     for cloud in clouds:
@@ -146,7 +153,7 @@ def run_all(
             for contender in contenders:
                 known = None if fresh else _recall(folder, cloud.name, contender)
                 outcomes.append(
-                    known or run_contender(contender, cloud.name, source, truth, folder)
+                    known or run_contender(contender, cloud.name, source, truth, folder, samples)
                 )
             rounds.append(outcomes)
         yield [
@@ -192,12 +199,13 @@ def main() -> None:
     parser.add_argument("--peer-python", default=sys.executable, help="the interpreter with them")
     parser.add_argument("--fresh", action="store_true", help="measure the peers anew")
     parser.add_argument("--repeats", type=int, default=1)
+    parser.add_argument("--samples", type=int, default=50_000, help="points for the distances")
     parser.add_argument("--json", type=Path, help="write every outcome to this file")
     args = parser.parse_args()
     contenders = _contenders(args.ours, args.peers, args.peer_python)
     everything: list[list[dict[str, Any]]] = []
     for outcomes in run_all(
-        find_clouds(args.clouds), contenders, args.folder, args.fresh, args.repeats
+        find_clouds(args.clouds), contenders, args.folder, args.fresh, args.repeats, args.samples
     ):
         everything.append([asdict(outcome) for outcome in outcomes])
         print_cloud(everything[-1], with_head=len(everything) == 1)

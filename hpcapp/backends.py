@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 from hpcapp.batches import Workforce
 from hpccomponent.errors import UsageError
@@ -177,7 +177,7 @@ def _open_cluster(
     with LocalCluster(count, policy=policy, extra_tasks=extra_tasks) as cluster:
 
         def traffic() -> Traffic:
-            counted: Any = cluster.executor.statistics()
-            return Traffic(counted.bytes_sent, counted.bytes_received)
+            counted = cluster.executor.statistics()
+            return Traffic(counted["bytes_sent"], counted["bytes_received"])
 
         yield cluster.executor, traffic

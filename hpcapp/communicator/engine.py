@@ -14,10 +14,9 @@ import secrets
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
-from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any
 
+from hpcapp.communicator.ledger import Entry, Ledger
 from hpcapp.communicator.roster import (
     Action,
     AskRegister,
@@ -30,16 +29,12 @@ from hpcapp.communicator.roster import (
 )
 from hpcapp.communicator.scheduler import Scheduler
 from hpcapp.communicator.transport import Received, RouterTransport
-from hpccomponent import errors
 from hpccomponent.clock import Clock
-from hpccomponent.errors import HpcError, JobError, ProtocolError, TaskError
-from hpccomponent.protocol.codec import decode_values
+from hpccomponent.errors import JobError, ProtocolError
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer, join_frames, split_buffers
 from hpccomponent.protocol.messages import (
     Batch,
-    Call,
     Drain,
-    Failure,
     Farewell,
     Goodbye,
     Heartbeat,
@@ -50,13 +45,12 @@ from hpccomponent.protocol.messages import (
     Register,
     RegisterAgain,
     Registered,
-    Result,
     Results,
     decode_component_message,
     encode_message,
 )
 
-__all__ = ["Engine", "Entry", "Timing"]
+__all__ = ["Engine", "Timing"]
 
 _log = logging.getLogger(__name__)
 
@@ -88,26 +82,8 @@ class Timing:
     probe_s: float = 0.5
 
 
-@dataclass(slots=True, eq=False)
-class Entry:
-    """A submitted task: its future, and its encoded arguments until it is done."""
-
-    future: Future[Any]
-    name: str
-    header: bytes
-    buffers: list[Buffer]
-    is_claimed: bool = False
-
-    def claim(self) -> bool:
-        """Mark the future as running; False if it was cancelled before."""
-        if not self.is_claimed and not self.future.set_running_or_notify_cancel():
-            return False
-        self.is_claimed = True
-        return True
-
-
 class Engine:
-    """One thread that owns the sockets, the scheduler and the futures' results.
+    """One thread that owns the sockets, the scheduler, and the results of futures.
 
     Parameters
     ----------
@@ -131,11 +107,11 @@ class Engine:
         self.session = secrets.token_hex(8)
         self.counts: Counter[str] = Counter()
         self.roster = threading.Condition()
-        self.scheduler = make_scheduler(self._claim)
+        self.ledger = Ledger()
+        self.scheduler = make_scheduler(self.ledger.claim)
         self._transport = transport
         self._clock = clock
         self._timing = timing
-        self._entries: dict[int, Entry] = {}
         self._inbox: deque[Callable[[], list[Action]]] = deque()
         self._is_asleep = False
         self._is_closing = False
@@ -155,18 +131,16 @@ class Engine:
 
     def submit(self, number: int, entry: Entry) -> None:
         """Take a task."""
-        self._entries[number] = entry
-        size = len(entry.header) + sum([len(buffer) for buffer in entry.buffers])
-        self.post(lambda: self.scheduler.submit(number, entry.name, size))
+        self.ledger.add(number, entry)
+        self.post(lambda: self.scheduler.submit(number, entry.name, entry.size_bytes))
 
     def cancel(self, number: int) -> None:
         """Forget a task whose future was cancelled."""
-        self.post(lambda: self._cancel(number))
 
-    def cancel_all(self) -> None:
-        """Cancel every future whose task has not left for a worker."""
-        for entry in list(self._entries.values()):
-            entry.future.cancel()
+        def event() -> list[Action]:
+            return self.scheduler.cancel(number) if self.ledger.is_cancelled(number) else []
+
+        self.post(event)
 
     def close(self, abandon: bool = False) -> None:
         """End the thread once all tasks are done, or at once, failing those that are not."""
@@ -187,7 +161,7 @@ class Engine:
     def _run(self) -> None:
         reason = "the communicator was shut down"
         try:
-            while not (self._is_closing and (self._is_abandoned or not self._entries)):
+            while not (self._is_closing and (self._is_abandoned or not len(self.ledger))):
                 self._is_asleep = True
                 patience_s = max(0.0, self._probe_at - self._clock.now())
                 # The flag first, then the look: a post in between sees the flag, and wakes.
@@ -204,8 +178,7 @@ class Engine:
             reason = f"the communicator broke: {error!r}"
         finally:
             self._transport.close()
-            for number in list(self._entries):
-                self._fail(number, JobError(reason, "submit the work anew"))
+            self.ledger.fail_all(JobError(reason, "submit the work anew"))
 
     def _take_inbox(self) -> None:
         if not self._inbox:
@@ -265,7 +238,7 @@ class Engine:
         self._carry_out([action for action in actions if not isinstance(action, Deliver)])
         for action in actions:
             if isinstance(action, Deliver):
-                self._deliver(action.task, action.result, groups[action.index])
+                self.ledger.deliver(action.task, action.result, groups[action.index])
 
     def _keep_time(self) -> None:
         now = self._clock.now()
@@ -293,9 +266,9 @@ class Engine:
                         lost = self.scheduler.disconnected(action.worker, "its connection broke")
                         pending.extend(lost)
                 case Deliver():
-                    self._deliver(action.task, action.result, [])
+                    self.ledger.deliver(action.task, action.result, [])
                 case Fail():
-                    self._fail(action.task, action.error)
+                    self.ledger.fail(action.task, action.error)
                 case Welcome():
                     timing = self._timing
                     self._say(
@@ -316,59 +289,9 @@ class Engine:
         return self._transport.send(identity, [encode_message(message)])
 
     def _assign(self, action: Assign) -> bool:
-        calls, buffers = [], []
-        for number in action.tasks:
-            entry = self._entries[number]
-            sizes = [len(buffer) for buffer in entry.buffers]
-            calls.append(Call(number, entry.name, entry.header, sizes))
-            buffers += entry.buffers
+        calls, buffers = self.ledger.calls(action.tasks)
         self.counts["batches"] += 1
         message = encode_message(Batch(self.session, action.batch, calls))
         worker = self.scheduler.workers[action.worker]
         largest = min(LARGEST_FRAME, worker.register.largest_frame)
         return self._transport.send(action.worker, [message, *split_buffers(buffers, largest)])
-
-    def _claim(self, number: int) -> bool:
-        if self._entries[number].claim():
-            return True
-        del self._entries[number]
-        return False
-
-    def _cancel(self, number: int) -> list[Action]:
-        entry = self._entries.get(number)
-        if entry is None or entry.claim():
-            return []
-        del self._entries[number]
-        return self.scheduler.cancel(number)
-
-    def _deliver(self, number: int, result: Result, buffers: list[Buffer]) -> None:
-        entry = self._entries[number]
-        if result.failure is not None:
-            self._fail(number, _rebuild(result.failure, entry.name))
-            return
-        try:
-            (value,) = decode_values(result.header, buffers)
-        except (ProtocolError, ValueError) as error:
-            self._fail(number, ProtocolError(f"the result of task {entry.name!r}: {error}"))
-            return
-        del self._entries[number]
-        entry.future.set_result(value)
-
-    def _fail(self, number: int, error: HpcError) -> None:
-        entry = self._entries.pop(number)
-        if entry.claim():
-            # One exception raised in two places would mix their tracebacks.
-            own = type(error)(error.problem, error.advice)
-            for note in getattr(error, "__notes__", []):
-                own.add_note(note)
-            entry.future.set_exception(own)
-
-
-def _rebuild(failure: Failure, task: str) -> HpcError:
-    """Make an error of what a task raised; one of our own tree keeps its class and exit code."""
-    if failure.kind in errors.__all__:
-        error: HpcError = getattr(errors, failure.kind)(failure.problem, failure.advice)
-    else:
-        error = TaskError(f"task {task!r} failed: {failure.problem}", failure.advice)
-    error.add_note(f"On the worker:\n{failure.traceback}")
-    return error

@@ -22,7 +22,8 @@ from concurrent.futures import Executor, Future
 from types import TracebackType
 from typing import Any, TypeVar
 
-from hpcapp.communicator.engine import Engine, Entry, Timing
+from hpcapp.communicator.engine import Engine, Timing
+from hpcapp.communicator.ledger import Entry
 from hpcapp.communicator.policy import Policy, PullPolicy
 from hpcapp.communicator.scheduler import Scheduler
 from hpcapp.communicator.transport import RouterTransport
@@ -263,7 +264,7 @@ class CommunicatorExecutor(Executor):
         with self._lock:
             self._is_shut_down = True
         if cancel_futures:
-            self._engine.cancel_all()
+            self._engine.ledger.cancel_all()
         self._engine.close()
         if wait:
             self._engine.join()

@@ -147,6 +147,8 @@ class WorkerSession:
 
     def receive(self, message: MasterMessage, frames: Sequence[Buffer], now: float) -> list[Action]:
         """Take a message of the master; one of another session is dropped and counted."""
+        if self.state is State.STOPPED:
+            return []
         if isinstance(message, Registered):
             self._join(message, now)
             return []
@@ -196,6 +198,8 @@ class WorkerSession:
     def worker_died(self, reason: str) -> list[Action]:
         """Take the news that the worker process is gone: its batches are lost."""
         self._worker_is_up = False
+        if self.state is State.STOPPED:
+            return []
         self._crashes += 1
         actions: list[Action] = []
         running = [number for number, held in self._held.items() if held.is_running]
@@ -205,9 +209,8 @@ class WorkerSession:
         if self._crashes >= MAX_CRASHES:
             why = f"the worker process died {self._crashes} times in a row, last: {reason}"
             return [*actions, *self._depart(ExitCode.WORKER_CRASHES, why)]
-        if self.state is not State.STOPPED:
-            delay_s = 0.0 if self._crashes == 1 else 0.25 * 2.0 ** (self._crashes - 1)
-            actions.append(StartWorker(min(delay_s, LONGEST_BACKOFF_S)))
+        delay_s = 0.0 if self._crashes == 1 else 0.25 * 2.0 ** (self._crashes - 1)
+        actions.append(StartWorker(min(delay_s, LONGEST_BACKOFF_S)))
         return actions + self._leave_if_drained()
 
     def tick(self, now: float) -> list[Action]:

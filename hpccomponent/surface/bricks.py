@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.field import BRICK, NODES, Grid
+from hpccomponent.surface.blending import NODES
+from hpccomponent.surface.field import BRICK, Grid
 from hpccomponent.surface.lattice import cells_of, pack_places, step_keys, unique_keys, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray
 

@@ -23,9 +23,12 @@ _EXTENSION = "hpccomponent.surface._native"
 _HASH_DIGITS = 12
 # The modules that are the portable kernels: their sources decide its bits.
 _PORTABLE = (
+    "blending",
     "bricks",
     "case_table",
     "cells",
+    "coarse_grid",
+    "connectivity",
     "extraction",
     "far_field",
     "field",

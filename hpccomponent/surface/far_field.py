@@ -8,6 +8,7 @@ distance, and it is cut off one and a half grid steps from the surface.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,7 +102,7 @@ def _integrate(
     full = (2.0 * np.pi * np.fft.fftfreq(_NODES)).astype(np.float32)
     half = (2.0 * np.pi * np.fft.rfftfreq(_NODES)).astype(np.float32)
     kx, ky, kz = full[:, None, None], full[None, :, None], half[None, None, :]
-    total = _transform_rows(places, normals, 2, held)
+    total: NDArray[Any] = _transform_rows(places, normals, 2, held)
     total *= kz
     total = np.fft.fft(total, axis=1)
     total += ky * np.fft.fft(_transform_rows(places, normals, 1, held), axis=1)
@@ -129,7 +130,7 @@ def _held_rows(low: FloatArray, high: FloatArray) -> tuple[slice, slice]:
 
 def _transform_rows(
     places: FloatArray, normals: FloatArray, axis: int, held: tuple[slice, slice]
-) -> NDArray[np.complex64]:
+) -> NDArray[Any]:
     """Transform one component along z, within the planes that hold samples."""
     from hpccomponent.surface.kernels import spread_component  # which knows fields
 
@@ -139,9 +140,7 @@ def _transform_rows(
     return rows
 
 
-def _pad_planes(
-    planes: NDArray[np.complex64], held: tuple[slice, slice]
-) -> NDArray[np.complex64]:
+def _pad_planes(planes: NDArray[Any], held: tuple[slice, slice]) -> NDArray[Any]:
     """Put the planes that hold samples between those that hold none."""
     padded = np.zeros((_NODES, *planes.shape[1:]), np.complex64)
     padded[held[0]] = planes

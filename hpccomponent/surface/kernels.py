@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hpccomponent.surface.build import load_native
 from hpccomponent.surface.case_table import case_triangles
 from hpccomponent.surface.connectivity import Survey
-from hpccomponent.surface.field import Field, Grid
+from hpccomponent.surface.field import BRICK, Field, Grid
 from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = [
@@ -230,11 +230,11 @@ def sample_grid(values: Float32Array, places: FloatArray) -> FloatArray:
 
 def seed_bricks(grid: Grid, positions: FloatArray) -> IntArray:
     """Return the bricks that hold a point; see `bricks.seed_bricks`."""
-    from hpccomponent.surface import bricks
-
     if _native is None:
+        from hpccomponent.surface import bricks
+
         return bricks.seed_bricks(grid, positions)
-    edge = bricks.BRICK * grid.step
+    edge = BRICK * grid.step
     result: IntArray = _native.seed_bricks(
         _floats(positions), _floats(grid.origin), edge, _integers(grid.bricks)
     )

@@ -175,7 +175,8 @@ def shift_moments(moments: FloatArray, shift: FloatArray) -> FloatArray:
     """
     shifted = np.empty_like(moments)
     for start in range(0, len(moments), _CHUNK_ROWS):
-        columns = np.ascontiguousarray(moments[start : start + _CHUNK_ROWS].T)
+        # A copy even where a single row is contiguous both ways: it is shifted in place.
+        columns = np.array(moments[start : start + _CHUNK_ROWS].T, order="C")
         _shift_columns(columns, [float(step) for step in shift])
         shifted[start : start + _CHUNK_ROWS] = columns.T
     return shifted

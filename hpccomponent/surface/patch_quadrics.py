@@ -16,13 +16,8 @@ from hpccomponent.surface.points import FloatArray, IntArray
 __all__ = ["evaluate_quadrics", "fit_patches", "gradient_quadrics"]
 
 #: Exponents of x, y and z in each element of the basis.
-EXPONENTS = np.array(
-    [
-        (0, 0, 0),
-        *((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-        *((2, 0, 0), (0, 2, 0), (0, 0, 2)),
-        *((1, 1, 0), (0, 1, 1), (1, 0, 1)),
-    ]
+EXPONENTS = np.vstack(
+    [[(0, 0, 0)], np.eye(3, dtype=int), np.diag([2, 2, 2]), [(1, 1, 0), (0, 1, 1), (1, 0, 1)]]
 )
 #: What the columns of D are multiplied by: in the symmetric 4 x 4 matrix of a quadric the linear
 #: and mixed coefficients stand twice, so a unit norm of that matrix counts their squares double.
@@ -32,6 +27,8 @@ COLUMN_WEIGHTS = {
 }
 #: Fewer points leave every quadric through them undecided, and a plane is fitted instead.
 FEWEST_POINTS = 10
+#: Points that are summed at once.
+CHUNK = 16_384
 #: Eigenvalues up to this fraction of the largest are zero but for rounding.
 ZERO_EIGENVALUE = 1e-14
 
@@ -100,23 +97,18 @@ def fit_patches(
     [[-0.5, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]]
     """
     _check(positions, normals, offsets, centers, scales, norm)
-    weights = COLUMN_WEIGHTS[norm]
-    counts = np.diff(offsets)
-    coefficients = np.zeros((len(counts), 10))
-    filled = np.flatnonzero(counts)
-    if not len(filled):
-        return coefficients
-    # Empty patches own no point: the others' runs lie side by side without them.
-    first, counts = offsets[:-1][filled], counts[filled]
-    owner = np.repeat(filled, counts)
-    local = (positions - centers[owner]) / scales[owner, None]
-    moments = _moments(local, first) / counts[:, None]
-    slopes = _normal_moments(local, normals, first) / counts[:, None]
-
-    many = counts >= FEWEST_POINTS
-    few = ~many
-    coefficients[filled[many]] = _fit(moments[many], slopes[many], weights)
-    coefficients[filled[few]] = _fit_planes(moments[few], slopes[few], normals[first[few]], weights)
+    coefficients, weights = np.zeros((len(scales), 10)), COLUMN_WEIGHTS[norm]
+    begin = 0
+    while begin < len(scales):
+        # Whole patches, about as many points as the caches hold, and one patch at least.
+        end = int(np.searchsorted(offsets, offsets[begin] + CHUNK, side="right")) - 1
+        end = max(end, begin + 1)
+        points, rows = slice(offsets[begin], offsets[end]), slice(begin, end)
+        owner = np.repeat(np.arange(begin, end), np.diff(offsets[begin : end + 1]))
+        local = (positions[points] - centers[owner]) / scales[owner, None]
+        own_offsets = offsets[begin : end + 1] - offsets[begin]
+        coefficients[rows] = _fit_chunk(local, normals[points], own_offsets, weights)
+        begin = end
     return coefficients
 
 
@@ -244,6 +236,26 @@ def _normal_moments(local: FloatArray, normals: FloatArray, first: IntArray) -> 
     columns += [y * a + x * b, z * b + y * c, z * a + x * c]
     sums = [np.add.reduceat(np.ascontiguousarray(column), first) for column in columns]
     return np.stack([np.zeros(len(first)), *sums], axis=1)
+
+
+def _fit_chunk(
+    local: FloatArray, normals: FloatArray, offsets: IntArray, weights: FloatArray
+) -> FloatArray:
+    """Fit one quadric to each run of points that are in patch coordinates already."""
+    coefficients = np.zeros((len(offsets) - 1, 10))
+    filled = np.flatnonzero(np.diff(offsets))
+    if not len(filled):
+        return coefficients
+    # Empty patches own no point: the others' runs lie side by side without them.
+    first, counts = offsets[:-1][filled], np.diff(offsets)[filled]
+    moments = _moments(local, first) / counts[:, None]
+    slopes = _normal_moments(local, normals, first) / counts[:, None]
+
+    many = counts >= FEWEST_POINTS
+    few = ~many
+    coefficients[filled[many]] = _fit(moments[many], slopes[many], weights)
+    coefficients[filled[few]] = _fit_planes(moments[few], slopes[few], normals[first[few]], weights)
+    return coefficients
 
 
 def _fit(moments: FloatArray, slopes: FloatArray, weights: FloatArray) -> FloatArray:

@@ -15,6 +15,7 @@ __all__ = ["count_boxes", "estimate_spacing"]
 _FEW, _MANY = 3.0, 20.0
 _SAMPLED_POINTS = 200_000
 _ROUNDS = 40
+_STALLED = 0.8  # half the edge should leave a quarter of the points
 
 
 def estimate_spacing(positions: FloatArray) -> float:
@@ -39,6 +40,7 @@ def estimate_spacing(positions: FloatArray) -> float:
     -----
     The box edge H is the first, by halving or doubling from a guess, with 3 to 20 points per
     occupied box. Large clouds are sampled by whole boxes, which leaves the counts unbiased.
+    Where smaller boxes do not hold fewer points, repeated points are counted once.
     """
     low, high = bounding_box(positions)
     longest = float((high - low).max())
@@ -52,7 +54,12 @@ def estimate_spacing(positions: FloatArray) -> float:
         if _FEW <= occupancy <= _MANY or (occupancy < _FEW and edge >= longest):
             break
         edge *= 2.0 if occupancy < _FEW else 0.5
-        occupancy = _mean_occupancy(positions, low, edge)
+        before, occupancy = occupancy, _mean_occupancy(positions, low, edge)
+        if before > _MANY and occupancy > _STALLED * before:
+            distinct = np.unique(positions, axis=0)
+            if len(distinct) < len(positions):
+                return estimate_spacing(distinct)
+            break
     return edge / sqrt(occupancy)
 
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hpcloader.builds import Catalogue, choose_build, parse_size, read_catalogue
-from hpcloader.machine import Machine
 
 from hpccomponent.config import parse_config
 from hpccomponent.errors import ConfigError
+from hpcloader.builds import Catalogue, choose_build, parse_size, read_catalogue
+from hpcloader.machine import Machine
 
 MACHINE = Machine(
     architecture="x86_64",

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
+
 from hpcloader import machine
 from hpcloader.machine import read_machine
 

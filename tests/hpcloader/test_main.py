@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from hpcloader.__main__ import main
 
 NEEDS_MUCH = """

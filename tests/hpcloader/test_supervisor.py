@@ -5,6 +5,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from hpcloader.supervisor import (
     Action,
     End,
@@ -15,8 +18,6 @@ from hpcloader.supervisor import (
     Supervisor,
     Terminate,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 RULE = RestartRule(first_s=1.0, cap_s=8.0, give_up_after=4, quick_s=10.0, grace_s=5.0)
 

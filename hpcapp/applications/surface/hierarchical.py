@@ -198,9 +198,7 @@ def assemble_field(partition: HierarchicalPartition, quadrics: VertexQuadrics) -
     vertices = pyramid.levels[0].vertices
     trust = np.minimum(1.0, quadrics.counts / 6.0 + quadrics.inherited / 16.0)
     far = _solve_far_field(partition)
-    return Field(
-        pyramid.origin, pyramid.cell_size, vertices, quadrics.coefficients, trust, far
-    )
+    return Field(pyramid.origin, pyramid.cell_size, vertices, quadrics.coefficients, trust, far)
 
 
 def _solve_far_field(partition: HierarchicalPartition) -> FarField:

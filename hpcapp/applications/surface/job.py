@@ -94,7 +94,7 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
     clock = StageClock(progress)
     with _open_output(settings) as target:
         with clock.stage("read"):
-            cloud, dropped = drop_unusable(read_points(settings.points))
+            cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
         _report_dropped(settings.points, dropped)
         grid = _choose_grid(settings, cloud)
         threads = available_cores() if len(cloud) >= THREADS_FROM_POINTS else 1

@@ -12,13 +12,13 @@ Fractions of length are fractions of the shape's bounding-box diagonal. One seed
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from hpcapp.applications.surface.rays import cross_rays, frame_about, sample_lines, unit_vectors
+from hpcapp.applications.surface.scan_settings import ScanSettings
 from hpcapp.applications.surface.shapes import Shape, diagonal_of
 from hpccomponent.errors import UsageError
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
@@ -27,91 +27,8 @@ __all__ = ["ScanSettings", "sample_surface", "simulate_scan"]
 
 _NEIGHBOURS = 20
 _GOLDEN_TURN = np.pi * (3.0 - np.sqrt(5.0))
-_MOST_ROUNDS = 40
-
-
-@dataclass(frozen=True, slots=True)
-class ScanSettings:
-    """How a shape is scanned.
-
-    Parameters
-    ----------
-    points : int
-        Points of the cloud, outliers included: exactly as many.
-    views : int
-        Positions of the scanner, spread evenly on a sphere about the shape. 0 samples the whole
-        surface evenly instead, seen or not, with its noise along the normal.
-    noise : float
-        Standard deviation of the depth along the ray, as a fraction of the diagonal.
-    dropout : float
-        Share of each view's image that is lost, in blotches; from 0 to below 1.
-    grazing : float
-        Greatest angle between ray and surface normal that still echoes, in degrees.
-    pose_error : float
-        Standard deviation of each view's shift along each axis, as a fraction of the diagonal;
-        its rotation moves the shape's ends by as much again.
-    outliers : float
-        Share of the points that are wrong: half of them strewn near the surface along their rays
-        (2 to 10 % of the diagonal), half anywhere in twice the bounding box.
-    density_ratio : float
-        Density at the dense end over that at the sparse end, along an oblique direction.
-    missing : int
-        Balls on the surface, 5 % of the diagonal in radius, from which nothing came back.
-    flipped : float
-        Share of the points whose normal has the wrong sign.
-    normals : {"pca", "exact"}
-        From the plane through 20 neighbours, turned towards the scanner; or the shape's own.
-    seed : int
-
-    Raises
-    ------
-    UsageError
-        If a setting is outside its range.
-    """
-
-    points: int = 100_000
-    views: int = 20
-    noise: float = 0.0
-    dropout: float = 0.0
-    grazing: float = 80.0
-    pose_error: float = 0.0
-    outliers: float = 0.0
-    density_ratio: float = 1.0
-    missing: int = 0
-    flipped: float = 0.0
-    normals: Literal["pca", "exact"] = "pca"
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        ranges: dict[str, tuple[float, float]] = {
-            "points": (1, np.inf),
-            "views": (0, np.inf),
-            "noise": (0.0, 0.2),
-            "dropout": (0.0, 0.95),
-            "grazing": (1.0, 90.0),
-            "pose_error": (0.0, 0.2),
-            "outliers": (0.0, 0.9),
-            "density_ratio": (1.0, 1e4),
-            "missing": (0, np.inf),
-            "flipped": (0.0, 1.0),
-            "seed": (0, np.inf),
-        }
-        for name, (low, high) in ranges.items():
-            if not low <= getattr(self, name) <= high:
-                raise UsageError(
-                    f"{name} is {getattr(self, name)}", f"choose {_range_text(low, high)}"
-                )
-        if self.normals not in ("pca", "exact"):
-            raise UsageError(f"normals is {self.normals!r}", "choose 'pca' or 'exact'")
-        if self.views == 0 and (self.pose_error or self.dropout):
-            raise UsageError(
-                "pose errors and dropout need a scanner", "ask for at least one view, or for none"
-            )
-
-
-def _range_text(low: float, high: float) -> str:
-    """Return a range in words."""
-    return f"at least {low:g}" if high == np.inf else f"from {low:g} to {high:g}"
+_MOST_RAYS = 1_000_000  # at a time: bounds the memory
+_LEAST_YIELD = 0.002  # points by ray: below it a scan would take for ever
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,26 +49,26 @@ def simulate_scan(shape: Shape, settings: ScanSettings | None = None) -> PointCl
 
     Parameters
     ----------
-    shape : Shape
-        See `hpcapp.applications.surface.shapes.SHAPES`.
-    settings : ScanSettings, optional
+        shape : Shape
+            See `hpcapp.applications.surface.shapes.SHAPES`.
+        settings : ScanSettings, optional
 
     Returns
     -------
-    PointCloud
-        Exactly ``settings.points`` points with unit normals, view by view.
+        PointCloud
+            Exactly ``settings.points`` points with unit normals, view by view.
 
     Raises
     ------
-    UsageError
-        If hardly any ray comes back.
+        UsageError
+            If hardly any ray comes back.
 
     Examples
     --------
-    >>> from hpcapp.applications.surface.shapes import SHAPES
-    >>> cloud = simulate_scan(SHAPES["torus"], ScanSettings(points=500, noise=0.001))
-    >>> len(cloud)
-    500
+        >>> from hpcapp.applications.surface.shapes import SHAPES
+        >>> cloud = simulate_scan(SHAPES["torus"], ScanSettings(points=500, noise=0.001))
+        >>> len(cloud)
+        500
     """
     settings = settings or ScanSettings()
     rng = np.random.default_rng(settings.seed)
@@ -237,14 +154,12 @@ def _gather(shape: Shape, settings: ScanSettings, rng: np.random.Generator, look
     """Shoot rays in rounds until enough of them have come back, then keep as many as wanted."""
     want, cast, have = settings.points, 0, 0
     rounds: list[_Hits] = []
-    batch = max(2 * want, 1000)
-    for _ in range(_MOST_ROUNDS):
+    batch = min(max(2 * want, 1000), _MOST_RAYS)
+    while have < want and have >= _LEAST_YIELD * cast:
         hits = _meet(shape, settings, rng, look, cast, batch)
         rounds.append(hits)
         cast, have = cast + batch, have + len(hits.view)
-        if have >= want:
-            break
-        batch = int(np.clip(1.1 * (want - have) * cast / max(have, 1), 1000, 4_000_000))
+        batch = int(np.clip(1.1 * (want - have) * cast / max(have, 1), 1000, _MOST_RAYS))
     if have < want:
         raise UsageError(
             f"only {have} of {cast} rays at the {shape.name} came back, {want} are wanted",

@@ -19,7 +19,7 @@ class SplitRule:
     Parameters
     ----------
     delta : float
-        The paper's threshold on the normal cone, in [0, 1], dimensionless.
+        The paper's threshold on the normal cone, in [-1, 1], dimensionless.
     cone : {"paper", "complement", "none"}
         A box is split while some normal has ``n . n_mean <= limit``, `n_mean` being normalised.
         "paper": limit = delta, as the paper prints it. "complement": limit = 1 - delta, as its
@@ -38,8 +38,8 @@ class SplitRule:
     max_points: int | None = None
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.delta <= 1.0:
-            raise UsageError(f"delta is {self.delta}", "give a number from 0 to 1, such as 0.1")
+        if not -1.0 <= self.delta <= 1.0:
+            raise UsageError(f"delta is {self.delta}", "give a number from -1 to 1, such as 0.1")
         if self.cone not in ("paper", "complement", "none"):
             raise UsageError(f"cone is {self.cone!r}", "choose paper, complement or none")
         if self.max_points is not None and self.max_points < 1:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from hpccomponent.surface import kernels
 from hpccomponent.surface.connectivity import Survey
 from hpccomponent.surface.mesh import Mesh

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from hpccomponent.surface.blending import NODES
 from hpccomponent.surface.far_field import FarField
-from hpccomponent.surface.field import BRICK, NODES, Field, Grid, evaluate_bricks
+from hpccomponent.surface.field import BRICK, Field, Grid, evaluate_bricks
 from hpccomponent.surface.lattice import OCTANTS, pack_places, unpack_keys
 
 GRID = Grid(np.array([-0.31, 0.12, 1.07]), 0.05, (4, 3, 4))

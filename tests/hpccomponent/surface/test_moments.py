@@ -88,6 +88,14 @@ def test_a_shift_of_one_row_does_not_depend_on_the_others():
     assert np.array_equal(shift_moments(moments[4090:4100], shift), whole[4090:4100])
 
 
+@pytest.mark.parametrize("rows", [1, 2, 4097])
+def test_shifting_leaves_its_input_alone(rows):
+    moments = np.random.default_rng(2).normal(size=(rows, COLUMNS))
+    before = moments.copy()
+    shift_moments(moments, np.array([0.5, 0.5, -0.5]))
+    assert np.array_equal(moments, before)
+
+
 def test_scaled_moments_are_those_of_cells_of_twice_the_size(cells):
     positions, normals, offsets = cells
     scaled = scale_moments(accumulate_moments(positions, normals, offsets))

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hpccomponent.errors import InputError
+from hpccomponent.surface import patch_quadrics
 from hpccomponent.surface.patch_quadrics import (
     evaluate_quadrics,
     fit_patches,
@@ -161,6 +162,18 @@ def test_a_patch_does_not_depend_on_its_batch_to_the_last_bit(batch, norm):
         parts.append(fit_patches(*batch_of_points, centers[a:b], scales[a:b], norm))
     assert np.concatenate(parts).tobytes() == whole.tobytes()
     assert np.isfinite(whole).all()
+
+
+@pytest.mark.parametrize("chunk", [1, 50, 500])
+def test_how_many_points_are_summed_at_once_changes_no_bit(monkeypatch, chunk):
+    rng = np.random.default_rng(14)
+    offsets = np.array([0, 0, 120, 121, 121, 400, 440, 1000, 1000])
+    positions, normals = sphere(rng, 1000)
+    positions += 0.1 * rng.normal(size=positions.shape)
+    batch = positions, normals, offsets, rng.normal(size=(8, 3)), np.ones(8)
+    whole = fit_patches(*batch)
+    monkeypatch.setattr(patch_quadrics, "CHUNK", chunk)
+    assert fit_patches(*batch).tobytes() == whole.tobytes()
 
 
 def test_an_empty_patch_gets_zeros_and_disturbs_no_other():

@@ -24,6 +24,13 @@ def test_spacing_scales_and_moves_with_the_cloud():
     assert estimate_spacing(points + 1e4) == pytest.approx(spacing, rel=0.05)
 
 
+@pytest.mark.parametrize("times", [20, 50])
+def test_points_that_repeat_many_times_do_not_lie_closer(times):
+    points = sphere(3000)
+    repeated = estimate_spacing(np.repeat(points, times, axis=0))
+    assert 0.6 < repeated / estimate_spacing(points) < 1.4
+
+
 @pytest.mark.parametrize("points", [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0]] * 9 + [[1, 2, 3]]])
 def test_a_few_points_have_a_spacing_too(points):
     spacing = estimate_spacing(np.array(points, dtype=float))

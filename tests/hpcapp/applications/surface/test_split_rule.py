@@ -16,7 +16,7 @@ def test_without_a_cone_no_normal_is_too_far():
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        ({"delta": -0.1}, "delta"),
+        ({"delta": -1.1}, "delta"),
         ({"delta": float("nan")}, "delta"),
         ({"cone": "wide"}, "cone"),
         ({"max_points": 0}, "max_points"),

@@ -1,0 +1,122 @@
+"""The communicator's open futures, with what has to be sent for them, until each is done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any
+
+from hpccomponent import errors
+from hpccomponent.errors import HpcError, ProtocolError, TaskError
+from hpccomponent.protocol.codec import decode_values
+from hpccomponent.protocol.frames import Buffer
+from hpccomponent.protocol.messages import Call, Failure, Result
+
+__all__ = ["Entry", "Ledger"]
+
+
+@dataclass(slots=True, eq=False)
+class Entry:
+    """A submitted task: its future, and its encoded arguments."""
+
+    future: Future[Any]
+    name: str
+    header: bytes
+    buffers: list[Buffer]
+    is_claimed: bool = False
+
+    @property
+    def size_bytes(self) -> int:
+        """Return the length of the encoded arguments."""
+        return len(self.header) + sum([len(buffer) for buffer in self.buffers])
+
+    def claim(self) -> bool:
+        """Mark the future as running; False if it was cancelled before."""
+        if not self.is_claimed and not self.future.set_running_or_notify_cancel():
+            return False
+        self.is_claimed = True
+        return True
+
+
+class Ledger:
+    """Entries by task number; each leaves exactly once, with its future done.
+
+    `add` and `cancel_all` are for any thread, the rest for that of the engine.
+    """
+
+    def __init__(self) -> None:
+        self._entries: dict[int, Entry] = {}
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def add(self, number: int, entry: Entry) -> None:
+        """Take a new entry."""
+        self._entries[number] = entry
+
+    def cancel_all(self) -> None:
+        """Cancel every future whose task has not left for a worker."""
+        for entry in list(self._entries.values()):
+            entry.future.cancel()
+
+    def calls(self, numbers: Iterable[int]) -> tuple[list[Call], list[Buffer]]:
+        """Return what has to be sent for these tasks, and all their buffers in order."""
+        calls: list[Call] = []
+        buffers: list[Buffer] = []
+        for number in numbers:
+            entry = self._entries[number]
+            sizes = [len(buffer) for buffer in entry.buffers]
+            calls.append(Call(number, entry.name, entry.header, sizes))
+            buffers += entry.buffers
+        return calls, buffers
+
+    def claim(self, number: int) -> bool:
+        """Mark a task as running, or let it go if its future was cancelled."""
+        if self._entries[number].claim():
+            return True
+        del self._entries[number]
+        return False
+
+    def is_cancelled(self, number: int) -> bool:
+        """Tell whether a task can be forgotten because its future was cancelled in time."""
+        return number in self._entries and not self.claim(number)
+
+    def deliver(self, number: int, result: Result, buffers: list[Buffer]) -> None:
+        """Set a future's result, or what its task raised."""
+        entry = self._entries[number]
+        if result.failure is not None:
+            self.fail(number, _rebuild(result.failure, entry.name))
+            return
+        try:
+            (value,) = decode_values(result.header, buffers)
+        except (ProtocolError, ValueError) as error:
+            self.fail(number, ProtocolError(f"the result of task {entry.name!r}: {error}"))
+            return
+        del self._entries[number]
+        entry.future.set_result(value)
+
+    def fail(self, number: int, error: HpcError) -> None:
+        """Set a future's exception, unless it was cancelled in time."""
+        entry = self._entries.pop(number)
+        if entry.claim():
+            # One exception raised in two places would mix their tracebacks.
+            own = type(error)(error.problem, error.advice)
+            for note in getattr(error, "__notes__", []):
+                own.add_note(note)
+            entry.future.set_exception(own)
+
+    def fail_all(self, error: HpcError) -> None:
+        """Set the exception of every future that is left."""
+        for number in list(self._entries):
+            self.fail(number, error)
+
+
+def _rebuild(failure: Failure, task: str) -> HpcError:
+    """Make an error of what a task raised; one of our own tree keeps its class and exit code."""
+    if failure.kind in errors.__all__:
+        error: HpcError = getattr(errors, failure.kind)(failure.problem, failure.advice)
+    else:
+        error = TaskError(f"task {task!r} failed: {failure.problem}", failure.advice)
+    error.add_note(f"On the worker:\n{failure.traceback}")
+    return error

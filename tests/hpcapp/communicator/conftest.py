@@ -1,0 +1,72 @@
+"""Real components for the tests of the communicator."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import zmq
+
+from hpcapp.communicator.engine import Timing
+from hpcapp.communicator.executor import CommunicatorExecutor
+from hpccomponent.protocol.connection import Connection, write_connection
+
+TASKS_FOLDER = Path(__file__).parents[2] / "tasks"
+TASKS = [
+    f"contract.{name}=contract_tasks:{name}"
+    for name in (
+        "echo", "no_operation", "total", "fail", "append_line", "wait_for_file",
+        "announce_and_wait", "kill_worker", "read_process",
+    )
+]  # fmt: skip
+QUICK = Timing(heartbeat_s=0.25, liveness_s=5.0, silence_s=20.0, worker_wait_s=20.0, probe_s=0.1)
+
+StartComponent = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _keep_the_thread_of_zero_copy_sends() -> None:
+    """Make pyzmq start the one thread that it keeps for the process, before leaks are counted."""
+    with zmq.Context() as context, context.socket(zmq.PAIR) as one, context.socket(zmq.PAIR) as two:
+        one.bind("inproc://warm-up")
+        two.connect("inproc://warm-up")
+        one.send(bytes(1 << 20), copy=False)
+        two.recv()
+
+
+@pytest.fixture
+def executor() -> Iterator[CommunicatorExecutor]:
+    executor = CommunicatorExecutor(extra_tasks=TASKS, timing=QUICK)
+    yield executor
+    executor.__exit__(KeyboardInterrupt, None, None)
+
+
+@pytest.fixture
+def start_component(executor: CommunicatorExecutor, tmp_path: Path) -> Iterator[StartComponent]:
+    """Start components by hand, as a loader would; they end with the test."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(name: str = "", connection: Connection | None = None) -> subprocess.Popen[str]:
+        name = name or f"worker-{len(started)}"
+        path = tmp_path / f"{name}-{len(started)}.json"
+        write_connection(path, connection or executor.invite(name))
+        command = [sys.executable, "-P", "-m", "hpccomponent", "--connection", str(path)]
+        for task in TASKS:
+            command += ["--task", task]
+        process = subprocess.Popen(
+            command,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONPATH": str(TASKS_FOLDER)},
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()

@@ -1,0 +1,248 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from hpcapp.communicator.policy import EqualPolicy, PullPolicy
+from hpcapp.communicator.roster import Action, AskRegister, Assign, Deliver, Fail, Refuse, Welcome
+from hpcapp.communicator.scheduler import Scheduler
+from hpccomponent.clock import ManualClock
+from hpccomponent.errors import NoWorkersError, WorkerLostError
+from hpccomponent.protocol.messages import Register, Result
+
+OK = 0.001  # seconds that a task takes
+
+
+def introduce(name: str = "w", **changes: object) -> Register:
+    fields: dict[str, object] = {
+        "protocol": 1,
+        "package": "1",
+        "worker": name,
+        "incarnation": "i",
+        "build": "portable",
+        "numerics": "n",
+        "cores": 1,
+        "memory_bytes": 1,
+        "largest_frame": 1 << 20,
+    }
+    return Register(**(fields | changes))  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def clock() -> ManualClock:
+    return ManualClock()
+
+
+@pytest.fixture
+def scheduler(clock: ManualClock) -> Scheduler:
+    return Scheduler(PullPolicy(), clock, "1", lambda _: True)
+
+
+def submit(scheduler: Scheduler, count: int, size: int = 10) -> list[Action]:
+    first = len(scheduler.tasks)
+    for number in range(first, first + count):
+        assert not scheduler.submit(number, "t", size)
+    return scheduler.dispatch()
+
+
+def assigned(actions: list[Action]) -> list[tuple[bytes, tuple[int, ...]]]:
+    return [(action.worker, action.tasks) for action in actions if isinstance(action, Assign)]
+
+
+def finish(scheduler: Scheduler, assign: Action, seconds: float = OK) -> list[Action]:
+    assert isinstance(assign, Assign)
+    results = [Result(number, seconds, b"", []) for number in assign.tasks]
+    return scheduler.results(assign.worker, assign.batch, results, True)
+
+
+def errors(actions: list[Action]) -> list[Exception]:
+    return [action.error for action in actions if isinstance(action, Fail)]
+
+
+@pytest.mark.parametrize(
+    ("register", "word"),
+    [
+        (introduce(protocol=2), "protocol"),
+        (introduce(package="2"), "hpcapp 2"),
+        (introduce(numerics="other"), "last bits"),
+        (introduce(largest_frame=10), "frame"),
+    ],
+)
+def test_a_worker_that_does_not_fit_is_refused_with_a_reason(
+    scheduler: Scheduler, register: Register, word: str
+) -> None:
+    scheduler.register(b"first", introduce("first"))
+    (refuse,) = scheduler.register(b"second", register)
+    assert isinstance(refuse, Refuse)
+    assert word in refuse.reason
+    assert list(scheduler.workers) == [b"first"]
+
+
+def test_another_key_cannot_take_over_a_name_at_work(scheduler: Scheduler) -> None:
+    scheduler.register(b"a", introduce("w"), key="one")
+    (refuse,) = scheduler.register(b"b", introduce("w"), key="two")
+    assert isinstance(refuse, Refuse)
+    assert list(scheduler.workers) == [b"a"]
+
+
+def test_pull_levels_queues_one_for_all_then_two(scheduler: Scheduler) -> None:
+    for name in (b"a", b"b", b"c"):
+        scheduler.register(name, introduce(name.decode()))
+    order = [worker for worker, _ in assigned(submit(scheduler, 20))]
+    assert order == [b"a", b"b", b"c", b"a", b"b", b"c"]
+
+
+def test_equal_gives_every_worker_the_same_number_in_advance(clock: ManualClock) -> None:
+    scheduler = Scheduler(EqualPolicy(), clock, "1", lambda _: True)
+    for name in (b"a", b"b", b"c"):
+        scheduler.register(name, introduce(name.decode()))
+    pending = [action for action in submit(scheduler, 300) if isinstance(action, Assign)]
+    share = dict.fromkeys((b"a", b"b", b"c"), 0)
+    while pending:  # the first worker is the fastest: it may not take from the others
+        pending.sort(key=lambda assign: assign.worker)
+        assign = pending.pop(0)
+        share[assign.worker] += len(assign.tasks)
+        pending += [a for a in finish(scheduler, assign) if isinstance(a, Assign)]
+    assert share == {b"a": 100, b"b": 100, b"c": 100}
+
+
+def test_what_a_lost_worker_leaves_is_spread_equally(clock: ManualClock) -> None:
+    scheduler = Scheduler(EqualPolicy(), clock, "1", lambda _: True)
+    for name in (b"a", b"b", b"c"):
+        scheduler.register(name, introduce(name.decode()))
+    submit(scheduler, 90)
+    scheduler.disconnected(b"a", "it died")
+    assert [worker.placed for worker in scheduler.workers.values()] == [45, 45]
+
+
+def test_short_tasks_share_a_batch_and_long_ones_do_not(scheduler: Scheduler) -> None:
+    scheduler.register(b"a", introduce())
+    first, second = submit(scheduler, 200)
+    assert len(first.tasks) == 1  # type: ignore[union-attr]  # nothing is known of their duration
+    (quick,) = assigned(finish(scheduler, first))
+    assert len(quick[1]) > 40
+    (slow,) = assigned(finish(scheduler, second, seconds=2.0))
+    assert len(slow[1]) == 1
+
+
+def test_large_tasks_do_not_share_a_batch(scheduler: Scheduler) -> None:
+    scheduler.register(b"a", introduce())
+    first, _ = submit(scheduler, 200, size=400_000)
+    (batch,) = assigned(finish(scheduler, first))
+    assert len(batch[1]) == 2
+
+
+def test_a_result_that_comes_twice_is_dropped(scheduler: Scheduler) -> None:
+    scheduler.register(b"a", introduce())
+    (assign,) = submit(scheduler, 1)
+    assert [type(action) for action in finish(scheduler, assign)] == [Deliver]
+    assert finish(scheduler, assign) == []
+    assert scheduler.counts["dropped"] == 1
+
+
+def test_a_result_of_a_worker_given_up_is_asked_to_register_again(scheduler: Scheduler) -> None:
+    scheduler.register(b"a", introduce())
+    (assign,) = submit(scheduler, 1)
+    scheduler.disconnected(b"a", "its connection broke")
+    assert finish(scheduler, assign) == [AskRegister(b"a")]
+    again = scheduler.register(b"a", introduce())
+    assert isinstance(again[0], Welcome)
+    # The first answer still counts, although the batch that it belonged to is forgotten.
+    assert Deliver in [type(action) for action in finish(scheduler, assign)]
+    assert not scheduler.tasks
+
+
+def lose_by_disconnection(scheduler: Scheduler, assign: Assign) -> list[Action]:
+    return scheduler.disconnected(assign.worker, "its connection broke")
+
+
+def lose_by_crash(scheduler: Scheduler, assign: Assign) -> list[Action]:
+    return scheduler.batch_lost(assign.worker, assign.batch, "signal 9", True)
+
+
+@pytest.mark.parametrize("lose", [lose_by_disconnection, lose_by_crash])
+def test_a_task_is_given_up_with_the_third_worker(
+    scheduler: Scheduler, lose: Callable[[Scheduler, Assign], list[Action]]
+) -> None:
+    for name in (b"a", b"b", b"c", b"d"):
+        scheduler.register(name, introduce(name.decode()))
+    (assign,) = submit(scheduler, 1)
+    for _ in range(2):
+        assert isinstance(assign, Assign)
+        (assign,) = lose(scheduler, assign)
+    (fail,) = lose(scheduler, assign)  # type: ignore[arg-type]
+    assert isinstance(fail, Fail)
+    assert isinstance(fail.error, WorkerLostError)
+    assert "3 workers" in str(fail.error)
+
+
+def test_preemption_is_not_held_against_a_task(scheduler: Scheduler) -> None:
+    submit(scheduler, 1)
+    for number in range(10):
+        actions = scheduler.register(b"%d" % number, introduce(str(number)))
+        assert len(assigned(actions)) == 1
+        assert scheduler.goodbye(b"%d" % number, "preempted") == []
+    assert scheduler.tasks[0].losses == 0
+
+
+def test_a_drained_worker_gets_nothing_more(scheduler: Scheduler) -> None:
+    scheduler.register(b"a", introduce())
+    scheduler.drain(b"a")
+    assert submit(scheduler, 5) == []
+    assert len(assigned(scheduler.register(b"b", introduce("b")))) == 2
+
+
+def test_a_revoked_key_is_expelled(scheduler: Scheduler) -> None:
+    scheduler.register(b"a", introduce(), key="k")
+    submit(scheduler, 1)
+    (refuse,) = scheduler.expel("k")
+    assert refuse == Refuse(b"a", "its key was revoked")
+    assert not scheduler.workers
+    assert scheduler.tasks[0].losses == 0
+
+
+def test_a_silent_worker_is_lost(scheduler: Scheduler, clock: ManualClock) -> None:
+    scheduler.register(b"a", introduce("a"))
+    scheduler.register(b"b", introduce("b"))
+    submit(scheduler, 1)
+    clock.advance(14.0)
+    scheduler.heartbeat(b"b", 0, 0, [])
+    clock.advance(2.0)
+    assert assigned(scheduler.tick()) == [(b"b", (0,))]
+    assert list(scheduler.workers) == [b"b"]
+
+
+def test_tasks_fail_when_no_worker_ever_comes(scheduler: Scheduler, clock: ManualClock) -> None:
+    clock.advance(1000.0)  # the deadline counts from the first task, not from the start
+    submit(scheduler, 2)
+    clock.advance(59.0)
+    assert scheduler.tick() == []
+    clock.advance(2.0)
+    assert [type(error) for error in errors(scheduler.tick())] == [NoWorkersError] * 2
+
+
+def test_tasks_fail_at_once_when_all_workers_are_gone(scheduler: Scheduler) -> None:
+    scheduler.register(b"a", introduce())
+    submit(scheduler, 2)
+    assert scheduler.workers_gone("all loaders have ended") == []
+    (first, _) = errors(scheduler.disconnected(b"a", "its connection broke"))
+    assert "all loaders have ended" in str(first)
+    (later,) = errors(scheduler.submit(7, "t", 1))
+    assert isinstance(later, NoWorkersError)
+
+
+def test_cancelled_tasks_never_leave(clock: ManualClock) -> None:
+    scheduler = Scheduler(PullPolicy(), clock, "1", lambda number: number != 0)
+    submit(scheduler, 3)
+    scheduler.cancel(1)
+    actions = scheduler.register(b"a", introduce())
+    assert [numbers for _, numbers in assigned(actions)] == [(2,)]
+
+
+def test_a_new_incarnation_replaces_the_old_at_once(scheduler: Scheduler) -> None:
+    scheduler.register(b"a/1", introduce("a", incarnation="1"))
+    submit(scheduler, 1)
+    actions = scheduler.register(b"a/2", introduce("a", incarnation="2"))
+    assert assigned(actions) == [(b"a/2", (0,))]
+    assert list(scheduler.workers) == [b"a/2"]

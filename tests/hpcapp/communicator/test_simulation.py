@@ -1,0 +1,416 @@
+"""The scheduler and real worker sessions on a simulated network, under thousands of faults."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from hpcapp.communicator.policy import EqualPolicy, Policy, PullPolicy
+from hpcapp.communicator.roster import (
+    AskRegister,
+    Assign,
+    Deliver,
+    Dismiss,
+    Fail,
+    Refuse,
+    Welcome,
+)
+from hpcapp.communicator.scheduler import CREDIT, LOSS_BUDGET, Scheduler
+from hpccomponent.clock import ManualClock
+from hpccomponent.errors import NoWorkersError, WorkerLostError
+from hpccomponent.protocol.messages import (
+    Batch,
+    Call,
+    Drain,
+    Goodbye,
+    Heartbeat,
+    Lost,
+    Ping,
+    Refused,
+    Register,
+    RegisterAgain,
+    Registered,
+    Result,
+    Results,
+)
+from hpccomponent.protocol.session import Run, Send, StartWorker, State, WorkerSession
+
+SESSION = "simulated"
+
+
+@dataclass(eq=False)
+class Component:
+    """A session with its worker process, and what is on its way to and from it."""
+
+    identity: bytes
+    session: WorkerSession
+    down: deque[Any] = field(default_factory=deque)
+    up: deque[Any] = field(default_factory=deque)
+    work: deque[tuple[Batch, int]] = field(default_factory=deque)
+    is_frozen: bool = False
+
+    def carry_out(self, actions: Sequence[Any]) -> None:
+        for action in actions:
+            if isinstance(action, Send):
+                self.up.append(action.message)
+            elif isinstance(action, Run):
+                self.work.append((action.batch, 0))
+            elif isinstance(action, StartWorker):
+                self.carry_out(self.session.worker_started())
+
+
+class Cluster:
+    """A master's scheduler, components, and the network between them."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.clock = ManualClock()
+        self.cancelled: set[int] = set()
+        self.scheduler = Scheduler(policy, self.clock, "1", self.claim)
+        self.components: list[Component] = []
+        self.calls: dict[int, Call] = {}
+        self.ended: dict[int, Any] = {}
+        self.deliveries: Counter[int] = Counter()
+        self.assigned: Counter[int] = Counter()
+        self.started = 0
+
+    def claim(self, number: int) -> bool:
+        return number not in self.cancelled
+
+    def submit(self, count: int) -> None:
+        for _ in range(count):
+            number = len(self.calls)
+            self.calls[number] = Call(number, "simulated.task", b"", [])
+            self.carry_out(self.scheduler.submit(number, "simulated.task", 1000))
+        self.carry_out(self.scheduler.dispatch())
+
+    def cancel(self, number: int) -> None:
+        task = self.scheduler.tasks.get(number)
+        if task is not None and not task.is_claimed:
+            self.cancelled.add(number)
+            self.carry_out(self.scheduler.cancel(number))
+
+    def start_component(self, name: str | None = None) -> Component:
+        self.started += 1
+        name = name or f"worker-{self.started}"
+        register = Register(1, "1", name, str(self.started), "b", "n", 1, 1, 1 << 20)
+        session = WorkerSession(register, self.clock.now())
+        component = Component(f"{name}/{self.started}".encode(), session)
+        self.components.append(component)
+        component.carry_out(session.begin())
+        return component
+
+    def carry_out(self, actions: Sequence[Any]) -> None:
+        for action in actions:
+            if isinstance(action, Deliver):
+                self.end(action.task, action.result)
+            elif isinstance(action, Fail):
+                self.end(action.task, action.error)
+            elif isinstance(action, Assign):
+                self.assigned.update(action.tasks)
+                calls = [self.calls[number] for number in action.tasks]
+                self.send(action.worker, Batch(SESSION, action.batch, calls))
+            elif isinstance(action, Welcome):
+                self.send(action.worker, Registered(SESSION, 1.0, 60.0, 1 << 20))
+            elif isinstance(action, Refuse):
+                self.send(action.worker, Refused(action.reason))
+            elif isinstance(action, AskRegister):
+                self.send(action.worker, RegisterAgain())
+            elif isinstance(action, Dismiss):
+                self.send(action.worker, Drain(SESSION))
+
+    def end(self, number: int, outcome: Any) -> None:
+        assert number not in self.ended, "a task ended twice"
+        assert number not in self.cancelled, "a cancelled task ended"
+        self.ended[number] = outcome
+
+    def send(self, identity: bytes, message: Any) -> None:
+        for component in self.components:
+            if component.identity == identity:
+                component.down.append(message)
+
+    def pump(self, component: Component, count: int) -> None:
+        """Let `count` messages through in each direction."""
+        for _ in range(min(count, len(component.up))):
+            self.hear(component.identity, component.up.popleft())
+        for _ in range(0 if component.is_frozen else min(count, len(component.down))):
+            message = component.down.popleft()
+            component.carry_out(component.session.receive(message, (), self.clock.now()))
+        if component.session.state is State.STOPPED:
+            component.work.clear()
+
+    def hear(self, identity: bytes, message: Any) -> None:
+        scheduler = self.scheduler
+        if isinstance(message, Register):
+            self.carry_out(scheduler.register(identity, message, "key"))
+        elif isinstance(message, Results):
+            self.carry_out(
+                scheduler.results(identity, message.batch, message.results, message.is_finished)
+            )
+        elif isinstance(message, Heartbeat):
+            self.carry_out(
+                scheduler.heartbeat(identity, message.progress, message.last_batch, message.held)
+            )
+        elif isinstance(message, Lost):
+            self.carry_out(
+                scheduler.batch_lost(identity, message.batch, message.reason, message.is_blamed)
+            )
+        elif isinstance(message, Goodbye):
+            self.carry_out(scheduler.goodbye(identity, message.reason))
+
+    def work(self, component: Component) -> None:
+        """Run one task, and send its result."""
+        if component.is_frozen or not component.work:
+            return
+        batch, index = component.work.popleft()
+        call = batch.calls[index]
+        is_last = index + 1 == len(batch.calls)
+        if not is_last:
+            component.work.appendleft((batch, index + 1))
+        results = [Result(call.task, 0.001, b"", [])]
+        message = Results(batch.session, batch.batch, results, is_last)
+        component.carry_out(component.session.worker_results(message, (), self.clock.now()))
+
+    def crash_worker(self, component: Component) -> None:
+        if component.is_frozen or component.session.state is State.STOPPED:
+            return
+        component.work.clear()
+        component.carry_out(component.session.worker_died("it crashed"))
+
+    def kill(self, component: Component) -> None:
+        """Let a component vanish with all that is on its way to it."""
+        self.components.remove(component)
+        self.carry_out(self.scheduler.disconnected(component.identity, "its connection broke"))
+
+    def pass_time(self, seconds: float) -> None:
+        self.clock.advance(seconds)
+        for component in list(self.components):
+            if not component.is_frozen:
+                component.carry_out(component.session.tick(self.clock.now()))
+        self.carry_out(self.scheduler.tick())
+        for identity in self.scheduler.workers:
+            self.send(identity, Ping(SESSION, self.scheduler.last_batch))
+
+    def settle(self) -> None:
+        """End all faults, and work on until nothing moves."""
+        self.components = [c for c in self.components if c.session.state is not State.STOPPED]
+        for component in self.components:
+            component.is_frozen = False
+        self.start_component()
+        for _ in range(60):
+            for component in list(self.components):
+                self.pump(component, 1000)
+                while component.work:
+                    self.work(component)
+                self.pump(component, 1000)
+            if not self.scheduler.tasks:
+                return
+            self.pass_time(1.0)
+
+
+class FaultyCluster(RuleBasedStateMachine):
+    """Every rule is an event of normal life, or a fault."""
+
+    policy: Policy = PullPolicy()
+    which = st.integers(min_value=0, max_value=1000)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.cluster = Cluster(self.policy)
+        self.cluster.pump(self.cluster.start_component(), 10)
+
+    def pick(self, which: int) -> Component:
+        return self.cluster.components[which % len(self.cluster.components)]
+
+    @rule(count=st.integers(min_value=1, max_value=100))
+    def submit(self, count: int) -> None:
+        self.cluster.submit(count)
+
+    @rule(which=which)
+    @precondition(lambda self: self.cluster.calls)
+    def cancel(self, which: int) -> None:
+        self.cluster.cancel(which % len(self.cluster.calls))
+
+    @rule()
+    @precondition(lambda self: len(self.cluster.components) < 5)
+    def start_component(self) -> None:
+        self.cluster.start_component()
+
+    @rule(which=which)
+    @precondition(lambda self: self.cluster.components)
+    def start_anew(self, which: int) -> None:
+        self.cluster.start_component(self.pick(which).session._register.worker)
+
+    @rule(which=which, count=st.integers(min_value=1, max_value=5))
+    @precondition(lambda self: self.cluster.components)
+    def pump(self, which: int, count: int) -> None:
+        self.cluster.pump(self.pick(which), count)
+
+    @rule(which=which, count=st.integers(min_value=1, max_value=30))
+    @precondition(lambda self: self.cluster.components)
+    def work(self, which: int, count: int) -> None:
+        for _ in range(count):
+            self.cluster.work(self.pick(which))
+
+    @rule(seconds=st.sampled_from([0.1, 1.0, 5.0]))
+    def pass_time(self, seconds: float) -> None:
+        self.cluster.pass_time(seconds)
+
+    @rule(which=which)
+    @precondition(lambda self: self.cluster.components)
+    def crash_worker(self, which: int) -> None:
+        self.cluster.crash_worker(self.pick(which))
+
+    @rule(which=which)
+    @precondition(lambda self: self.cluster.components)
+    def kill(self, which: int) -> None:
+        self.cluster.kill(self.pick(which))
+
+    @rule(which=which)
+    @precondition(lambda self: self.cluster.components)
+    def freeze_or_thaw(self, which: int) -> None:
+        component = self.pick(which)
+        component.is_frozen = not component.is_frozen
+
+    @rule(which=which)
+    @precondition(lambda self: self.cluster.components)
+    def lose_messages(self, which: int) -> None:
+        component = self.pick(which)
+        component.down.clear()
+        component.up.clear()
+
+    @rule(which=which)
+    @precondition(lambda self: self.cluster.components)
+    def repeat_message(self, which: int) -> None:
+        component = self.pick(which)
+        if component.up:
+            component.up.appendleft(component.up[0])
+
+    @rule(which=which)
+    @precondition(lambda self: self.cluster.components)
+    def drain(self, which: int) -> None:
+        self.cluster.carry_out(self.cluster.scheduler.drain(self.pick(which).identity))
+
+    @rule(which=which)
+    @precondition(lambda self: self.cluster.components)
+    def terminate(self, which: int) -> None:
+        component = self.pick(which)
+        component.carry_out(component.session.terminate("told to"))
+        component.work.clear()
+
+    @rule()
+    def workers_gone(self) -> None:
+        self.cluster.carry_out(self.cluster.scheduler.workers_gone("the launcher says so"))
+
+    @invariant()
+    def every_task_is_somewhere(self) -> None:
+        cluster, scheduler = self.cluster, self.cluster.scheduler
+        open_tasks = cluster.calls.keys() - cluster.ended.keys() - cluster.cancelled
+        assert open_tasks == scheduler.tasks.keys()
+        places = Counter(scheduler._queue.keys())
+        for worker in scheduler.workers.values():
+            places.update(worker.backlog.keys())
+            for numbers in worker.batches.values():
+                places.update(numbers.keys())
+        assert places.keys() == open_tasks
+        assert max(places.values(), default=1) == 1
+
+    @invariant()
+    def windows_are_kept(self) -> None:
+        for worker in self.cluster.scheduler.workers.values():
+            assert len(worker.batches) <= CREDIT
+
+    @invariant()
+    def nobody_is_given_up_too_early(self) -> None:
+        for number, outcome in self.cluster.ended.items():
+            if isinstance(outcome, WorkerLostError):
+                assert self.cluster.assigned[number] >= LOSS_BUDGET
+
+    def teardown(self) -> None:
+        self.cluster.settle()
+        assert not self.cluster.scheduler.tasks, "tasks are stuck"
+        self.every_task_is_somewhere()
+        kinds = {type(outcome) for outcome in self.cluster.ended.values()}
+        assert kinds <= {Result, WorkerLostError, NoWorkersError}
+
+
+class FaultyEqualCluster(FaultyCluster):
+    """The same with the paper's policy."""
+
+    policy = EqualPolicy()
+
+
+FAULTS = settings(
+    max_examples=60,
+    stateful_step_count=50,
+    deadline=None,
+    phases=[Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink],
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+)
+TestFaultyCluster = FaultyCluster.TestCase
+TestFaultyCluster.settings = FAULTS
+TestFaultyEqualCluster = FaultyEqualCluster.TestCase
+TestFaultyEqualCluster.settings = FAULTS
+
+
+@pytest.mark.parametrize("policy", [EqualPolicy(), PullPolicy()])
+def test_without_faults_every_task_runs_exactly_once(policy: Policy) -> None:
+    cluster = Cluster(policy)
+    components = [cluster.start_component() for _ in range(3)]
+    for component in components:
+        cluster.pump(component, 10)
+    cluster.submit(300)
+    while cluster.scheduler.tasks:
+        for component in components:
+            cluster.pump(component, 100)
+            cluster.work(component)
+    assert cluster.assigned == Counter(range(300))
+    assert cluster.scheduler.counts["dropped"] == 0
+
+
+@pytest.mark.parametrize("policy", [EqualPolicy(), PullPolicy()])
+def test_a_task_that_kills_its_workers_is_found_and_no_other_is_given_up(policy: Policy) -> None:
+    cluster = Cluster(policy)
+    components = [cluster.start_component() for _ in range(2)]
+    for component in components:
+        cluster.pump(component, 10)
+    cluster.submit(200)
+    poison = 137
+    for _ in range(2000):
+        for component in components:
+            cluster.pump(component, 100)
+            if component.work and component.work[0][0].calls[component.work[0][1]].task == poison:
+                cluster.crash_worker(component)
+            else:
+                cluster.work(component)
+        if not cluster.scheduler.tasks:
+            break
+    given_up = {n for n, outcome in cluster.ended.items() if not isinstance(outcome, Result)}
+    assert given_up == {poison}
+    assert isinstance(cluster.ended[poison], WorkerLostError)
+
+
+def test_a_batch_or_a_result_that_got_lost_is_made_good() -> None:
+    for lose_the_batch in (True, False):
+        cluster = Cluster(PullPolicy())
+        component = cluster.start_component()
+        cluster.pump(component, 10)
+        cluster.submit(1)
+        if lose_the_batch:
+            component.down.clear()
+        cluster.pump(component, 10)
+        cluster.work(component)
+        component.up.clear()
+        for _ in range(5):
+            cluster.pass_time(1.0)
+            cluster.pump(component, 10)
+            cluster.work(component)
+        assert isinstance(cluster.ended[0], Result)
+        assert cluster.scheduler.counts["resent"] == 1
+        assert cluster.scheduler.counts["losses"] == 0

@@ -1,0 +1,133 @@
+"""One contract for every backend: what an application may rely on."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from concurrent.futures import Executor, as_completed
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zmq
+
+from hpcapp.backends import open_executor
+from hpcapp.batches import Workforce, map_batches
+from hpccomponent.errors import TaskError
+
+FOLDER = str(Path(__file__).parents[1] / "tasks")
+NAMES = ("echo", "total", "fail", "append_line", "wait_for_file")
+WAIT = 60.0  # seconds, for what takes milliseconds: only a defect runs into it
+
+
+@pytest.fixture(scope="module")
+def tasks() -> Iterator[Any]:
+    """The module of the tasks, importable here and in every process that is started."""
+    patch = pytest.MonkeyPatch()
+    patch.syspath_prepend(FOLDER)
+    paths = [FOLDER, *filter(None, [os.environ.get("PYTHONPATH")])]
+    patch.setenv("PYTHONPATH", os.pathsep.join(paths))
+    yield import_module("contract_tasks")
+    patch.undo()
+    sys.modules.pop("contract_tasks", None)
+
+
+@pytest.fixture(scope="module", params=["serial", "threads", "processes", "zmq"])
+def executor(
+    request: pytest.FixtureRequest, tasks: Any, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Executor]:
+    with zmq.Context() as context, context.socket(zmq.PAIR) as one, context.socket(zmq.PAIR) as two:
+        one.bind("inproc://warm-up")  # pyzmq keeps a thread from its first zero-copy send on
+        two.connect("inproc://warm-up")
+        one.send(bytes(1 << 20), copy=False)
+        two.recv()
+    workers = 1 if request.param == "serial" else 2
+    extra = [f"contract.{name}={tasks.__name__}:{name}" for name in NAMES]
+    with open_executor(request.param, workers=workers, extra_tasks=extra) as backend:
+        # Pools start their workers with the first tasks: let them, before leaks are counted.
+        released = tmp_path_factory.mktemp("start") / "released"
+        if request.param == "serial":
+            released.touch()
+        waiting = [backend.executor.submit(tasks.wait_for_file, str(released)) for _ in range(2)]
+        released.touch()
+        for future in waiting:
+            future.result(WAIT)
+        yield backend.executor
+
+
+def test_results_are_bitwise_equal_in_whichever_order_they_come(
+    executor: Executor, tasks: Any
+) -> None:
+    arrays = [np.random.default_rng(seed).standard_normal((500, 3)) for seed in range(20)]
+    futures = {executor.submit(tasks.echo, array): array for array in arrays}
+    large = np.arange(700_000.0)
+    futures[executor.submit(tasks.echo, large)] = large
+    done = list(as_completed(futures, timeout=WAIT))
+    assert len(done) == 21
+    for future in done:
+        assert future.result().tobytes() == futures[future].tobytes()
+
+
+def test_every_kind_of_value_travels(executor: Executor, tasks: Any) -> None:
+    values = (1, -(2**70), 0.1, True, None, "text", b"bytes", (1, 2), [3, "x"], {"k": (4.5,)})
+    received = executor.submit(tasks.echo, *values).result(WAIT)
+    assert received == values
+    assert [type(value) for value in received] == [type(value) for value in values]
+
+
+def test_sums_have_the_same_bits_as_here(executor: Executor, tasks: Any) -> None:
+    values = np.random.default_rng(3).standard_normal(100_001)
+    assert executor.submit(tasks.total, values).result(WAIT) == tasks.total(values)
+
+
+def test_an_exception_comes_back_and_the_next_task_runs(executor: Executor, tasks: Any) -> None:
+    failed = executor.submit(tasks.fail, "no luck")
+    with pytest.raises((ValueError, TaskError), match="no luck"):
+        failed.result(WAIT)
+    assert executor.submit(tasks.echo, 1).result(WAIT) == 1
+
+
+def test_the_same_call_twice_runs_twice(executor: Executor, tasks: Any, tmp_path: Path) -> None:
+    path = tmp_path / "lines"
+    for _ in range(2):
+        executor.submit(tasks.append_line, str(path)).result(WAIT)
+    assert len(path.read_text().splitlines()) == 2
+
+
+def test_map_batches_keeps_the_order_and_passes_on_what_was_raised(
+    executor: Executor, tasks: Any
+) -> None:
+    workforce = Workforce(executor, 2, 4)
+    seen: list[tuple[int, int]] = []
+    batches = [(number,) for number in range(30)]
+    advance = lambda done, total: seen.append((done, total))  # noqa: E731 - one line says it
+    assert map_batches(workforce, tasks.echo, batches, advance) == list(range(30))
+    assert seen == [(done, 30) for done in range(1, 31)]
+    with pytest.raises((ValueError, TaskError), match="no luck"):
+        map_batches(workforce, tasks.fail, [("no luck",)] * 3)
+
+
+def test_what_has_not_started_can_be_cancelled(
+    executor: Executor, tasks: Any, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    if request.node.callspec.params["executor"] == "serial":
+        pytest.skip("the serial backend has run a task before it can be cancelled")
+    released = tmp_path / "released"
+    futures = [executor.submit(tasks.wait_for_file, str(released)) for _ in range(20)]
+    assert futures[-1].cancel()
+    assert futures[-1].cancelled()
+    released.touch()
+    assert {future.result(WAIT) for future in futures[:-1]} == {str(released)}
+
+
+def test_after_shutdown_nothing_is_taken_and_nothing_is_left_open(tasks: Any) -> None:
+    extra = [f"contract.echo={tasks.__name__}:echo"]
+    with open_executor("zmq", workers=1, extra_tasks=extra) as backend:
+        future = backend.executor.submit(tasks.echo, 1)
+        backend.executor.shutdown(wait=True)
+        assert future.result(0) == 1
+        with pytest.raises(RuntimeError, match="after shutdown"):
+            backend.executor.submit(tasks.echo, 2)

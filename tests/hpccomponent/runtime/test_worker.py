@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hpccomponent.protocol.codec import decode_values, encode_values
+from hpccomponent.protocol.messages import Batch, Call, Results, decode_component_message
+from hpccomponent.runtime.channel import Channel, cut_payload
+from hpccomponent.runtime.tasks import TaskRegistry
+from hpccomponent.runtime.worker import run_batch, run_call
+
+TASKS = TaskRegistry(
+    [
+        "root=math:sqrt",
+        "list=builtins:list",
+        "ones=numpy:ones",
+        "leave=sys:exit",
+        "compile=re:compile",
+    ]
+)
+Ends = tuple[Channel, Channel]
+
+
+def call(number: int, name: str, *values: Any) -> Call:
+    header, buffers = encode_values(values)
+    return Call(number, name, header, [len(buffer) for buffer in buffers])
+
+
+@pytest.fixture
+def ends() -> Iterator[Ends]:
+    one, two = (Channel(end) for end in socket.socketpair())
+    yield one, two
+    one.close()
+    two.close()
+
+
+def hear(channel: Channel) -> tuple[Results, list[memoryview]]:
+    control, payload = channel.receive()
+    results = decode_component_message(control)
+    assert isinstance(results, Results)
+    return results, cut_payload(payload, [n for r in results.results for n in r.sizes])
+
+
+def test_a_call_gives_its_value() -> None:
+    result, buffers = run_call(call(3, "root", 16.0), [], TASKS)
+    assert result.task == 3
+    assert decode_values(result.header, buffers) == (4.0,)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "kind", "word"),
+    [
+        ("root", (-1.0,), "ValueError", "math domain error"),
+        ("root", (1, 2), "TypeError", "exactly one argument"),
+        ("leave", (3,), "SystemExit", "3"),
+        ("missing", (), "UsageError", "no task is registered"),
+        ("compile", ("x",), "UsageError", "cannot travel"),
+    ],
+)
+def test_whatever_is_raised_is_the_result(
+    name: str, values: tuple[Any, ...], kind: str, word: str
+) -> None:
+    result, buffers = run_call(call(1, name, *values), [], TASKS)
+    assert result.failure is not None
+    assert result.failure.kind == kind
+    assert word in result.failure.problem
+    assert "\n" not in result.failure.problem
+    assert "Traceback" in result.failure.traceback
+    assert not buffers
+
+
+def test_cheap_results_share_a_message(ends: Ends) -> None:
+    batch = Batch("s", 7, [call(number, "root", 4.0) for number in range(30)])
+    run_batch(batch, memoryview(b""), TASKS, ends[0])
+    numbers, messages = [], 0
+    while len(numbers) < 30:
+        results, _ = hear(ends[1])
+        numbers += [result.task for result in results.results]
+        messages += 1
+        assert results.is_finished == (len(numbers) == 30)
+    assert numbers == list(range(30))
+    assert messages < 15
+
+
+def test_large_results_are_sent_as_they_come(ends: Ends) -> None:
+    batch = Batch("s", 7, [call(number, "ones", 100_000) for number in range(3)])
+    run_batch(batch, memoryview(b""), TASKS, ends[0])
+    for number in range(3):
+        results, buffers = hear(ends[1])
+        (result,) = results.results
+        (value,) = decode_values(result.header, buffers)
+        assert result.task == number
+        assert results.is_finished == (number == 2)
+        np.testing.assert_array_equal(value, np.ones(100_000))
