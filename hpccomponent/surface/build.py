@@ -15,7 +15,7 @@ from types import ModuleType
 
 from hpccomponent.errors import UsageError
 
-__all__ = ["BUILD_VARIABLE", "chosen_build", "kernel_id", "load_native"]
+__all__ = ["BUILD_VARIABLE", "kernel_id", "load_native"]
 
 BUILD_VARIABLE = "HPCAPP_BUILD"
 
@@ -49,8 +49,14 @@ def _import_extension() -> ModuleType | str:
         return str(error)
 
 
-def load_native() -> ModuleType | None:
+def load_native(build: str | None = None) -> ModuleType | None:
     """Return the C++ extension, None where the portable build is to run.
+
+    Parameters
+    ----------
+    build : str, optional
+        ``portable``, or ``native`` to insist on the extension; any other name takes what loads.
+        By default what ``HPCAPP_BUILD`` says.
 
     Returns
     -------
@@ -59,9 +65,9 @@ def load_native() -> ModuleType | None:
     Raises
     ------
     UsageError
-        ``HPCAPP_BUILD`` is ``native``, and the extension does not load.
+        The build is ``native``, and the extension does not load.
     """
-    wanted = os.environ.get(BUILD_VARIABLE, "")
+    wanted = os.environ.get(BUILD_VARIABLE, "") if build is None else build
     if wanted == "portable":
         return None
     extension = _import_extension()
@@ -69,31 +75,19 @@ def load_native() -> ModuleType | None:
         return extension
     if wanted == "native":
         raise UsageError(
-            f"{BUILD_VARIABLE}=native, but the native kernels do not load ({extension})",
-            "install hpcapp where a C++ compiler and CMake are found, or unset the variable",
+            f"the native kernels are asked for and do not load ({extension})",
+            f"install hpcapp where a C++ compiler is found, or set {BUILD_VARIABLE}=portable",
         )
     return None
 
 
-def chosen_build() -> str:
-    """Return ``native`` or ``portable``.
-
-    Raises
-    ------
-    UsageError
-        See `load_native`.
-    """
-    return "portable" if load_native() is None else "native"
-
-
 def kernel_id(build: str | None = None) -> str:
-    """Return what decides the bits of the kernels: build, and a hash of their sources.
+    """Return what decides the bits of the kernels: the build, and a hash of their sources.
 
     Parameters
     ----------
     build : str, optional
-        ``portable`` for the numpy kernels; by default, and for every other name, what
-        `chosen_build` gives.
+        See `load_native`.
 
     Returns
     -------
@@ -105,7 +99,7 @@ def kernel_id(build: str | None = None) -> str:
     UsageError
         See `load_native`.
     """
-    extension = None if build == "portable" else load_native()
+    extension = load_native(build)
     if extension is not None:
         return f"native-{extension.KERNEL_HASH}"
     folder = Path(__file__).parent

@@ -22,6 +22,7 @@ from hpcapp.io import check_writable, drop_unusable, read_points, write_mesh
 from hpcapp.io.usable import Dropped
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import UsageError
+from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.points import PointCloud, bounding_box
 
 __all__ = ["Settings", "run_job"]
@@ -104,8 +105,9 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
             backend_name, workers=settings.workers, policy=settings.policy
         ) as backend:
             log.info(
-                "method %s, grid %d, backend %s, workers %d, policy %s",
+                "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
                 method.name, grid, backend.name, backend.workforce.workers, settings.policy,
+                kernel_id(),
             )  # fmt: skip
             result = run_pipeline(cloud, method, backend.workforce, clock, _steps(settings))
             report = _describe(settings, grid, result, backend)
@@ -206,6 +208,7 @@ def _describe(
     topology = result.topology
     return {
         "method": settings.method,
+        "kernels": kernel_id(),
         "points": result.points,
         **result.facts,
         "grid": grid,

@@ -216,7 +216,7 @@ def _inherit_level(level: Level, above: tuple[Level, VertexQuadrics] | None) -> 
 def _fit_batch(
     level: Level, prior: FloatArray, weights: tuple[float, float], cut: slice
 ) -> tuple[FloatArray | IntArray, ...]:
-    """Return the arguments of a fit: some corners, and a run of cells that holds all around them."""
+    """Return the arguments of a fit: some corners, and a run of cells with all around them."""
     touched = level.touched[cut]
     first = step_keys(touched[0], -OCTANTS[-1])
     bounds = np.searchsorted(level.cells, (first, touched[-1] + 1))
