@@ -57,7 +57,7 @@ _GRAM = np.array([[_mean_product(i, j) for j in range(BASIS)] for i in range(BAS
 
 
 def fit_vertices(
-    moments: FloatArray, prior: FloatArray, lam: FloatArray, mu: FloatArray
+    moments: FloatArray, prior: FloatArray, lam: FloatArray | float, mu: FloatArray | float
 ) -> FloatArray:
     """Fit one quadric per vertex to the points around it.
 
@@ -68,9 +68,9 @@ def fit_vertices(
         column 0 is their number n, at least 1.
     prior : ndarray of float64, shape (v, 10)
         The parents' quadrics, as `inherit_quadrics` gives them.
-    lam : ndarray of float64, shape (v,)
+    lam : float, or ndarray of float64, shape (v,)
         Weight of the normals against the positions, dimensionless.
-    mu : ndarray of float64, shape (v,)
+    mu : float, or ndarray of float64, shape (v,)
         Weight of the prior in points, dimensionless.
 
     Returns
@@ -86,6 +86,7 @@ def fit_vertices(
     forward and backward substitution likewise. No row depends on another one.
     """
     coefficients = np.empty_like(prior)
+    lam, mu = np.broadcast_to(lam, len(prior)), np.broadcast_to(mu, len(prior))
     for start in range(0, len(moments), _CHUNK_ROWS):
         rows = slice(start, start + _CHUNK_ROWS)
         columns = np.ascontiguousarray(moments[rows].T)
