@@ -187,11 +187,14 @@ def fit_pyramid(
     for level in reversed(pyramid.levels):
         quadrics = _inherit_level(level, above)
         rows = kernels.find_keys(level.vertices, level.touched)
-        prior = quadrics.coefficients[rows]
-        batches = [_fit_batch(level, prior, weights, cut) for cut in workforce.cut(len(rows))]
+        cuts = workforce.cut(len(rows))
+        batches = [
+            _fit_batch(level, cut, quadrics.coefficients[rows[cut]], weights) for cut in cuts
+        ]
         fitted = map_batches(workforce, kernels.fit_corners, batches)
-        quadrics.coefficients[rows] = _join([part for part, _ in fitted])
-        quadrics.counts[rows] = _join([counts for _, counts in fitted])
+        for cut, (coefficients, counts) in zip(cuts, fitted, strict=True):
+            quadrics.coefficients[rows[cut]] = coefficients
+            quadrics.counts[rows[cut]] = counts
         above = (level, quadrics)
         done += len(rows)
         if advance is not None:
@@ -214,7 +217,7 @@ def _inherit_level(level: Level, above: tuple[Level, VertexQuadrics] | None) -> 
 
 
 def _fit_batch(
-    level: Level, prior: FloatArray, weights: tuple[float, float], cut: slice
+    level: Level, cut: slice, prior: FloatArray, weights: tuple[float, float]
 ) -> tuple[FloatArray | IntArray, ...]:
     """Return the arguments of a fit: some corners, and a run of cells with all around them."""
     touched = level.touched[cut]
@@ -222,4 +225,4 @@ def _fit_batch(
     bounds = np.searchsorted(level.cells, (first, touched[-1] + 1))
     near = slice(int(bounds[0]), int(bounds[1]))
     lam, mu = (np.full(len(touched), weight) for weight in weights)
-    return touched, level.cells[near], level.moments[near], prior[cut], lam, mu
+    return touched, level.cells[near], level.moments[near], prior, lam, mu

@@ -181,9 +181,7 @@ def test_surface(native: ModuleType, any_ball: Any) -> None:
 
 
 @given(
-    arrays.arrays(
-        np.int64, st.tuples(st.integers(1, 40), st.just(3)), elements=st.integers(0, 12)
-    )
+    arrays.arrays(np.int64, st.tuples(st.integers(1, 40), st.just(3)), elements=st.integers(0, 12))
 )
 @settings(deadline=None, max_examples=60)
 def test_connectivity(native: ModuleType, faces: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from types import ModuleType
 from typing import Any
 
@@ -22,9 +23,7 @@ def same(first: Any, second: Any) -> None:
 @pytest.mark.parametrize("threads", THREADS)
 def test_threads(native: ModuleType, cloud: Any, threads: int) -> None:
     points = (cloud.local, cloud.sorted_normals, cloud.offsets)
-    same(
-        [native.accumulate_moments(*points, 1)], [native.accumulate_moments(*points, threads)]
-    )
+    same([native.accumulate_moments(*points, 1)], [native.accumulate_moments(*points, threads)])
     around = (cloud.touched, cloud.cells, cloud.moments)
     same([native.corner_moments(*around, 1)], [native.corner_moments(*around, threads)])
     prior, weights = np.zeros((len(cloud.touched), 10)), np.full(len(cloud.touched), 0.2)
@@ -57,7 +56,7 @@ def test_batches(native: ModuleType, cloud: Any, parts: int) -> None:
     whole = native.accumulate_moments(cloud.local, cloud.sorted_normals, cloud.offsets, 1)
     cuts = np.linspace(0, len(cloud.cells), parts + 1).astype(int)
     pieces = []
-    for start, stop in zip(cuts[:-1], cuts[1:], strict=True):
+    for start, stop in itertools.pairwise(cuts):
         bounds = cloud.offsets[start : stop + 1]
         rows = slice(bounds[0], bounds[-1])
         offsets = bounds - bounds[0]
@@ -77,6 +76,6 @@ def test_batches_of_fits(native: ModuleType, cloud: Any, parts: int) -> None:
     cuts = np.linspace(0, vertices, parts + 1).astype(int)
     fitted = [
         native.fit_corners(cloud.touched[a:b], *around, prior[a:b], weights[a:b], weights[a:b], 1)
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+        for a, b in itertools.pairwise(cuts)
     ]
     same(whole, [np.concatenate(column) for column in zip(*fitted, strict=True)])
