@@ -12,6 +12,8 @@
 #include <string>
 #include <vector>
 
+#include "memory.h"
+
 namespace hpc {
 
 namespace nb = nanobind;
@@ -76,25 +78,16 @@ inline const int64_t* check_keys(const Input& array, const char* name) {
 }
 
 template <class T>
-using Buffer = std::unique_ptr<T[]>;
-
-// Uninitialised memory: every kernel writes all of its result.
-template <class T>
-Buffer<T> make_buffer(int64_t count) {
-  return Buffer<T>(new T[static_cast<size_t>(count > 0 ? count : 1)]);
-}
-
-template <class T>
 Output<T> give(Buffer<T> data, std::initializer_list<size_t> shape) {
   T* raw = data.release();
-  nb::capsule owner(raw, [](void* pointer) noexcept { delete[] static_cast<T*>(pointer); });
+  nb::capsule owner(raw, [](void* pointer) noexcept { Release()(pointer); });
   return Output<T>(raw, shape, owner);
 }
 
 template <class T>
-Output<T> give(std::vector<T>&& values) {
-  auto* kept = new std::vector<T>(std::move(values));
-  nb::capsule owner(kept, [](void* pointer) noexcept { delete static_cast<std::vector<T>*>(pointer); });
+Output<T> give(Large<T>&& values) {
+  auto* kept = new Large<T>(std::move(values));
+  nb::capsule owner(kept, [](void* pointer) noexcept { delete static_cast<Large<T>*>(pointer); });
   return Output<T>(kept->data(), {kept->size()}, owner);
 }
 

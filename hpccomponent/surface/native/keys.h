@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "memory.h"
+
 namespace hpc {
 
 constexpr int BITS = 21;
@@ -98,12 +100,12 @@ inline uint64_t rank_of(const Ranked& item) { return item.key; }
 
 // Sort by the lowest `bits` bits, stably, in passes of at most 11 bits.
 template <class Item>
-void radix_sort(std::vector<Item>& items, int bits) {
+void radix_sort(Large<Item>& items, int bits) {
   const int passes = (bits + 10) / 11;
   if (!passes) return;
   const int digit = (bits + passes - 1) / passes;
   const uint64_t mask = (uint64_t{1} << digit) - 1;
-  std::vector<Item> other(items.size());
+  Large<Item> other(items.size());
   for (int pass = 0; pass < passes; ++pass) {
     std::vector<size_t> starts(mask + 2, 0);
     const int shift = pass * digit;

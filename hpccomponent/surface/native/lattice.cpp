@@ -6,10 +6,10 @@ namespace hpc {
 namespace {
 
 // Return the union of sorted keys shifted by each of several steps, by merging.
-std::vector<int64_t> merge_shifted(const std::vector<int64_t>& keys, int64_t stride, int low, int high) {
+Large<int64_t> merge_shifted(const Large<int64_t>& keys, int64_t stride, int low, int high) {
   const size_t streams = static_cast<size_t>(high - low + 1);
   std::vector<size_t> at(streams, 0);
-  std::vector<int64_t> merged;
+  Large<int64_t> merged;
   merged.reserve(keys.size() * 2);
   const int64_t end = INT64_MAX;
   std::vector<int64_t> head(streams);
@@ -29,7 +29,7 @@ std::vector<int64_t> merge_shifted(const std::vector<int64_t>& keys, int64_t str
 Output<int64_t> spread_keys(Input keys_of, int64_t low, int64_t high) {
   const int64_t* keys = check_keys(keys_of, "keys");
   if (low > high || low < -8 || high > 8) refuse("low, high: expected -8 <= low <= high <= 8");
-  std::vector<int64_t> spread(keys, keys + rows_of(keys_of));
+  Large<int64_t> spread(keys, keys + rows_of(keys_of));
   {
     nb::gil_scoped_release unlocked;
     for (int axis = 2; axis >= 0; --axis)
@@ -39,7 +39,7 @@ Output<int64_t> spread_keys(Input keys_of, int64_t low, int64_t high) {
 }
 
 // Halve one coordinate of each place; one that is odd has two parents. Sorted, unique.
-std::vector<int64_t> halve_axis(const std::vector<int64_t>& keys, int axis) {
+Large<int64_t> halve_axis(const Large<int64_t>& keys, int axis) {
   Place low{BIAS, BIAS, BIAS}, high{-BIAS, -BIAS, -BIAS};
   for (int64_t key : keys) {
     const Place place = unpack(key);
@@ -51,7 +51,7 @@ std::vector<int64_t> halve_axis(const std::vector<int64_t>& keys, int axis) {
   low[axis] >>= 1;
   high[axis] = (high[axis] + 1) >> 1;
   const Span span(low, high);
-  std::vector<uint64_t> halved;
+  Large<uint64_t> halved;
   halved.reserve(keys.size() + keys.size() / 2);
   for (int64_t key : keys) {
     Place place = unpack(key);
@@ -65,14 +65,14 @@ std::vector<int64_t> halve_axis(const std::vector<int64_t>& keys, int axis) {
   // Halving the fastest axis leaves the order as it is.
   if (axis < 2) radix_sort(halved, span.bits());
   halved.erase(std::unique(halved.begin(), halved.end()), halved.end());
-  std::vector<int64_t> result(halved.size());
+  Large<int64_t> result(halved.size());
   for (size_t i = 0; i < halved.size(); ++i) result[i] = pack(span.restore(halved[i]));
   return result;
 }
 
 Output<int64_t> parent_keys(Input keys_of) {
   const int64_t* keys = check_keys(keys_of, "keys");
-  std::vector<int64_t> parents(keys, keys + rows_of(keys_of));
+  Large<int64_t> parents(keys, keys + rows_of(keys_of));
   {
     nb::gil_scoped_release unlocked;
     for (int axis = 2; axis >= 0 && !parents.empty(); --axis) parents = halve_axis(parents, axis);
@@ -99,7 +99,7 @@ Output<int64_t> find_keys(Input keys_of, Input wanted_of) {
 Output<int64_t> unite_keys(Input first_of, Input second_of) {
   const int64_t* first = check_keys(first_of, "first");
   const int64_t* second = check_keys(second_of, "second");
-  std::vector<int64_t> both;
+  Large<int64_t> both;
   {
     nb::gil_scoped_release unlocked;
     std::set_union(first, first + rows_of(first_of), second, second + rows_of(second_of),

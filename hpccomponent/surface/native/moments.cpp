@@ -148,7 +148,7 @@ Output<double> scale_moments(Input moments_of) {
 }
 
 // Rank cells by parent, then by octant.
-std::vector<Ranked> rank_children(const int64_t* cells, int64_t count, Span& span) {
+Large<Ranked> rank_children(const int64_t* cells, int64_t count, Span& span) {
   if (!count) return {};
   Place low{BIAS, BIAS, BIAS}, high{-BIAS, -BIAS, -BIAS};
   for (int64_t i = 0; i < count; ++i) {
@@ -159,7 +159,7 @@ std::vector<Ranked> rank_children(const int64_t* cells, int64_t count, Span& spa
     }
   }
   span = Span(low, high);
-  std::vector<Ranked> order(static_cast<size_t>(count));
+  Large<Ranked> order(static_cast<size_t>(count));
   for (int64_t i = 0; i < count; ++i) {
     const Place p = unpack(cells[i]);
     const uint64_t octant = (p[0] & 1) | (p[1] & 1) << 1 | (p[2] & 1) << 2;
@@ -175,10 +175,10 @@ struct Family {
   int64_t children[8];
 };
 
-std::vector<Family> group_children(const int64_t* cells, int64_t count) {
+Large<Family> group_children(const int64_t* cells, int64_t count) {
   Span span({0, 0, 0}, {0, 0, 0});
-  const std::vector<Ranked> order = rank_children(cells, count, span);
-  std::vector<Family> families;
+  const Large<Ranked> order = rank_children(cells, count, span);
+  Large<Family> families;
   families.reserve(order.size() / 2);
   for (size_t i = 0; i < order.size(); ++i) {
     if (!i || order[i].key >> 3 != order[i - 1].key >> 3)
@@ -206,11 +206,11 @@ nb::tuple merge_cells(Input cells_of, Input moments_of) {
   const int64_t* cells = check_keys(cells_of, "cells");
   const int64_t count = rows_of(cells_of);
   const double* moments = check<double>(moments_of, "moments", {count, COLUMNS});
-  std::vector<int64_t> parents;
+  Large<int64_t> parents;
   Buffer<double> merged;
   {
     nb::gil_scoped_release unlocked;
-    const std::vector<Family> families = group_children(cells, count);
+    const Large<Family> families = group_children(cells, count);
     const int64_t size = static_cast<int64_t>(families.size());
     for (const Family& family : families) parents.push_back(family.key);
     merged = make_buffer<double>(size * COLUMNS);

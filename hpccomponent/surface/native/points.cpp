@@ -76,7 +76,7 @@ nb::tuple count_boxes(Input positions, Input low, double edge, int64_t one_in) {
 }
 
 // The points' rows in the order of their cells, stably, and the cells' squeezed keys.
-std::vector<Ranked> rank_points(const double* points, int64_t count, const double* origin,
+Large<Ranked> rank_points(const double* points, int64_t count, const double* origin,
                                 double size, Span& span) {
   Place low{BIAS, BIAS, BIAS}, high{-BIAS, -BIAS, -BIAS};
   for (int64_t i = 0; i < count; ++i) {
@@ -87,7 +87,7 @@ std::vector<Ranked> rank_points(const double* points, int64_t count, const doubl
     }
   }
   span = Span(low, high);
-  std::vector<Ranked> ranked(static_cast<size_t>(count));
+  Large<Ranked> ranked(static_cast<size_t>(count));
   for (int64_t i = 0; i < count; ++i) {
     const Place place = cell_of(points + 3 * i, origin, size);
     ranked[static_cast<size_t>(i)] = {span.squeeze(place), static_cast<uint32_t>(i)};
@@ -103,12 +103,12 @@ nb::tuple sort_points(Input positions, Input normals, Input origin_of, double si
   const double* origin = check<double>(origin_of, "origin", {3});
   check_positive(size, "cell_size");
   if (!count || count >= UINT32_MAX) refuse("positions: expected 1 to 2^32 - 1 points");
-  std::vector<int64_t> cells, offsets;
+  Large<int64_t> cells, offsets;
   Buffer<double> local, sorted;
   {
     nb::gil_scoped_release unlocked;
     Span span({0, 0, 0}, {0, 0, 0});
-    const std::vector<Ranked> ranked = rank_points(point, count, origin, size, span);
+    const Large<Ranked> ranked = rank_points(point, count, origin, size, span);
     for (int64_t i = 0; i < count; ++i)
       if (!i || ranked[i].key != ranked[i - 1].key) {
         cells.push_back(pack(span.restore(ranked[i].key)));
@@ -137,7 +137,7 @@ Output<int64_t> seed_bricks(Input positions, Input origin_of, double edge, Input
   const int64_t* sides = check_sides(bricks);
   check_positive(edge, "edge");
   const int64_t count = rows_of(positions);
-  std::vector<int64_t> seeds;
+  Large<int64_t> seeds;
   {
     nb::gil_scoped_release unlocked;
     std::vector<bool> held(static_cast<size_t>(sides[0] * sides[1] * sides[2]));

@@ -63,7 +63,7 @@ def cloud() -> Cells:
 
 
 def make_ball(cell_size: float, radius: float = 0.8, grid_step: float = 0.05) -> tuple[Field, Grid]:
-    """A ball: exact distances in the far field, and quadrics that agree with it near the surface."""
+    """A ball: exact distances in the far field, quadrics that agree near the surface."""
     reach = int(np.ceil(1.3 / cell_size))
     axis = np.arange(-reach, reach + 1)
     places = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
