@@ -23,6 +23,7 @@ from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, boundi
 __all__ = ["Level", "Pyramid", "VertexQuadrics", "build_pyramid", "corner_moments", "fit_pyramid"]
 
 _COARSEST_CELLS = 6
+_WAVE = 1 << 18  # corners under way at once: priors and results take 160 B each
 _ANCESTORS = 0.25  # what a point counts one level further up, where the surface is 4 times larger
 
 
@@ -182,19 +183,13 @@ def fit_pyramid(
     """
     total = sum(len(level.touched) for level in pyramid.levels)
     done = 0
-    weights = (lam, mu)
     above: tuple[Level, VertexQuadrics] | None = None
     for level in reversed(pyramid.levels):
         quadrics = _inherit_level(level, above)
         rows = kernels.find_keys(level.vertices, level.touched)
-        cuts = workforce.cut(len(rows))
-        batches = [
-            _fit_batch(level, cut, quadrics.coefficients[rows[cut]], weights) for cut in cuts
-        ]
-        fitted = map_batches(workforce, kernels.fit_corners, batches)
-        for cut, (coefficients, counts) in zip(cuts, fitted, strict=True):
-            quadrics.coefficients[rows[cut]] = coefficients
-            quadrics.counts[rows[cut]] = counts
+        for start in range(0, len(rows), _WAVE):
+            wave = slice(start, min(start + _WAVE, len(rows)))
+            _fit_wave(level, wave, rows, quadrics, (lam, mu), workforce)
         above = (level, quadrics)
         done += len(rows)
         if advance is not None:
@@ -214,6 +209,29 @@ def _inherit_level(level: Level, above: tuple[Level, VertexQuadrics] | None) -> 
         level.vertices, parent_level.vertices, parents.coefficients, support
     )
     return VertexQuadrics(means, start.counts, inherited)
+
+
+def _fit_wave(
+    level: Level,
+    wave: slice,
+    rows: IntArray,
+    quadrics: VertexQuadrics,
+    weights: tuple[float, float],
+    workforce: Workforce,
+) -> None:
+    """Fit a run of corners on the workers; `rows` says where they stand in `quadrics`."""
+    cuts = [
+        slice(wave.start + cut.start, wave.start + cut.stop)
+        for cut in workforce.cut(wave.stop - wave.start)
+    ]
+    priors = [quadrics.coefficients[rows[cut]] for cut in cuts]
+    batches = [
+        _fit_batch(level, cut, prior, weights) for cut, prior in zip(cuts, priors, strict=True)
+    ]
+    fitted = map_batches(workforce, kernels.fit_corners, batches)
+    for cut, (coefficients, counts) in zip(cuts, fitted, strict=True):
+        quadrics.coefficients[rows[cut]] = coefficients
+        quadrics.counts[rows[cut]] = counts
 
 
 def _fit_batch(
