@@ -167,7 +167,7 @@ class Dask:
             threads_per_worker=1,
             protocol="tls",
             security=Security.temporary(),
-            dashboard_address=None,
+            dashboard_address=":0",
         )
         self._stack.enter_context(cluster)
         self._client = self._stack.enter_context(Client(cluster))
@@ -184,8 +184,8 @@ class Dask:
 
 @contextmanager
 def _running(command: list[str]) -> Iterator[None]:
-    here = str(Path(__file__).parent)
-    process = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": here})
+    paths = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    process = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)})
     try:
         yield
     finally:

@@ -118,7 +118,7 @@ class Summary:
     fit_speedup, job_speedup : Spread
         Time without workers by time with them, within each round; dimensionless.
     bytes_sent : int
-        By the master for one fit.
+        See `Run`.
     """
 
     workers: int
@@ -288,7 +288,7 @@ def print_table(summaries: list[Summary]) -> None:
     print("| workers | start s | first fit ms | fit ms | job s | speed-up of the fit "
           "| speed-up of the job | what free fits could bring | MB sent |")  # fmt: skip
     print("|---|---|---|---|---|---|---|---|---|")
-    share = summaries[0].fit_s.median / summaries[0].job_s.median
+    share = _share_of_fits(summaries)
     for line in summaries:
         cells = (
             "0 (master)" if line.workers == 0 else str(line.workers),
@@ -303,6 +303,11 @@ def print_table(summaries: list[Summary]) -> None:
         )
         print(f"| {' | '.join(cells)} |")
     print(f"\nthe fits are {100 * share:.1f} % of the job without workers")
+
+
+def _share_of_fits(summaries: list[Summary]) -> float:
+    """Return the fits' share of the job without workers, by the medians."""
+    return summaries[0].fit_s.median / summaries[0].job_s.median
 
 
 def _cell(spread: Spread, scale: float, digits: int) -> str:
@@ -328,7 +333,7 @@ def plot(summaries: list[Summary], cores: int, folder: Path) -> None:
     from matplotlib.figure import Figure
 
     workers = [line.workers for line in summaries]
-    share = summaries[0].fit_s.median / summaries[0].job_s.median
+    share = _share_of_fits(summaries)
     seven, eight = (Figure(figsize=(5.5, 3.8), dpi=100, layout="constrained") for _ in range(2))
     times, ratios = seven.subplots(), eight.subplots()
     _draw(times, workers, [line.job_s for line in summaries], "whole job", "o")

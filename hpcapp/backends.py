@@ -22,12 +22,14 @@ from typing import ParamSpec, TypeVar
 
 from hpcapp.batches import Workforce
 from hpccomponent.errors import UsageError
+from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
 
 __all__ = ["BACKENDS", "POLICIES", "Backend", "SerialExecutor", "Traffic", "open_executor"]
 
 BACKENDS = ("serial", "threads", "processes", "zmq")
 POLICIES = ("equal", "pull")
 BATCHES_PER_WORKER = {"equal": 1, "pull": 4}
+EXIT_ORPHANED = 1
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -85,8 +87,39 @@ class SerialExecutor(Executor):
         return future
 
 
-def _leave_interrupts_to_the_master() -> None:
+def _serve_the_master() -> None:
+    """Leave Ctrl-C to the master, and end with it even when it is killed.
+
+    A worker of a pool would wait for ever: each holds both ends of the queue of the others.
+    """
+    import multiprocessing
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    master = multiprocessing.parent_process()
+    assert master is not None  # noqa: S101 - for mypy: this runs in a pool only
+    assert master.pid is not None  # noqa: S101 - likewise
+    exit_at_end_of_pipe(int(master.sentinel), EXIT_ORPHANED)
+    die_with_parent(master.pid, signal.SIGKILL)
+
+
+def _start_workers(pool: Executor, count: int) -> None:
+    """Start all workers of a pool deaf to Ctrl-C, which is for the master.
+
+    A worker takes a while to come up, and would show a traceback if it were interrupted then;
+    it inherits what is blocked here. A thread other than the main one never hears of Ctrl-C.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        for _ in range(count):
+            pool.submit(_come_up)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _come_up() -> None:
+    """Do nothing: the first task of each worker makes it start."""
 
 
 def available_cores() -> int:
@@ -133,7 +166,10 @@ def open_executor(
         raise UsageError(f"unknown policy {policy!r}", f"choose one of {', '.join(POLICIES)}")
     count = workers if workers is not None else (1 if name == "serial" else available_cores())
     if count < 1 or (name == "serial" and count > 1):
-        raise UsageError(f"backend {name!r} cannot have {count} workers", "give another --workers")
+        raise UsageError(
+            f"backend {name!r} cannot have {count} workers",
+            "leave --workers out, or choose another --backend",
+        )
     per_worker = BATCHES_PER_WORKER[policy]
     if name == "zmq":
         with _open_cluster(count, policy, extra_tasks) as (executor, traffic):
@@ -159,9 +195,11 @@ def _open_pool(name: str, count: int) -> Iterator[Executor]:
         pool = ProcessPoolExecutor(
             count,
             mp_context=multiprocessing.get_context("spawn"),
-            initializer=_leave_interrupts_to_the_master,
+            initializer=_serve_the_master,
         )
     try:
+        if name == "processes":
+            _start_workers(pool, count)
         yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)

@@ -6,7 +6,9 @@ when it is used, and heavy libraries only inside it, so that the command starts 
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import os
 import signal
 import sys
 from importlib import import_module
@@ -73,16 +75,36 @@ def hpcapp(debug: bool) -> None:
         stream=sys.stderr,
         force=True,
     )
+    logging.raiseExceptions = debug  # a log that cannot be written must not end the job
+    logging.captureWarnings(True)
+    logging.getLogger("py.warnings").setLevel(logging.WARNING if debug else logging.ERROR)
 
 
 def _interrupt(signum: int, frame: Any) -> NoReturn:
-    """Let SIGTERM and SIGHUP unwind the stack like Ctrl-C, so that nothing is left behind."""
+    """Let every request to end unwind the stack, so that nothing is left behind."""
     del signum, frame
     raise KeyboardInterrupt
 
 
-def _report(line: str) -> None:
-    click.echo(f"hpcapp: {line}", err=True)
+def _report(text: str) -> None:
+    """Write one line to stderr, whatever file names and logs the text quotes."""
+    line = " | ".join(part for part in text.splitlines() if part)
+    with contextlib.suppress(OSError):  # nobody can be told that stderr is full or closed
+        click.echo(f"hpcapp: {line}", err=True)
+
+
+def _fill_closed_descriptors() -> None:
+    """Put the null device where the caller closed stdin, stdout or stderr.
+
+    A file or socket opened later would get its number, and be written to in its stead.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, this one
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - for good
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:
@@ -95,7 +117,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in arguments
-    for name in ("SIGTERM", "SIGHUP"):
+    _fill_closed_descriptors()
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _interrupt)
     sys.exit(_run(arguments, debug))
@@ -107,6 +130,9 @@ def _run(arguments: list[str], debug: bool) -> int:
         hpcapp.main(arguments, prog_name="hpcapp", standalone_mode=False)
     except click.exceptions.Exit as leave:
         return leave.exit_code
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        return EXIT_USAGE
     except click.ClickException as error:
         _report(error.format_message().replace("\n", " "))
         return EXIT_USAGE
@@ -118,6 +144,12 @@ def _run(arguments: list[str], debug: bool) -> int:
             logging.getLogger("hpcapp").exception("the error's way:")
         _report(str(error))
         return error.exit_code
+    except OSError as error:
+        if debug:
+            logging.getLogger("hpcapp").exception("the error's way:")
+        _report(f"{error.filename or 'the standard output'}: {error.strerror or error}; "
+                "make room or choose another place")  # fmt: skip
+        return EXIT_FAILED
     except MemoryError:
         _report("out of memory; choose a smaller --grid or a machine with more memory")
         return EXIT_FAILED

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -48,8 +49,9 @@ class LineProgress:
         self._write(f"{stage}: done in {seconds:.2f} s")
 
     def _write(self, line: str) -> None:
-        self._stream.write(line + "\n")
-        self._stream.flush()
+        with contextlib.suppress(OSError):  # a full or closed stderr must not end the job
+            self._stream.write(line + "\n")
+            self._stream.flush()
 
 
 class BarProgress:

@@ -27,6 +27,7 @@ INTEGRANDS: dict[str, Callable[[FloatArray], FloatArray]] = {
 COARSE = np.polynomial.legendre.leggauss(7)
 FINE = np.polynomial.legendre.leggauss(15)
 MAX_ROUNDS = 60
+MAX_INTERVALS = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +124,12 @@ def integrate(
     accepted = np.zeros(2)
     intervals = 0
     for _ in range(MAX_ROUNDS):
+        if intervals + len(lefts) > MAX_INTERVALS:
+            break
         batches = [(integrand, lefts[s], rights[s]) for s in workforce.cut(len(lefts))]
         estimates = np.concatenate(map_batches(workforce, estimate, batches))
+        if not np.isfinite(estimates).all():
+            raise JobError(f"{integrand} leaves the range of numbers there", "choose nearer ends")
         share = tolerance * (rights - lefts) / (right - left)
         split = estimates[:, 1] > share
         accepted += estimates[~split].sum(axis=0)
@@ -135,6 +140,7 @@ def integrate(
         lefts = np.stack([lefts[split], middles], axis=1).ravel()
         rights = np.stack([middles, rights[split]], axis=1).ravel()
     raise JobError(
-        f"{integrand} is not known to {tolerance} after {MAX_ROUNDS} halvings",
-        "ask for a larger tolerance",
+        f"{integrand} is not known to {tolerance} after {MAX_ROUNDS} halvings "
+        f"or {MAX_INTERVALS} intervals",
+        "ask for a larger tolerance or a shorter range",
     )

@@ -117,6 +117,7 @@ class Engine:
         self._is_closing = False
         self._is_abandoned = False
         self._probe_at = clock.now()
+        self._end: JobError | None = None
         self._thread = threading.Thread(target=self._run, name="communicator", daemon=True)
         self._thread.start()
 
@@ -133,6 +134,8 @@ class Engine:
         """Take a task."""
         self.ledger.add(number, entry)
         self.post(lambda: self.scheduler.submit(number, entry.name, entry.size_bytes))
+        if self._end is not None:  # nobody would ever answer
+            self.ledger.fail_all(self._end)
 
     def cancel(self, number: int) -> None:
         """Forget a task whose future was cancelled."""
@@ -178,7 +181,8 @@ class Engine:
             reason = f"the communicator broke: {error!r}"
         finally:
             self._transport.close()
-            self.ledger.fail_all(JobError(reason, "submit the work anew"))
+            self._end = JobError(reason, "submit the work anew")
+            self.ledger.fail_all(self._end)
 
     def _take_inbox(self) -> None:
         if not self._inbox:

@@ -98,8 +98,8 @@ class Ledger:
 
     def fail(self, number: int, error: HpcError) -> None:
         """Set a future's exception, unless it was cancelled in time."""
-        entry = self._entries.pop(number)
-        if entry.claim():
+        entry = self._entries.pop(number, None)  # at the end, two threads may come here
+        if entry is not None and entry.claim():
             # One exception raised in two places would mix their tracebacks.
             own = type(error)(error.problem, error.advice)
             for note in getattr(error, "__notes__", []):

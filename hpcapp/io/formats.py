@@ -68,6 +68,7 @@ def read_points(path: str | PathLike[str]) -> PointCloud:
     """
     reader = _choose(_POINT_READERS, Path(path), UsageError, "a point cloud is read from")
     with _translated(path):
+        _refuse_special(Path(path))
         return reader(Path(path))
 
 
@@ -165,6 +166,12 @@ def _choose(
         named = f"suffix {path.suffix!r}" if path.suffix else "no suffix"
         raise error(f"{path}: {named}", f"{sentence} {', '.join(by_suffix)}")
     return chosen
+
+
+def _refuse_special(path: Path) -> None:
+    """Refuse pipes and devices: a reader looks at its file twice, and would wait for ever."""
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is not a regular file", "write it to a file first")
 
 
 @contextmanager

@@ -14,6 +14,9 @@ __all__ = ["FEWEST_POINTS", "Dropped", "drop_unusable"]
 FEWEST_POINTS = 10
 """A quadric has ten coefficients."""
 
+_SMALLEST, _LARGEST = 1e-60, 1e60
+"""Largest coordinate of a cloud: its fourth powers must stay within the range of float64."""
+
 _FLATTEST = 1e-6
 """Second extent over first, below which points count as collinear: ten roundings of float32."""
 
@@ -109,7 +112,13 @@ def _refuse_too_few(usable: PointCloud, dropped: Dropped, source: str) -> None:
 
 
 def _refuse_degenerate(positions: FloatArray, source: str) -> None:
-    centred = positions / (np.abs(positions).max() or 1.0)  # squares must not leave the range
+    largest = np.abs(positions).max()
+    if largest > _LARGEST or 0 < largest < _SMALLEST:
+        raise InputError(
+            f"{source}: the largest coordinate is {largest:g}",
+            "scale the points: products of such numbers leave the range of float64",
+        )
+    centred = positions / (largest or 1.0)  # squares must not leave the range
     centred = centred - centred.mean(axis=0)
     spread = np.abs(centred).max()
     if spread == 0 or (positions == positions[0]).all():

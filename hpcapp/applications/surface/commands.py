@@ -36,6 +36,17 @@ def _only_for(ctx: click.Context, method: str, names: tuple[str, ...]) -> None:
             )
 
 
+def _only_without_patches(ctx: click.Context) -> None:
+    """Raise UsageError where a rule was typed that --patches takes the place of."""
+    for name in ("delta", "cone", "max_points"):
+        if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+            flag = "--" + name.replace("_", "-")
+            raise UsageError(
+                f"--patches takes the place of {flag}, so they exclude each other",
+                "give one of them",
+            )
+
+
 PAPER_OPTIONS = ("delta", "max_points", "cone", "patches", "norm")
 HIERARCHICAL_OPTIONS = ("smoothness", "detail")
 
@@ -46,6 +57,10 @@ def _check_flags(ctx: click.Context) -> None:
     if len(chosen) > 1:
         flags = " and ".join("--" + name.replace("_", "-") for name in chosen)
         raise UsageError(f"{flags} exclude each other", "give one of them")
+    if ctx.params["patches"] is not None:
+        _only_without_patches(ctx)
+    if sys.stdout is None and (ctx.params["output"] == "-" or ctx.params["as_json"]):
+        raise UsageError("the standard output is closed", "give -o a file and leave --json out")
     if ctx.params["output"] == "-" and ctx.params["as_json"]:
         raise UsageError("-o - and --json both want the standard output", "give one of them")
     if ctx.params["method"] == "paper":

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import logging
-import math
+import os
 import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from hpcapp.applications.surface.doubts import doubt_closure, doubt_normals, doubt_resolution
 from hpcapp.applications.surface.hierarchical import HierarchicalMethod
+from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.method import Method
 from hpcapp.applications.surface.pipeline import Preprocess, Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
@@ -21,7 +25,7 @@ from hpcapp.backends import Backend, available_cores, open_executor
 from hpcapp.io import check_writable, drop_unusable, read_points, write_mesh
 from hpcapp.io.usable import Dropped
 from hpcapp.progress import Progress, StageClock
-from hpccomponent.errors import UsageError
+from hpccomponent.errors import OutputError, UsageError
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.points import PointCloud, bounding_box
 
@@ -30,7 +34,7 @@ __all__ = ["Settings", "run_job"]
 log = logging.getLogger("hpcapp")
 
 DEFAULT_GRID = 256
-MAX_GRID = 4096
+MIN_GRID, MAX_GRID = 16, 4096
 # Below this many points a second thread costs more than it brings.
 THREADS_FROM_POINTS = 100_000
 
@@ -98,6 +102,7 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
             cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
         _report_dropped(settings.points, dropped)
         grid = _choose_grid(settings, cloud)
+        check_memory(settings.method, grid, cloud)
         threads = available_cores() if len(cloud) >= THREADS_FROM_POINTS else 1
         method = _choose_method(settings, grid, threads)
         backend_name = _choose_backend(settings, cloud)
@@ -111,6 +116,7 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
             )  # fmt: skip
             result = run_pipeline(cloud, method, backend.workforce, clock, _steps(settings))
             report = _describe(settings, grid, result, backend)
+        report["warnings"] = _warn(settings, grid, cloud, result)
         with clock.stage("write"):
             write_mesh(target, result.mesh)
     report["dropped"] = {
@@ -132,10 +138,27 @@ def _open_output(settings: Settings) -> Iterator[Path]:
                 shutil.copyfileobj(mesh, sys.stdout.buffer)
         return
     path = Path(settings.output)
-    if path.exists() and settings.points.exists() and path.samefile(settings.points):
-        raise UsageError(f"{path} is the input itself", "give another -o")
+    if not settings.output or settings.output.endswith(("/", os.sep)):
+        raise OutputError(f"-o {settings.output!r} names no file", "name a file to write to")
+    with suppress(OSError):  # what cannot be looked at is no input; check_writable says the rest
+        if path.samefile(settings.points):
+            raise OutputError(f"{path} is the input itself", "give another -o")
     check_writable(path)
     yield path
+
+
+def _warn(settings: Settings, grid: int, cloud: PointCloud, result: Reconstruction) -> list[str]:
+    """Log what should make the user doubt the mesh, and return it for the report."""
+    low, high = bounding_box(cloud.positions)
+    step = float((high - low).max()) / grid
+    doubts = doubt_resolution(cloud, step)  # explains all that the others would find
+    if not doubts:
+        doubts = doubt_normals(cloud)
+        if settings.method != "paper":  # which leaves sheets in its boxes wherever a patch ends
+            doubts += doubt_closure(cloud, result.mesh, step)
+    for doubt in doubts:
+        log.warning("warning: %s", doubt)
+    return doubts
 
 
 def _report_dropped(path: Path, dropped: Dropped) -> None:
@@ -153,13 +176,15 @@ def _choose_grid(settings: Settings, cloud: PointCloud) -> int:
     if settings.voxel_size is None:
         return settings.grid or DEFAULT_GRID
     low, high = bounding_box(cloud.positions)
-    cells = math.ceil(float((high - low).max()) / settings.voxel_size)
-    if not 16 <= cells <= MAX_GRID:
+    longest = float((high - low).max())
+    with np.errstate(over="ignore"):
+        cells = float(np.ceil(np.float64(longest) / settings.voxel_size))
+    if not MIN_GRID <= cells <= MAX_GRID:  # NaN is not, either
         raise UsageError(
-            f"--voxel-size {settings.voxel_size:g} means {cells} cells along the longest side",
-            f"choose one that gives 16 to {MAX_GRID}; the side is {(high - low).max():g} long",
+            f"--voxel-size {settings.voxel_size:g} means {cells:g} cells along the longest side",
+            f"choose one that gives {MIN_GRID} to {MAX_GRID}; the side is {longest:g} long",
         )
-    return cells
+    return int(cells)
 
 
 def _choose_method(settings: Settings, grid: int, threads: int) -> Method[Any, Any]:

@@ -1,0 +1,118 @@
+"""Whether a job fits into memory, found out before it starts: the system kills without a word.
+
+Who may import it: the job.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from hpccomponent.errors import UsageError
+from hpccomponent.surface.lattice import pack_places, unique_keys
+from hpccomponent.surface.points import PointCloud, bounding_box
+from hpccomponent.surface.spacing import estimate_spacing
+
+__all__ = ["available_memory", "check_memory", "estimate_memory"]
+
+#: The paper's method holds every node of a cube: values, their magnitudes, masks, a median's copy.
+BYTES_PER_NODE = 16.0
+#: The default method holds bricks along the surface; measured on spheres, mesh and check included.
+BYTES_PER_SURFACE_CELL = 900.0
+#: Below this a job fits on any machine that runs it.
+SMALL_GRID = 256
+
+
+def check_memory(method: str, grid: int, cloud: PointCloud) -> None:
+    """Refuse a grid whose mesh cannot be computed in the memory that is available.
+
+    Parameters
+    ----------
+    method : str
+        ``paper`` or ``hierarchical``.
+    grid : int
+        Cells along the longest side.
+    cloud : PointCloud
+        Finite positions, not all at one place.
+
+    Raises
+    ------
+    UsageError
+        It takes more than there is; the message names a grid that fits.
+    """
+    available = available_memory()
+    if grid <= SMALL_GRID or available is None:
+        return
+    needed = estimate_memory(method, grid, cloud)
+    if needed <= available:
+        return
+    power = 3 if method == "paper" else 2
+    fitting = max(SMALL_GRID, int(grid * (available / needed) ** (1 / power)) // 16 * 16)
+    raise UsageError(
+        f"--grid {grid} needs about {needed / 2**30:.0f} GB of memory, "
+        f"{available / 2**30:.1f} GB are available",
+        f"choose --grid {fitting} or smaller, or a machine with more memory",
+    )
+
+
+def estimate_memory(method: str, grid: int, cloud: PointCloud) -> float:
+    """Estimate what a job holds at its peak.
+
+    Parameters
+    ----------
+    method : str
+        ``paper`` or ``hierarchical``.
+    grid : int
+        Cells along the longest side.
+    cloud : PointCloud
+        Finite positions, not all at one place.
+
+    Returns
+    -------
+    float
+        In bytes.
+
+    Notes
+    -----
+    The surface's area is that of the boxes that hold points; the boxes are wide enough for
+    several points each, else they would miss what lies between these.
+    """
+    if method == "paper":
+        return BYTES_PER_NODE * float(grid) ** 3
+    low, high = bounding_box(cloud.positions)
+    step = float((high - low).max()) / grid
+    box = max(8.0 * step, 3.0 * estimate_spacing(cloud.positions))
+    boxes = unique_keys(pack_places(np.floor((cloud.positions - low) / box).astype(np.int64)))
+    return BYTES_PER_SURFACE_CELL * len(boxes) * (box / step) ** 2
+
+
+def available_memory() -> float | None:
+    """Return the memory that can still be had, in bytes; None where the system does not say.
+
+    Both the machine's and the control group's limit count, on Linux.
+    """
+    if not sys.platform.startswith("linux"):
+        return None
+    free = [_read_meminfo(Path("/proc/meminfo")), _read_group(Path("/sys/fs/cgroup"))]
+    known = [size for size in free if size is not None]
+    return min(known) if known else None
+
+
+def _read_meminfo(path: Path) -> float | None:
+    try:
+        lines = path.read_text().splitlines()
+    except OSError:
+        return None
+    fields = {name: rest.split() for name, _, rest in (line.partition(":") for line in lines)}
+    return 1024.0 * int(fields["MemAvailable"][0]) if "MemAvailable" in fields else None
+
+
+def _read_group(folder: Path) -> float | None:
+    try:
+        limit = (folder / "memory.max").read_text().strip()
+        used = int((folder / "memory.current").read_text())
+    except (OSError, ValueError):
+        return None
+    return None if limit == "max" else max(0.0, float(int(limit) - used))
