@@ -79,8 +79,8 @@ def estimate_noise(cloud: PointCloud, spacing: float, workforce: Workforce) -> f
 def _probe_noise(cloud: PointCloud, cell_size: float, workforce: Workforce) -> float:
     """Return the median residual of quadrics in cells of one size."""
     pyramid = build_pyramid(cloud, cell_size, workforce)
-    quadrics = fit_pyramid(pyramid, _PROBE_LAM, MU, workforce)
     finest = pyramid.levels[0]
+    quadrics = fit_pyramid(pyramid, _PROBE_LAM, MU, workforce)
     # The median over a sample is as good: every so many-th corner of a large cloud.
     touched = finest.touched[:: len(finest.touched) // _PROBE_CORNERS + 1]
     moments = kernels.corner_moments(touched, finest.cells, finest.moments)

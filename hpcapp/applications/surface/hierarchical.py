@@ -36,12 +36,14 @@ class HierarchicalPartition:
     grid : Grid
     scale : Scale
     pyramid : Pyramid
+    far : FarField
     """
 
     cloud: PointCloud
     grid: Grid
     scale: Scale
     pyramid: Pyramid
+    far: FarField
 
 
 class HierarchicalMethod:
@@ -108,7 +110,7 @@ class HierarchicalMethod:
         grid = plan_grid(cloud.positions, self.grid)
         scale = choose_scale(cloud, grid.step, self.smoothness, self.detail, workforce)
         pyramid = build_pyramid(cloud, scale.cell_size, workforce)
-        return HierarchicalPartition(cloud, grid, scale, pyramid)
+        return HierarchicalPartition(cloud, grid, scale, pyramid, _solve_far_field(grid, pyramid))
 
     def fit(
         self, partition: HierarchicalPartition, workforce: Workforce, advance: Advance
@@ -197,16 +199,16 @@ def assemble_field(partition: HierarchicalPartition, quadrics: VertexQuadrics) -
     pyramid = partition.pyramid
     vertices = pyramid.levels[0].vertices
     trust = np.minimum(1.0, quadrics.counts / 6.0 + quadrics.inherited / 16.0)
-    far = _solve_far_field(partition)
-    return Field(pyramid.origin, pyramid.cell_size, vertices, quadrics.coefficients, trust, far)
+    return Field(
+        pyramid.origin, pyramid.cell_size, vertices, quadrics.coefficients, trust, partition.far
+    )
 
 
-def _solve_far_field(partition: HierarchicalPartition) -> FarField:
+def _solve_far_field(grid: Grid, pyramid: Pyramid) -> FarField:
     """Solve for the far field of the finest cells: centroids and mean normals.
 
     Each cell counts once: its area, not its points, is what a scan's uneven density leaves alone.
     """
-    grid, pyramid = partition.grid, partition.pyramid
     finest = pyramid.levels[0]
     places = unpack_keys(finest.cells) + 0.5 + finest.moments[:, 1:4] / finest.moments[:, :1]
     centroids = pyramid.origin + pyramid.cell_size * places

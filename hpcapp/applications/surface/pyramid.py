@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from hpcapp.batches import Workforce, map_batches
 from hpccomponent.surface import kernels
 from hpccomponent.surface.hermite import BASIS
 from hpccomponent.surface.lattice import OCTANTS, step_keys
+from hpccomponent.surface.moments import COLUMNS
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, bounding_box
 
 __all__ = ["Level", "Pyramid", "VertexQuadrics", "build_pyramid", "corner_moments", "fit_pyramid"]
@@ -59,12 +60,13 @@ class Pyramid:
         Where corner (0, 0, 0) of every level lies.
     cell_size : float
         Edge of the finest cells, in length units of the input.
-    levels : tuple of Level
+    levels : list of Level
+        `fit_pyramid` takes the moments out of each as it goes: they are most of the memory.
     """
 
     origin: FloatArray
     cell_size: float
-    levels: tuple[Level, ...]
+    levels: list[Level]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +114,7 @@ def build_pyramid(cloud: PointCloud, cell_size: float, workforce: Workforce) -> 
         touched = kernels.spread_keys(cells, 0, 1)
         vertices = kernels.unite_keys(touched, kernels.parent_keys(vertices))
         levels.append(Level(cells, moments, touched, vertices))
-    return Pyramid(low, cell_size, tuple(levels))
+    return Pyramid(low, cell_size, levels)
 
 
 def _finest_moments(
@@ -184,12 +186,14 @@ def fit_pyramid(
     total = sum(len(level.touched) for level in pyramid.levels)
     done = 0
     above: tuple[Level, VertexQuadrics] | None = None
-    for level in reversed(pyramid.levels):
+    for index in reversed(range(len(pyramid.levels))):
+        level = pyramid.levels[index]
         quadrics = _inherit_level(level, above)
         rows = kernels.find_keys(level.vertices, level.touched)
         for start in range(0, len(rows), _WAVE):
             wave = slice(start, min(start + _WAVE, len(rows)))
             _fit_wave(level, wave, rows, quadrics, (lam, mu), workforce)
+        pyramid.levels[index] = level = replace(level, moments=np.empty((0, COLUMNS)))
         above = (level, quadrics)
         done += len(rows)
         if advance is not None:
