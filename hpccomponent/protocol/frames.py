@@ -21,7 +21,7 @@ __all__ = [
 
 Buffer = bytes | bytearray | memoryview
 
-LARGEST_FRAME = 4 * 1024 * 1024
+LARGEST_FRAME = 256 * 1024  # CURVE is two to three times as fast here as with frames of 8 MiB
 SMALLEST_FRAME = 64 * 1024
 
 

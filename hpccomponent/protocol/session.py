@@ -209,9 +209,10 @@ class WorkerSession:
         if self._crashes >= MAX_CRASHES:
             why = f"the worker process died {self._crashes} times in a row, last: {reason}"
             return [*actions, *self._depart(ExitCode.WORKER_CRASHES, why)]
+        if self.state is State.DRAINING and not self._held:
+            return actions + self._leave_if_drained()
         delay_s = 0.0 if self._crashes == 1 else 0.25 * 2.0 ** (self._crashes - 1)
-        actions.append(StartWorker(min(delay_s, LONGEST_BACKOFF_S)))
-        return actions + self._leave_if_drained()
+        return [*actions, StartWorker(min(delay_s, LONGEST_BACKOFF_S))]
 
     def tick(self, now: float) -> list[Action]:
         """Take the time: heartbeats, registration anew, and an end to a silent master."""

@@ -305,3 +305,10 @@ def test_without_workers_the_launcher_ends_the_wait(executor) -> None:
 def test_an_address_of_another_machine_is_a_usage_error() -> None:
     with pytest.raises(UsageError, match="cannot listen on"):
         CommunicatorExecutor(bind="tcp://192.0.2.1:1")
+
+
+def test_a_defect_of_the_communicator_fails_every_future(executor, monkeypatch) -> None:
+    monkeypatch.setattr(executor._engine.scheduler, "tick", lambda: 1 / 0)
+    for _ in range(2):  # before the thread ends, and after
+        with pytest.raises(JobError, match="the communicator broke: ZeroDivisionError"):
+            executor.submit("contract.echo", 1).result(WAIT)
