@@ -16,7 +16,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
@@ -201,7 +201,8 @@ def _open_pool(name: str, count: int) -> Iterator[Executor]:
 @contextmanager
 def _open_processes(count: int) -> Iterator[Executor]:
     """Open a pool of processes whose workers end with it, and whose losses are noticed."""
-    import multiprocessing
+    import multiprocessing  # heavy, like the pool
+    from concurrent.futures import ProcessPoolExecutor
 
     # Spawned, not forked: a fork copies locks that threads of this process may hold.
     pool = ProcessPoolExecutor(
@@ -221,7 +222,7 @@ def _open_processes(count: int) -> Iterator[Executor]:
             watcher.join()
 
 
-def _insides(pool: ProcessPoolExecutor) -> tuple[list[Any], Any]:
+def _insides(pool: Any) -> tuple[list[Any], Any]:
     """Return the workers of a pool, and the end of a pipe that they write results to.
 
     Private to the standard library, which offers no other way to learn of a lost worker.

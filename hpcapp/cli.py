@@ -69,7 +69,9 @@ class _LogLines(logging.Handler):
 def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> None:
     del param
     if value and not ctx.resilient_parsing:
-        click.echo(f"hpcapp {version('hpcapp')}")
+        from hpccomponent.runtime.numerics import numerics_id  # it imports the kernels
+
+        click.echo(f"hpcapp {version('hpcapp')} (kernels {numerics_id()})")
         ctx.exit()
 
 

@@ -218,7 +218,7 @@ class _Component:
             self._carry_out(self._session.worker_died(reason))
 
     def _start_worker(self) -> None:
-        self._worker = WorkerProcess(self._options.tasks)
+        self._worker = WorkerProcess(self._options.tasks, self._options.build)
         self._poller.register(self._worker.channel.fileno(), zmq.POLLIN)
         self._carry_out(self._session.worker_started())
 

@@ -5,24 +5,39 @@ from __future__ import annotations
 import platform
 from importlib import metadata
 
-__all__ = ["numerics_id", "package_version"]
+__all__ = ["KERNEL_GROUP", "numerics_id", "package_version"]
+
+KERNEL_GROUP = "hpc.kernels"
 
 
-def numerics_id(build: str = "portable") -> str:
+def numerics_id(build: str | None = None) -> str:
     """Return what decides a task's bits on this machine.
 
     Parameters
     ----------
-    build : str
-        Name of the worker build in the loader's catalogue.
+    build : str, optional
+        Name of the worker build in the loader's catalogue; by default what this process runs.
 
     Returns
     -------
     str
-        Build, numpy release and architecture; a master accepts workers of one id only. The
+        The ids of the installed kernels, numpy's release and the architecture, for instance
+        ``native-4b1c9e0f2a77-numpy2.1.0-x86_64``; a master accepts workers of one id only. The
         Python patch level has no part in it.
+
+    Raises
+    ------
+    HpcError
+        The build does not load on this machine.
+
+    Notes
+    -----
+    Kernels announce themselves as entry points ``hpc.kernels``: functions from the name of a
+    build (or None) to an id.
     """
-    return f"{build}-numpy{metadata.version('numpy')}-{platform.machine()}"
+    found = sorted(metadata.entry_points(group=KERNEL_GROUP), key=lambda entry: entry.name)
+    kernels = "-".join(entry.load()(build) for entry in found)
+    return f"{kernels}-numpy{metadata.version('numpy')}-{platform.machine()}"
 
 
 def package_version() -> str:

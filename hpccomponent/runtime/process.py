@@ -24,9 +24,11 @@ class WorkerProcess:
     ----------
     tasks : sequence of str
         ``NAME=module:function`` of tasks that are not installed as entry points.
+    build : str
+        Name of the worker build; kernels find it in the variable ``HPCAPP_BUILD``.
     """
 
-    def __init__(self, tasks: Sequence[str] = ()) -> None:
+    def __init__(self, tasks: Sequence[str] = (), build: str = "") -> None:
         ours, theirs = socket.socketpair()
         reading, self._lifeline = os.pipe()
         command = [sys.executable, "-P", "-m", "hpccomponent.runtime.worker"]
@@ -39,7 +41,7 @@ class WorkerProcess:
                 command,
                 stdin=subprocess.DEVNULL,
                 pass_fds=(theirs.fileno(), reading),
-                env=os.environ | {f"{name}_NUM_THREADS": "1" for name in THREAD_VARIABLES},
+                env=_environment(build),
             )
         except BaseException:
             os.close(self._lifeline)
@@ -71,3 +73,9 @@ class WorkerProcess:
         name = signal.Signals(-code).name
         hint = " (out of memory?)" if name == "SIGKILL" and had_ended else ""
         return f"the worker process was ended by {name}{hint}"
+
+
+def _environment(build: str) -> dict[str, str]:
+    """Return the worker's variables: one thread, and the build that was announced for it."""
+    threads = {f"{name}_NUM_THREADS": "1" for name in THREAD_VARIABLES}
+    return os.environ | threads | ({"HPCAPP_BUILD": build} if build else {})

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.surface.bricks import grow_bricks
 from hpccomponent.surface.case_table import EDGES, case_triangles, triangle_counts
-from hpccomponent.surface.field import BRICK, Grid
+from hpccomponent.surface.field import BRICK, Field, Grid, evaluate_bricks
 from hpccomponent.surface.lattice import OCTANTS, find_keys, pack_places, step_keys
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["drop_small_components", "extract_surface"]
+__all__ = ["drop_small_components", "extract_surface", "grow_surface"]
 
 Float32Array = NDArray[np.float32]
 
@@ -43,6 +44,29 @@ def extract_surface(grid: Grid, places: IntArray, values: Float32Array) -> Mesh:
     numbers, vertices = _place_vertices(grid, places, values, inside)
     faces = _assemble_faces(places, inside, numbers)
     return Mesh(vertices, faces)
+
+
+def grow_surface(field: Field, grid: Grid, seeds: IntArray) -> tuple[FloatArray, IntArray]:
+    """Extract the surface in some bricks, and in all that it reaches from them.
+
+    Parameters
+    ----------
+    field : Field
+    grid : Grid
+    seeds : ndarray of int64, shape (b,)
+        Sorted keys of bricks.
+
+    Returns
+    -------
+    vertices : ndarray of float64, shape (v, 3)
+    faces : ndarray of int64, shape (f, 3)
+        See `extract_surface`.
+    """
+    places, values = grow_bricks(
+        lambda bricks: evaluate_bricks(field, grid, bricks), seeds, grid.bricks
+    )
+    mesh = extract_surface(grid, places, values)
+    return mesh.vertices, mesh.faces
 
 
 def _place_vertices(
@@ -125,18 +149,16 @@ def drop_small_components(mesh: Mesh, share: float = 0.001) -> Mesh:
     Mesh
         Without vertices that no face uses.
     """
-    from scipy.sparse import coo_array  # heavy modules: only the default method needs them
-    from scipy.sparse.csgraph import connected_components
+    from hpccomponent.surface.kernels import label_components  # which knows this module
 
     if not len(mesh.faces):
         return mesh
     count = len(mesh.vertices)
-    first, second = mesh.faces[:, :2].T, mesh.faces[:, 1:].T
-    rows, columns = np.concatenate(first), np.concatenate(second)
-    links = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(count, count))
-    _, component = connected_components(links, directed=False)
+    _, component = label_components(mesh.faces, count)
     sizes = np.bincount(component[mesh.faces[:, 0]])
     kept = sizes >= share * sizes.max()
+    if kept[sizes > 0].all():
+        return mesh
     faces = mesh.faces[kept[component[mesh.faces[:, 0]]]]
     used = np.zeros(count, np.bool_)
     used[faces.reshape(-1)] = True

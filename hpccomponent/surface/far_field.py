@@ -8,17 +8,20 @@ distance, and it is cut off one and a half grid steps from the surface.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.points import FloatArray
 
-__all__ = ["FarField", "sample_grid", "solve_far_field"]
+__all__ = ["FarField", "solve_far_field"]
 
 _NODES = 128
 _PADDING = 1.5
 _REACH = 1.5
+
+Float32Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,14 +31,15 @@ class FarField:
     Parameters
     ----------
     values : ndarray of float32, shape (g, g, g)
-        In length units of the input, positive outside, at most 1.5 steps large.
+        In length units of the input, positive outside, at most 1.5 steps large; 0 far from the
+        box that the field was asked to cover.
     origin : ndarray of float64, shape (3,)
         Where node (0, 0, 0) lies.
     step : float
         Distance of neighbouring nodes, in length units of the input.
     """
 
-    values: NDArray[np.float32]
+    values: Float32Array
     origin: FloatArray
     step: float
 
@@ -68,77 +72,76 @@ def solve_far_field(
     -----
     chi^ = -i k . V^ / k^2 for the vector field V; the cost is four FFTs of 128^3 nodes.
     """
+    from hpccomponent.surface.kernels import sample_grid  # which knows fields, made of these
+
     low, high = box
     edge = _PADDING * float((high - low).max())
     step = edge / _NODES
     origin = 0.5 * (low + high) - 0.5 * edge
     places = (centroids - origin) / step
-    chi = _integrate(_spread(places, normals), max(1.0, smoothing / step))
+    held = _held_rows((low - origin) / step, (high - origin) / step)
+    chi = _integrate(places, normals, max(1.0, smoothing / step), held)
     unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    chi -= sample_grid(chi, places).mean()
+    chi -= np.float32(sample_grid(chi, places).mean())
     rise = sample_grid(chi, places + unit) - sample_grid(chi, places - unit)
     slope = max(float(rise.mean()) / (2.0 * step), 1e-300)
-    distances = np.clip(chi / slope, -_REACH * step, _REACH * step)
-    return FarField(distances.astype(np.float32), origin, step)
+    chi /= np.float32(slope)
+    np.clip(chi, -_REACH * step, _REACH * step, out=chi)
+    return FarField(chi, origin, step)
 
 
-def _corner_weights(places: FloatArray) -> list[tuple[IntArray, FloatArray]]:
-    """Return the flat index and the trilinear weight of the eight nodes around each place."""
-    lower = np.clip(np.floor(places).astype(np.int64), 0, _NODES - 2)
-    local = places - lower
-    corners = []
-    for octant in range(8):
-        bits = [octant >> axis & 1 for axis in range(3)]
-        factors = [local[:, a] if bit else 1.0 - local[:, a] for a, bit in enumerate(bits)]
-        x, y, z = (lower[:, a] + bit for a, bit in enumerate(bits))
-        corners.append(((x * _NODES + y) * _NODES + z, factors[0] * factors[1] * factors[2]))
-    return corners
+def _integrate(
+    places: FloatArray, normals: FloatArray, smoothing: float, held: tuple[slice, slice]
+) -> Float32Array:
+    """Return the function whose gradient is nearest to the normals smeared by `smoothing` steps.
 
-
-def _spread(places: FloatArray, normals: FloatArray) -> FloatArray:
-    """Spread the normals on the nodes around them, shape (3, g, g, g)."""
-    corners = _corner_weights(places)
-    nodes = np.concatenate([nodes for nodes, _ in corners])
-    field = np.empty((3, _NODES**3))
-    for axis, component in enumerate(normals.T):
-        weights = np.concatenate([weights * component for _, weights in corners])
-        field[axis] = np.bincount(nodes, weights, _NODES**3)
-    return field.reshape(3, _NODES, _NODES, _NODES)
-
-
-def _integrate(field: FloatArray, smoothing: float) -> FloatArray:
-    """Return the function whose gradient is nearest to the field smeared by `smoothing` steps."""
-    from scipy import fft  # a heavy module: only the default method needs it
-
-    full = 2.0 * np.pi * np.fft.fftfreq(_NODES)
-    half = 2.0 * np.pi * np.fft.rfftfreq(_NODES)
-    waves = (full[:, None, None], full[None, :, None], half[None, None, :])
-    square = waves[0] ** 2 + waves[1] ** 2 + waves[2] ** 2
+    Only between the planes and rows `held`, and 0 elsewhere; all samples lie between them.
+    In single precision and one component after the other: the grids are most of the memory. The
+    transforms run axis by axis, so that rows without a sample are skipped and sums share them.
+    """
+    full = (2.0 * np.pi * np.fft.fftfreq(_NODES)).astype(np.float32)
+    half = (2.0 * np.pi * np.fft.rfftfreq(_NODES)).astype(np.float32)
+    kx, ky, kz = full[:, None, None], full[None, :, None], half[None, None, :]
+    total: NDArray[Any] = _transform_rows(places, normals, 2, held)
+    total *= kz
+    total = np.fft.fft(total, axis=1)
+    total += ky * np.fft.fft(_transform_rows(places, normals, 1, held), axis=1)
+    total = np.fft.fft(_pad_planes(total, held), axis=0)
+    first = np.fft.fft(_transform_rows(places, normals, 0, held), axis=1)
+    total += kx * np.fft.fft(_pad_planes(first, held), axis=0)
+    square = kx**2 + ky**2 + kz**2
     square[0, 0, 0] = 1.0
-    total = np.zeros(square.shape, np.complex128)
-    for wave, component in zip(waves, field, strict=True):
-        total += wave * fft.rfftn(component)
-    total *= -1j * np.exp(-0.5 * smoothing**2 * square) / square
+    total *= np.exp(np.float32(-0.5 * smoothing**2) * square) / square
+    total *= np.complex64(-1j)
     total[0, 0, 0] = 0.0
-    chi: FloatArray = fft.irfftn(total, s=(_NODES,) * 3, overwrite_x=True)
+    total = np.fft.ifft(total, axis=0)[held[0]]
+    total = np.fft.ifft(total, axis=1)[:, held[1]]
+    chi = np.zeros((_NODES,) * 3, np.float32)
+    chi[held] = np.fft.irfft(total, _NODES, axis=2)
     return chi
 
 
-def sample_grid(values: FloatArray, places: FloatArray) -> FloatArray:
-    """Interpolate a grid trilinearly.
+def _held_rows(low: FloatArray, high: FloatArray) -> tuple[slice, slice]:
+    """Return the planes and the rows of the grid that a box and two nodes around it take up."""
+    first = np.maximum(np.floor(low).astype(int) - 2, 0)
+    last = np.minimum(np.ceil(high).astype(int) + 3, _NODES)
+    return slice(first[0], last[0]), slice(first[1], last[1])
 
-    Parameters
-    ----------
-    values : ndarray of float64, shape (128, 128, 128)
-    places : ndarray of float64, shape (n, 3)
-        In grid steps from node (0, 0, 0).
 
-    Returns
-    -------
-    ndarray of float64, shape (n,)
-    """
-    flat = values.reshape(-1)
-    total = np.zeros(len(places))
-    for nodes, weights in _corner_weights(places):
-        total += weights * flat[nodes]
-    return total
+def _transform_rows(
+    places: FloatArray, normals: FloatArray, axis: int, held: tuple[slice, slice]
+) -> NDArray[Any]:
+    """Transform one component along z, within the planes that hold samples."""
+    from hpccomponent.surface.kernels import spread_component  # which knows fields
+
+    grid = spread_component(places, normals, axis, _NODES)[held]
+    rows = np.zeros((grid.shape[0], _NODES, _NODES // 2 + 1), np.complex64)
+    rows[:, held[1]] = np.fft.rfft(grid, axis=2)
+    return rows
+
+
+def _pad_planes(planes: NDArray[Any], held: tuple[slice, slice]) -> NDArray[Any]:
+    """Put the planes that hold samples between those that hold none."""
+    padded = np.zeros((_NODES, *planes.shape[1:]), np.complex64)
+    padded[held[0]] = planes
+    return padded

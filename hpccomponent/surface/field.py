@@ -74,17 +74,30 @@ class Field:
         Edge of a lattice cell, in length units of the input.
     keys : ndarray of int64, shape (v,)
         Sorted keys of the lattice's vertices.
-    channels : ndarray of float64, shape (12, v + 1)
-        The ten coefficients, 1, and the trust of each vertex; the last column, all zero, stands
-        for a vertex that is missing.
+    coefficients : ndarray of float64, shape (v, 10)
+        The quadric of each vertex.
+    trust : ndarray of float64, shape (v,)
+        What it counts against the far field, 0 to 1.
     far : FarField
     """
 
     origin: FloatArray
     cell_size: float
     keys: IntArray
-    channels: FloatArray
+    coefficients: FloatArray
+    trust: FloatArray
     far: FarField
+
+    def channels(self) -> FloatArray:
+        """Return coefficients, 1 and trust, shape (12, v + 1).
+
+        The last column, all zero, stands for a vertex that is missing.
+        """
+        channels = np.zeros((CHANNELS, len(self.keys) + 1))
+        channels[:10, :-1] = self.coefficients.T
+        channels[10, :-1] = 1.0
+        channels[11, :-1] = self.trust
+        return channels
 
 
 def evaluate_bricks(field: Field, grid: Grid, places: IntArray) -> Float32Array:
@@ -107,20 +120,23 @@ def evaluate_bricks(field: Field, grid: Grid, places: IntArray) -> Float32Array:
     reach = BRICK * grid.step / field.cell_size
     layers = min(2 * NODES, int(reach) + 3)
     chunk = max(1, _CHUNK_NODES // max(NODES * layers**2, NODES**3))
+    channels = field.channels()
     for start in range(0, len(places), chunk):
         rows = slice(start, start + chunk)
-        values[rows] = _evaluate_chunk(field, grid, places[rows])
+        values[rows] = _evaluate_chunk(field, channels, grid, places[rows])
     return values
 
 
-def _evaluate_chunk(field: Field, grid: Grid, places: IntArray) -> Float32Array:
+def _evaluate_chunk(
+    field: Field, channels: FloatArray, grid: Grid, places: IntArray
+) -> Float32Array:
     """Evaluate a few bricks."""
     nodes = BRICK * places.T[:, :, None] + np.arange(NODES)
     lower, local = _locate(nodes, grid, field.origin, field.cell_size)
     layers, lower = needed_layers(lower)
     corners = np.stack(np.broadcast_arrays(*cross_axes(layers)), axis=-1)
     rows = find_keys(field.keys, pack_places(corners))
-    quadric, presence, trust = blend_quadrics(field.channels, rows, lower, local)
+    quadric, presence, trust = blend_quadrics(channels, rows, lower, local)
     far_lower, far_local = _locate(nodes, grid, field.far.origin, field.far.step)
     far = interpolate_far(field.far.values, far_lower, far_local) / field.cell_size
     present = presence > 0.0

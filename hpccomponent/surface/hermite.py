@@ -56,8 +56,10 @@ _GRADIENT = {pair: _gradient_terms(*pair) for pair in _PAIRS}
 _GRAM = np.array([[_mean_product(i, j) for j in range(BASIS)] for i in range(BASIS)])
 
 
-def fit_vertices(moments: FloatArray, prior: FloatArray, lam: float, mu: float) -> FloatArray:
-    """Fit one quadric per vertex to the points around it (a task).
+def fit_vertices(
+    moments: FloatArray, prior: FloatArray, lam: FloatArray | float, mu: FloatArray | float
+) -> FloatArray:
+    """Fit one quadric per vertex to the points around it.
 
     Parameters
     ----------
@@ -66,9 +68,9 @@ def fit_vertices(moments: FloatArray, prior: FloatArray, lam: float, mu: float) 
         column 0 is their number n, at least 1.
     prior : ndarray of float64, shape (v, 10)
         The parents' quadrics, as `inherit_quadrics` gives them.
-    lam : float
+    lam : float, or ndarray of float64, shape (v,)
         Weight of the normals against the positions, dimensionless.
-    mu : float
+    mu : float, or ndarray of float64, shape (v,)
         Weight of the prior in points, dimensionless.
 
     Returns
@@ -84,16 +86,18 @@ def fit_vertices(moments: FloatArray, prior: FloatArray, lam: float, mu: float) 
     forward and backward substitution likewise. No row depends on another one.
     """
     coefficients = np.empty_like(prior)
+    lam, mu = np.broadcast_to(lam, len(prior)), np.broadcast_to(mu, len(prior))
     for start in range(0, len(moments), _CHUNK_ROWS):
         rows = slice(start, start + _CHUNK_ROWS)
         columns = np.ascontiguousarray(moments[rows].T)
-        matrix, right = _normal_equations(columns, np.ascontiguousarray(prior[rows].T), lam, mu)
+        priors = np.ascontiguousarray(prior[rows].T)
+        matrix, right = _normal_equations(columns, priors, lam[rows], mu[rows])
         coefficients[rows] = _solve_cholesky(matrix, right).T
     return coefficients
 
 
 def _normal_equations(
-    columns: FloatArray, prior: FloatArray, lam: float, mu: float
+    columns: FloatArray, prior: FloatArray, lam: FloatArray, mu: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the lower triangles (10, 10, v) and the right sides (10, v)."""
     inverse = 1.0 / columns[0]

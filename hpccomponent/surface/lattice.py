@@ -21,6 +21,7 @@ __all__ = [
     "spread_keys",
     "step_keys",
     "unique_keys",
+    "unite_keys",
     "unpack_keys",
 ]
 
@@ -135,6 +136,22 @@ def unique_keys(keys: IntArray) -> IntArray:
     first[:1] = True
     np.not_equal(ordered[1:], ordered[:-1], out=first[1:])
     return ordered[first]
+
+
+def unite_keys(first: IntArray, second: IntArray) -> IntArray:
+    """Return the union of two sets of keys.
+
+    Parameters
+    ----------
+    first, second : ndarray of int64, shape (k,)
+        Sorted, unique.
+
+    Returns
+    -------
+    ndarray of int64, shape (u,)
+        Sorted, unique.
+    """
+    return unique_keys(np.concatenate([first, second]))
 
 
 def spread_keys(keys: IntArray, low: int, high: int) -> IntArray:

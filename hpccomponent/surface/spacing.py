@@ -10,7 +10,7 @@ from hpccomponent.errors import InputError
 from hpccomponent.surface.lattice import cells_of, pack_places, unique_keys
 from hpccomponent.surface.points import FloatArray, IntArray, bounding_box
 
-__all__ = ["estimate_spacing"]
+__all__ = ["count_boxes", "estimate_spacing"]
 
 _FEW, _MANY = 3.0, 20.0
 _SAMPLED_POINTS = 200_000
@@ -65,9 +65,35 @@ def estimate_spacing(positions: FloatArray) -> float:
 
 def _mean_occupancy(positions: FloatArray, low: FloatArray, edge: float) -> float:
     """Return the mean number of points in an occupied box, over a sample of the boxes."""
+    from hpccomponent.surface import kernels  # which knows this module
+
+    one_in = len(positions) // _SAMPLED_POINTS + 1
+    points, boxes = kernels.count_boxes(positions, low, edge, one_in)
+    return points / max(1, boxes)
+
+
+def count_boxes(
+    positions: FloatArray, low: FloatArray, edge: float, one_in: int
+) -> tuple[int, int]:
+    """Count points and occupied boxes, over a sample of the boxes, in numpy (see `kernels`).
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    low : ndarray of float64, shape (3,)
+        Corner of a box.
+    edge : float
+        Of a box, in length units of the input.
+    one_in : int
+        About one box in so many is in the sample, chosen by a hash.
+
+    Returns
+    -------
+    points, boxes : int
+    """
     keys = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
-    keys = _sample_boxes(keys, len(keys) // _SAMPLED_POINTS + 1)
-    return len(keys) / max(1, len(unique_keys(keys)))
+    keys = _sample_boxes(keys, one_in)
+    return len(keys), len(unique_keys(keys))
 
 
 def _sample_boxes(keys: IntArray, one_in: int) -> IntArray:

@@ -12,10 +12,10 @@ from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.pyramid import Pyramid, VertexQuadrics, build_pyramid, fit_pyramid
 from hpcapp.batches import Workforce
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.bricks import grow_bricks, seed_bricks
-from hpccomponent.surface.extraction import drop_small_components, extract_surface
+from hpccomponent.surface import kernels
+from hpccomponent.surface.extraction import drop_small_components
 from hpccomponent.surface.far_field import FarField, solve_far_field
-from hpccomponent.surface.field import BRICK, CHANNELS, Field, Grid, evaluate_bricks
+from hpccomponent.surface.field import BRICK, Field, Grid
 from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
@@ -38,12 +38,14 @@ class HierarchicalPartition:
     grid : Grid
     scale : Scale
     pyramid : Pyramid
+    far : FarField
     """
 
     cloud: PointCloud
     grid: Grid
     scale: Scale
     pyramid: Pyramid
+    far: FarField
 
 
 class HierarchicalMethod:
@@ -57,6 +59,8 @@ class HierarchicalMethod:
         Above 1, noise is taken for larger than it is estimated: smoother. Dimensionless.
     detail : float
         Above 1, cells are smaller: more detail, less averaging. Dimensionless.
+    threads : int
+        How many threads the extraction takes; the mesh does not depend on it.
 
     Raises
     ------
@@ -66,7 +70,13 @@ class HierarchicalMethod:
 
     name = "hierarchical"
 
-    def __init__(self, grid: int = 256, smoothness: float = 1.0, detail: float = 1.0) -> None:
+    def __init__(
+        self,
+        grid: int = 256,
+        smoothness: float = 1.0,
+        detail: float = 1.0,
+        threads: int = 1,
+    ) -> None:
         if grid < _LEAST_GRID:
             raise UsageError(
                 f"a grid of {grid} cells is too coarse", f"ask for {_LEAST_GRID} or more"
@@ -77,6 +87,7 @@ class HierarchicalMethod:
         self.grid = grid
         self.smoothness = smoothness
         self.detail = detail
+        self.threads = threads
 
     def partition(self, cloud: PointCloud, workforce: Workforce) -> HierarchicalPartition:
         """Find spacing, noise and cell size, and sum the moments of the points in each cell.
@@ -101,7 +112,7 @@ class HierarchicalMethod:
         grid = plan_grid(cloud.positions, self.grid)
         scale = choose_scale(cloud, grid.step, self.smoothness, self.detail, workforce)
         pyramid = build_pyramid(cloud, scale.cell_size, workforce)
-        return HierarchicalPartition(cloud, grid, scale, pyramid)
+        return HierarchicalPartition(cloud, grid, scale, pyramid, _solve_far_field(grid, pyramid))
 
     def fit(
         self, partition: HierarchicalPartition, workforce: Workforce, advance: Advance
@@ -121,11 +132,10 @@ class HierarchicalMethod:
         """
         grid = partition.grid
         field = assemble_field(partition, quadrics)
-        seeds = seed_bricks(grid, partition.cloud.positions)
-        places, values = grow_bricks(
-            lambda bricks: evaluate_bricks(field, grid, bricks), seeds, grid.bricks, advance
-        )
-        mesh = drop_small_components(extract_surface(grid, places, values))
+        seeds = kernels.seed_bricks(grid, partition.cloud.positions)
+        vertices, faces = kernels.grow_surface(field, grid, seeds, self.threads)
+        mesh = drop_small_components(Mesh(vertices, faces))
+        advance(len(seeds), len(seeds))
         if not len(mesh.faces):
             raise InputError(
                 "no part of the cloud encloses a volume",
@@ -190,20 +200,17 @@ def assemble_field(partition: HierarchicalPartition, quadrics: VertexQuadrics) -
     """
     pyramid = partition.pyramid
     vertices = pyramid.levels[0].vertices
-    channels = np.zeros((CHANNELS, len(vertices) + 1))
-    channels[:10, :-1] = quadrics.coefficients.T
-    channels[10, :-1] = 1.0
-    channels[11, :-1] = np.minimum(1.0, quadrics.counts / 6.0 + quadrics.inherited / 16.0)
-    far = _solve_far_field(partition)
-    return Field(pyramid.origin, pyramid.cell_size, vertices, channels, far)
+    trust = np.minimum(1.0, quadrics.counts / 6.0 + quadrics.inherited / 16.0)
+    return Field(
+        pyramid.origin, pyramid.cell_size, vertices, quadrics.coefficients, trust, partition.far
+    )
 
 
-def _solve_far_field(partition: HierarchicalPartition) -> FarField:
+def _solve_far_field(grid: Grid, pyramid: Pyramid) -> FarField:
     """Solve for the far field of the finest cells: centroids and mean normals.
 
     Each cell counts once: its area, not its points, is what a scan's uneven density leaves alone.
     """
-    grid, pyramid = partition.grid, partition.pyramid
     finest = pyramid.levels[0]
     places = unpack_keys(finest.cells) + 0.5 + finest.moments[:, 1:4] / finest.moments[:, :1]
     centroids = pyramid.origin + pyramid.cell_size * places

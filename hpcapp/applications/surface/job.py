@@ -19,15 +19,14 @@ from hpcapp.applications.surface.doubts import doubt_closure, doubt_normals, dou
 from hpcapp.applications.surface.hierarchical import MARGIN, HierarchicalMethod
 from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.method import Method
-from hpcapp.applications.surface.paper import PaperMethod
 from hpcapp.applications.surface.pipeline import Preprocess, Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
-from hpcapp.applications.surface.preprocess import denoise, remove_outliers, resample
 from hpcapp.backends import Backend, available_cores, open_executor
 from hpcapp.io import check_writable, drop_unusable, read_points, write_mesh
 from hpcapp.io.usable import Dropped
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.points import PointCloud, bounding_box
 
 __all__ = ["Settings", "run_job"]
@@ -104,14 +103,16 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
         _report_dropped(settings.points, dropped)
         grid = _choose_grid(settings, cloud)
         check_memory(settings.method, grid, cloud)
-        method = _choose_method(settings, grid)
+        threads = available_cores() if len(cloud) >= THREADS_FROM_POINTS else 1
+        method = _choose_method(settings, grid, threads)
         backend_name = _choose_backend(settings, cloud)
         with open_executor(
             backend_name, workers=settings.workers, policy=settings.policy
         ) as backend:
             log.info(
-                "method %s, grid %d, backend %s, workers %d, policy %s",
+                "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
                 method.name, grid, backend.name, backend.workforce.workers, settings.policy,
+                kernel_id(),
             )  # fmt: skip
             result = run_pipeline(cloud, method, backend.workforce, clock, _steps(settings))
             report = _describe(settings, grid, result, backend)
@@ -187,9 +188,11 @@ def _choose_grid(settings: Settings, cloud: PointCloud) -> int:
     return int(cells)
 
 
-def _choose_method(settings: Settings, grid: int) -> Method[Any, Any]:
+def _choose_method(settings: Settings, grid: int, threads: int) -> Method[Any, Any]:
     if settings.method == "hierarchical":
-        return HierarchicalMethod(grid=grid, smoothness=settings.smoothness, detail=settings.detail)
+        return HierarchicalMethod(grid, settings.smoothness, settings.detail, threads)
+    from hpcapp.applications.surface.paper import PaperMethod  # it stands on heavy modules
+
     return PaperMethod(
         delta=settings.delta,
         max_points=settings.max_points,
@@ -202,6 +205,10 @@ def _choose_method(settings: Settings, grid: int) -> Method[Any, Any]:
 
 def _steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:
     """Return the preprocessing steps that are switched on, in the paper's order."""
+    if not (settings.outliers or settings.denoise or settings.resample):
+        return ()  # what the steps stand on is heavy
+    from hpcapp.applications.surface.preprocess import denoise, remove_outliers, resample
+
     wanted: tuple[tuple[bool, str, Preprocess], ...] = (
         (settings.outliers, "remove outliers", remove_outliers),
         (settings.denoise, "denoise", denoise),
@@ -227,6 +234,7 @@ def _describe(
     topology = result.topology
     return {
         "method": settings.method,
+        "kernels": kernel_id(),
         "points": result.points,
         **result.facts,
         "grid": grid,

@@ -9,30 +9,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hpcapp.applications.surface.method import Advance
 from hpcapp.batches import Workforce, map_batches
-from hpccomponent.surface.hermite import BASIS, fit_vertices, inherit_quadrics
-from hpccomponent.surface.lattice import (
-    OCTANTS,
-    cells_of,
-    corner_parents,
-    find_keys,
-    pack_places,
-    spread_keys,
-    step_keys,
-    unique_keys,
-    unpack_keys,
-)
-from hpccomponent.surface.moments import accumulate_moments, scale_moments, shift_moments
+from hpccomponent.surface import kernels
+from hpccomponent.surface.hermite import BASIS
+from hpccomponent.surface.lattice import OCTANTS, step_keys
+from hpccomponent.surface.moments import COLUMNS
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, bounding_box
 
 __all__ = ["Level", "Pyramid", "VertexQuadrics", "build_pyramid", "corner_moments", "fit_pyramid"]
 
 _COARSEST_CELLS = 6
+_WAVE = 1 << 18  # corners under way at once: priors and results take 160 B each
 _ANCESTORS = 0.25  # what a point counts one level further up, where the surface is 4 times larger
 
 
@@ -68,12 +60,13 @@ class Pyramid:
         Where corner (0, 0, 0) of every level lies.
     cell_size : float
         Edge of the finest cells, in length units of the input.
-    levels : tuple of Level
+    levels : list of Level
+        `fit_pyramid` takes the moments out of each as it goes: they are most of the memory.
     """
 
     origin: FloatArray
     cell_size: float
-    levels: tuple[Level, ...]
+    levels: list[Level]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,14 +107,14 @@ def build_pyramid(cloud: PointCloud, cell_size: float, workforce: Workforce) -> 
     longest = float((high - low).max())
     coarser = max(0, int(np.floor(np.log2(longest / cell_size / _COARSEST_CELLS))))
     cells, moments = _finest_moments(cloud, low, cell_size, workforce)
-    vertices = spread_keys(cells, -1, 2)
-    levels = [Level(cells, moments, spread_keys(cells, 0, 1), vertices)]
+    vertices = kernels.spread_keys(cells, -1, 2)
+    levels = [Level(cells, moments, kernels.spread_keys(cells, 0, 1), vertices)]
     for _ in range(coarser):
-        cells, moments = _merge_cells(cells, moments)
-        touched = spread_keys(cells, 0, 1)
-        vertices = unique_keys(np.concatenate([touched, _all_parents(vertices)]))
+        cells, moments = kernels.merge_cells(cells, moments)
+        touched = kernels.spread_keys(cells, 0, 1)
+        vertices = kernels.unite_keys(touched, kernels.parent_keys(vertices))
         levels.append(Level(cells, moments, touched, vertices))
-    return Pyramid(low, cell_size, tuple(levels))
+    return Pyramid(low, cell_size, levels)
 
 
 def _finest_moments(
@@ -129,41 +122,28 @@ def _finest_moments(
 ) -> tuple[IntArray, FloatArray]:
     """Sort the points by cell and sum the moments of each cell."""
     assert cloud.normals is not None  # noqa: S101 - checked by the method, at its border
-    places = cells_of(cloud.positions, origin, cell_size)
-    corners = np.floor(places)
-    keys = pack_places(corners.astype(np.int64))
-    order = np.argsort(keys, kind="stable")
-    local = (places - corners - 0.5)[order]
-    normals = cloud.normals[order]
-    cells = unique_keys(keys)
-    offsets = np.append(np.searchsorted(keys[order], cells), len(keys)).astype(np.int64)
+    cells, offsets, local, normals = kernels.sort_points(
+        cloud.positions, cloud.normals, origin, cell_size
+    )
     batches = []
     for cut in workforce.cut(len(cells)):
         bounds = offsets[cut.start : cut.stop + 1]
         points = slice(int(bounds[0]), int(bounds[-1]))
         batches.append((local[points], normals[points], bounds - bounds[0]))
-    return cells, np.concatenate(map_batches(workforce, accumulate_moments, batches))
+    return cells, _join(map_batches(workforce, kernels.accumulate_moments, batches))
 
 
-def _merge_cells(cells: IntArray, moments: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Sum the moments of each eight children about the centre of their parent."""
-    places = unpack_keys(cells)
-    parent_keys = pack_places(places >> 1)
-    parents = unique_keys(parent_keys)
-    owners = find_keys(parents, parent_keys)
-    which = (places & 1) @ np.array([1, 2, 4])
-    merged = np.zeros((len(parents), moments.shape[1]))
-    for child, octant in enumerate(OCTANTS):
-        chosen = which == child
-        merged[owners[chosen]] += shift_moments(moments[chosen], octant - 0.5)
-    return parents, scale_moments(merged)
-
-
-def _all_parents(vertices: IntArray) -> IntArray:
-    """Return every parent of some vertices, sorted."""
-    places = unpack_keys(vertices)
-    parents = [unique_keys(corner_parents(places, octant)[0]) for octant in OCTANTS]
-    return unique_keys(np.concatenate(parents))
+def _join(parts: list[FloatArray]) -> FloatArray:
+    """Concatenate arrays and let go of each as soon as it is copied; `parts` is empty then."""
+    if len(parts) == 1:
+        return parts.pop()
+    joined = np.empty((sum(map(len, parts)), *parts[0].shape[1:]))
+    end = len(joined)
+    while parts:
+        part = parts.pop()
+        joined[end - len(part) : end] = part
+        end -= len(part)
+    return joined
 
 
 def corner_moments(level: Level) -> FloatArray:
@@ -177,11 +157,7 @@ def corner_moments(level: Level) -> FloatArray:
     -------
     ndarray of float64, shape (t, 44)
     """
-    total = np.zeros((len(level.touched), level.moments.shape[1]))
-    for octant in OCTANTS:
-        rows = find_keys(level.touched, step_keys(level.cells, octant))
-        total[rows] += shift_moments(level.moments, 0.5 - octant)
-    return total
+    return kernels.corner_moments(level.touched, level.cells, level.moments)
 
 
 def fit_pyramid(
@@ -210,15 +186,14 @@ def fit_pyramid(
     total = sum(len(level.touched) for level in pyramid.levels)
     done = 0
     above: tuple[Level, VertexQuadrics] | None = None
-    for level in reversed(pyramid.levels):
+    for index in reversed(range(len(pyramid.levels))):
+        level = pyramid.levels[index]
         quadrics = _inherit_level(level, above)
-        rows = find_keys(level.vertices, level.touched)
-        moments = corner_moments(level)
-        prior = quadrics.coefficients[rows]
-        batches = [(moments[cut], prior[cut], lam, mu) for cut in workforce.cut(len(rows))]
-        fitted = map_batches(workforce, fit_vertices, batches)
-        quadrics.coefficients[rows] = np.concatenate(fitted)
-        quadrics.counts[rows] = moments[:, 0]
+        rows = kernels.find_keys(level.vertices, level.touched)
+        for start in range(0, len(rows), _WAVE):
+            wave = slice(start, min(start + _WAVE, len(rows)))
+            _fit_wave(level, wave, rows, quadrics, (lam, mu), workforce)
+        pyramid.levels[index] = level = replace(level, moments=np.empty((0, COLUMNS)))
         above = (level, quadrics)
         done += len(rows)
         if advance is not None:
@@ -233,11 +208,43 @@ def _inherit_level(level: Level, above: tuple[Level, VertexQuadrics] | None) -> 
     if above is None:
         return start
     parent_level, parents = above
-    places = unpack_keys(level.vertices)
     support = parents.counts + _ANCESTORS * parents.inherited
-    for octant in OCTANTS:
-        keys, steps = corner_parents(places, octant)
-        rows = find_keys(parent_level.vertices, keys)
-        start.coefficients[:] += 0.125 * inherit_quadrics(parents.coefficients[rows], steps)
-        start.inherited[:] += 0.125 * support[rows]
-    return start
+    means, inherited = kernels.inherit_level(
+        level.vertices, parent_level.vertices, parents.coefficients, support
+    )
+    return VertexQuadrics(means, start.counts, inherited)
+
+
+def _fit_wave(
+    level: Level,
+    wave: slice,
+    rows: IntArray,
+    quadrics: VertexQuadrics,
+    weights: tuple[float, float],
+    workforce: Workforce,
+) -> None:
+    """Fit a run of corners on the workers; `rows` says where they stand in `quadrics`."""
+    cuts = [
+        slice(wave.start + cut.start, wave.start + cut.stop)
+        for cut in workforce.cut(wave.stop - wave.start)
+    ]
+    priors = [quadrics.coefficients[rows[cut]] for cut in cuts]
+    batches = [
+        _fit_batch(level, cut, prior, weights) for cut, prior in zip(cuts, priors, strict=True)
+    ]
+    fitted = map_batches(workforce, kernels.fit_corners, batches)
+    for cut, (coefficients, counts) in zip(cuts, fitted, strict=True):
+        quadrics.coefficients[rows[cut]] = coefficients
+        quadrics.counts[rows[cut]] = counts
+
+
+def _fit_batch(
+    level: Level, cut: slice, prior: FloatArray, weights: tuple[float, float]
+) -> tuple[FloatArray | IntArray, ...]:
+    """Return the arguments of a fit: some corners, and a run of cells with all around them."""
+    touched = level.touched[cut]
+    first = step_keys(touched[0], -OCTANTS[-1])
+    bounds = np.searchsorted(level.cells, (first, touched[-1] + 1))
+    near = slice(int(bounds[0]), int(bounds[1]))
+    lam, mu = (np.full(len(touched), weight) for weight in weights)
+    return touched, level.cells[near], level.moments[near], prior, lam, mu

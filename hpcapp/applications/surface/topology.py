@@ -1,7 +1,6 @@
 """The topology of a mesh: closed, manifold, oriented, of how many pieces and of what genus.
 
-Everything is counted on sorted arrays of edges and with connected components of sparse graphs:
-no step visits faces one by one.
+What is counted comes from `kernels.survey_mesh`; here it becomes a judgement.
 """
 
 from __future__ import annotations
@@ -10,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from hpccomponent.surface import kernels
+from hpccomponent.surface.connectivity import Survey
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import IntArray
 
@@ -61,22 +60,6 @@ class Topology:
     faces: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Edges:
-    """The 3 f sides of the faces, grouped into edges.
-
-    ``order`` lists the sides edge by edge (side s belongs to face s // 3 and runs from its
-    corner s % 3 to the next); ``starts`` and ``counts`` say where an edge's sides begin in
-    ``order`` and how many they are; ``ends`` holds its two vertices, the lower first.
-    """
-
-    order: IntArray
-    starts: IntArray
-    counts: IntArray
-    ends: IntArray
-    backward: NDArray[np.bool_]
-
-
 def check_mesh(mesh: Mesh) -> Topology:
     """Judge the connectivity of a triangle mesh.
 
@@ -108,24 +91,22 @@ def check_mesh(mesh: Mesh) -> Topology:
     faces, used = _renumber(mesh.faces)
     if not len(faces):
         return Topology(False, True, True, True, False, 0, None, (), 0, 0, 0)
-    edges = _group_edges(faces, used)
-    degenerate = bool((edges.ends[:, 0] == edges.ends[:, 1]).any())
-    edge_manifold = bool((edges.counts <= 2).all()) and not degenerate
-    vertex_manifold = _count_fans(faces, edges) == used
-    boundary = int((edges.counts == 1).sum())
-    watertight = edge_manifold and vertex_manifold and boundary == 0
-    components, label = _label_components(edges, used)
-    genera = _component_genera(faces, edges, label, components) if watertight else ()
+    survey = kernels.survey_mesh(faces, used)
+    edge_manifold = not survey.overfull and not survey.degenerate
+    vertex_manifold = survey.fans == used
+    watertight = edge_manifold and vertex_manifold and not survey.boundary
+    components, label = kernels.label_components(faces, used)
+    genera = _component_genera(faces, survey, label, components) if watertight else ()
     return Topology(
         watertight,
         edge_manifold,
         vertex_manifold,
-        _is_oriented(edges),
+        not survey.misoriented,
         signed_volume(mesh) > 0.0,
         components,
         sum(genera) if watertight else None,
         genera,
-        boundary,
+        survey.boundary,
         used,
         len(faces),
     )
@@ -145,10 +126,7 @@ def signed_volume(mesh: Mesh) -> float:
     """
     if not len(mesh.faces):
         return 0.0
-    # Relative to the mean vertex, so that a mesh far from the origin loses no digits.
-    local = mesh.vertices - mesh.vertices.mean(axis=0)
-    a, b, c = (local[mesh.faces[:, k]] for k in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+    return kernels.signed_volume(mesh.vertices, mesh.faces, mesh.vertices.mean(axis=0))
 
 
 def _renumber(faces: IntArray) -> tuple[IntArray, int]:
@@ -160,61 +138,12 @@ def _renumber(faces: IntArray) -> tuple[IntArray, int]:
     return (np.cumsum(is_used) - 1)[faces], int(is_used.sum())
 
 
-def _group_edges(faces: IntArray, vertices: int) -> _Edges:
-    """Sort the sides of the faces by the edge that they lie on."""
-    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    key = np.minimum(tail, head) * vertices + np.maximum(tail, head)
-    order = np.argsort(key, kind="stable")
-    ranked = key[order]
-    starts = np.flatnonzero(np.r_[True, ranked[1:] != ranked[:-1]])
-    counts = np.diff(np.r_[starts, len(ranked)])
-    ends = np.stack(np.divmod(ranked[starts], vertices), axis=1)
-    return _Edges(order, starts, counts, ends, (tail > head)[order])
-
-
-def _is_oriented(edges: _Edges) -> bool:
-    """Tell whether no edge is run through twice in the same direction."""
-    backward = np.add.reduceat(edges.backward.astype(np.int64), edges.starts)
-    return bool(((backward <= 1) & (edges.counts - backward <= 1)).all())
-
-
-def _count_fans(faces: IntArray, edges: _Edges) -> int:
-    """Count the pieces that the corners of all faces form when joined across shared edges."""
-    inner = edges.starts[edges.counts >= 2]
-    first, second = edges.order[inner], edges.order[inner + 1]
-    flat = faces.ravel()
-    first_head, second_head = _next_corner(first), _next_corner(second)
-    runs_back = flat[first] == flat[second_head]
-    left = np.r_[first, first_head]
-    right = np.r_[
-        np.where(runs_back, second_head, second), np.where(runs_back, second, second_head)
-    ]
-    return _components(left, right, len(flat))[0]
-
-
-def _next_corner(side: IntArray) -> IntArray:
-    """Return the corner at which a side ends; sides begin at the corner of their own number."""
-    return np.where(side % 3 == 2, side - 2, side + 1)
-
-
-def _label_components(edges: _Edges, vertices: int) -> tuple[int, IntArray]:
-    """Return how many connected components there are, and that of each vertex."""
-    return _components(edges.ends[:, 0], edges.ends[:, 1], vertices)
-
-
-def _components(left: IntArray, right: IntArray, nodes: int) -> tuple[int, IntArray]:
-    """Return the count and labels of the components of an undirected graph."""
-    graph = coo_array((np.ones(len(left), dtype=np.int8), (left, right)), shape=(nodes, nodes))
-    count, label = connected_components(graph.tocsr(), directed=False)
-    return int(count), label
-
-
 def _component_genera(
-    faces: IntArray, edges: _Edges, label: IntArray, components: int
+    faces: IntArray, survey: Survey, label: NDArray[np.int32], components: int
 ) -> tuple[int, ...]:
     """Return the genus of each closed component, the one with the most faces first."""
     per_vertex = np.bincount(label, minlength=components)
-    per_edge = np.bincount(label[edges.ends[:, 0]], minlength=components)
+    per_edge = np.bincount(label, survey.edges_of, components).astype(np.int64)
     per_face = np.bincount(label[faces[:, 0]], minlength=components)
     genus = (2 - (per_vertex - per_edge + per_face)) // 2
     return tuple(int(g) for g in genus[np.argsort(-per_face, kind="stable")])

@@ -83,11 +83,11 @@ def is_alive(pid: int) -> bool:
 
 
 def test_it_introduces_itself_with_its_build(master: Master, start: Start) -> None:
-    start("--build", "native")
+    start("--build", "portable")
     identity, register = master.hear_register()
     assert identity.startswith(b"w/")
-    assert register.build == "native"
-    assert register.numerics.startswith("native-numpy")
+    assert register.build == "portable"
+    assert register.numerics.startswith("portable-")
     assert register.cores >= 1
 
 

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from hpccomponent.surface.far_field import sample_grid, solve_far_field
+from hpccomponent.surface.coarse_grid import sample_grid
+from hpccomponent.surface.far_field import solve_far_field
 
 RADIUS = 3.0
 BOX = (np.full(3, -3.2), np.full(3, 3.2))

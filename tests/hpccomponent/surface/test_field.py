@@ -18,12 +18,10 @@ def field(request):
     extent = int(1.7 / cell_size) + 2
     places = rng.integers(-1, extent, (2000 if extent < 100 else 60_000, 3))
     keys = np.unique(pack_places(places))
-    channels = np.zeros((12, len(keys) + 1))
-    channels[:10, :-1] = rng.normal(size=(10, len(keys)))
-    channels[10, :-1] = 1.0
-    channels[11, :-1] = rng.uniform(0, 1, len(keys))
+    coefficients = rng.normal(size=(len(keys), 10))
+    trust = rng.uniform(0, 1, len(keys))
     far = FarField(rng.normal(size=(32, 32, 32)).astype(np.float32), GRID.origin - 0.3, 0.08)
-    return Field(GRID.origin - 0.07, cell_size, keys, channels, far)
+    return Field(GRID.origin - 0.07, cell_size, keys, coefficients, trust, far)
 
 
 def plain_value(field, vertices, position):
@@ -39,7 +37,7 @@ def plain_value(field, vertices, position):
         t = np.where(octant, coordinates - cell, 1 - (coordinates - cell))
         weight = np.prod(t * t * (3 - 2 * t))
         basis = np.array([1, x, y, z, x * x, y * y, z * z, x * y, y * z, z * x])
-        c = field.channels[:, row]
+        c = field.channels()[:, row]
         sums += weight * np.array([basis @ c[:10], 1.0, c[11]])
     places = (position - field.far.origin) / field.far.step
     low = np.floor(places).astype(int)
@@ -79,7 +77,8 @@ def test_a_brick_does_not_depend_on_its_batch(field):
 
 
 def test_the_outermost_nodes_are_outside_and_no_node_is_zero(field):
-    field.channels[:] = 0.0
+    field.coefficients[:] = 0.0
+    field.trust[:] = 0.0
     field.far.values[:] = -1.0
     places = np.stack(np.meshgrid(*[np.arange(n) for n in GRID.bricks], indexing="ij"), axis=-1)
     values = evaluate_bricks(field, GRID, places.reshape(-1, 3)).reshape(*GRID.bricks, *[NODES] * 3)

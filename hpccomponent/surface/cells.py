@@ -1,0 +1,211 @@
+"""From points to cells with moments, and from cells to quadrics at their corners, in numpy.
+
+These are the readable versions of what the native build does in C++ (see `kernels`): one level
+of the pyramid at a time, all its rows at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpccomponent.surface.hermite import (
+    BASIS,
+    fit_vertices,
+    inherit_quadrics,
+)
+from hpccomponent.surface.lattice import (
+    OCTANTS,
+    cells_of,
+    corner_parents,
+    find_keys,
+    pack_places,
+    step_keys,
+    unique_keys,
+    unpack_keys,
+)
+from hpccomponent.surface.moments import COLUMNS, scale_moments, shift_moments
+from hpccomponent.surface.points import FloatArray, IntArray
+
+__all__ = [
+    "corner_moments",
+    "fit_corners",
+    "inherit_level",
+    "merge_cells",
+    "parent_keys",
+    "sort_points",
+]
+
+_CHUNK_VERTICES = 1 << 14
+
+
+def sort_points(
+    positions: FloatArray, normals: FloatArray, origin: FloatArray, cell_size: float
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """Sort points by the cell that they lie in.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input; at least one.
+    normals : ndarray of float64, shape (n, 3)
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of the lattice lies.
+    cell_size : float
+        In length units of the input.
+
+    Returns
+    -------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the occupied cells.
+    offsets : ndarray of int64, shape (c + 1,)
+        Cell i holds the rows offsets[i] to offsets[i + 1] of what follows.
+    local_positions : ndarray of float64, shape (n, 3)
+        Relative to the centre of the point's cell, in cells.
+    normals : ndarray of float64, shape (n, 3)
+        Within a cell the points keep their order.
+
+    Raises
+    ------
+    InputError
+        A point lies too many cells away.
+    """
+    places = cells_of(positions, origin, cell_size)
+    corners = np.floor(places)
+    keys = pack_places(corners.astype(np.int64))
+    order = np.argsort(keys, kind="stable")
+    cells = unique_keys(keys)
+    offsets = np.append(np.searchsorted(keys[order], cells), len(keys)).astype(np.int64)
+    return cells, offsets, (places - corners - 0.5)[order], normals[order]
+
+
+def merge_cells(cells: IntArray, moments: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Sum the moments of each eight children about the centre of their parent.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys.
+    moments : ndarray of float64, shape (c, 44)
+
+    Returns
+    -------
+    parents : ndarray of int64, shape (p,)
+        Sorted keys of the next coarser level.
+    moments : ndarray of float64, shape (p, 44)
+        In units of the parents.
+    """
+    places = unpack_keys(cells)
+    keys = pack_places(places >> 1)
+    parents = unique_keys(keys)
+    owners = find_keys(parents, keys)
+    which = (places & 1) @ np.array([1, 2, 4])
+    merged = np.zeros((len(parents), COLUMNS))
+    for child, octant in enumerate(OCTANTS):
+        chosen = which == child
+        merged[owners[chosen]] += shift_moments(moments[chosen], octant - 0.5)
+    return parents, scale_moments(merged)
+
+
+def parent_keys(vertices: IntArray) -> IntArray:
+    """Return every parent of some corners.
+
+    Parameters
+    ----------
+    vertices : ndarray of int64, shape (v,)
+
+    Returns
+    -------
+    ndarray of int64, shape (p,)
+        Sorted, unique keys of the next coarser level.
+    """
+    places = unpack_keys(vertices)
+    parents = [unique_keys(corner_parents(places, octant)[0]) for octant in OCTANTS]
+    return unique_keys(np.concatenate(parents))
+
+
+def corner_moments(touched: IntArray, cells: IntArray, moments: FloatArray) -> FloatArray:
+    """Sum the moments of the eight cells around each corner, about it.
+
+    Parameters
+    ----------
+    touched : ndarray of int64, shape (t,)
+        Sorted keys of corners.
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of cells, at least one; those that touch none of the corners do not count.
+    moments : ndarray of float64, shape (c, 44)
+
+    Returns
+    -------
+    ndarray of float64, shape (t, 44)
+    """
+    total = np.zeros((len(touched), COLUMNS))
+    for octant in OCTANTS:
+        rows = find_keys(cells, step_keys(touched, -octant))
+        present = rows < len(cells)
+        total[present] += shift_moments(moments[rows[present]], 0.5 - octant)
+    return total
+
+
+def fit_corners(
+    touched: IntArray,
+    cells: IntArray,
+    moments: FloatArray,
+    prior: FloatArray,
+    lam: FloatArray,
+    mu: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Fit one quadric to the points in the eight cells around each corner.
+
+    Parameters
+    ----------
+    touched : ndarray of int64, shape (t,)
+        Sorted keys of corners; each has a point around it.
+    cells : ndarray of int64, shape (c,)
+    moments : ndarray of float64, shape (c, 44)
+        See `corner_moments`.
+    prior : ndarray of float64, shape (t, 10)
+    lam, mu : ndarray of float64, shape (t,)
+        See `hermite.fit_vertices`.
+
+    Returns
+    -------
+    coefficients : ndarray of float64, shape (t, 10)
+    counts : ndarray of float64, shape (t,)
+        Points around each corner.
+    """
+    coefficients, counts = np.empty((len(touched), BASIS)), np.empty(len(touched))
+    for start in range(0, len(touched), _CHUNK_VERTICES):
+        rows = slice(start, start + _CHUNK_VERTICES)
+        around = corner_moments(touched[rows], cells, moments)
+        coefficients[rows] = fit_vertices(around, prior[rows], lam[rows], mu[rows])
+        counts[rows] = around[:, 0]
+    return coefficients, counts
+
+
+def inherit_level(
+    vertices: IntArray, parents: IntArray, coefficients: FloatArray, support: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the means of the parents' quadrics, about their children, and of their support.
+
+    Parameters
+    ----------
+    vertices : ndarray of int64, shape (v,)
+        Sorted keys of corners.
+    parents : ndarray of int64, shape (p,)
+        Sorted keys of corners of the next coarser level, all parents among them.
+    coefficients : ndarray of float64, shape (p, 10)
+    support : ndarray of float64, shape (p,)
+
+    Returns
+    -------
+    coefficients : ndarray of float64, shape (v, 10)
+    support : ndarray of float64, shape (v,)
+    """
+    means, supports = np.zeros((len(vertices), BASIS)), np.zeros(len(vertices))
+    places = unpack_keys(vertices)
+    for octant in OCTANTS:
+        keys, steps = corner_parents(places, octant)
+        rows = find_keys(parents, keys)
+        means += 0.125 * inherit_quadrics(coefficients[rows], steps)
+        supports += 0.125 * support[rows]
+    return means, supports

@@ -1,0 +1,307 @@
+"""Every kernel of the default method, in the build that was chosen: C++ or numpy (see `build`).
+
+Each function has its full description at its numpy version, which is imported only where it runs.
+A kernel's row depends on no other row of its batch and on no number of threads; the two builds
+agree to rounding, and workers of one job run the same one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface.build import load_native
+from hpccomponent.surface.case_table import case_triangles
+from hpccomponent.surface.connectivity import Survey
+from hpccomponent.surface.field import BRICK, Field, Grid
+from hpccomponent.surface.points import FloatArray, IntArray
+
+__all__ = [
+    "accumulate_moments",
+    "corner_moments",
+    "count_boxes",
+    "evaluate_bricks",
+    "evaluate_residuals",
+    "find_keys",
+    "fit_corners",
+    "grow_surface",
+    "inherit_level",
+    "label_components",
+    "merge_cells",
+    "parent_keys",
+    "sample_grid",
+    "seed_bricks",
+    "signed_volume",
+    "sort_points",
+    "spread_component",
+    "spread_keys",
+    "survey_mesh",
+    "unite_keys",
+]
+
+_native: Any = load_native()
+
+Float32Array = NDArray[np.float32]
+
+
+def _floats(values: Any) -> FloatArray:
+    return np.ascontiguousarray(values, np.float64)
+
+
+def _integers(values: Any) -> IntArray:
+    return np.ascontiguousarray(values, np.int64)
+
+
+def count_boxes(
+    positions: FloatArray, low: FloatArray, edge: float, one_in: int
+) -> tuple[int, int]:
+    """Count points and occupied boxes over a sample of the boxes; see `spacing.count_boxes`."""
+    if _native is None:
+        from hpccomponent.surface import spacing
+
+        return spacing.count_boxes(positions, low, edge, one_in)
+    counts: tuple[int, int] = _native.count_boxes(_floats(positions), _floats(low), edge, one_in)
+    return counts
+
+
+def sort_points(
+    positions: FloatArray, normals: FloatArray, origin: FloatArray, cell_size: float
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """Sort points by the cell that they lie in; see `cells.sort_points`."""
+    if _native is None:
+        from hpccomponent.surface import cells
+
+        return cells.sort_points(positions, normals, origin, cell_size)
+    result: tuple[IntArray, IntArray, FloatArray, FloatArray] = _native.sort_points(
+        _floats(positions), _floats(normals), _floats(origin), cell_size
+    )
+    return result
+
+
+def accumulate_moments(
+    local_positions: FloatArray, normals: FloatArray, offsets: IntArray, threads: int = 1
+) -> FloatArray:
+    """Sum the moments of the points of each cell (a task); see `moments.accumulate_moments`."""
+    if _native is None:
+        from hpccomponent.surface import moments
+
+        return moments.accumulate_moments(local_positions, normals, offsets)
+    result: FloatArray = _native.accumulate_moments(
+        _floats(local_positions), _floats(normals), _integers(offsets), threads
+    )
+    return result
+
+
+def merge_cells(cells: IntArray, moments: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Sum the moments of each eight children; see `cells.merge_cells`."""
+    if _native is None:
+        from hpccomponent.surface import cells as portable
+
+        return portable.merge_cells(cells, moments)
+    result: tuple[IntArray, FloatArray] = _native.merge_cells(_integers(cells), _floats(moments))
+    return result
+
+
+def spread_keys(keys: IntArray, low: int, high: int) -> IntArray:
+    """Return the places within a box around each place; see `lattice.spread_keys`."""
+    if _native is None:
+        from hpccomponent.surface import lattice
+
+        return lattice.spread_keys(keys, low, high)
+    result: IntArray = _native.spread_keys(_integers(keys), low, high)
+    return result
+
+
+def parent_keys(vertices: IntArray) -> IntArray:
+    """Return every parent of some corners; see `cells.parent_keys`."""
+    if _native is None:
+        from hpccomponent.surface import cells
+
+        return cells.parent_keys(vertices)
+    result: IntArray = _native.parent_keys(_integers(vertices))
+    return result
+
+
+def unite_keys(first: IntArray, second: IntArray) -> IntArray:
+    """Return the union of two sorted sets of keys; see `lattice.unite_keys`."""
+    if _native is None:
+        from hpccomponent.surface import lattice
+
+        return lattice.unite_keys(first, second)
+    result: IntArray = _native.unite_keys(_integers(first), _integers(second))
+    return result
+
+
+def find_keys(keys: IntArray, wanted: IntArray) -> IntArray:
+    """Return where each of some keys (v,) stands among sorted keys; see `lattice.find_keys`."""
+    if _native is None:
+        from hpccomponent.surface import lattice
+
+        return lattice.find_keys(keys, wanted)
+    result: IntArray = _native.find_keys(_integers(keys), _integers(wanted))
+    return result
+
+
+def inherit_level(
+    vertices: IntArray,
+    parents: IntArray,
+    coefficients: FloatArray,
+    support: FloatArray,
+    threads: int = 1,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the means of the parents' quadrics and support; see `cells.inherit_level`."""
+    if _native is None:
+        from hpccomponent.surface import cells
+
+        return cells.inherit_level(vertices, parents, coefficients, support)
+    result: tuple[FloatArray, FloatArray] = _native.inherit_level(
+        _integers(vertices), _integers(parents), _floats(coefficients), _floats(support), threads
+    )
+    return result
+
+
+def corner_moments(
+    touched: IntArray, cells: IntArray, moments: FloatArray, threads: int = 1
+) -> FloatArray:
+    """Sum the moments of the eight cells around each corner; see `cells.corner_moments`."""
+    if _native is None:
+        from hpccomponent.surface import cells as portable
+
+        return portable.corner_moments(touched, cells, moments)
+    result: FloatArray = _native.corner_moments(
+        _integers(touched), _integers(cells), _floats(moments), threads
+    )
+    return result
+
+
+def fit_corners(
+    touched: IntArray,
+    cells: IntArray,
+    moments: FloatArray,
+    prior: FloatArray,
+    lam: FloatArray,
+    mu: FloatArray,
+    threads: int = 1,
+) -> tuple[FloatArray, FloatArray]:
+    """Fit a quadric to the points around each corner (a task); see `cells.fit_corners`."""
+    if _native is None:
+        from hpccomponent.surface import cells as portable
+
+        return portable.fit_corners(touched, cells, moments, prior, lam, mu)
+    keys = (_integers(touched), _integers(cells))
+    values = (_floats(moments), _floats(prior), _floats(lam), _floats(mu))
+    result: tuple[FloatArray, FloatArray] = _native.fit_corners(*keys, *values, threads)
+    return result
+
+
+def evaluate_residuals(moments: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Return the sum of f^2 at each vertex; see `hermite.evaluate_residuals`."""
+    if _native is None:
+        from hpccomponent.surface import hermite
+
+        return hermite.evaluate_residuals(moments, coefficients)
+    result: FloatArray = _native.evaluate_residuals(_floats(moments), _floats(coefficients))
+    return result
+
+
+def spread_component(
+    places: FloatArray, normals: FloatArray, axis: int, nodes: int
+) -> Float32Array:
+    """Spread a component of the normals on a grid; see `coarse_grid.spread_component`."""
+    if _native is None:
+        from hpccomponent.surface import coarse_grid
+
+        return coarse_grid.spread_component(places, normals, axis, nodes)
+    result: Float32Array = _native.spread_component(_floats(places), _floats(normals), axis, nodes)
+    return result
+
+
+def sample_grid(values: Float32Array, places: FloatArray) -> FloatArray:
+    """Interpolate a grid trilinearly; see `coarse_grid.sample_grid`."""
+    if _native is None:
+        from hpccomponent.surface import coarse_grid
+
+        return coarse_grid.sample_grid(values, places)
+    result: FloatArray = _native.sample_grid(values, _floats(places))
+    return result
+
+
+def seed_bricks(grid: Grid, positions: FloatArray) -> IntArray:
+    """Return the bricks that hold a point; see `bricks.seed_bricks`."""
+    if _native is None:
+        from hpccomponent.surface import bricks
+
+        return bricks.seed_bricks(grid, positions)
+    edge = BRICK * grid.step
+    result: IntArray = _native.seed_bricks(
+        _floats(positions), _floats(grid.origin), edge, _integers(grid.bricks)
+    )
+    return result
+
+
+def evaluate_bricks(field: Field, grid: Grid, places: IntArray, threads: int = 1) -> Float32Array:
+    """Evaluate the implicit function at the nodes of bricks; see `field.evaluate_bricks`."""
+    if _native is None:
+        from hpccomponent.surface import field as portable
+
+        return portable.evaluate_bricks(field, grid, places)
+    result: Float32Array = _native.evaluate_bricks(
+        _field_values(field), *_grid_values(grid), _integers(places), threads
+    )
+    return result
+
+
+def grow_surface(
+    field: Field, grid: Grid, seeds: IntArray, threads: int = 1
+) -> tuple[FloatArray, IntArray]:
+    """Extract the surface that can be reached from some bricks; see `extraction.grow_surface`."""
+    if _native is None:
+        from hpccomponent.surface import extraction
+
+        return extraction.grow_surface(field, grid, seeds)
+    result: tuple[FloatArray, IntArray] = _native.grow_surface(
+        _field_values(field), *_grid_values(grid), _integers(seeds), case_triangles(), threads
+    )
+    return result
+
+
+def label_components(faces: IntArray, vertices: int) -> tuple[int, NDArray[np.int32]]:
+    """Find the pieces of a mesh; see `connectivity.label_components`."""
+    if _native is None:
+        from hpccomponent.surface import connectivity
+
+        return connectivity.label_components(faces, vertices)
+    result: tuple[int, NDArray[np.int32]] = _native.label_components(_integers(faces), vertices)
+    return result
+
+
+def survey_mesh(faces: IntArray, vertices: int) -> Survey:
+    """Count what is to know about the edges of a mesh; see `connectivity.survey_mesh`."""
+    if _native is None:
+        from hpccomponent.surface import connectivity
+
+        return connectivity.survey_mesh(faces, vertices)
+    return Survey(*_native.survey_mesh(_integers(faces), vertices))
+
+
+def signed_volume(vertices: FloatArray, faces: IntArray, reference: FloatArray) -> float:
+    """Return the volume inside a closed mesh; see `connectivity.signed_volume`."""
+    if _native is None:
+        from hpccomponent.surface import connectivity
+
+        return connectivity.signed_volume(vertices, faces, reference)
+    return float(_native.signed_volume(_floats(vertices), _integers(faces), _floats(reference)))
+
+
+def _field_values(field: Field) -> tuple[Any, ...]:
+    """Return a field as the eight values that the extension takes."""
+    far = field.far
+    near = (_floats(field.origin), field.cell_size, _integers(field.keys))
+    quadrics = (_floats(field.coefficients), _floats(field.trust))
+    return (*near, *quadrics, far.values, _floats(far.origin), far.step)
+
+
+def _grid_values(grid: Grid) -> tuple[Any, ...]:
+    return _floats(grid.origin), grid.step, _integers(grid.bricks)

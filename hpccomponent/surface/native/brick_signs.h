@@ -1,0 +1,67 @@
+// The signs of a brick's nodes as bits: what growth and extraction ask of them.
+#pragma once
+
+#include <cstdint>
+
+#include "field.h"
+
+namespace hpc {
+
+// A brick's signs, one bit per node along z, and where its vertices begin.
+struct Brick {
+  uint16_t inside[NODES][NODES];
+  uint8_t crossed[3][BRICK][BRICK];   // one bit per edge along z
+  uint16_t before[3][BRICK][BRICK];   // the brick's vertices before these eight edges
+  int64_t first_vertex = 0, first_face = 0;
+  int vertices = 0, faces = 0;
+};
+
+inline int count_bits(unsigned byte) {
+  byte = byte - (byte >> 1 & 0x55u);
+  byte = (byte & 0x33u) + (byte >> 2 & 0x33u);
+  return static_cast<int>((byte + (byte >> 4)) & 0x0Fu);
+}
+
+inline void mark_inside(const float* values, Brick& brick) {
+  for (int x = 0; x < NODES; ++x)
+    for (int y = 0; y < NODES; ++y) {
+      unsigned row = 0;
+      for (int z = 0; z < NODES; ++z) row |= static_cast<unsigned>(*values++ < 0.0f) << z;
+      brick.inside[x][y] = static_cast<uint16_t>(row);
+    }
+}
+
+// Tell whether the sign changes on a face: axis 0 to 2, at its low or its high end.
+inline bool face_crossed(const Brick& brick, int axis, bool high) {
+  unsigned any = 0, all = 0x1FF;
+  const int at = high ? BRICK : 0;
+  for (int i = 0; i < NODES; ++i)
+    for (int j = 0; j < (axis == 2 ? NODES : 1); ++j) {
+      unsigned row = axis == 0 ? brick.inside[at][i] : axis == 1 ? brick.inside[i][at] : brick.inside[i][j];
+      if (axis == 2) row = (row >> at & 1) ? 0x1FF : 0;
+      any |= row;
+      all &= row;
+    }
+  return any && all != 0x1FF;
+}
+
+// Calls body(x, y, z, case) for every cell that the surface crosses.
+template <class Body>
+void visit_cells(const Brick& brick, const Body& body) {
+  for (int x = 0; x < BRICK; ++x)
+    for (int y = 0; y < BRICK; ++y) {
+      const unsigned rows[4] = {brick.inside[x][y], brick.inside[x + 1][y], brick.inside[x][y + 1],
+                                brick.inside[x + 1][y + 1]};
+      const unsigned some = rows[0] | rows[1] | rows[2] | rows[3];
+      const unsigned every = rows[0] & rows[1] & rows[2] & rows[3];
+      const unsigned active = (some | some >> 1) & ~(every & every >> 1) & 0xFF;
+      for (int z = 0; active >> z; ++z) {
+        if (!(active >> z & 1)) continue;
+        unsigned code = 0;
+        for (int corner = 0; corner < 8; ++corner) code |= (rows[corner & 3] >> (z + (corner >> 2)) & 1) << corner;
+        body(x, y, z, code);
+      }
+    }
+}
+
+}  // namespace hpc

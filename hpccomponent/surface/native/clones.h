@@ -1,0 +1,19 @@
+// Several instruction sets in one library: the loader of the process picks the best one it has.
+//
+// Every loop that is compiled this way runs across moments, vertices or nodes, never across the
+// points of a sum, and contraction to fused operations is off: each version gives the same bits.
+#pragma once
+
+#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__) && \
+    !defined(HPC_NO_CLONES)
+#define HPC_CLONES __attribute__((target_clones("default", "avx2", "avx512f")))
+#else
+#define HPC_CLONES
+#endif
+
+#if defined(__GNUC__)
+// What a cloned function calls must be inlined into each of its versions.
+#define HPC_INLINE __attribute__((always_inline)) inline
+#else
+#define HPC_INLINE inline
+#endif

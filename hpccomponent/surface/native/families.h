@@ -1,0 +1,21 @@
+// What the files of the extension show to one another.
+#pragma once
+
+#include "arrays.h"
+
+namespace hpc {
+
+// Check the number of bricks along each axis.
+const int64_t* check_sides(const Input& bricks);
+
+void bind_points(nb::module_& module);
+void bind_lattice(nb::module_& module);
+void bind_moments(nb::module_& module);
+void bind_hermite(nb::module_& module);
+void bind_inheritance(nb::module_& module);
+void bind_far_field(nb::module_& module);
+void bind_field(nb::module_& module);
+void bind_surface(nb::module_& module);
+void bind_topology(nb::module_& module);
+
+}  // namespace hpc

@@ -1,0 +1,279 @@
+// The implicit function over bricks: quadrics in (x, y, z) collapse along z, then y, then x.
+//
+// Lanes run over x while z and y collapse, and over (y, z) while x does; what a node gets depends
+// on its own index only, and is rounded to float32.
+#include "field.h"
+
+#include <cstring>
+
+#include "clones.h"
+#include "families.h"
+#include "layers.h"
+#include "threads.h"
+
+namespace hpc {
+namespace {
+
+constexpr int CHANNELS = 12, AFTER_Z = 8, AFTER_Y = 5;
+constexpr int PLANE = 88;  // the 81 nodes of a (y, z) plane, rounded up to whole vectors
+constexpr float TINY = 1e-30f;
+
+// Sizes of the intermediate arrays of a brick; x is padded to whole vectors.
+struct Shape {
+  int x, y, z, lanes;
+};
+
+// Collapse z. raw: [channel][z][y][lanes]; out: [channel][y][node][lanes], with
+// [1, x, y, xx, yy, xy, presence, trust].
+HPC_INLINE void collapse_z(const double* __restrict raw, const Shape& shape, const Axis& axis, double* __restrict out, const int lanes) {
+  const int64_t from = int64_t{1} * shape.z * shape.y * lanes, to = int64_t{1} * shape.y * NODES * lanes;
+  for (int y = 0; y < shape.y; ++y)
+    for (int node = 0; node < NODES; ++node) {
+      const double w = axis.weight[node], v = 1.0 - w, t = axis.local[node], s = t - 1.0;
+      const double* __restrict a = raw + (axis.below[node] * shape.y + y) * lanes;
+      const double* b = a + shape.y * lanes;
+      double* __restrict o = out + (y * NODES + node) * lanes;
+      for (int i = 0; i < lanes; ++i) {
+        const auto A = [&](int channel) { return a[channel * from + i]; };
+        const auto B = [&](int channel) { return b[channel * from + i]; };
+        o[i] = (A(0) + t * (A(3) + t * A(6))) * v + (B(0) + s * (B(3) + s * B(6))) * w;
+        o[to + i] = (A(1) + t * A(9)) * v + (B(1) + s * B(9)) * w;
+        o[2 * to + i] = (A(2) + t * A(8)) * v + (B(2) + s * B(8)) * w;
+        o[3 * to + i] = A(4) * v + B(4) * w;
+        o[4 * to + i] = A(5) * v + B(5) * w;
+        o[5 * to + i] = A(7) * v + B(7) * w;
+        o[6 * to + i] = A(10) * v + B(10) * w;
+        o[7 * to + i] = A(11) * v + B(11) * w;
+      }
+    }
+}
+
+// Collapse y. in: [channel][y][z node][lanes]; out: [channel][y node][z node][lanes], with
+// [1, x, xx, presence, trust].
+HPC_INLINE void collapse_y(const double* __restrict in, const Shape& shape, const Axis& axis, double* __restrict out, const int lanes) {
+  const int64_t from = int64_t{1} * shape.y * NODES * lanes, to = int64_t{1} * NODES * NODES * lanes;
+  for (int node = 0; node < NODES; ++node) {
+    const double w = axis.weight[node], v = 1.0 - w, t = axis.local[node], s = t - 1.0;
+    const double* a = in + axis.below[node] * NODES * lanes;
+    const double* b = a + NODES * lanes;
+    double* __restrict o = out + node * NODES * lanes;
+    for (int i = 0; i < NODES * lanes; ++i) {
+      const auto A = [&](int channel) { return a[channel * from + i]; };
+      const auto B = [&](int channel) { return b[channel * from + i]; };
+      o[i] = (A(0) + t * (A(2) + t * A(4))) * v + (B(0) + s * (B(2) + s * B(4))) * w;
+      o[to + i] = (A(1) + t * A(5)) * v + (B(1) + s * B(5)) * w;
+      o[2 * to + i] = A(3) * v + B(3) * w;
+      o[3 * to + i] = A(6) * v + B(6) * w;
+      o[4 * to + i] = A(7) * v + B(7) * w;
+    }
+  }
+}
+
+// in: [channel][plane node][lanes]; out: [channel][x][PLANE].
+HPC_INLINE void turn(const double* in, const Shape& shape, double* out, const int lanes) {
+  for (int channel = 0; channel < AFTER_Y; ++channel)
+    for (int node = 0; node < NODES * NODES; ++node)
+      for (int x = 0; x < shape.x; ++x)
+        out[(channel * shape.x + x) * PLANE + node] = in[(channel * NODES * NODES + node) * lanes + x];
+}
+
+// Collapse x, blend with the far field (in cells of the lattice), and round.
+HPC_INLINE void collapse_x(const double* in, const Shape& shape, const Axis& axis, const double* far,
+                           float* values) {
+  const int64_t from = int64_t{1} * shape.x * PLANE;
+  for (int node = 0; node < NODES; ++node) {
+    const double w = axis.weight[node], v = 1.0 - w, t = axis.local[node], s = t - 1.0;
+    const double* a = in + axis.below[node] * PLANE;
+    const double* b = a + PLANE;
+    float rounded[PLANE];
+    for (int i = 0; i < PLANE; ++i) {
+      const auto A = [&](int channel) { return a[channel * from + i]; };
+      const auto B = [&](int channel) { return b[channel * from + i]; };
+      const double quadric =
+          (A(0) + t * (A(1) + t * A(2))) * v + (B(0) + s * (B(1) + s * B(2))) * w;
+      const double presence = A(3) * v + B(3) * w, trust = A(4) * v + B(4) * w;
+      const double g = far[node * PLANE + i];
+      const double near = quadric / (presence > 0.0 ? presence : 1.0);
+      const double blend = presence > 0.0 ? trust * near + (1.0 - trust) * g : g;
+      const float value = static_cast<float>(blend);
+      rounded[i] = value == 0.0f ? TINY : value;
+    }
+    std::memcpy(values + node * NODES * NODES, rounded, NODES * NODES * sizeof(float));
+  }
+}
+
+HPC_CLONES void collapse(const double* raw, double* scratch, const Shape& shape, const Axis* axes,
+                         const double* far, float* values) {
+  double* first = scratch;
+  double* second = first + AFTER_Z * shape.y * NODES * shape.lanes;
+  double* third = second + AFTER_Y * NODES * NODES * shape.lanes;
+  // The usual widths are constants to the compiler.
+  if (shape.lanes == 8) {
+    collapse_z(raw, shape, axes[2], first, 8);
+    collapse_y(first, shape, axes[1], second, 8);
+    turn(second, shape, third, 8);
+  } else if (shape.lanes == 12) {
+    collapse_z(raw, shape, axes[2], first, 12);
+    collapse_y(first, shape, axes[1], second, 12);
+    turn(second, shape, third, 12);
+  } else {
+    collapse_z(raw, shape, axes[2], first, shape.lanes);
+    collapse_y(first, shape, axes[1], second, shape.lanes);
+    turn(second, shape, third, shape.lanes);
+  }
+  collapse_x(third, shape, axes[0], far, values);
+}
+
+// Interpolate the far field trilinearly; far: [x][PLANE], divided by the cell size.
+HPC_CLONES void interpolate_far(const Field& field, const Axis* axes, double* far) {
+  const int64_t side = field.far_nodes;
+  const auto kept = [side](int64_t layer) { return std::min(std::max<int64_t>(layer, 0), side - 1); };
+  int64_t column[MOST_LAYERS];
+  for (int z = 0; z < axes[2].count; ++z) column[z] = kept(axes[2].layer[z]);
+  for (int x = 0; x < NODES; ++x)
+    for (int y = 0; y < NODES; ++y) {
+      const int i = axes[0].below[x], j = axes[1].below[y];
+      const double t = axes[0].local[x], u = axes[1].local[y];
+      const int64_t x0 = kept(axes[0].layer[i]) * side, x1 = kept(axes[0].layer[i + 1]) * side;
+      const int64_t y0 = kept(axes[1].layer[j]), y1 = kept(axes[1].layer[j + 1]);
+      const float* v = field.far_values;
+      const float *a = v + (x0 + y0) * side, *b = v + (x1 + y0) * side;
+      const float *c = v + (x0 + y1) * side, *d = v + (x1 + y1) * side;
+      double row[MOST_LAYERS];
+      for (int z = 0; z < axes[2].count; ++z) {
+        const int64_t k = column[z];
+        row[z] = (a[k] * (1.0 - t) + b[k] * t) * (1.0 - u) + (c[k] * (1.0 - t) + d[k] * t) * u;
+      }
+      for (int z = 0; z < NODES; ++z) {
+        const int k = axes[2].below[z];
+        const double w = axes[2].local[z];
+        far[x * PLANE + y * NODES + z] = (row[k] * (1.0 - w) + row[k + 1] * w) / field.cell_size;
+      }
+    }
+}
+
+// Put the quadrics around a brick into raw: [channel][z][y][lanes]; 0 where a vertex is missing.
+void load_vertices(const Field& field, Finger& finger, const Axis* axes, const Shape& shape, double* raw) {
+  const int64_t plane = int64_t{1} * shape.y * shape.lanes, channel = shape.z * plane;
+  std::fill(raw, raw + CHANNELS * channel, 0.0);
+  for (int x = 0; x < shape.x; ++x)
+    for (int y = 0; y < shape.y; ++y)
+      for (int z = 0; z < shape.z; ++z) {
+        const Place place{axes[0].layer[x], axes[1].layer[y], axes[2].layer[z]};
+        if (!in_range(place[0]) || !in_range(place[1]) || !in_range(place[2])) continue;
+        const int64_t key = pack(place), row = finger.lower_bound(key);
+        if (row == field.vertices) continue;
+        const int64_t ahead = field.keys[row] - key;
+        if (ahead) {
+          // Nothing between here and the next vertex: skip to it, or to the end of the column.
+          if (axes[2].layer[shape.z - 1] - place[2] < ahead) break;
+          continue;
+        }
+        double* to = raw + z * plane + y * shape.lanes + x;
+        for (int i = 0; i < 10; ++i) to[i * channel] = field.coefficients[row * 10 + i];
+        to[10 * channel] = 1.0;
+        to[11 * channel] = field.trust[row];
+      }
+}
+
+// Move the outermost nodes of the grid outside, so that every surface closes inside it.
+void close_border(const Place& brick, const Grid& grid, float* values) {
+  bool edge = false;
+  for (int axis = 0; axis < 3; ++axis) edge = edge || brick[axis] == 0 || brick[axis] == grid.bricks[axis] - 1;
+  if (!edge) return;
+  const auto outer = [&](int axis, int node) {
+    const int64_t index = brick[axis] * BRICK + node;
+    return index == 0 || index == grid.bricks[axis] * BRICK;
+  };
+  for (int x = 0; x < NODES; ++x)
+    for (int y = 0; y < NODES; ++y)
+      for (int z = 0; z < NODES; ++z, ++values)
+        if (outer(0, x) || outer(1, y) || outer(2, z)) *values = std::fabs(*values);
+}
+
+Output<float> evaluate_bricks(nb::tuple arguments, Input origin, double step, Input bricks, Input places_of,
+                              int64_t threads) {
+  const Grid grid = take_grid(origin, step, bricks);
+  const Field field = take_field(arguments, grid);
+  const int64_t* places = check<int64_t>(places_of, "places", {ANY, 3});
+  const int64_t count = rows_of(places_of);
+  for (int64_t i = 0; i < 3 * count; ++i)
+    if (places[i] < 0 || places[i] >= grid.bricks[i % 3]) refuse("places: a brick lies off the grid");
+  const int workers = check_threads(threads);
+  auto values = make_buffer<float>(count * BRICK_NODES);
+  {
+    nb::gil_scoped_release unlocked;
+    run_ranges(count, workers, [&](int64_t start, int64_t stop) {
+      BrickEvaluator evaluator(field, grid);
+      for (int64_t i = start; i < stop; ++i)
+        evaluator.evaluate({places[3 * i], places[3 * i + 1], places[3 * i + 2]}, values.get() + i * BRICK_NODES);
+    });
+  }
+  return give(std::move(values), {static_cast<size_t>(count), NODES, NODES, NODES});
+}
+
+}  // namespace
+
+Grid take_grid(const Input& origin, double step, const Input& bricks) {
+  const int64_t* sides = check_sides(bricks);
+  const double* corner = check<double>(origin, "origin", {3});
+  check_finite(corner, 3, "origin");
+  check_positive(step, "step");
+  return {corner, step, {sides[0], sides[1], sides[2]}};
+}
+
+Field take_field(const nb::tuple& arguments, const Grid& grid) {
+  if (arguments.size() != 8) refuse("field: expected eight values");
+  const auto array = [&](size_t i) { return nb::cast<Input>(arguments[i]); };
+  const Input keys = array(2), far = array(5);
+  const int64_t count = rows_of(keys), side = far.ndim() == 3 ? rows_of(far) : 0;
+  if (side < 2 || side > 1024) refuse("far: expected a cube of 2 to 1024 nodes");
+  const Field field{check<double>(array(0), "origin", {3}), nb::cast<double>(arguments[1]),
+                    check_keys(keys, "keys"), count,
+                    check<double>(array(3), "coefficients", {count, 10}),
+                    check<double>(array(4), "trust", {count}),
+                    check<float>(far, "far", {side, side, side}), side,
+                    check<double>(array(6), "far origin", {3}), nb::cast<double>(arguments[7])};
+  check_positive(field.cell_size, "cell_size");
+  check_positive(field.far_step, "far step");
+  check_finite(field.origin, 3, "origin");
+  check_finite(field.far_origin, 3, "far origin");
+  for (int axis = 0; axis < 3; ++axis) {
+    const double reach = grid.step * BRICK * static_cast<double>(grid.bricks[axis]);
+    const double low = std::fabs(grid.origin[axis] - field.origin[axis]) + reach;
+    const double far_low = std::fabs(grid.origin[axis] - field.far_origin[axis]) + reach;
+    // Beyond 2^40 cells the cast to an index is not safe.
+    if (!(low / field.cell_size < 1e12) || !(far_low / field.far_step < 1e12))
+      refuse("field: the grid reaches too many cells away");
+  }
+  return field;
+}
+
+BrickEvaluator::BrickEvaluator(const Field& field, const Grid& grid)
+    : field_(field), grid_(grid), finger_(field.keys, field.vertices) {}
+
+void BrickEvaluator::evaluate(const Place& brick, float* values) {
+  Axis axes[3], far_axes[3];
+  for (int axis = 0; axis < 3; ++axis) {
+    const double origin = grid_.origin[axis];
+    axes[axis] = locate(brick[axis], grid_.step, origin - field_.origin[axis], field_.cell_size);
+    far_axes[axis] = locate(brick[axis], grid_.step, origin - field_.far_origin[axis], field_.far_step);
+  }
+  const int lanes = std::max(8, (axes[0].count + 3) / 4 * 4);
+  const Shape shape{axes[0].count, axes[1].count, axes[2].count, lanes};
+  const size_t raw = static_cast<size_t>(CHANNELS * shape.z * shape.y * lanes);
+  const size_t rest = static_cast<size_t>(AFTER_Z * shape.y * NODES * lanes + AFTER_Y * NODES * NODES * lanes +
+                                          AFTER_Y * shape.x * PLANE);
+  const size_t far = static_cast<size_t>(NODES * PLANE);
+  // Zeros also where a plane is padded: those lanes are computed and thrown away.
+  if (scratch_.size() < raw + rest + far) scratch_.resize(raw + rest + far, 0.0);
+  double* far_values = scratch_.data();
+  interpolate_far(field_, far_axes, far_values);
+  load_vertices(field_, finger_, axes, shape, far_values + far);
+  collapse(far_values + far, far_values + far + raw, shape, axes, far_values, values);
+  close_border(brick, grid_, values);
+}
+
+void bind_field(nb::module_& module) { module.def("evaluate_bricks", &evaluate_bricks); }
+
+}  // namespace hpc

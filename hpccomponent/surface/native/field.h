@@ -1,0 +1,52 @@
+// The implicit function over one brick (see field.py).
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "arrays.h"
+#include "keys.h"
+
+namespace hpc {
+
+constexpr int BRICK = 8;
+constexpr int NODES = BRICK + 1;
+constexpr int BRICK_NODES = NODES * NODES * NODES;
+
+struct Grid {
+  const double* origin;
+  double step;
+  int64_t bricks[3];
+};
+
+struct Field {
+  const double* origin;
+  double cell_size;
+  const int64_t* keys;
+  int64_t vertices;
+  const double *coefficients, *trust;
+  const float* far_values;
+  int64_t far_nodes;
+  const double* far_origin;
+  double far_step;
+};
+
+// What every call takes as (origin, step, bricks) and as nine arguments.
+Grid take_grid(const Input& origin, double step, const Input& bricks);
+Field take_field(const nb::tuple& arguments, const Grid& grid);
+
+// Evaluates bricks, one after the other; each thread has its own.
+class BrickEvaluator {
+ public:
+  BrickEvaluator(const Field& field, const Grid& grid);
+  // Write the values of all nodes, x slowest.
+  void evaluate(const Place& brick, float* values);
+
+ private:
+  Field field_;
+  Grid grid_;
+  Finger finger_;
+  std::vector<double> scratch_;
+};
+
+}  // namespace hpc

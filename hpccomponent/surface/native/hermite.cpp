@@ -1,0 +1,266 @@
+// Fits of quadrics to the moments around each vertex: one 10x10 Cholesky per lane.
+#include "families.h"
+#include "keys.h"
+#include "moments.h"
+#include "threads.h"
+
+namespace hpc {
+namespace {
+
+constexpr int BASIS = 10;
+constexpr double RIDGE = 1e-9;
+
+constexpr int value_column(int i, int j) {
+  const int* p = EXPONENTS[i].power;
+  const int* q = EXPONENTS[j].power;
+  return column_of(p[0] + q[0], p[1] + q[1], p[2] + q[2]);
+}
+
+// Return the mean of phi_i phi_j over [-1, 1]^3.
+constexpr double mean_product(int i, int j) {
+  double mean = 1.0;
+  for (int axis = 0; axis < 3; ++axis) {
+    const int power = EXPONENTS[i].power[axis] + EXPONENTS[j].power[axis];
+    mean *= power % 2 ? 0.0 : 1.0 / (power + 1);
+  }
+  return mean;
+}
+
+struct Pair {
+  int value, terms, column[3];
+  double factor[3], gram;
+};
+
+// For each entry of the lower triangle, which moments it is made of.
+struct PairTable {
+  Pair at[BASIS][BASIS];
+  constexpr PairTable() : at() {
+    for (int i = 0; i < BASIS; ++i)
+      for (int j = 0; j < BASIS; ++j) {
+        Pair pair{value_column(i, j), 0, {0, 0, 0}, {0.0, 0.0, 0.0}, mean_product(i, j)};
+        for (int axis = 0; axis < 3; ++axis) {
+          int power[3] = {0, 0, 0};
+          for (int a = 0; a < 3; ++a) power[a] = EXPONENTS[i].power[a] + EXPONENTS[j].power[a];
+          power[axis] -= 2;
+          const int factor = EXPONENTS[i].power[axis] * EXPONENTS[j].power[axis];
+          if (!factor) continue;
+          pair.factor[pair.terms] = factor;
+          pair.column[pair.terms++] = column_of(power[0], power[1], power[2]);
+        }
+        at[i][j] = pair;
+      }
+  }
+};
+
+constexpr PairTable PAIRS;
+
+using Matrix = double[BASIS][BASIS][LANES];
+using Vector = double[BASIS][LANES];
+
+#define EACH_LANE for (int lane = 0; lane < LANES; ++lane)
+
+HPC_INLINE void fill_equations(const Block& rows, const Vector& prior, const double (&lam)[LANES],
+                               const double (&mu)[LANES], Matrix& matrix, Vector& right) {
+  double inverse[LANES];
+  EACH_LANE inverse[lane] = 1.0 / rows[0][lane];
+  for (int j = 0; j < BASIS; ++j)
+    for (int i = j; i < BASIS; ++i) {
+      const Pair& pair = PAIRS.at[i][j];
+      double* entry = matrix[i][j];
+      EACH_LANE entry[lane] = rows[pair.value][lane];
+      for (int term = 0; term < pair.terms; ++term)
+        EACH_LANE entry[lane] += (lam[lane] * pair.factor[term]) * rows[pair.column[term]][lane];
+      EACH_LANE entry[lane] = (entry[lane] + mu[lane] * pair.gram) * inverse[lane];
+    }
+  for (int i = 0; i < BASIS; ++i) {
+    EACH_LANE matrix[i][i][lane] += RIDGE;
+    EACH_LANE right[i][lane] = i ? lam[lane] * rows[MONOMIALS + i - 1][lane] : 0.0;
+    for (int j = 0; j < BASIS; ++j)
+      if (PAIRS.at[i][j].gram != 0.0)
+        EACH_LANE right[i][lane] += (mu[lane] * PAIRS.at[i][j].gram) * prior[j][lane];
+    EACH_LANE right[i][lane] *= inverse[lane];
+  }
+}
+
+HPC_INLINE void solve(Matrix& matrix, Vector& right) {
+  double inverse[BASIS][LANES];
+  for (int j = 0; j < BASIS; ++j) {
+    for (int k = 0; k < j; ++k)
+      for (int i = j; i < BASIS; ++i)
+        EACH_LANE matrix[i][j][lane] -= matrix[i][k][lane] * matrix[j][k][lane];
+    EACH_LANE inverse[j][lane] = 1.0 / std::sqrt(matrix[j][j][lane]);
+    for (int i = j; i < BASIS; ++i) EACH_LANE matrix[i][j][lane] *= inverse[j][lane];
+  }
+  for (int j = 0; j < BASIS; ++j) {
+    EACH_LANE right[j][lane] *= inverse[j][lane];
+    for (int i = j + 1; i < BASIS; ++i)
+      EACH_LANE right[i][lane] -= matrix[i][j][lane] * right[j][lane];
+  }
+  for (int j = BASIS - 1; j >= 0; --j) {
+    EACH_LANE right[j][lane] *= inverse[j][lane];
+    for (int i = 0; i < j; ++i) EACH_LANE right[i][lane] -= matrix[j][i][lane] * right[j][lane];
+  }
+}
+
+// What the fits of a range read and write.
+struct Fits {
+  const double *prior, *lam, *mu;
+  double *coefficients, *counts;
+};
+
+HPC_INLINE void fit_block(const Block& rows, const Fits& fits, int64_t start, int width) {
+  Matrix matrix;
+  Vector prior, right;
+  double lam[LANES], mu[LANES];
+  EACH_LANE {
+    const int64_t row = start + std::min(lane, width - 1);
+    lam[lane] = fits.lam[row];
+    mu[lane] = fits.mu[row];
+    for (int i = 0; i < BASIS; ++i) prior[i][lane] = fits.prior[row * BASIS + i];
+  }
+  fill_equations(rows, prior, lam, mu, matrix, right);
+  solve(matrix, right);
+  for (int lane = 0; lane < width; ++lane)
+    for (int i = 0; i < BASIS; ++i) fits.coefficients[(start + lane) * BASIS + i] = right[i][lane];
+}
+
+HPC_CLONES void fit_rows(const double* moments, const Fits& fits, int64_t start, int64_t stop) {
+  Block block;
+  for (; start < stop; start += LANES) {
+    const int width = static_cast<int>(std::min<int64_t>(LANES, stop - start));
+    EACH_LANE for (int column = 0; column < COLUMNS; ++column)
+        block[column][lane] = moments[(start + std::min(lane, width - 1)) * COLUMNS + column];
+    fit_block(block, fits, start, width);
+  }
+}
+
+// Looks up the cells around vertices that come in the order of their keys.
+class Corners {
+ public:
+  Corners(const int64_t* vertices, const int64_t* cells, int64_t count)
+      : vertices_(vertices), fingers_(8, Finger(cells, count)) {}
+
+  void find(int64_t start, int width, Around& around) {
+    for (int octant = 0; octant < 8; ++octant) {
+      int64_t back = 0;
+      for (int axis = 0; axis < 3; ++axis) back += (octant >> axis & 1) ? 0 : STRIDES[axis];
+      EACH_LANE around[octant][lane] = lane < width ? fingers_[octant].find(vertices_[start + lane] - back) : -1;
+    }
+  }
+
+ private:
+  const int64_t* vertices_;
+  std::vector<Finger> fingers_;
+};
+
+HPC_CLONES void gather_rows(const double* moments, Corners& corners, int64_t start, int64_t stop,
+                            double* total) {
+  Block block;
+  Around around;
+  for (; start < stop; start += LANES) {
+    const int width = static_cast<int>(std::min<int64_t>(LANES, stop - start));
+    corners.find(start, width, around);
+    gather_block(moments, around, block);
+    for (int lane = 0; lane < width; ++lane)
+      for (int column = 0; column < COLUMNS; ++column)
+        total[(start + lane) * COLUMNS + column] = block[column][lane];
+  }
+}
+
+HPC_CLONES void fit_gathered(const double* moments, Corners& corners, const Fits& fits,
+                             int64_t start, int64_t stop) {
+  Block block;
+  Around around;
+  for (; start < stop; start += LANES) {
+    const int width = static_cast<int>(std::min<int64_t>(LANES, stop - start));
+    corners.find(start, width, around);
+    gather_block(moments, around, block);
+    for (int lane = 0; lane < width; ++lane) fits.counts[start + lane] = block[0][lane];
+    // Lanes without a vertex divide by their number of points like all others.
+    for (int lane = width; lane < LANES; ++lane) block[0][lane] = 1.0;
+    fit_block(block, fits, start, width);
+  }
+}
+
+Output<double> corner_moments(Input touched_of, Input cells_of, Input moments_of, int64_t threads) {
+  const int64_t* touched = check_keys(touched_of, "touched");
+  const int64_t* cells = check_keys(cells_of, "cells");
+  const int64_t count = rows_of(touched_of), known = rows_of(cells_of);
+  const double* moments = check<double>(moments_of, "moments", {known, COLUMNS});
+  const int workers = check_threads(threads);
+  auto total = make_buffer<double>(count * COLUMNS);
+  {
+    nb::gil_scoped_release unlocked;
+    run_ranges(count, workers, [&](int64_t start, int64_t stop) {
+      Corners corners(touched, cells, known);
+      gather_rows(moments, corners, start, stop, total.get());
+    });
+  }
+  return give(std::move(total), {static_cast<size_t>(count), COLUMNS});
+}
+
+nb::tuple fit_corners(Input touched_of, Input cells_of, Input moments_of, Input prior_of,
+                      Input lam_of, Input mu_of, int64_t threads) {
+  const int64_t* touched = check_keys(touched_of, "touched");
+  const int64_t* cells = check_keys(cells_of, "cells");
+  const int64_t count = rows_of(touched_of), known = rows_of(cells_of);
+  const double* moments = check<double>(moments_of, "moments", {known, COLUMNS});
+  auto coefficients = make_buffer<double>(count * BASIS);
+  auto counts = make_buffer<double>(count);
+  const Fits fits{check<double>(prior_of, "prior", {count, BASIS}),
+                  check<double>(lam_of, "lam", {count}), check<double>(mu_of, "mu", {count}),
+                  coefficients.get(), counts.get()};
+  const int workers = check_threads(threads);
+  {
+    nb::gil_scoped_release unlocked;
+    run_ranges(count, workers, [&](int64_t start, int64_t stop) {
+      Corners corners(touched, cells, known);
+      fit_gathered(moments, corners, fits, start, stop);
+    });
+  }
+  const size_t rows = static_cast<size_t>(count);
+  return nb::make_tuple(give(std::move(coefficients), {rows, BASIS}), give(std::move(counts), {rows}));
+}
+
+Output<double> fit_vertices(Input moments_of, Input prior_of, Input lam_of, Input mu_of, int64_t threads) {
+  const double* moments = check<double>(moments_of, "moments", {ANY, COLUMNS});
+  const int64_t count = rows_of(moments_of);
+  auto coefficients = make_buffer<double>(count * BASIS);
+  const Fits fits{check<double>(prior_of, "prior", {count, BASIS}),
+                  check<double>(lam_of, "lam", {count}), check<double>(mu_of, "mu", {count}),
+                  coefficients.get(), nullptr};
+  const int workers = check_threads(threads);
+  {
+    nb::gil_scoped_release unlocked;
+    run_ranges(count, workers,
+               [&](int64_t start, int64_t stop) { fit_rows(moments, fits, start, stop); });
+  }
+  return give(std::move(coefficients), {static_cast<size_t>(count), BASIS});
+}
+
+Output<double> evaluate_residuals(Input moments_of, Input coefficients_of) {
+  const double* moments = check<double>(moments_of, "moments", {ANY, COLUMNS});
+  const int64_t count = rows_of(moments_of);
+  const double* coefficients = check<double>(coefficients_of, "coefficients", {count, BASIS});
+  auto residuals = make_buffer<double>(count);
+  for (int64_t row = 0; row < count; ++row) {
+    const double* c = coefficients + row * BASIS;
+    double total = 0.0;
+    for (int j = 0; j < BASIS; ++j)
+      for (int i = j; i < BASIS; ++i)
+        total += (i == j ? 1.0 : 2.0) * c[i] * c[j] * moments[row * COLUMNS + PAIRS.at[i][j].value];
+    residuals[row] = std::max(total, 0.0);
+  }
+  return give(std::move(residuals), {static_cast<size_t>(count)});
+}
+
+}  // namespace
+
+void bind_hermite(nb::module_& module) {
+  module.def("corner_moments", &corner_moments);
+  module.def("fit_corners", &fit_corners);
+  module.def("fit_vertices", &fit_vertices);
+  module.def("evaluate_residuals", &evaluate_residuals);
+}
+
+}  // namespace hpc

@@ -1,0 +1,119 @@
+// Places on a lattice as sorted 63-bit keys: packing, finding, sorting (see lattice.py).
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "memory.h"
+
+namespace hpc {
+
+constexpr int BITS = 21;
+constexpr int64_t BIAS = int64_t{1} << (BITS - 1);
+constexpr int64_t MASK = (int64_t{1} << BITS) - 1;
+constexpr int64_t STRIDES[3] = {int64_t{1} << 2 * BITS, int64_t{1} << BITS, 1};
+
+using Place = std::array<int64_t, 3>;
+
+inline bool in_range(int64_t coordinate) { return coordinate >= -BIAS && coordinate < BIAS; }
+
+inline int64_t pack(const Place& place) {
+  return (place[0] + BIAS) * STRIDES[0] + (place[1] + BIAS) * STRIDES[1] + place[2] + BIAS;
+}
+
+inline Place unpack(int64_t key) {
+  return {(key >> 2 * BITS & MASK) - BIAS, (key >> BITS & MASK) - BIAS, (key & MASK) - BIAS};
+}
+
+// Finds keys that come in nearly rising order, starting from where the last one was.
+class Finger {
+ public:
+  Finger(const int64_t* keys, int64_t count) : keys_(keys), count_(count) {}
+
+  // Return the first row whose key is not below `key`.
+  int64_t lower_bound(int64_t key) {
+    int64_t low = at_, high = at_, step = 1;
+    if (low < count_ && keys_[low] < key) {
+      while (high < count_ && keys_[high] < key) low = high + 1, high += step, step *= 2;
+      high = std::min(high, count_);
+    } else {
+      while (low > 0 && keys_[low - 1] >= key) high = low - 1, low = std::max<int64_t>(0, low - 1 - step), step *= 2;
+    }
+    at_ = std::lower_bound(keys_ + low, keys_ + high, key) - keys_;
+    return at_;
+  }
+
+  // Return the row of `key`, -1 where it is missing.
+  int64_t find(int64_t key) {
+    const int64_t row = lower_bound(key);
+    return row < count_ && keys_[row] == key ? row : -1;
+  }
+
+ private:
+  const int64_t* keys_;
+  int64_t count_;
+  int64_t at_ = 0;
+};
+
+// A row and the key to sort it by.
+struct Ranked {
+  uint64_t key;
+  uint32_t row;
+};
+
+// Packs places within a box into as few bits as they need, in the order of their keys.
+class Span {
+ public:
+  Span(const Place& low, const Place& high) : low_(low) {
+    for (int axis = 0; axis < 3; ++axis)
+      while (bits_[axis] < 62 && (high[axis] - low[axis]) >> bits_[axis]) ++bits_[axis];
+  }
+
+  int bits() const { return bits_[0] + bits_[1] + bits_[2]; }
+
+  uint64_t squeeze(const Place& place) const {
+    uint64_t key = static_cast<uint64_t>(place[0] - low_[0]);
+    key = key << bits_[1] | static_cast<uint64_t>(place[1] - low_[1]);
+    return key << bits_[2] | static_cast<uint64_t>(place[2] - low_[2]);
+  }
+
+  Place restore(uint64_t key) const {
+    const auto cut = [&key](int bits) {
+      const int64_t part = static_cast<int64_t>(key & ((uint64_t{1} << bits) - 1));
+      key >>= bits;
+      return part;
+    };
+    Place place;
+    for (int axis = 2; axis >= 0; --axis) place[axis] = low_[axis] + cut(bits_[axis]);
+    return place;
+  }
+
+ private:
+  Place low_;
+  int bits_[3] = {0, 0, 0};
+};
+
+inline uint64_t rank_of(uint64_t key) { return key; }
+inline uint64_t rank_of(const Ranked& item) { return item.key; }
+
+// Sort by the lowest `bits` bits, stably, in passes of at most 11 bits.
+template <class Item>
+void radix_sort(Large<Item>& items, int bits) {
+  const int passes = (bits + 10) / 11;
+  if (!passes) return;
+  const int digit = (bits + passes - 1) / passes;
+  const uint64_t mask = (uint64_t{1} << digit) - 1;
+  Large<Item> other(items.size());
+  for (int pass = 0; pass < passes; ++pass) {
+    std::vector<size_t> starts(mask + 2, 0);
+    const int shift = pass * digit;
+    for (const Item& item : items) ++starts[(rank_of(item) >> shift & mask) + 1];
+    for (size_t i = 1; i < starts.size(); ++i) starts[i] += starts[i - 1];
+    for (const Item& item : items) other[starts[rank_of(item) >> shift & mask]++] = item;
+    items.swap(other);
+  }
+}
+
+}  // namespace hpc

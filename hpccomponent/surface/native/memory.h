@@ -1,0 +1,65 @@
+// Memory for large arrays: in huge pages where the system has them, given back when it is freed.
+#pragma once
+
+#include <cstdint>
+#include <cstdlib>
+#include <memory>
+#include <new>
+#include <vector>
+
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
+
+namespace hpc {
+
+constexpr size_t HUGE_PAGE = size_t{1} << 21;
+
+inline void* take_memory(size_t bytes) {
+#if defined(__linux__)
+  if (bytes >= 2 * HUGE_PAGE) {
+    // Page by page, the first touch of a large array costs more than what it is filled with.
+    const size_t rounded = (bytes + HUGE_PAGE - 1) / HUGE_PAGE * HUGE_PAGE;
+    void* large = std::aligned_alloc(HUGE_PAGE, rounded);
+    if (!large) throw std::bad_alloc();
+    madvise(large, rounded, MADV_HUGEPAGE);
+    return large;
+  }
+#endif
+  void* small = std::malloc(bytes ? bytes : 1);
+  if (!small) throw std::bad_alloc();
+  return small;
+}
+
+struct Release {
+  void operator()(void* memory) const noexcept { std::free(memory); }
+};
+
+template <class T>
+using Buffer = std::unique_ptr<T[], Release>;
+
+// Uninitialised memory: every kernel writes all of its result.
+template <class T>
+Buffer<T> make_buffer(int64_t count) {
+  return Buffer<T>(static_cast<T*>(take_memory(static_cast<size_t>(count > 0 ? count : 0) * sizeof(T))));
+}
+
+template <class T>
+struct LargeAllocator {
+  using value_type = T;
+  LargeAllocator() = default;
+  template <class U>
+  LargeAllocator(const LargeAllocator<U>&) {}
+  T* allocate(size_t count) { return static_cast<T*>(take_memory(count * sizeof(T))); }
+  void deallocate(T* memory, size_t) noexcept { std::free(memory); }
+  template <class U>
+  bool operator==(const LargeAllocator<U>&) const { return true; }
+  template <class U>
+  bool operator!=(const LargeAllocator<U>&) const { return false; }
+};
+
+// A vector for as many items as there are points or cells.
+template <class T>
+using Large = std::vector<T, LargeAllocator<T>>;
+
+}  // namespace hpc

@@ -1,0 +1,15 @@
+// The extension hpccomponent.surface._native: the kernels of every family, under their numpy names.
+#include "families.h"
+
+NB_MODULE(_native, module) {
+  module.attr("KERNEL_HASH") = HPC_KERNEL_HASH;
+  hpc::bind_points(module);
+  hpc::bind_lattice(module);
+  hpc::bind_moments(module);
+  hpc::bind_hermite(module);
+  hpc::bind_inheritance(module);
+  hpc::bind_far_field(module);
+  hpc::bind_field(module);
+  hpc::bind_surface(module);
+  hpc::bind_topology(module);
+}

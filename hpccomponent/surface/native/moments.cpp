@@ -1,0 +1,233 @@
+// Moments of points: sums over the points of a cell, moved and merged into parents.
+#include "moments.h"
+
+#include "families.h"
+#include "keys.h"
+#include "threads.h"
+
+namespace hpc {
+namespace {
+
+// Each monomial is the product of an earlier one and one coordinate.
+struct Products {
+  int source[MONOMIALS], axis[MONOMIALS];
+  constexpr Products() : source(), axis() {
+    for (int column = 1; column < MONOMIALS; ++column) {
+      int first = 0;
+      while (!EXPONENTS[column].power[first]) ++first;
+      axis[column] = first;
+      source[column] = lowered(column, first, 1);
+    }
+  }
+};
+
+constexpr Products PRODUCTS;
+
+#define EACH_LANE for (int lane = 0; lane < LANES; ++lane)
+
+// One point of each lane's cell; lanes whose cell has no more points hold zeros.
+struct Points {
+  double one[LANES], u[3][LANES], n[3][LANES];
+};
+
+HPC_INLINE void add_points(const Points& p, Block& sums) {
+  double m[MONOMIALS][LANES];
+  EACH_LANE m[0][lane] = p.one[lane];
+  EACH_LANE sums[0][lane] += m[0][lane];
+  for (int column = 1; column < MONOMIALS; ++column) {
+    EACH_LANE m[column][lane] = m[PRODUCTS.source[column]][lane] * p.u[PRODUCTS.axis[column]][lane];
+    EACH_LANE sums[column][lane] += m[column][lane];
+  }
+  for (int a = 0; a < 3; ++a) {
+    // xx, yy, zz follow from one axis; xy, yz, zx from two neighbouring ones.
+    const int b = (a + 1) % 3;
+    EACH_LANE sums[35 + a][lane] += p.n[a][lane];
+    EACH_LANE sums[38 + a][lane] += 2.0 * p.u[a][lane] * p.n[a][lane];
+    EACH_LANE sums[41 + a][lane] += p.u[b][lane] * p.n[a][lane] + p.u[a][lane] * p.n[b][lane];
+  }
+}
+
+// Each lane sums the points of one cell, in their order.
+HPC_CLONES void sum_cells(const double* local, const double* normals, const int64_t* offsets,
+                          int64_t start, int64_t stop, double* moments) {
+  for (; start < stop; start += LANES) {
+    const int width = static_cast<int>(std::min<int64_t>(LANES, stop - start));
+    int64_t longest = 0;
+    for (int lane = 0; lane < width; ++lane)
+      longest = std::max(longest, offsets[start + lane + 1] - offsets[start + lane]);
+    Block sums = {};
+    Points points = {};
+    for (int64_t turn = 0; turn < longest; ++turn) {
+      for (int lane = 0; lane < width; ++lane) {
+        const int64_t i = offsets[start + lane] + turn;
+        const bool present = i < offsets[start + lane + 1];
+        points.one[lane] = present ? 1.0 : 0.0;
+        for (int axis = 0; axis < 3; ++axis) {
+          points.u[axis][lane] = present ? local[3 * i + axis] : 0.0;
+          points.n[axis][lane] = present ? normals[3 * i + axis] : 0.0;
+        }
+      }
+      add_points(points, sums);
+    }
+    for (int lane = 0; lane < width; ++lane)
+      for (int column = 0; column < COLUMNS; ++column)
+        moments[(start + lane) * COLUMNS + column] = sums[column][lane];
+  }
+}
+
+Output<double> accumulate_moments(Input local_of, Input normals_of, Input offsets_of, int64_t threads) {
+  const double* local = check<double>(local_of, "local_positions", {ANY, 3});
+  const int64_t points = rows_of(local_of);
+  const double* normals = check<double>(normals_of, "normals", {points, 3});
+  const int64_t* offsets = check<int64_t>(offsets_of, "offsets", {ANY});
+  const int64_t cells = rows_of(offsets_of) - 1;
+  const int workers = check_threads(threads);
+  if (cells < 0 || offsets[0] != 0 || offsets[cells] != points)
+    refuse("offsets: expected to run from 0 to the number of points");
+  for (int64_t cell = 0; cell < cells; ++cell)
+    if (offsets[cell] > offsets[cell + 1]) refuse("offsets: expected to rise");
+  auto moments = make_buffer<double>(cells * COLUMNS);
+  {
+    nb::gil_scoped_release unlocked;
+    run_ranges(cells, workers, [&](int64_t start, int64_t stop) {
+      sum_cells(local, normals, offsets, start, stop, moments.get());
+    });
+  }
+  return give(std::move(moments), {static_cast<size_t>(cells), COLUMNS});
+}
+
+HPC_CLONES void shift_rows(const double* from, int64_t count, const double* step, double* to) {
+  Block block;
+  double steps[3][LANES];
+  for (int axis = 0; axis < 3; ++axis)
+    for (int lane = 0; lane < LANES; ++lane) steps[axis][lane] = step[axis];
+  for (int64_t start = 0; start < count; start += LANES) {
+    const int width = static_cast<int>(std::min<int64_t>(LANES, count - start));
+    for (int lane = 0; lane < LANES; ++lane)
+      for (int column = 0; column < COLUMNS; ++column)
+        block[column][lane] = lane < width ? from[(start + lane) * COLUMNS + column] : 0.0;
+    shift_block(block, steps);
+    for (int lane = 0; lane < width; ++lane)
+      for (int column = 0; column < COLUMNS; ++column)
+        to[(start + lane) * COLUMNS + column] = block[column][lane];
+  }
+}
+
+Output<double> shift_moments(Input moments_of, Input shift_of) {
+  const double* moments = check<double>(moments_of, "moments", {ANY, COLUMNS});
+  const double* shift = check<double>(shift_of, "shift", {3});
+  const int64_t count = rows_of(moments_of);
+  auto shifted = make_buffer<double>(count * COLUMNS);
+  {
+    nb::gil_scoped_release unlocked;
+    shift_rows(moments, count, shift, shifted.get());
+  }
+  return give(std::move(shifted), {static_cast<size_t>(count), COLUMNS});
+}
+
+// Express rows in cells of twice the size; powers of two are exact.
+HPC_CLONES void scale_rows(double* rows, int64_t count) {
+  double factors[COLUMNS];
+  for (int column = 0; column < COLUMNS; ++column) {
+    int degree = column < 38 ? 0 : 1;
+    if (column < MONOMIALS)
+      degree = EXPONENTS[column].power[0] + EXPONENTS[column].power[1] + EXPONENTS[column].power[2];
+    factors[column] = 1.0 / (1 << degree);
+  }
+  for (int64_t row = 0; row < count; ++row)
+    for (int column = 0; column < COLUMNS; ++column) rows[row * COLUMNS + column] *= factors[column];
+}
+
+Output<double> scale_moments(Input moments_of) {
+  const double* moments = check<double>(moments_of, "moments", {ANY, COLUMNS});
+  const int64_t count = rows_of(moments_of);
+  auto scaled = make_buffer<double>(count * COLUMNS);
+  std::copy(moments, moments + count * COLUMNS, scaled.get());
+  scale_rows(scaled.get(), count);
+  return give(std::move(scaled), {static_cast<size_t>(count), COLUMNS});
+}
+
+// Rank cells by parent, then by octant.
+Large<Ranked> rank_children(const int64_t* cells, int64_t count, Span& span) {
+  if (!count) return {};
+  Place low{BIAS, BIAS, BIAS}, high{-BIAS, -BIAS, -BIAS};
+  for (int64_t i = 0; i < count; ++i) {
+    const Place place = unpack(cells[i]);
+    for (int axis = 0; axis < 3; ++axis) {
+      low[axis] = std::min(low[axis], place[axis] >> 1);
+      high[axis] = std::max(high[axis], place[axis] >> 1);
+    }
+  }
+  span = Span(low, high);
+  Large<Ranked> order(static_cast<size_t>(count));
+  for (int64_t i = 0; i < count; ++i) {
+    const Place p = unpack(cells[i]);
+    const uint64_t octant = (p[0] & 1) | (p[1] & 1) << 1 | (p[2] & 1) << 2;
+    order[i] = {span.squeeze({p[0] >> 1, p[1] >> 1, p[2] >> 1}) << 3 | octant, static_cast<uint32_t>(i)};
+  }
+  radix_sort(order, span.bits() + 3);
+  return order;
+}
+
+// The children of each parent, octants with x fastest; -1 where there is none.
+struct Family {
+  int64_t key;
+  int64_t children[8];
+};
+
+Large<Family> group_children(const int64_t* cells, int64_t count) {
+  Span span({0, 0, 0}, {0, 0, 0});
+  const Large<Ranked> order = rank_children(cells, count, span);
+  Large<Family> families;
+  families.reserve(order.size() / 2);
+  for (size_t i = 0; i < order.size(); ++i) {
+    if (!i || order[i].key >> 3 != order[i - 1].key >> 3)
+      families.push_back({pack(span.restore(order[i].key >> 3)), {-1, -1, -1, -1, -1, -1, -1, -1}});
+    families.back().children[order[i].key & 7] = order[i].row;
+  }
+  return families;
+}
+
+HPC_CLONES void merge_rows(const double* moments, const Family* families, int64_t count, double* merged) {
+  Block block;
+  Around around;
+  for (int64_t start = 0; start < count; start += LANES) {
+    const int width = static_cast<int>(std::min<int64_t>(LANES, count - start));
+    for (int octant = 0; octant < 8; ++octant)
+      EACH_LANE around[octant][lane] = lane < width ? families[start + lane].children[octant] : -1;
+    gather_block(moments, around, block);
+    for (int lane = 0; lane < width; ++lane)
+      for (int column = 0; column < COLUMNS; ++column)
+        merged[(start + lane) * COLUMNS + column] = block[column][lane];
+  }
+}
+
+nb::tuple merge_cells(Input cells_of, Input moments_of) {
+  const int64_t* cells = check_keys(cells_of, "cells");
+  const int64_t count = rows_of(cells_of);
+  const double* moments = check<double>(moments_of, "moments", {count, COLUMNS});
+  Large<int64_t> parents;
+  Buffer<double> merged;
+  {
+    nb::gil_scoped_release unlocked;
+    const Large<Family> families = group_children(cells, count);
+    const int64_t size = static_cast<int64_t>(families.size());
+    for (const Family& family : families) parents.push_back(family.key);
+    merged = make_buffer<double>(size * COLUMNS);
+    merge_rows(moments, families.data(), size, merged.get());
+    scale_rows(merged.get(), size);
+  }
+  const size_t size = parents.size();
+  return nb::make_tuple(give(std::move(parents)), give(std::move(merged), {size, COLUMNS}));
+}
+
+}  // namespace
+
+void bind_moments(nb::module_& module) {
+  module.def("accumulate_moments", &accumulate_moments);
+  module.def("shift_moments", &shift_moments);
+  module.def("scale_moments", &scale_moments);
+  module.def("merge_cells", &merge_cells);
+}
+
+}  // namespace hpc

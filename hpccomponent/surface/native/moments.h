@@ -1,0 +1,156 @@
+// The layout of a row of moments (see moments.py), and moving blocks of rows to other centres.
+#pragma once
+
+#include <cstdint>
+
+#include "clones.h"
+
+namespace hpc {
+
+constexpr int MONOMIALS = 35;
+constexpr int COLUMNS = 44;
+// Rows are worked on in blocks of so many, one lane each.
+constexpr int LANES = 8;
+
+struct Exponent {
+  int power[3];
+};
+
+constexpr Exponent EXPONENTS[MONOMIALS] = {
+    {{0, 0, 0}}, {{1, 0, 0}}, {{0, 1, 0}}, {{0, 0, 1}}, {{2, 0, 0}}, {{0, 2, 0}}, {{0, 0, 2}},
+    {{1, 1, 0}}, {{0, 1, 1}}, {{1, 0, 1}}, {{3, 0, 0}}, {{2, 1, 0}}, {{2, 0, 1}}, {{1, 2, 0}},
+    {{1, 1, 1}}, {{1, 0, 2}}, {{0, 3, 0}}, {{0, 2, 1}}, {{0, 1, 2}}, {{0, 0, 3}}, {{4, 0, 0}},
+    {{3, 1, 0}}, {{3, 0, 1}}, {{2, 2, 0}}, {{2, 1, 1}}, {{2, 0, 2}}, {{1, 3, 0}}, {{1, 2, 1}},
+    {{1, 1, 2}}, {{1, 0, 3}}, {{0, 4, 0}}, {{0, 3, 1}}, {{0, 2, 2}}, {{0, 1, 3}}, {{0, 0, 4}}};
+
+constexpr int column_of(int a, int b, int c) {
+  for (int i = 0; i < MONOMIALS; ++i)
+    if (EXPONENTS[i].power[0] == a && EXPONENTS[i].power[1] == b && EXPONENTS[i].power[2] == c)
+      return i;
+  return -1;
+}
+
+// Return the column of a monomial with one power lowered, -1 where there is none.
+constexpr int lowered(int column, int axis, int by) {
+  int power[3] = {EXPONENTS[column].power[0], EXPONENTS[column].power[1],
+                  EXPONENTS[column].power[2]};
+  power[axis] -= by;
+  return power[axis] < 0 ? -1 : column_of(power[0], power[1], power[2]);
+}
+
+constexpr double binomial(int n, int k) {
+  double value = 1.0;
+  for (int i = 0; i < k; ++i) value = value * (n - i) / (i + 1);
+  return value;
+}
+
+// One term of a shift: column += factor * step^power * source.
+struct ShiftTerm {
+  int column, source, power;
+  double factor;
+};
+
+struct ShiftTable {
+  ShiftTerm terms[3][35];
+  constexpr ShiftTable() : terms() {
+    for (int axis = 0; axis < 3; ++axis) {
+      int count = 0;
+      // Columns of high power come first: each reads only columns that are not shifted yet.
+      for (int power = 4; power > 0; --power)
+        for (int column = 0; column < MONOMIALS; ++column)
+          if (EXPONENTS[column].power[axis] == power)
+            for (int by = 1; by <= power; ++by)
+              terms[axis][count++] = {column, lowered(column, axis, by), by, binomial(power, by)};
+    }
+  }
+};
+
+constexpr ShiftTable SHIFTS;
+
+// column, source, axis of the step, factor
+constexpr int NORMAL_SHIFTS[9][4] = {{38, 35, 0, 2}, {39, 36, 1, 2}, {40, 37, 2, 2},
+                                     {41, 35, 1, 1}, {41, 36, 0, 1}, {42, 36, 2, 1},
+                                     {42, 37, 1, 1}, {43, 35, 2, 1}, {43, 37, 0, 1}};
+
+using Block = double[COLUMNS][LANES];
+
+HPC_INLINE void add_scaled(double* to, const double* from, const double* factor, double constant) {
+  for (int lane = 0; lane < LANES; ++lane) to[lane] += constant * factor[lane] * from[lane];
+}
+
+// Add step[axis][lane] to every point of each lane's row.
+HPC_INLINE void shift_block(Block& rows, const double (&step)[3][LANES]) {
+  for (int axis = 0; axis < 3; ++axis) {
+    double powers[4][LANES];
+    for (int lane = 0; lane < LANES; ++lane) {
+      powers[0][lane] = step[axis][lane];
+      for (int p = 1; p < 4; ++p) powers[p][lane] = powers[p - 1][lane] * step[axis][lane];
+    }
+    for (const ShiftTerm& term : SHIFTS.terms[axis])
+      add_scaled(rows[term.column], rows[term.source], powers[term.power - 1], term.factor);
+  }
+  for (const auto& term : NORMAL_SHIFTS)
+    add_scaled(rows[term[0]], rows[term[1]], step[term[2]], term[3]);
+}
+
+// Sum two blocks about the centre between them: `low` lies half a cell below it along an axis,
+// `high` half a cell above. Even powers of the shift see the sum, odd ones the difference.
+HPC_INLINE void sum_pair(const Block& low, const Block& high, int axis, Block& sum) {
+  Block difference, source;
+  for (int column = 0; column < COLUMNS; ++column)
+    for (int lane = 0; lane < LANES; ++lane) {
+      source[column][lane] = low[column][lane] + high[column][lane];
+      difference[column][lane] = high[column][lane] - low[column][lane];
+      sum[column][lane] = source[column][lane];
+    }
+  constexpr double HALVES[4] = {0.5, 0.25, 0.125, 0.0625};
+  for (const ShiftTerm& term : SHIFTS.terms[axis]) {
+    const double factor = term.factor * HALVES[term.power - 1];
+    const double* from = term.power % 2 ? difference[term.source] : source[term.source];
+    for (int lane = 0; lane < LANES; ++lane) sum[term.column][lane] += factor * from[lane];
+  }
+  for (const auto& term : NORMAL_SHIFTS)
+    if (term[2] == axis)
+      for (int lane = 0; lane < LANES; ++lane)
+        sum[term[0]][lane] += (0.5 * term[3]) * difference[term[1]][lane];
+}
+
+// The cells around each lane's centre: rows of moments, -1 where there is no point; octants with
+// x fastest.
+using Around = int64_t[8][LANES];
+
+// Load the moments of one octant; return whether any lane has some.
+HPC_INLINE bool load_octant(const double* moments, const Around& around, int octant, Block& block) {
+  bool any = false;
+  for (int lane = 0; lane < LANES; ++lane) any = any || around[octant][lane] >= 0;
+  for (int column = 0; column < COLUMNS; ++column)
+    for (int lane = 0; lane < LANES; ++lane) block[column][lane] = 0.0;
+  for (int lane = 0; any && lane < LANES; ++lane) {
+    const int64_t row = around[octant][lane];
+    if (row < 0) continue;
+    for (int column = 0; column < COLUMNS; ++column)
+      block[column][lane] = moments[row * COLUMNS + column];
+  }
+  return any;
+}
+
+// Sum the moments around the centres of a block: pairs along z, then y, then x.
+HPC_INLINE void gather_block(const double* moments, const Around& around, Block& total) {
+  Block low, high, rows[2], planes[2];
+  for (int x = 0; x < 2; ++x) {
+    for (int y = 0; y < 2; ++y) {
+      const bool any_low = load_octant(moments, around, x + 2 * y, low);
+      const bool any_high = load_octant(moments, around, x + 2 * y + 4, high);
+      if (any_low || any_high) {
+        sum_pair(low, high, 2, rows[y]);
+      } else {
+        for (int column = 0; column < COLUMNS; ++column)
+          for (int lane = 0; lane < LANES; ++lane) rows[y][column][lane] = 0.0;
+      }
+    }
+    sum_pair(rows[0], rows[1], 1, planes[x]);
+  }
+  sum_pair(planes[0], planes[1], 0, total);
+}
+
+}  // namespace hpc

@@ -1,0 +1,199 @@
+"""Every native kernel gives what its numpy version gives."""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from hpccomponent.surface import (
+    bricks,
+    cells,
+    coarse_grid,
+    connectivity,
+    extraction,
+    field,
+    hermite,
+    lattice,
+    moments,
+    spacing,
+)
+from hpccomponent.surface.case_table import case_triangles
+
+coordinates = arrays.arrays(
+    np.int64, st.tuples(st.integers(1, 60), st.just(3)), elements=st.integers(-40, 40)
+)
+
+
+def field_values(which: Any) -> tuple[Any, ...]:
+    far = which.far
+    near = (which.origin, which.cell_size, which.keys, which.coefficients, which.trust)
+    return (*near, far.values, far.origin, far.step)
+
+
+def grid_values(which: Any) -> tuple[Any, ...]:
+    return which.origin, which.step, np.array(which.bricks, np.int64)
+
+
+@given(coordinates, st.integers(-2, 1), st.integers(0, 3))
+@settings(deadline=None, max_examples=40)
+def test_sets_of_places(native: ModuleType, places: Any, low: int, width: int) -> None:
+    keys = lattice.unique_keys(lattice.pack_places(places))
+    spread = native.spread_keys(keys, low, low + width)
+    np.testing.assert_array_equal(spread, lattice.spread_keys(keys, low, low + width))
+    np.testing.assert_array_equal(native.parent_keys(keys), cells.parent_keys(keys))
+    np.testing.assert_array_equal(native.unite_keys(keys, spread), lattice.unite_keys(keys, spread))
+    np.testing.assert_array_equal(native.find_keys(keys, spread), lattice.find_keys(keys, spread))
+    backwards = np.ascontiguousarray(spread[::-1])
+    np.testing.assert_array_equal(
+        native.find_keys(keys, backwards), lattice.find_keys(keys, backwards)
+    )
+
+
+@given(st.integers(0, 2**32), st.integers(1, 300), st.floats(0.01, 10.0))
+@settings(deadline=None, max_examples=30)
+def test_sorting_points(native: ModuleType, seed: int, points: int, size: float) -> None:
+    random = np.random.default_rng(seed)
+    positions, normals = random.normal(size=(2, points, 3))
+    origin = random.normal(size=3)
+    expected = cells.sort_points(positions, normals, origin, size)
+    for found, wanted in zip(
+        native.sort_points(positions, normals, origin, size), expected, strict=True
+    ):
+        np.testing.assert_array_equal(found, wanted)
+    for one_in in (1, 3):
+        counted = native.count_boxes(positions, origin, size, one_in)
+        assert counted == spacing.count_boxes(positions, origin, size, one_in)
+
+
+@given(st.integers(0, 2**32), st.lists(st.integers(0, 9), min_size=1, max_size=30))
+@settings(deadline=None, max_examples=30)
+def test_moments_of_points(native: ModuleType, seed: int, counts: list[int]) -> None:
+    random = np.random.default_rng(seed)
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    local = random.uniform(-0.5, 0.5, size=(offsets[-1], 3))
+    normals = random.normal(size=(offsets[-1], 3))
+    found = native.accumulate_moments(local, normals, offsets, 1)
+    np.testing.assert_array_equal(found, moments.accumulate_moments(local, normals, offsets))
+    shift = random.normal(size=3)
+    scale = 1e-12 * max(1.0, np.abs(found).max())
+    shifted = native.shift_moments(found, shift)
+    np.testing.assert_allclose(shifted, moments.shift_moments(found, shift), 1e-10, scale * 100)
+    np.testing.assert_array_equal(native.scale_moments(found), moments.scale_moments(found))
+
+
+def test_moments_of_cells(native: ModuleType, cloud: Any) -> None:
+    parents, merged = native.merge_cells(cloud.cells, cloud.moments)
+    keys, expected = cells.merge_cells(cloud.cells, cloud.moments)
+    np.testing.assert_array_equal(parents, keys)
+    np.testing.assert_allclose(merged, expected, rtol=1e-12, atol=1e-12)
+    around = native.corner_moments(cloud.touched, cloud.cells, cloud.moments, 1)
+    wanted = cells.corner_moments(cloud.touched, cloud.cells, cloud.moments)
+    np.testing.assert_allclose(around, wanted, rtol=1e-12, atol=1e-11)
+
+
+@pytest.mark.parametrize("lam", [0.01, 1.0])
+def test_fits(native: ModuleType, cloud: Any, lam: float) -> None:
+    random = np.random.default_rng(3)
+    vertices = len(cloud.touched)
+    prior = random.normal(size=(vertices, 10))
+    weights = random.uniform(0.5, 1.0, size=(2, vertices)) * [[lam], [0.3]]
+    given_cells = (cloud.touched, cloud.cells, cloud.moments, prior, *weights)
+    found, counts = native.fit_corners(*given_cells, 1)
+    expected, wanted_counts = cells.fit_corners(*given_cells)
+    np.testing.assert_array_equal(counts, wanted_counts)
+    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
+    around = cells.corner_moments(cloud.touched, cloud.cells, cloud.moments)
+    alone = native.fit_vertices(around, prior, *weights, 1)
+    np.testing.assert_allclose(alone, expected, rtol=1e-9, atol=1e-11)
+    residuals = native.evaluate_residuals(around, expected)
+    wanted = hermite.evaluate_residuals(around, expected)
+    np.testing.assert_allclose(residuals, wanted, rtol=1e-9, atol=1e-9)
+
+
+def test_priors(native: ModuleType, cloud: Any) -> None:
+    random = np.random.default_rng(5)
+    vertices = lattice.spread_keys(cloud.cells, -1, 2)
+    parents = cells.parent_keys(vertices)
+    coefficients = random.normal(size=(len(parents), 10))
+    support = random.uniform(size=len(parents))
+    found = native.inherit_level(vertices, parents, coefficients, support, 1)
+    expected = cells.inherit_level(vertices, parents, coefficients, support)
+    for mean, wanted in zip(found, expected, strict=True):
+        np.testing.assert_allclose(mean, wanted, rtol=1e-12, atol=1e-14)
+    steps = random.integers(-1, 2, size=(len(parents), 3))
+    np.testing.assert_array_equal(
+        native.inherit_quadrics(coefficients, steps), hermite.inherit_quadrics(coefficients, steps)
+    )
+
+
+def test_coarse_grid(native: ModuleType, cloud: Any) -> None:
+    places = (cloud.positions + 1.5) * 5.0
+    for axis in range(3):
+        grid = native.spread_component(places, cloud.normals, axis, 16)
+        expected = coarse_grid.spread_component(places, cloud.normals, axis, 16)
+        np.testing.assert_allclose(grid, expected, rtol=1e-4, atol=1e-5)
+        samples = native.sample_grid(expected, places)
+        wanted = coarse_grid.sample_grid(expected, places)
+        np.testing.assert_allclose(samples, wanted, rtol=1e-12, atol=1e-12)
+
+
+def test_bricks(native: ModuleType, any_ball: Any) -> None:
+    function, grid = any_ball
+    places = np.stack(np.meshgrid(*map(np.arange, grid.bricks), indexing="ij"), axis=-1)
+    places = np.ascontiguousarray(places.reshape(-1, 3))[::3]
+    places = np.ascontiguousarray(places)
+    found = native.evaluate_bricks(field_values(function), *grid_values(grid), places, 1)
+    expected = field.evaluate_bricks(function, grid, places)
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
+    assert ((found < 0) == (expected < 0)).all()
+
+
+def test_surface(native: ModuleType, any_ball: Any) -> None:
+    function, grid = any_ball
+    normals = np.random.default_rng(2).normal(size=(20, 3))
+    surface_points = 0.8 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    seeds = native.seed_bricks(surface_points, grid.origin, 8 * grid.step, grid_values(grid)[2])
+    np.testing.assert_array_equal(seeds, bricks.seed_bricks(grid, surface_points))
+
+    def evaluate(places: Any) -> Any:
+        places = np.ascontiguousarray(places)
+        return native.evaluate_bricks(field_values(function), *grid_values(grid), places, 1)
+
+    places, values = bricks.grow_bricks(evaluate, seeds, grid.bricks)
+    expected = extraction.extract_surface(grid, places, values)
+    keys = lattice.pack_places(places)
+    table = case_triangles()
+    for vertices, faces in (
+        native.extract_surface(*grid_values(grid), keys, values, table, 1),
+        native.grow_surface(field_values(function), *grid_values(grid), seeds, table, 1),
+    ):
+        np.testing.assert_array_equal(vertices, expected.vertices)
+        np.testing.assert_array_equal(faces, expected.faces)
+    assert len(expected.faces)
+    radius = np.linalg.norm(expected.vertices, axis=1)
+    assert np.abs(radius - 0.8).max() < 0.05 * max(function.cell_size, grid.step)
+
+
+@given(
+    arrays.arrays(np.int64, st.tuples(st.integers(1, 40), st.just(3)), elements=st.integers(0, 12))
+)
+@settings(deadline=None, max_examples=60)
+def test_connectivity(native: ModuleType, faces: Any) -> None:
+    count, label = native.label_components(faces, 13)
+    wanted_count, wanted_label = connectivity.label_components(faces, 13)
+    assert count == wanted_count
+    np.testing.assert_array_equal(label, wanted_label)
+    found = connectivity.Survey(*native.survey_mesh(faces, 13))
+    wanted = connectivity.survey_mesh(faces, 13)
+    for name in ("boundary", "overfull", "degenerate", "misoriented", "fans"):
+        assert getattr(found, name) == getattr(wanted, name), name
+    np.testing.assert_array_equal(found.edges_of, wanted.edges_of)
+    vertices = np.random.default_rng(0).normal(size=(13, 3))
+    volume = native.signed_volume(vertices, faces, vertices[0])
+    assert volume == pytest.approx(connectivity.signed_volume(vertices, faces, vertices[0]))

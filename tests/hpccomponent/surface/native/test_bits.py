@@ -1,0 +1,81 @@
+"""A row's bits depend on no other row of its batch, and on no number of threads."""
+
+from __future__ import annotations
+
+import itertools
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hpccomponent.surface import cells, lattice
+from hpccomponent.surface.case_table import case_triangles
+
+THREADS = (2, 3, 16)
+
+
+def same(first: Any, second: Any) -> None:
+    for one, other in zip(first, second, strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_threads(native: ModuleType, cloud: Any, threads: int) -> None:
+    points = (cloud.local, cloud.sorted_normals, cloud.offsets)
+    same([native.accumulate_moments(*points, 1)], [native.accumulate_moments(*points, threads)])
+    around = (cloud.touched, cloud.cells, cloud.moments)
+    same([native.corner_moments(*around, 1)], [native.corner_moments(*around, threads)])
+    prior, weights = np.zeros((len(cloud.touched), 10)), np.full(len(cloud.touched), 0.2)
+    fits = (*around, prior, weights, weights)
+    fitted = native.fit_corners(*fits, 1)
+    same(fitted, native.fit_corners(*fits, threads))
+    parents = cells.parent_keys(cloud.touched)
+    means = np.ones((len(parents), 10))
+    level = (cloud.touched, parents, means, means[:, 0].copy())
+    same(native.inherit_level(*level, 1), native.inherit_level(*level, threads))
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_threads_of_the_extraction(native: ModuleType, ball: Any, threads: int) -> None:
+    function, grid = ball
+    far = function.far
+    values = (function.origin, function.cell_size, function.keys, function.coefficients)
+    arguments = (
+        (*values, function.trust, far.values, far.origin, far.step),
+        grid.origin, grid.step, np.array(grid.bricks),
+        lattice.pack_places(np.array([[4, 3, 3]])), case_triangles(),
+    )  # fmt: skip
+    mesh = native.grow_surface(*arguments, 1)
+    assert len(mesh[1])
+    same(mesh, native.grow_surface(*arguments, threads))
+
+
+@pytest.mark.parametrize("parts", [2, 7])
+def test_batches(native: ModuleType, cloud: Any, parts: int) -> None:
+    whole = native.accumulate_moments(cloud.local, cloud.sorted_normals, cloud.offsets, 1)
+    cuts = np.linspace(0, len(cloud.cells), parts + 1).astype(int)
+    pieces = []
+    for start, stop in itertools.pairwise(cuts):
+        bounds = cloud.offsets[start : stop + 1]
+        rows = slice(bounds[0], bounds[-1])
+        offsets = bounds - bounds[0]
+        pieces.append(
+            native.accumulate_moments(cloud.local[rows], cloud.sorted_normals[rows], offsets, 1)
+        )
+    assert np.concatenate(pieces).tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize("parts", [2, 7])
+def test_batches_of_fits(native: ModuleType, cloud: Any, parts: int) -> None:
+    vertices = len(cloud.touched)
+    prior = np.random.default_rng(1).normal(size=(vertices, 10))
+    weights = np.full(vertices, 0.2)
+    around = (cloud.cells, cloud.moments)
+    whole = native.fit_corners(cloud.touched, *around, prior, weights, weights, 1)
+    cuts = np.linspace(0, vertices, parts + 1).astype(int)
+    fitted = [
+        native.fit_corners(cloud.touched[a:b], *around, prior[a:b], weights[a:b], weights[a:b], 1)
+        for a, b in itertools.pairwise(cuts)
+    ]
+    same(whole, [np.concatenate(column) for column in zip(*fitted, strict=True)])

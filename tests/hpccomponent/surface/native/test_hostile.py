@@ -1,0 +1,99 @@
+"""Whatever is handed over, a kernel refuses it in words or gives a result: it never crashes."""
+
+from __future__ import annotations
+
+import contextlib
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hpccomponent.surface.case_table import case_triangles
+
+KERNELS = (
+    "accumulate_moments", "corner_moments", "count_boxes", "evaluate_bricks",
+    "evaluate_residuals", "extract_surface", "find_keys", "fit_corners", "fit_vertices",
+    "grow_surface", "inherit_level", "inherit_quadrics", "label_components", "merge_cells",
+    "parent_keys", "sample_grid", "scale_moments", "seed_bricks", "shift_moments",
+    "signed_volume", "sort_points", "spread_component", "spread_keys", "survey_mesh", "unite_keys",
+)  # fmt: skip
+
+numbers = st.one_of(
+    st.integers(-3, 70), st.sampled_from([2**31, 2**62, -(2**63), 0.0, -1.0, 1e-300, 1e300]),
+    st.just(float("nan")), st.just(float("inf")), st.floats(0.001, 2.0),
+)  # fmt: skip
+shapes = st.sampled_from(
+    [(0,), (1,), (3,), (5,), (0, 3), (1, 3), (5, 3), (4, 44), (5, 10), (2, 2, 2), (1, 9, 9, 9)]
+)
+dtypes = st.sampled_from([np.float64, np.int64, np.float32, np.int8, np.bool_, np.complex64])
+
+
+@st.composite
+def hostile_arrays(draw: st.DrawFn) -> Any:
+    shape, dtype = draw(shapes), draw(dtypes)
+    random = np.random.default_rng(draw(st.integers(0, 2**16)))
+    values = random.integers(-2, 5, size=shape).astype(dtype)
+    if dtype == np.int64 and draw(st.booleans()):
+        values = np.sort(random.integers(0, 2**62, size=shape), axis=0)
+    if values.size and dtype == np.float64 and draw(st.booleans()):
+        values.flat[0] = draw(st.sampled_from([np.nan, np.inf, 1e308, -1e308]))
+    if draw(st.integers(0, 5)) == 0:
+        values = values[..., ::-1]
+    return values
+
+
+anything = st.one_of(numbers, hostile_arrays(), st.just(case_triangles()), st.none(), st.text())
+arguments = st.one_of(anything, st.lists(anything, min_size=8, max_size=8).map(tuple))
+
+
+@given(st.sampled_from(KERNELS), st.lists(arguments, min_size=1, max_size=7))
+@settings(deadline=None, max_examples=400)
+def test_random_arguments(native: ModuleType, name: str, values: list[Any]) -> None:
+    with contextlib.suppress(TypeError, ValueError, OverflowError, RuntimeError, MemoryError):
+        getattr(native, name)(*values)
+
+
+@given(st.data())
+@settings(deadline=None, max_examples=200)
+def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
+    """Arrays of the right kinds whose contents contradict one another."""
+    draw = data.draw
+    random = np.random.default_rng(draw(st.integers(0, 2**16)))
+    rows = draw(st.integers(0, 20))
+    points = random.normal(size=(rows, 3)) * draw(st.sampled_from([1.0, 1e9, 1e300]))
+    keys = np.unique(random.integers(0, 2**63 - 1, size=rows))
+    calls = [
+        ("accumulate_moments", points, points, random.integers(-9, 30, size=5), 1),
+        ("sort_points", points, points, points[0] if rows else np.zeros(3), 0.1),
+        ("corner_moments", keys, keys, random.normal(size=(len(keys), 44)), 2),
+        ("inherit_level", keys, keys, np.ones((len(keys), 10)), np.ones(len(keys)), 2),
+        ("merge_cells", keys, np.ones((len(keys), 44))),
+        ("sample_grid", np.ones((4, 4, 4), np.float32), points),
+        ("seed_bricks", points, np.zeros(3), 0.5, random.integers(-1, 9, size=3)),
+        ("survey_mesh", random.integers(-1, 9, size=(rows, 3)), draw(st.integers(-2, 9))),
+        ("label_components", random.integers(0, 9, size=(rows, 3)), 9),
+    ]
+    name, *values = draw(st.sampled_from(calls))
+    with contextlib.suppress(ValueError):
+        getattr(native, name)(*values)
+
+
+def test_messages_name_the_argument(native: ModuleType) -> None:
+    points = np.zeros((4, 3))
+    with pytest.raises(ValueError, match=r"offsets: .* number of points"):
+        native.accumulate_moments(points, points, np.array([0, 9]), 1)
+    with pytest.raises(ValueError, match=r"normals: .* shape"):
+        native.accumulate_moments(points, points[:2], np.array([0, 4]), 1)
+    with pytest.raises(ValueError, match=r"local_positions: .* dtype"):
+        native.accumulate_moments(points.astype(np.float32), points, np.array([0, 4]), 1)
+    with pytest.raises(ValueError, match="C-contiguous"):
+        native.accumulate_moments(points[:, ::-1], points, np.array([0, 4]), 1)
+    with pytest.raises(ValueError, match=r"keys: .* sorted"):
+        native.spread_keys(np.array([3, 2]), 0, 1)
+    with pytest.raises(ValueError, match="threads"):
+        native.accumulate_moments(points, points, np.array([0, 4]), 0)
+    with pytest.raises(ValueError, match="not finite"):
+        native.sort_points(points * np.nan, points, np.zeros(3), 1.0)
