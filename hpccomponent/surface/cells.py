@@ -7,11 +7,13 @@ of the pyramid at a time, all its rows at once.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpccomponent.surface.hermite import (
     BASIS,
     fit_vertices,
     inherit_quadrics,
+    weigh_priors,
 )
 from hpccomponent.surface.lattice import (
     OCTANTS,
@@ -34,6 +36,8 @@ __all__ = [
     "parent_keys",
     "sort_points",
 ]
+
+Float32Array = NDArray[np.float32]
 
 _CHUNK_VERTICES = 1 << 14
 
@@ -150,10 +154,12 @@ def fit_corners(
     touched: IntArray,
     cells: IntArray,
     moments: FloatArray,
-    prior: FloatArray,
-    lam: FloatArray,
-    mu: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+    prior: Float32Array,
+    lam: float,
+    noise: float,
+    least_mu: float,
+    most_mu: float,
+) -> tuple[Float32Array, Float32Array]:
     """Fit one quadric to the points in the eight cells around each corner.
 
     Parameters
@@ -163,28 +169,34 @@ def fit_corners(
     cells : ndarray of int64, shape (c,)
     moments : ndarray of float64, shape (c, 44)
         See `corner_moments`.
-    prior : ndarray of float64, shape (t, 10)
-    lam, mu : ndarray of float64, shape (t,)
-        See `hermite.fit_vertices`.
+    prior : ndarray of float32, shape (t, 10)
+    lam : float
+        Weight of the normals, see `hermite.fit_vertices`.
+    noise, least_mu, most_mu : float
+        What decides the weights of the priors, see `hermite.weigh_priors`.
 
     Returns
     -------
-    coefficients : ndarray of float64, shape (t, 10)
-    counts : ndarray of float64, shape (t,)
+    coefficients : ndarray of float32, shape (t, 10)
+        Rounded once, here, by the only one who computes them.
+    counts : ndarray of float32, shape (t,)
         Points around each corner.
     """
-    coefficients, counts = np.empty((len(touched), BASIS)), np.empty(len(touched))
+    coefficients = np.empty((len(touched), BASIS), np.float32)
+    counts = np.empty(len(touched), np.float32)
     for start in range(0, len(touched), _CHUNK_VERTICES):
         rows = slice(start, start + _CHUNK_VERTICES)
         around = corner_moments(touched[rows], cells, moments)
-        coefficients[rows] = fit_vertices(around, prior[rows], lam[rows], mu[rows])
+        priors = prior[rows].astype(np.float64)
+        mu = weigh_priors(around, priors, noise, least_mu, most_mu)
+        coefficients[rows] = fit_vertices(around, priors, lam, mu)
         counts[rows] = around[:, 0]
     return coefficients, counts
 
 
 def inherit_level(
-    vertices: IntArray, parents: IntArray, coefficients: FloatArray, support: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+    vertices: IntArray, parents: IntArray, coefficients: Float32Array, support: Float32Array
+) -> tuple[Float32Array, Float32Array]:
     """Return the means of the parents' quadrics, about their children, and of their support.
 
     Parameters
@@ -193,19 +205,19 @@ def inherit_level(
         Sorted keys of corners.
     parents : ndarray of int64, shape (p,)
         Sorted keys of corners of the next coarser level, all parents among them.
-    coefficients : ndarray of float64, shape (p, 10)
-    support : ndarray of float64, shape (p,)
+    coefficients : ndarray of float32, shape (p, 10)
+    support : ndarray of float32, shape (p,)
 
     Returns
     -------
-    coefficients : ndarray of float64, shape (v, 10)
-    support : ndarray of float64, shape (v,)
+    coefficients : ndarray of float32, shape (v, 10)
+    support : ndarray of float32, shape (v,)
     """
     means, supports = np.zeros((len(vertices), BASIS)), np.zeros(len(vertices))
     places = unpack_keys(vertices)
     for octant in OCTANTS:
         keys, steps = corner_parents(places, octant)
         rows = find_keys(parents, keys)
-        means += 0.125 * inherit_quadrics(coefficients[rows], steps)
+        means += 0.125 * inherit_quadrics(coefficients[rows].astype(np.float64), steps)
         supports += 0.125 * support[rows]
-    return means, supports
+    return means.astype(np.float32), supports.astype(np.float32)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hpccomponent.surface.points import FloatArray
 
-__all__ = ["FarField", "solve_far_field"]
+__all__ = ["FarField", "far_step", "solve_far_field"]
 
 _NODES = 128
 _PADDING = 1.5
@@ -42,6 +42,21 @@ class FarField:
     values: Float32Array
     origin: FloatArray
     step: float
+
+
+def far_step(low: FloatArray, high: FloatArray) -> float:
+    """Return the step of the far field that covers a box, in length units of the input.
+
+    Parameters
+    ----------
+    low, high : ndarray of float64, shape (3,)
+        Of the box, in length units of the input.
+
+    Returns
+    -------
+    float
+    """
+    return _PADDING * float((high - low).max()) / _NODES
 
 
 def solve_far_field(
@@ -75,9 +90,8 @@ def solve_far_field(
     from hpccomponent.surface.kernels import sample_grid  # which knows fields, made of these
 
     low, high = box
-    edge = _PADDING * float((high - low).max())
-    step = edge / _NODES
-    origin = 0.5 * (low + high) - 0.5 * edge
+    step = far_step(low, high)
+    origin = 0.5 * (low + high) - 0.5 * step * _NODES
     places = (centroids - origin) / step
     held = _held_rows((low - origin) / step, (high - origin) / step)
     chi = _integrate(places, normals, max(1.0, smoothing / step), held)

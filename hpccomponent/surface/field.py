@@ -1,4 +1,4 @@
-"""The implicit function at the nodes of bricks: quadrics blended, far field behind them.
+"""The implicit function at the nodes of bricks: levels of quadrics, far field behind them.
 
 A brick has 8^3 cells of the evaluation grid and 9^3 nodes; it shares the outer ones with its
 neighbours. The value of a node is a function of the node's index alone, in a fixed order of
@@ -27,6 +27,7 @@ __all__ = [
     "BRICK",
     "CHANNELS",
     "Field",
+    "FieldLevel",
     "Grid",
     "evaluate_bricks",
 ]
@@ -38,6 +39,7 @@ CHANNELS = 12
 """Ten coefficients, presence and trust of a vertex."""
 
 _CHUNK_NODES = 1 << 17
+_LEAST_REST = 1e-6  # what is left to the levels behind is 0 below this, and they are not asked
 _TINY = np.float32(1e-30)
 
 Float32Array = NDArray[np.float32]
@@ -63,30 +65,22 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Field:
-    """All that the implicit function is made of.
+class FieldLevel:
+    """The quadrics of one lattice.
 
     Parameters
     ----------
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of the lattice lies.
-    cell_size : float
-        Edge of a lattice cell, in length units of the input.
     keys : ndarray of int64, shape (v,)
         Sorted keys of the lattice's vertices.
-    coefficients : ndarray of float64, shape (v, 10)
-        The quadric of each vertex.
-    trust : ndarray of float64, shape (v,)
-        What it counts against the far field, 0 to 1.
-    far : FarField
+    coefficients : ndarray of float32, shape (v, 10)
+        The quadric of each vertex, in cells of this lattice.
+    trust : ndarray of float32, shape (v,)
+        What it counts against the levels behind and the far field, 0 to 1.
     """
 
-    origin: FloatArray
-    cell_size: float
     keys: IntArray
-    coefficients: FloatArray
-    trust: FloatArray
-    far: FarField
+    coefficients: Float32Array
+    trust: Float32Array
 
     def channels(self) -> FloatArray:
         """Return coefficients, 1 and trust, shape (12, v + 1).
@@ -98,6 +92,27 @@ class Field:
         channels[10, :-1] = 1.0
         channels[11, :-1] = self.trust
         return channels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Field:
+    """All that the implicit function is made of.
+
+    Parameters
+    ----------
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of every lattice lies.
+    cell_size : float
+        Edge of a cell of the finest lattice, in length units of the input.
+    levels : tuple of FieldLevel
+        Finest first; the cells of each are twice as large as those of the one before.
+    far : FarField
+    """
+
+    origin: FloatArray
+    cell_size: float
+    levels: tuple[FieldLevel, ...]
+    far: FarField
 
 
 def evaluate_bricks(field: Field, grid: Grid, places: IntArray) -> Float32Array:
@@ -113,14 +128,20 @@ def evaluate_bricks(field: Field, grid: Grid, places: IntArray) -> Float32Array:
     Returns
     -------
     ndarray of float32, shape (b, 9, 9, 9)
-        In cells of the lattice, positive outside, never 0; the outermost nodes of the grid are
-        positive, so that every surface closes inside it.
+        In cells of the finest lattice, positive outside, never 0; the outermost nodes of
+        the grid are positive, so that every surface closes inside it.
+
+    Notes
+    -----
+    Front to back, as transparent layers are composed: F = sum of rest_d t_d f_d + rest far, with
+    f_d the quadrics of level d blended, t_d their trust, and rest_d the product of 1 - t over the
+    levels in front. So coarse levels fill in where the points are too far apart for fine ones.
     """
     values = np.empty((len(places), NODES, NODES, NODES), np.float32)
     reach = BRICK * grid.step / field.cell_size
     layers = min(2 * NODES, int(reach) + 3)
     chunk = max(1, _CHUNK_NODES // max(NODES * layers**2, NODES**3))
-    channels = field.channels()
+    channels = [level.channels() for level in field.levels]
     for start in range(0, len(places), chunk):
         rows = slice(start, start + chunk)
         values[rows] = _evaluate_chunk(field, channels, grid, places[rows])
@@ -128,21 +149,25 @@ def evaluate_bricks(field: Field, grid: Grid, places: IntArray) -> Float32Array:
 
 
 def _evaluate_chunk(
-    field: Field, channels: FloatArray, grid: Grid, places: IntArray
+    field: Field, channels: list[FloatArray], grid: Grid, places: IntArray
 ) -> Float32Array:
     """Evaluate a few bricks."""
     nodes = BRICK * places.T[:, :, None] + np.arange(NODES)
-    lower, local = _locate(nodes, grid, field.origin, field.cell_size)
-    layers, lower = needed_layers(lower)
-    corners = np.stack(np.broadcast_arrays(*cross_axes(layers)), axis=-1)
-    rows = find_keys(field.keys, pack_places(corners))
-    quadric, presence, trust = blend_quadrics(channels, rows, lower, local)
+    total, rest = np.zeros((len(places), *[NODES] * 3)), np.ones((len(places), *[NODES] * 3))
+    for depth, level in enumerate(field.levels):
+        scale = 2.0**depth
+        lower, local = _locate(nodes, grid, field.origin, field.cell_size * scale)
+        layers, lower = needed_layers(lower)
+        corners = np.stack(np.broadcast_arrays(*cross_axes(layers)), axis=-1)
+        rows = find_keys(level.keys, pack_places(corners))
+        quadric, presence, trust = blend_quadrics(channels[depth], rows, lower, local)
+        near = scale * quadric / np.where(presence > 0.0, presence, 1.0)
+        total += rest * trust * near
+        rest *= 1.0 - trust
+        rest[rest < _LEAST_REST] = 0.0
     far_lower, far_local = _locate(nodes, grid, field.far.origin, field.far.step)
-    far = interpolate_far(field.far.values, far_lower, far_local) / field.cell_size
-    present = presence > 0.0
-    near = quadric / np.where(present, presence, 1.0)
-    blend = np.where(present, trust * near + (1.0 - trust) * far, far)
-    return _settle_signs(blend.astype(np.float32), nodes, grid)
+    total += rest * (interpolate_far(field.far.values, far_lower, far_local) / field.cell_size)
+    return _settle_signs(total.astype(np.float32), nodes, grid)
 
 
 def _settle_signs(values: Float32Array, nodes: IntArray, grid: Grid) -> Float32Array:

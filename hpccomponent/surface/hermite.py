@@ -12,10 +12,19 @@ import numpy as np
 from hpccomponent.surface.moments import EXPONENTS, MONOMIALS
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["BASIS", "evaluate_residuals", "fit_vertices", "inherit_quadrics"]
+__all__ = [
+    "BASIS",
+    "evaluate_residuals",
+    "evaluate_slopes",
+    "fit_vertices",
+    "inherit_quadrics",
+    "weigh_priors",
+]
 
 BASIS = 10
 _RIDGE = 1e-9
+_LEAST_SLOPE = 0.05  # of the mean square of a prior's gradient, which is about 1
+_LEAST_EXCESS = 1e-12
 _CHUNK_ROWS = 1 << 11
 _COLUMN_OF = {exponent: column for column, exponent in enumerate(EXPONENTS)}
 
@@ -191,3 +200,58 @@ def evaluate_residuals(moments: FloatArray, coefficients: FloatArray) -> FloatAr
         double = 1.0 if i == j else 2.0
         total += double * coefficients[:, i] * coefficients[:, j] * moments[:, _VALUE[i, j]]
     return np.maximum(total, 0.0)
+
+
+def evaluate_slopes(moments: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Return the sum of |grad f|^2 over the points of each vertex.
+
+    Parameters
+    ----------
+    moments : ndarray of float64, shape (v, 44)
+    coefficients : ndarray of float64, shape (v, 10)
+
+    Returns
+    -------
+    ndarray of float64, shape (v,)
+        Dimensionless.
+    """
+    total = np.zeros(len(moments))
+    for i, j in _PAIRS:
+        product = (1.0 if i == j else 2.0) * coefficients[:, i] * coefficients[:, j]
+        for factor, column in _GRADIENT[i, j]:
+            total += factor * product * moments[:, column]
+    return total
+
+
+def weigh_priors(
+    moments: FloatArray, prior: FloatArray, noise: float, least: float, most: float
+) -> FloatArray:
+    """Weigh each prior by how well it explains the points: empirical Bayes.
+
+    Parameters
+    ----------
+    moments : ndarray of float64, shape (v, 44)
+    prior : ndarray of float64, shape (v, 10)
+    noise : float
+        Variance of the positions along the normals, in cells squared.
+    least, most : float
+        Between which the weight lies, in points.
+
+    Returns
+    -------
+    ndarray of float64, shape (v,)
+        mu of `fit_vertices`.
+
+    Notes
+    -----
+    The mean squared distance of the points from the prior's surface, sum f^2 / sum |grad f|^2,
+    is the noise plus the prior's own variance. Where no more than chance is left for that one,
+    the prior is kept: it averages over many more points. Where it misses them, the points win.
+    The weight is the ratio of the variances: a prior counts like so many points.
+    """
+    counts = moments[:, 0]
+    slopes = np.maximum(evaluate_slopes(moments, prior), _LEAST_SLOPE * counts)
+    chance = noise * (1.0 + np.sqrt(2.0 / counts))
+    excess = evaluate_residuals(moments, prior) / slopes - chance
+    weights: FloatArray = np.clip(noise / np.maximum(excess, _LEAST_EXCESS), least, most)
+    return weights

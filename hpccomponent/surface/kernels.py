@@ -54,6 +54,10 @@ def _integers(values: Any) -> IntArray:
     return np.ascontiguousarray(values, np.int64)
 
 
+def _singles(values: Any) -> Float32Array:
+    return np.ascontiguousarray(values, np.float32)
+
+
 def count_boxes(
     positions: FloatArray, low: FloatArray, edge: float, one_in: int
 ) -> tuple[int, int]:
@@ -147,18 +151,18 @@ def find_keys(keys: IntArray, wanted: IntArray) -> IntArray:
 def inherit_level(
     vertices: IntArray,
     parents: IntArray,
-    coefficients: FloatArray,
-    support: FloatArray,
+    coefficients: Float32Array,
+    support: Float32Array,
     threads: int = 1,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[Float32Array, Float32Array]:
     """Return the means of the parents' quadrics and support; see `cells.inherit_level`."""
     if _native is None:
         from hpccomponent.surface import cells
 
         return cells.inherit_level(vertices, parents, coefficients, support)
-    result: tuple[FloatArray, FloatArray] = _native.inherit_level(
-        _integers(vertices), _integers(parents), _floats(coefficients), _floats(support), threads
-    )
+    keys = (_integers(vertices), _integers(parents))
+    values = (_singles(coefficients), _singles(support))
+    result: tuple[Float32Array, Float32Array] = _native.inherit_level(*keys, *values, threads)
     return result
 
 
@@ -180,28 +184,32 @@ def fit_corners(
     touched: IntArray,
     cells: IntArray,
     moments: FloatArray,
-    prior: FloatArray,
-    lam: FloatArray,
-    mu: FloatArray,
+    prior: Float32Array,
+    lam: float,
+    noise: float,
+    least_mu: float,
+    most_mu: float,
     threads: int = 1,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[Float32Array, Float32Array]:
     """Fit a quadric to the points around each corner (a task); see `cells.fit_corners`."""
     if _native is None:
         from hpccomponent.surface import cells as portable
 
-        return portable.fit_corners(touched, cells, moments, prior, lam, mu)
+        return portable.fit_corners(touched, cells, moments, prior, *weights)
     keys = (_integers(touched), _integers(cells))
-    values = (_floats(moments), _floats(prior), _floats(lam), _floats(mu))
-    result: tuple[FloatArray, FloatArray] = _native.fit_corners(*keys, *values, threads)
+    values = (_floats(moments), _singles(prior))
+    result: tuple[Float32Array, Float32Array] = _native.fit_corners(
+        *keys, *values, *weights, threads
+    )
     return result
 
 
-def evaluate_residuals(moments: FloatArray, coefficients: FloatArray) -> FloatArray:
+def evaluate_residuals(moments: FloatArray, coefficients: FloatArray | Float32Array) -> FloatArray:
     """Return the sum of f^2 at each vertex; see `hermite.evaluate_residuals`."""
     if _native is None:
         from hpccomponent.surface import hermite
 
-        return hermite.evaluate_residuals(moments, coefficients)
+        return hermite.evaluate_residuals(moments, _floats(coefficients))
     result: FloatArray = _native.evaluate_residuals(_floats(moments), _floats(coefficients))
     return result
 
@@ -237,6 +245,7 @@ def seed_bricks(grid: Grid, positions: FloatArray) -> IntArray:
     edge = BRICK * grid.step
     result: IntArray = _native.seed_bricks(
         _floats(positions), _floats(grid.origin), edge, _integers(grid.bricks)
+    weights = (lam, noise, least_mu, most_mu)
     )
     return result
 
@@ -296,11 +305,14 @@ def signed_volume(vertices: FloatArray, faces: IntArray, reference: FloatArray) 
 
 
 def _field_values(field: Field) -> tuple[Any, ...]:
-    """Return a field as the eight values that the extension takes."""
+    """Return a field as the six values that the extension takes."""
     far = field.far
-    near = (_floats(field.origin), field.cell_size, _integers(field.keys))
-    quadrics = (_floats(field.coefficients), _floats(field.trust))
-    return (*near, *quadrics, far.values, _floats(far.origin), far.step)
+    levels = tuple(
+        (_integers(level.keys), _singles(level.coefficients), _singles(level.trust))
+        for level in field.levels
+    )
+    near = (_floats(field.origin), field.cell_size, levels)
+    return (*near, far.values, _floats(far.origin), far.step)
 
 
 def _grid_values(grid: Grid) -> tuple[Any, ...]:

@@ -7,18 +7,25 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.estimates import MU, Scale, choose_scale
+from hpcapp.applications.surface.estimates import Scale, choose_scale
 from hpcapp.applications.surface.method import Advance
-from hpcapp.applications.surface.pyramid import Pyramid, VertexQuadrics, build_pyramid, fit_pyramid
+from hpcapp.applications.surface.pyramid import (
+    Level,
+    Pyramid,
+    VertexQuadrics,
+    build_pyramid,
+    fit_levels,
+)
+from hpcapp.applications.surface.weights import Weights, trust_vertices, weigh_levels
 from hpcapp.batches import Workforce
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface import kernels
 from hpccomponent.surface.extraction import drop_small_components
-from hpccomponent.surface.far_field import FarField, solve_far_field
-from hpccomponent.surface.field import BRICK, Field, Grid
+from hpccomponent.surface.far_field import FarField, far_step, solve_far_field
+from hpccomponent.surface.field import BRICK, Field, FieldLevel, Grid
 from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, bounding_box
 
 __all__ = ["MARGIN", "HierarchicalMethod", "HierarchicalPartition", "plan_grid"]
 
@@ -26,6 +33,8 @@ MARGIN = 4
 """Cells of the grid that stay free on each side of the cloud."""
 
 _LEAST_GRID = 16
+_FAR_CELLS = 0.5  # steps of the far field, which samples no smaller cells than these
+_TRUST_ROWS = 1 << 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +46,8 @@ class HierarchicalPartition:
     cloud : PointCloud
     grid : Grid
     scale : Scale
+    weights : list of Weights
+        Of the fits of each level, finest first.
     pyramid : Pyramid
     far : FarField
     """
@@ -44,6 +55,7 @@ class HierarchicalPartition:
     cloud: PointCloud
     grid: Grid
     scale: Scale
+    weights: list[Weights]
     pyramid: Pyramid
     far: FarField
 
@@ -112,16 +124,19 @@ class HierarchicalMethod:
         grid = plan_grid(cloud.positions, self.grid)
         scale = choose_scale(cloud, grid.step, self.smoothness, self.detail, workforce)
         pyramid = build_pyramid(cloud, scale.cell_size, workforce)
-        return HierarchicalPartition(cloud, grid, scale, pyramid, _solve_far_field(grid, pyramid))
+        noise = scale.noise * self.smoothness
+        weights = weigh_levels(scale.cell_size, len(pyramid.levels), noise)
+        far = _solve_far_field(grid, pyramid)
+        return HierarchicalPartition(cloud, grid, scale, weights, pyramid, far)
 
     def fit(
         self, partition: HierarchicalPartition, workforce: Workforce, advance: Advance
-    ) -> VertexQuadrics:
+    ) -> list[VertexQuadrics]:
         """Fit a quadric to every vertex of the lattices, coarse to fine, on the workers."""
-        return fit_pyramid(partition.pyramid, partition.scale.lam, MU, workforce, advance)
+        return fit_levels(partition.pyramid, partition.weights, workforce, advance)
 
     def extract(
-        self, partition: HierarchicalPartition, quadrics: VertexQuadrics, advance: Advance
+        self, partition: HierarchicalPartition, quadrics: list[VertexQuadrics], advance: Advance
     ) -> Mesh:
         """Blend the quadrics over the far field and extract the surface, brick by brick.
 
@@ -150,7 +165,7 @@ class HierarchicalMethod:
             "spacing": partition.scale.spacing,
             "noise": partition.scale.noise,
             "cell_size": partition.scale.cell_size,
-            "lam": partition.scale.lam,
+            "lam": partition.weights[0].lam,
             "levels": len(partition.pyramid.levels),
         }
 
@@ -186,34 +201,60 @@ def plan_grid(positions: FloatArray, cells: int) -> Grid:
     return Grid(0.5 * (low + high) - half, step, (x, y, z))
 
 
-def assemble_field(partition: HierarchicalPartition, quadrics: VertexQuadrics) -> Field:
-    """Put quadrics, trust and far field together.
+def assemble_field(partition: HierarchicalPartition, quadrics: list[VertexQuadrics]) -> Field:
+    """Put the quadrics of some levels, their trust and the far field together.
 
     Parameters
     ----------
     partition : HierarchicalPartition
-    quadrics : VertexQuadrics
+    quadrics : list of VertexQuadrics
+        Of the finest levels, finest first.
 
     Returns
     -------
     Field
     """
     pyramid = partition.pyramid
-    vertices = pyramid.levels[0].vertices
-    trust = np.minimum(1.0, quadrics.counts / 6.0 + quadrics.inherited / 16.0)
-    return Field(
-        pyramid.origin, pyramid.cell_size, vertices, quadrics.coefficients, trust, partition.far
-    )
+    levels = []
+    for depth, of_level in enumerate(quadrics):
+        keys = pyramid.levels[depth].vertices
+        trust = np.empty(len(keys), np.float32)
+        for start in range(0, len(keys), _TRUST_ROWS):
+            rows = slice(start, start + _TRUST_ROWS)
+            far = _sample_far_field(partition, keys[rows], depth)
+            values, counts = of_level.coefficients[rows, 0], of_level.counts[rows]
+            trust[rows] = trust_vertices(values, far, counts, of_level.inherited[rows], depth)
+        levels.append(FieldLevel(keys, of_level.coefficients, trust))
+    return Field(pyramid.origin, pyramid.cell_size, tuple(levels), partition.far)
+
+
+def _sample_far_field(partition: HierarchicalPartition, keys: IntArray, depth: int) -> FloatArray:
+    """Return the far field, in its own steps, at some vertices of a level."""
+    pyramid, far = partition.pyramid, partition.far
+    size = pyramid.cell_size * 2.0**depth
+    places = (pyramid.origin - far.origin + size * unpack_keys(keys)) / far.step
+    return kernels.sample_grid(far.values, places) / far.step
 
 
 def _solve_far_field(grid: Grid, pyramid: Pyramid) -> FarField:
-    """Solve for the far field of the finest cells: centroids and mean normals.
+    """Solve for the far field of the cells of one level: centroids and mean normals.
 
-    Each cell counts once: its area, not its points, is what a scan's uneven density leaves alone.
+    Each cell counts once: its area, not its points, is what a scan's uneven density leaves
+    alone. So its cells must not be so small that most of them are empty where points are few.
     """
-    finest = pyramid.levels[0]
-    places = unpack_keys(finest.cells) + 0.5 + finest.moments[:, 1:4] / finest.moments[:, :1]
-    centroids = pyramid.origin + pyramid.cell_size * places
-    box = (grid.origin, grid.origin + grid.step * BRICK * np.array(grid.bricks))
-    normals = finest.moments[:, 35:38] / finest.moments[:, :1]
-    return solve_far_field(centroids, normals, box, pyramid.cell_size)
+    low, high = grid.origin, grid.origin + grid.step * BRICK * np.array(grid.bricks)
+    level, size = _find_level(pyramid, _FAR_CELLS * far_step(low, high))
+    places = unpack_keys(level.cells) + 0.5 + level.moments[:, 1:4] / level.moments[:, :1]
+    centroids = pyramid.origin + size * places
+    normals = level.moments[:, 35:38] / level.moments[:, :1]
+    return solve_far_field(centroids, normals, (low, high), size)
+
+
+def _find_level(pyramid: Pyramid, least: float) -> tuple[Level, float]:
+    """Return the finest level whose cells are not smaller than `least`, and their size."""
+    size = pyramid.cell_size
+    for level in pyramid.levels[:-1]:
+        if size >= least:
+            return level, size
+        size *= 2.0
+    return pyramid.levels[-1], size

@@ -10,10 +10,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpcapp.applications.surface.method import Advance
+from hpcapp.applications.surface.weights import FIELD_LEVELS, Weights
 from hpcapp.batches import Workforce, map_batches
 from hpccomponent.surface import kernels
 from hpccomponent.surface.hermite import BASIS
@@ -21,7 +24,17 @@ from hpccomponent.surface.lattice import OCTANTS, step_keys
 from hpccomponent.surface.moments import COLUMNS
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, bounding_box
 
-__all__ = ["Level", "Pyramid", "VertexQuadrics", "build_pyramid", "corner_moments", "fit_pyramid"]
+__all__ = [
+    "Level",
+    "Pyramid",
+    "VertexQuadrics",
+    "build_pyramid",
+    "corner_moments",
+    "fit_levels",
+    "fit_pyramid",
+]
+
+Float32Array = NDArray[np.float32]
 
 _COARSEST_CELLS = 6
 _WAVE = 1 << 18  # corners under way at once: priors and results take 160 B each
@@ -61,7 +74,7 @@ class Pyramid:
     cell_size : float
         Edge of the finest cells, in length units of the input.
     levels : list of Level
-        `fit_pyramid` takes the moments out of each as it goes: they are most of the memory.
+        `fit_levels` takes the moments out of each as it goes: they are most of the memory.
     """
 
     origin: FloatArray
@@ -75,16 +88,16 @@ class VertexQuadrics:
 
     Parameters
     ----------
-    coefficients : ndarray of float64, shape (v, 10)
-    counts : ndarray of float64, shape (v,)
+    coefficients : ndarray of float32, shape (v, 10)
+    counts : ndarray of float32, shape (v,)
         Points in the eight cells around each vertex.
-    inherited : ndarray of float64, shape (v,)
+    inherited : ndarray of float32, shape (v,)
         The mean count of its parents, plus a quarter of what these inherited.
     """
 
-    coefficients: FloatArray
-    counts: FloatArray
-    inherited: FloatArray
+    coefficients: Float32Array
+    counts: Float32Array
+    inherited: Float32Array
 
 
 def build_pyramid(cloud: PointCloud, cell_size: float, workforce: Workforce) -> Pyramid:
@@ -167,7 +180,7 @@ def fit_pyramid(
     workforce: Workforce,
     advance: Advance | None = None,
 ) -> VertexQuadrics:
-    """Fit every level, from the coarsest to the finest, each with the one above as prior.
+    """Fit every level with the same weights, as it is done before the noise is known.
 
     Parameters
     ----------
@@ -183,6 +196,33 @@ def fit_pyramid(
     VertexQuadrics
         Of the finest level.
     """
+    weights = [Weights(lam, 0.0, mu, mu)] * len(pyramid.levels)
+    return fit_levels(pyramid, weights, workforce, advance)[0]
+
+
+def fit_levels(
+    pyramid: Pyramid,
+    weights: list[Weights],
+    workforce: Workforce,
+    advance: Advance | None = None,
+) -> list[VertexQuadrics]:
+    """Fit every level, from the coarsest to the finest, each with the one above as prior.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    weights : list of Weights
+        Of each level, finest first.
+    workforce : Workforce
+    advance : callable, optional
+        Told (vertices fitted, vertices in all) after each level.
+
+    Returns
+    -------
+    list of VertexQuadrics
+        Of the finest levels, as many as a field is made of, finest first.
+    """
+    kept: list[VertexQuadrics] = []
     total = sum(len(level.touched) for level in pyramid.levels)
     done = 0
     above: tuple[Level, VertexQuadrics] | None = None
@@ -192,27 +232,28 @@ def fit_pyramid(
         rows = kernels.find_keys(level.vertices, level.touched)
         for start in range(0, len(rows), _WAVE):
             wave = slice(start, min(start + _WAVE, len(rows)))
-            _fit_wave(level, wave, rows, quadrics, (lam, mu), workforce)
+            _fit_wave(level, wave, rows, quadrics, weights[index], workforce)
         pyramid.levels[index] = level = replace(level, moments=np.empty((0, COLUMNS)))
         above = (level, quadrics)
+        kept = [quadrics, *kept][:FIELD_LEVELS]
         done += len(rows)
         if advance is not None:
             advance(done, total)
-    return quadrics
+    return kept
 
 
 def _inherit_level(level: Level, above: tuple[Level, VertexQuadrics] | None) -> VertexQuadrics:
     """Return the means of the parents' quadrics and support; zeros at the coarsest level."""
     vertices = len(level.vertices)
-    start = VertexQuadrics(np.zeros((vertices, BASIS)), np.zeros(vertices), np.zeros(vertices))
+    none = np.zeros(vertices, np.float32)
     if above is None:
-        return start
+        return VertexQuadrics(np.zeros((vertices, BASIS), np.float32), none, none.copy())
     parent_level, parents = above
-    support = parents.counts + _ANCESTORS * parents.inherited
+    support = parents.counts + np.float32(_ANCESTORS) * parents.inherited
     means, inherited = kernels.inherit_level(
         level.vertices, parent_level.vertices, parents.coefficients, support
     )
-    return VertexQuadrics(means, start.counts, inherited)
+    return VertexQuadrics(means, none, inherited)
 
 
 def _fit_wave(
@@ -220,7 +261,7 @@ def _fit_wave(
     wave: slice,
     rows: IntArray,
     quadrics: VertexQuadrics,
-    weights: tuple[float, float],
+    weights: Weights,
     workforce: Workforce,
 ) -> None:
     """Fit a run of corners on the workers; `rows` says where they stand in `quadrics`."""
@@ -239,12 +280,12 @@ def _fit_wave(
 
 
 def _fit_batch(
-    level: Level, cut: slice, prior: FloatArray, weights: tuple[float, float]
-) -> tuple[FloatArray | IntArray, ...]:
+    level: Level, cut: slice, prior: Float32Array, weights: Weights
+) -> tuple[NDArray[Any] | float, ...]:
     """Return the arguments of a fit: some corners, and a run of cells with all around them."""
     touched = level.touched[cut]
     first = step_keys(touched[0], -OCTANTS[-1])
     bounds = np.searchsorted(level.cells, (first, touched[-1] + 1))
     near = slice(int(bounds[0]), int(bounds[1]))
-    lam, mu = (np.full(len(touched), weight) for weight in weights)
-    return touched, level.cells[near], level.moments[near], prior, lam, mu
+    points = (touched, level.cells[near], level.moments[near], prior)
+    return *points, weights.lam, weights.noise, weights.least_mu, weights.most_mu

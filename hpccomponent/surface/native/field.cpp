@@ -4,7 +4,7 @@
 // on its own index only, and is rounded to float32.
 #include "field.h"
 
-#include <cstring>
+#include <algorithm>
 
 #include "clones.h"
 #include "families.h"
@@ -15,8 +15,10 @@ namespace hpc {
 namespace {
 
 constexpr int CHANNELS = 12, AFTER_Z = 8, AFTER_Y = 5;
+constexpr size_t MOST_LEVELS = 32;
 constexpr int PLANE = 88;  // the 81 nodes of a (y, z) plane, rounded up to whole vectors
 constexpr float TINY = 1e-30f;
+constexpr double LEAST_REST = 1e-6;  // what is left to the levels behind is 0 below this
 
 // Sizes of the intermediate arrays of a brick; x is padded to whole vectors.
 struct Shape {
@@ -77,33 +79,37 @@ HPC_INLINE void turn(const double* in, const Shape& shape, double* out, const in
         out[(channel * shape.x + x) * PLANE + node] = in[(channel * NODES * NODES + node) * lanes + x];
 }
 
-// Collapse x, blend with the far field (in cells of the lattice), and round.
-HPC_INLINE void collapse_x(const double* in, const Shape& shape, const Axis& axis, const double* far,
-                           float* values) {
+// What the levels so far amount to at each node, [x][PLANE], and what is left to those behind.
+struct Composite {
+  double *total, *rest;
+};
+
+// Collapse x, and blend behind the levels in front; `scale` is the size of the level's cells.
+HPC_INLINE void collapse_x(const double* in, const Shape& shape, const Axis& axis, double scale,
+                           const Composite& composite) {
   const int64_t from = int64_t{1} * shape.x * PLANE;
   for (int node = 0; node < NODES; ++node) {
     const double w = axis.weight[node], v = 1.0 - w, t = axis.local[node], s = t - 1.0;
     const double* a = in + axis.below[node] * PLANE;
     const double* b = a + PLANE;
-    float rounded[PLANE];
+    double* __restrict total = composite.total + node * PLANE;
+    double* __restrict rest = composite.rest + node * PLANE;
     for (int i = 0; i < PLANE; ++i) {
       const auto A = [&](int channel) { return a[channel * from + i]; };
       const auto B = [&](int channel) { return b[channel * from + i]; };
       const double quadric =
           (A(0) + t * (A(1) + t * A(2))) * v + (B(0) + s * (B(1) + s * B(2))) * w;
       const double presence = A(3) * v + B(3) * w, trust = A(4) * v + B(4) * w;
-      const double g = far[node * PLANE + i];
-      const double near = quadric / (presence > 0.0 ? presence : 1.0);
-      const double blend = presence > 0.0 ? trust * near + (1.0 - trust) * g : g;
-      const float value = static_cast<float>(blend);
-      rounded[i] = value == 0.0f ? TINY : value;
+      const double near = scale * quadric / (presence > 0.0 ? presence : 1.0);
+      const double left = rest[i] * (1.0 - trust);
+      total[i] += rest[i] * trust * near;
+      rest[i] = left < LEAST_REST ? 0.0 : left;
     }
-    std::memcpy(values + node * NODES * NODES, rounded, NODES * NODES * sizeof(float));
   }
 }
 
 HPC_CLONES void collapse(const double* raw, double* scratch, const Shape& shape, const Axis* axes,
-                         const double* far, float* values) {
+                         double scale, const Composite& composite) {
   double* first = scratch;
   double* second = first + AFTER_Z * shape.y * NODES * shape.lanes;
   double* third = second + AFTER_Y * NODES * NODES * shape.lanes;
@@ -121,11 +127,11 @@ HPC_CLONES void collapse(const double* raw, double* scratch, const Shape& shape,
     collapse_y(first, shape, axes[1], second, shape.lanes);
     turn(second, shape, third, shape.lanes);
   }
-  collapse_x(third, shape, axes[0], far, values);
+  collapse_x(third, shape, axes[0], scale, composite);
 }
 
-// Interpolate the far field trilinearly; far: [x][PLANE], divided by the cell size.
-HPC_CLONES void interpolate_far(const Field& field, const Axis* axes, double* far) {
+// Interpolate the far field trilinearly, in cells of the finest lattice, behind all levels.
+HPC_CLONES void add_far(const Field& field, const Axis* axes, const Composite& composite) {
   const int64_t side = field.far_nodes;
   const auto kept = [side](int64_t layer) { return std::min(std::max<int64_t>(layer, 0), side - 1); };
   int64_t column[MOST_LAYERS];
@@ -147,13 +153,17 @@ HPC_CLONES void interpolate_far(const Field& field, const Axis* axes, double* fa
       for (int z = 0; z < NODES; ++z) {
         const int k = axes[2].below[z];
         const double w = axes[2].local[z];
-        far[x * PLANE + y * NODES + z] = (row[k] * (1.0 - w) + row[k + 1] * w) / field.cell_size;
+        const int node = x * PLANE + y * NODES + z;
+        const double far = (row[k] * (1.0 - w) + row[k + 1] * w) / field.cell_size;
+        composite.total[node] += composite.rest[node] * far;
       }
     }
 }
 
 // Put the quadrics around a brick into raw: [channel][z][y][lanes]; 0 where a vertex is missing.
-void load_vertices(const Field& field, Finger& finger, const Axis* axes, const Shape& shape, double* raw) {
+// Return whether there is any.
+bool load_vertices(const FieldLevel& level, Finger& finger, const Axis* axes, const Shape& shape, double* raw) {
+  bool any = false;
   const int64_t plane = int64_t{1} * shape.y * shape.lanes, channel = shape.z * plane;
   std::fill(raw, raw + CHANNELS * channel, 0.0);
   for (int x = 0; x < shape.x; ++x)
@@ -162,18 +172,20 @@ void load_vertices(const Field& field, Finger& finger, const Axis* axes, const S
         const Place place{axes[0].layer[x], axes[1].layer[y], axes[2].layer[z]};
         if (!in_range(place[0]) || !in_range(place[1]) || !in_range(place[2])) continue;
         const int64_t key = pack(place), row = finger.lower_bound(key);
-        if (row == field.vertices) continue;
-        const int64_t ahead = field.keys[row] - key;
+        if (row == level.vertices) continue;
+        const int64_t ahead = level.keys[row] - key;
         if (ahead) {
           // Nothing between here and the next vertex: skip to it, or to the end of the column.
           if (axes[2].layer[shape.z - 1] - place[2] < ahead) break;
           continue;
         }
         double* to = raw + z * plane + y * shape.lanes + x;
-        for (int i = 0; i < 10; ++i) to[i * channel] = field.coefficients[row * 10 + i];
+        for (int i = 0; i < 10; ++i) to[i * channel] = level.coefficients[row * 10 + i];
         to[10 * channel] = 1.0;
-        to[11 * channel] = field.trust[row];
+        to[11 * channel] = level.trust[row];
+        any = true;
       }
+  return any;
 }
 
 // Move the outermost nodes of the grid outside, so that every surface closes inside it.
@@ -212,6 +224,30 @@ Output<float> evaluate_bricks(nb::tuple arguments, Input origin, double step, In
   return give(std::move(values), {static_cast<size_t>(count), NODES, NODES, NODES});
 }
 
+// The arrays live as long as the tuple does, which the caller holds.
+std::vector<FieldLevel> take_levels(const nb::tuple& levels_of) {
+  std::vector<FieldLevel> levels;
+  if (levels_of.size() > MOST_LEVELS) refuse("levels: too many");
+  for (size_t depth = 0; depth < levels_of.size(); ++depth) {
+    const nb::tuple level = nb::cast<nb::tuple>(levels_of[depth]);
+    if (level.size() != 3) refuse("level: expected keys, coefficients and trust");
+    const Input keys = nb::cast<Input>(level[0]);
+    const int64_t* sorted = check_keys(keys, "keys");
+    const int64_t count = rows_of(keys);
+    levels.push_back({sorted, count, check<float>(nb::cast<Input>(level[1]), "coefficients", {count, 10}),
+                      check<float>(nb::cast<Input>(level[2]), "trust", {count})});
+  }
+  return levels;
+}
+
+void round_values(const double* total, float* values) {
+  for (int x = 0; x < NODES; ++x)
+    for (int i = 0; i < NODES * NODES; ++i) {
+      const float value = static_cast<float>(total[x * PLANE + i]);
+      values[x * NODES * NODES + i] = value == 0.0f ? TINY : value;
+    }
+}
+
 }  // namespace
 
 Grid take_grid(const Input& origin, double step, const Input& bricks) {
@@ -223,17 +259,15 @@ Grid take_grid(const Input& origin, double step, const Input& bricks) {
 }
 
 Field take_field(const nb::tuple& arguments, const Grid& grid) {
-  if (arguments.size() != 8) refuse("field: expected eight values");
+  if (arguments.size() != 6) refuse("field: expected six values");
   const auto array = [&](size_t i) { return nb::cast<Input>(arguments[i]); };
-  const Input keys = array(2), far = array(5);
-  const int64_t count = rows_of(keys), side = far.ndim() == 3 ? rows_of(far) : 0;
+  const Input far = array(3);
+  const int64_t side = far.ndim() == 3 ? rows_of(far) : 0;
   if (side < 2 || side > 1024) refuse("far: expected a cube of 2 to 1024 nodes");
   const Field field{check<double>(array(0), "origin", {3}), nb::cast<double>(arguments[1]),
-                    check_keys(keys, "keys"), count,
-                    check<double>(array(3), "coefficients", {count, 10}),
-                    check<double>(array(4), "trust", {count}),
+                    take_levels(nb::cast<nb::tuple>(arguments[2])),
                     check<float>(far, "far", {side, side, side}), side,
-                    check<double>(array(6), "far origin", {3}), nb::cast<double>(arguments[7])};
+                    check<double>(array(4), "far origin", {3}), nb::cast<double>(arguments[5])};
   check_positive(field.cell_size, "cell_size");
   check_positive(field.far_step, "far step");
   check_finite(field.origin, 3, "origin");
@@ -250,27 +284,45 @@ Field take_field(const nb::tuple& arguments, const Grid& grid) {
 }
 
 BrickEvaluator::BrickEvaluator(const Field& field, const Grid& grid)
-    : field_(field), grid_(grid), finger_(field.keys, field.vertices) {}
+    : field_(field), grid_(grid), scratch_(2 * NODES * PLANE) {
+  for (const FieldLevel& level : field.levels) fingers_.emplace_back(level.keys, level.vertices);
+}
 
-void BrickEvaluator::evaluate(const Place& brick, float* values) {
-  Axis axes[3], far_axes[3];
-  for (int axis = 0; axis < 3; ++axis) {
-    const double origin = grid_.origin[axis];
-    axes[axis] = locate(brick[axis], grid_.step, origin - field_.origin[axis], field_.cell_size);
-    far_axes[axis] = locate(brick[axis], grid_.step, origin - field_.far_origin[axis], field_.far_step);
-  }
+bool BrickEvaluator::add_level(const Place& brick, size_t depth) {
+  const double scale = std::ldexp(1.0, static_cast<int>(depth));
+  Axis axes[3];
+  for (int axis = 0; axis < 3; ++axis)
+    axes[axis] = locate(brick[axis], grid_.step, grid_.origin[axis] - field_.origin[axis], field_.cell_size * scale);
   const int lanes = std::max(8, (axes[0].count + 3) / 4 * 4);
   const Shape shape{axes[0].count, axes[1].count, axes[2].count, lanes};
   const size_t raw = static_cast<size_t>(CHANNELS * shape.z * shape.y * lanes);
-  const size_t rest = static_cast<size_t>(AFTER_Z * shape.y * NODES * lanes + AFTER_Y * NODES * NODES * lanes +
-                                          AFTER_Y * shape.x * PLANE);
-  const size_t far = static_cast<size_t>(NODES * PLANE);
+  const size_t others = static_cast<size_t>(AFTER_Z * shape.y * NODES * lanes + AFTER_Y * NODES * NODES * lanes +
+                                            AFTER_Y * shape.x * PLANE);
   // Zeros also where a plane is padded: those lanes are computed and thrown away.
-  if (scratch_.size() < raw + rest + far) scratch_.resize(raw + rest + far, 0.0);
-  double* far_values = scratch_.data();
-  interpolate_far(field_, far_axes, far_values);
-  load_vertices(field_, finger_, axes, shape, far_values + far);
-  collapse(far_values + far, far_values + far + raw, shape, axes, far_values, values);
+  const size_t needed = 2 * NODES * PLANE + raw + others;
+  if (scratch_.size() < needed) scratch_.resize(needed, 0.0);
+  const Composite composite{scratch_.data(), scratch_.data() + NODES * PLANE};
+  double* vertices = scratch_.data() + 2 * NODES * PLANE;
+  if (!load_vertices(field_.levels[depth], fingers_[depth], axes, shape, vertices)) return true;
+  collapse(vertices, vertices + raw, shape, axes, scale, composite);
+  for (int x = 0; x < NODES; ++x)
+    for (int i = 0; i < NODES * NODES; ++i)
+      if (composite.rest[x * PLANE + i] > 0.0) return true;
+  return false;
+}
+
+void BrickEvaluator::evaluate(const Place& brick, float* values) {
+  std::fill(scratch_.begin(), scratch_.begin() + NODES * PLANE, 0.0);
+  std::fill(scratch_.begin() + NODES * PLANE, scratch_.begin() + 2 * NODES * PLANE, 1.0);
+  bool left = true;
+  for (size_t depth = 0; left && depth < field_.levels.size(); ++depth) left = add_level(brick, depth);
+  if (left) {
+    Axis axes[3];
+    for (int axis = 0; axis < 3; ++axis)
+      axes[axis] = locate(brick[axis], grid_.step, grid_.origin[axis] - field_.far_origin[axis], field_.far_step);
+    add_far(field_, axes, {scratch_.data(), scratch_.data() + NODES * PLANE});
+  }
+  round_values(scratch_.data(), values);
   close_border(brick, grid_, values);
 }
 

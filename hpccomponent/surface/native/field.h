@@ -19,19 +19,24 @@ struct Grid {
   int64_t bricks[3];
 };
 
+// The quadrics of one lattice.
+struct FieldLevel {
+  const int64_t* keys;
+  int64_t vertices;
+  const float *coefficients, *trust;
+};
+
 struct Field {
   const double* origin;
   double cell_size;
-  const int64_t* keys;
-  int64_t vertices;
-  const double *coefficients, *trust;
+  std::vector<FieldLevel> levels;
   const float* far_values;
   int64_t far_nodes;
   const double* far_origin;
   double far_step;
 };
 
-// What every call takes as (origin, step, bricks) and as nine arguments.
+// What every call takes as (origin, step, bricks) and as six arguments.
 Grid take_grid(const Input& origin, double step, const Input& bricks);
 Field take_field(const nb::tuple& arguments, const Grid& grid);
 
@@ -43,9 +48,12 @@ class BrickEvaluator {
   void evaluate(const Place& brick, float* values);
 
  private:
-  Field field_;
+  // Blend a level over what lies in front of it; return whether anything is left to those behind.
+  bool add_level(const Place& brick, size_t depth);
+
+  const Field& field_;
   Grid grid_;
-  Finger finger_;
+  std::vector<Finger> fingers_;
   std::vector<double> scratch_;
 };
 

@@ -9,6 +9,7 @@ namespace {
 
 constexpr int BASIS = 10;
 constexpr double RIDGE = 1e-9;
+constexpr double LEAST_SLOPE = 0.05, LEAST_EXCESS = 1e-12;  // see hermite.weigh_priors
 
 constexpr int value_column(int i, int j) {
   const int* p = EXPONENTS[i].power;
@@ -59,7 +60,7 @@ using Vector = double[BASIS][LANES];
 
 #define EACH_LANE for (int lane = 0; lane < LANES; ++lane)
 
-HPC_INLINE void fill_equations(const Block& rows, const Vector& prior, const double (&lam)[LANES],
+HPC_INLINE void fill_equations(const Block& rows, const Vector& prior, double lam,
                                const double (&mu)[LANES], Matrix& matrix, Vector& right) {
   double inverse[LANES];
   EACH_LANE inverse[lane] = 1.0 / rows[0][lane];
@@ -69,12 +70,12 @@ HPC_INLINE void fill_equations(const Block& rows, const Vector& prior, const dou
       double* entry = matrix[i][j];
       EACH_LANE entry[lane] = rows[pair.value][lane];
       for (int term = 0; term < pair.terms; ++term)
-        EACH_LANE entry[lane] += (lam[lane] * pair.factor[term]) * rows[pair.column[term]][lane];
+        EACH_LANE entry[lane] += (lam * pair.factor[term]) * rows[pair.column[term]][lane];
       EACH_LANE entry[lane] = (entry[lane] + mu[lane] * pair.gram) * inverse[lane];
     }
   for (int i = 0; i < BASIS; ++i) {
     EACH_LANE matrix[i][i][lane] += RIDGE;
-    EACH_LANE right[i][lane] = i ? lam[lane] * rows[MONOMIALS + i - 1][lane] : 0.0;
+    EACH_LANE right[i][lane] = i ? lam * rows[MONOMIALS + i - 1][lane] : 0.0;
     for (int j = 0; j < BASIS; ++j)
       if (PAIRS.at[i][j].gram != 0.0)
         EACH_LANE right[i][lane] += (mu[lane] * PAIRS.at[i][j].gram) * prior[j][lane];
@@ -104,34 +105,48 @@ HPC_INLINE void solve(Matrix& matrix, Vector& right) {
 
 // What the fits of a range read and write.
 struct Fits {
-  const double *prior, *lam, *mu;
-  double *coefficients, *counts;
+  const float* prior;
+  double lam, noise, least_mu, most_mu;
+  float *coefficients, *counts;
 };
+
+// Weigh each prior by how well it explains the points.
+HPC_INLINE void weigh_priors(const Block& rows, const Vector& prior, const Fits& fits, double (&mu)[LANES]) {
+  double residual[LANES] = {}, slope[LANES] = {};
+  for (int j = 0; j < BASIS; ++j)
+    for (int i = j; i < BASIS; ++i) {
+      const Pair& pair = PAIRS.at[i][j];
+      double product[LANES];
+      EACH_LANE product[lane] = (i == j ? 1.0 : 2.0) * prior[i][lane] * prior[j][lane];
+      EACH_LANE residual[lane] += product[lane] * rows[pair.value][lane];
+      for (int term = 0; term < pair.terms; ++term)
+        EACH_LANE slope[lane] += pair.factor[term] * product[lane] * rows[pair.column[term]][lane];
+    }
+  EACH_LANE {
+    const double count = rows[0][lane];
+    const double chance = fits.noise * (1.0 + std::sqrt(2.0 / count));
+    const double least = LEAST_SLOPE * count;
+    const double steep = slope[lane] > least ? slope[lane] : least;
+    const double excess = (residual[lane] > 0.0 ? residual[lane] : 0.0) / steep - chance;
+    const double weight = fits.noise / (excess > LEAST_EXCESS ? excess : LEAST_EXCESS);
+    const double bounded = weight < fits.most_mu ? weight : fits.most_mu;
+    mu[lane] = bounded > fits.least_mu ? bounded : fits.least_mu;
+  }
+}
 
 HPC_INLINE void fit_block(const Block& rows, const Fits& fits, int64_t start, int width) {
   Matrix matrix;
   Vector prior, right;
-  double lam[LANES], mu[LANES];
+  double mu[LANES];
   EACH_LANE {
     const int64_t row = start + std::min(lane, width - 1);
-    lam[lane] = fits.lam[row];
-    mu[lane] = fits.mu[row];
     for (int i = 0; i < BASIS; ++i) prior[i][lane] = fits.prior[row * BASIS + i];
   }
-  fill_equations(rows, prior, lam, mu, matrix, right);
+  weigh_priors(rows, prior, fits, mu);
+  fill_equations(rows, prior, fits.lam, mu, matrix, right);
   solve(matrix, right);
   for (int lane = 0; lane < width; ++lane)
-    for (int i = 0; i < BASIS; ++i) fits.coefficients[(start + lane) * BASIS + i] = right[i][lane];
-}
-
-HPC_CLONES void fit_rows(const double* moments, const Fits& fits, int64_t start, int64_t stop) {
-  Block block;
-  for (; start < stop; start += LANES) {
-    const int width = static_cast<int>(std::min<int64_t>(LANES, stop - start));
-    EACH_LANE for (int column = 0; column < COLUMNS; ++column)
-        block[column][lane] = moments[(start + std::min(lane, width - 1)) * COLUMNS + column];
-    fit_block(block, fits, start, width);
-  }
+    for (int i = 0; i < BASIS; ++i) fits.coefficients[(start + lane) * BASIS + i] = static_cast<float>(right[i][lane]);
 }
 
 // Looks up the cells around vertices that come in the order of their keys.
@@ -175,7 +190,7 @@ HPC_CLONES void fit_gathered(const double* moments, Corners& corners, const Fits
     const int width = static_cast<int>(std::min<int64_t>(LANES, stop - start));
     corners.find(start, width, around);
     gather_block(moments, around, block);
-    for (int lane = 0; lane < width; ++lane) fits.counts[start + lane] = block[0][lane];
+    for (int lane = 0; lane < width; ++lane) fits.counts[start + lane] = static_cast<float>(block[0][lane]);
     // Lanes without a vertex divide by their number of points like all others.
     for (int lane = width; lane < LANES; ++lane) block[0][lane] = 1.0;
     fit_block(block, fits, start, width);
@@ -200,15 +215,14 @@ Output<double> corner_moments(Input touched_of, Input cells_of, Input moments_of
 }
 
 nb::tuple fit_corners(Input touched_of, Input cells_of, Input moments_of, Input prior_of,
-                      Input lam_of, Input mu_of, int64_t threads) {
+                      double lam, double noise, double least_mu, double most_mu, int64_t threads) {
   const int64_t* touched = check_keys(touched_of, "touched");
   const int64_t* cells = check_keys(cells_of, "cells");
   const int64_t count = rows_of(touched_of), known = rows_of(cells_of);
   const double* moments = check<double>(moments_of, "moments", {known, COLUMNS});
-  auto coefficients = make_buffer<double>(count * BASIS);
-  auto counts = make_buffer<double>(count);
-  const Fits fits{check<double>(prior_of, "prior", {count, BASIS}),
-                  check<double>(lam_of, "lam", {count}), check<double>(mu_of, "mu", {count}),
+  auto coefficients = make_buffer<float>(count * BASIS);
+  auto counts = make_buffer<float>(count);
+  const Fits fits{check<float>(prior_of, "prior", {count, BASIS}), lam, noise, least_mu, most_mu,
                   coefficients.get(), counts.get()};
   const int workers = check_threads(threads);
   {
@@ -220,22 +234,6 @@ nb::tuple fit_corners(Input touched_of, Input cells_of, Input moments_of, Input 
   }
   const size_t rows = static_cast<size_t>(count);
   return nb::make_tuple(give(std::move(coefficients), {rows, BASIS}), give(std::move(counts), {rows}));
-}
-
-Output<double> fit_vertices(Input moments_of, Input prior_of, Input lam_of, Input mu_of, int64_t threads) {
-  const double* moments = check<double>(moments_of, "moments", {ANY, COLUMNS});
-  const int64_t count = rows_of(moments_of);
-  auto coefficients = make_buffer<double>(count * BASIS);
-  const Fits fits{check<double>(prior_of, "prior", {count, BASIS}),
-                  check<double>(lam_of, "lam", {count}), check<double>(mu_of, "mu", {count}),
-                  coefficients.get(), nullptr};
-  const int workers = check_threads(threads);
-  {
-    nb::gil_scoped_release unlocked;
-    run_ranges(count, workers,
-               [&](int64_t start, int64_t stop) { fit_rows(moments, fits, start, stop); });
-  }
-  return give(std::move(coefficients), {static_cast<size_t>(count), BASIS});
 }
 
 Output<double> evaluate_residuals(Input moments_of, Input coefficients_of) {
@@ -259,7 +257,6 @@ Output<double> evaluate_residuals(Input moments_of, Input coefficients_of) {
 void bind_hermite(nb::module_& module) {
   module.def("corner_moments", &corner_moments);
   module.def("fit_corners", &fit_corners);
-  module.def("fit_vertices", &fit_vertices);
   module.def("evaluate_residuals", &evaluate_residuals);
 }
 

@@ -9,7 +9,8 @@ namespace {
 constexpr int BASIS = 10;
 
 // Add weight * 2 f((u + step) / 2) to a child's quadric.
-inline void add_inherited(const double* c, const double* step, double weight, double* child) {
+template <class T>
+inline void add_inherited(const T* c, const double* step, double weight, double* child) {
   const double x = step[0], y = step[1], z = step[2];
   const double linear = c[1] * x + c[2] * y + c[3] * z;
   const double square = c[4] * (x * x) + c[5] * (y * y) + c[6] * (z * z);
@@ -24,16 +25,14 @@ inline void add_inherited(const double* c, const double* step, double weight, do
 struct Parents {
   const int64_t* keys;
   int64_t count;
-  const double *coefficients, *counts;
+  const float *coefficients, *counts;
 };
 
 void inherit_range(const int64_t* vertices, const Parents& parents, int64_t start, int64_t stop,
-                   double* coefficients, double* inherited) {
+                   float* coefficients, float* inherited) {
   std::vector<Finger> fingers(8, Finger(parents.keys, parents.count));
   for (int64_t row = start; row < stop; ++row) {
-    double* child = coefficients + row * BASIS;
-    std::fill(child, child + BASIS, 0.0);
-    inherited[row] = 0.0;
+    double child[BASIS] = {}, support = 0.0;
     const Place place = unpack(vertices[row]);
     int odd = 0;
     for (int axis = 0; axis < 3; ++axis) odd |= static_cast<int>(place[axis] & 1) << axis;
@@ -50,8 +49,10 @@ void inherit_range(const int64_t* vertices, const Parents& parents, int64_t star
       const int64_t found = fingers[octant].find(pack(parent));
       if (found < 0) refuse("parent_keys: a vertex has no parent there");
       add_inherited(parents.coefficients + found * BASIS, step, weight, child);
-      inherited[row] += weight * parents.counts[found];
+      support += weight * parents.counts[found];
     }
+    for (int i = 0; i < BASIS; ++i) coefficients[row * BASIS + i] = static_cast<float>(child[i]);
+    inherited[row] = static_cast<float>(support);
   }
 }
 
@@ -60,11 +61,11 @@ nb::tuple inherit_level(Input vertices_of, Input keys_of, Input coefficients_of,
   const int64_t* vertices = check_keys(vertices_of, "vertices");
   const int64_t* keys = check_keys(keys_of, "parent_keys");
   const int64_t count = rows_of(vertices_of), known = rows_of(keys_of);
-  const Parents parents{keys, known, check<double>(coefficients_of, "coefficients", {known, BASIS}),
-                        check<double>(counts_of, "counts", {known})};
+  const Parents parents{keys, known, check<float>(coefficients_of, "coefficients", {known, BASIS}),
+                        check<float>(counts_of, "counts", {known})};
   const int workers = check_threads(threads);
-  auto coefficients = make_buffer<double>(count * BASIS);
-  auto inherited = make_buffer<double>(count);
+  auto coefficients = make_buffer<float>(count * BASIS);
+  auto inherited = make_buffer<float>(count);
   {
     nb::gil_scoped_release unlocked;
     run_ranges(count, workers, [&](int64_t start, int64_t stop) {

@@ -1,7 +1,13 @@
 import numpy as np
 import pytest
 
-from hpccomponent.surface.hermite import evaluate_residuals, fit_vertices, inherit_quadrics
+from hpccomponent.surface.hermite import (
+    evaluate_residuals,
+    evaluate_slopes,
+    fit_vertices,
+    inherit_quadrics,
+    weigh_priors,
+)
 from hpccomponent.surface.moments import accumulate_moments
 
 MU = 0.3
@@ -114,3 +120,34 @@ def test_residuals_are_the_sums_of_squares(patches):
         ((basis(p) @ c) ** 2).sum() for (p, *_), c in zip(patches, coefficients, strict=True)
     ]
     np.testing.assert_allclose(evaluate_residuals(stack_moments(patches), coefficients), expected)
+
+
+def test_slopes_are_the_sums_of_squares(patches):
+    coefficients = np.random.default_rng(7).normal(size=(len(patches), 10))
+    expected = []
+    for (points, *_), c in zip(patches, coefficients, strict=True):
+        slopes = [(basis(points + d) - basis(points - d)) @ c / 2e-3 for d in 1e-3 * np.eye(3)]
+        expected.append((np.array(slopes) ** 2).sum())
+    np.testing.assert_allclose(evaluate_slopes(stack_moments(patches), coefficients), expected)
+
+
+@pytest.mark.parametrize("offset", [0.1, 0.3])
+def test_a_prior_weighs_as_many_points_as_its_error_is_worth(offset):
+    """A plane that misses the points by `offset`: its variance is that, squared."""
+    rng = np.random.default_rng(9)
+    sigma, normals = 0.05, np.tile([0.0, 0.0, 1.0], (4000, 1))
+    points = rng.uniform(-1, 1, (4000, 3)) * [1, 1, 0]
+    points[:, 2] = offset + sigma * rng.normal(size=4000)
+    prior = np.array([[0.0, 0, 0, 1, 0, 0, 0, 0, 0, 0]])
+    moments = stack_moments([(points, normals)])
+    mu = weigh_priors(moments, prior, sigma**2, 0.0, 1000.0)
+    assert mu == pytest.approx((sigma / offset) ** 2, rel=0.1)
+
+
+def test_a_prior_that_explains_the_points_is_kept_and_without_noise_none_is():
+    rng = np.random.default_rng(10)
+    points = rng.uniform(-1, 1, (100, 3)) * [1, 1, 0.01]
+    moments = stack_moments([(points, np.tile([0.0, 0.0, 1.0], (100, 1)))])
+    prior = np.array([[0.0, 0, 0, 1, 0, 0, 0, 0, 0, 0]])
+    assert weigh_priors(moments, prior, 0.01, 0.3, 1000.0) == 1000.0
+    assert weigh_priors(moments, prior, 0.0, 0.3, 1000.0) == 0.3

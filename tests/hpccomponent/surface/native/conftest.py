@@ -11,7 +11,7 @@ import pytest
 from hpccomponent.surface import cells as portable
 from hpccomponent.surface.build import load_native
 from hpccomponent.surface.far_field import FarField
-from hpccomponent.surface.field import Field, Grid
+from hpccomponent.surface.field import Field, FieldLevel, Grid
 from hpccomponent.surface.lattice import spread_keys
 from hpccomponent.surface.moments import accumulate_moments
 from hpccomponent.surface.points import FloatArray, IntArray
@@ -62,28 +62,34 @@ def cloud() -> Cells:
     return make_cells(7, 3000, 0.11)
 
 
-def make_ball(cell_size: float, radius: float = 0.8, grid_step: float = 0.05) -> tuple[Field, Grid]:
-    """A ball: exact distances in the far field, quadrics that agree near the surface."""
+def ball_level(cell_size: float, radius: float) -> FieldLevel:
+    """Quadrics that are a ball's distance, near its surface."""
     reach = int(np.ceil(1.3 / cell_size))
     axis = np.arange(-reach, reach + 1)
     places = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     centres = places * cell_size
     distance = np.linalg.norm(centres, axis=1)
-    near = np.abs(distance - radius) < 2.5 * cell_size
+    near = np.abs(distance - radius) < min(2.5 * cell_size, 0.7 * radius)
     centres, distance = centres[near], distance[near]
     normal = centres / distance[:, None]
     coefficients = np.zeros((len(centres), 10))
     coefficients[:, 0] = (distance - radius) / cell_size
     coefficients[:, 1:4] = normal
     coefficients[:, 4:7] = 0.5 * cell_size / distance[:, None] * (1.0 - normal**2)
+    keys = ((places[near] + (1 << 20)) @ np.array([1 << 42, 1 << 21, 1])).astype(np.int64)
+    trust = np.clip(1.5 - np.abs(distance - radius) / cell_size, 0.0, 0.9)
+    return FieldLevel(keys, coefficients.astype(np.float32), trust.astype(np.float32))
+
+
+def make_ball(cell_size: float, radius: float = 0.8, grid_step: float = 0.05) -> tuple[Field, Grid]:
+    """A ball: exact distances in the far field, three levels that agree near the surface."""
     step, nodes = 0.12, 32
     origin = np.full(3, -0.5 * step * (nodes - 1))
     ticks = origin[0] + step * np.arange(nodes)
     x, y, z = np.meshgrid(ticks, ticks, ticks, indexing="ij")
     values = (np.sqrt(x * x + y * y + z * z) - radius).astype(np.float32)
-    keys = ((places[near] + (1 << 20)) @ np.array([1 << 42, 1 << 21, 1])).astype(np.int64)
-    trust = np.clip(1.5 - np.abs(distance - radius) / cell_size, 0.0, 1.0)
-    field = Field(np.zeros(3), cell_size, keys, coefficients, trust, FarField(values, origin, step))
+    levels = tuple(ball_level(cell_size * 2.0**depth, radius) for depth in range(3))
+    field = Field(np.zeros(3), cell_size, levels, FarField(values, origin, step))
     bricks = int(np.ceil(2.4 / (8 * grid_step)))
     return field, Grid(np.full(3, -4.0 * bricks * grid_step), grid_step, (bricks, bricks, bricks))
 

@@ -13,6 +13,7 @@ from hpccomponent.surface import cells, lattice
 from hpccomponent.surface.case_table import case_triangles
 
 THREADS = (2, 3, 16)
+WEIGHTS = (0.2, 0.01, 0.3, 1000.0)
 
 
 def same(first: Any, second: Any) -> None:
@@ -26,12 +27,11 @@ def test_threads(native: ModuleType, cloud: Any, threads: int) -> None:
     same([native.accumulate_moments(*points, 1)], [native.accumulate_moments(*points, threads)])
     around = (cloud.touched, cloud.cells, cloud.moments)
     same([native.corner_moments(*around, 1)], [native.corner_moments(*around, threads)])
-    prior, weights = np.zeros((len(cloud.touched), 10)), np.full(len(cloud.touched), 0.2)
-    fits = (*around, prior, weights, weights)
+    fits = (*around, np.zeros((len(cloud.touched), 10), np.float32), *WEIGHTS)
     fitted = native.fit_corners(*fits, 1)
     same(fitted, native.fit_corners(*fits, threads))
     parents = cells.parent_keys(cloud.touched)
-    means = np.ones((len(parents), 10))
+    means = np.ones((len(parents), 10), np.float32)
     level = (cloud.touched, parents, means, means[:, 0].copy())
     same(native.inherit_level(*level, 1), native.inherit_level(*level, threads))
 
@@ -40,9 +40,9 @@ def test_threads(native: ModuleType, cloud: Any, threads: int) -> None:
 def test_threads_of_the_extraction(native: ModuleType, ball: Any, threads: int) -> None:
     function, grid = ball
     far = function.far
-    values = (function.origin, function.cell_size, function.keys, function.coefficients)
+    levels = tuple((level.keys, level.coefficients, level.trust) for level in function.levels)
     arguments = (
-        (*values, function.trust, far.values, far.origin, far.step),
+        (function.origin, function.cell_size, levels, far.values, far.origin, far.step),
         grid.origin, grid.step, np.array(grid.bricks),
         lattice.pack_places(np.array([[4, 3, 3]])), case_triangles(),
     )  # fmt: skip
@@ -69,13 +69,12 @@ def test_batches(native: ModuleType, cloud: Any, parts: int) -> None:
 @pytest.mark.parametrize("parts", [2, 7])
 def test_batches_of_fits(native: ModuleType, cloud: Any, parts: int) -> None:
     vertices = len(cloud.touched)
-    prior = np.random.default_rng(1).normal(size=(vertices, 10))
-    weights = np.full(vertices, 0.2)
+    prior = np.random.default_rng(1).normal(size=(vertices, 10)).astype(np.float32)
     around = (cloud.cells, cloud.moments)
-    whole = native.fit_corners(cloud.touched, *around, prior, weights, weights, 1)
+    whole = native.fit_corners(cloud.touched, *around, prior, *WEIGHTS, 1)
     cuts = np.linspace(0, vertices, parts + 1).astype(int)
     fitted = [
-        native.fit_corners(cloud.touched[a:b], *around, prior[a:b], weights[a:b], weights[a:b], 1)
+        native.fit_corners(cloud.touched[a:b], *around, prior[a:b], *WEIGHTS, 1)
         for a, b in itertools.pairwise(cuts)
     ]
     same(whole, [np.concatenate(column) for column in zip(*fitted, strict=True)])

@@ -15,8 +15,8 @@ from hpccomponent.surface.case_table import case_triangles
 
 KERNELS = (
     "accumulate_moments", "corner_moments", "count_boxes", "evaluate_bricks",
-    "evaluate_residuals", "extract_surface", "find_keys", "fit_corners", "fit_vertices",
-    "grow_surface", "inherit_level", "inherit_quadrics", "label_components", "merge_cells",
+    "evaluate_residuals", "extract_surface", "find_keys", "fit_corners", "grow_surface",
+    "inherit_level", "inherit_quadrics", "label_components", "merge_cells",
     "parent_keys", "sample_grid", "scale_moments", "seed_bricks", "shift_moments",
     "signed_volume", "sort_points", "spread_component", "spread_keys", "survey_mesh", "unite_keys",
 )  # fmt: skip
@@ -46,7 +46,7 @@ def hostile_arrays(draw: st.DrawFn) -> Any:
 
 
 anything = st.one_of(numbers, hostile_arrays(), st.just(case_triangles()), st.none(), st.text())
-arguments = st.one_of(anything, st.lists(anything, min_size=8, max_size=8).map(tuple))
+arguments = st.one_of(anything, st.lists(anything, min_size=6, max_size=6).map(tuple))
 
 
 @given(st.sampled_from(KERNELS), st.lists(arguments, min_size=1, max_size=7))
@@ -65,11 +65,12 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
     rows = draw(st.integers(0, 20))
     points = random.normal(size=(rows, 3)) * draw(st.sampled_from([1.0, 1e9, 1e300]))
     keys = np.unique(random.integers(0, 2**63 - 1, size=rows))
+    means = np.ones((len(keys), 10), np.float32)
     calls = [
         ("accumulate_moments", points, points, random.integers(-9, 30, size=5), 1),
         ("sort_points", points, points, points[0] if rows else np.zeros(3), 0.1),
         ("corner_moments", keys, keys, random.normal(size=(len(keys), 44)), 2),
-        ("inherit_level", keys, keys, np.ones((len(keys), 10)), np.ones(len(keys)), 2),
+        ("inherit_level", keys, keys, means, means[:, 0].copy(), 2),
         ("merge_cells", keys, np.ones((len(keys), 44))),
         ("sample_grid", np.ones((4, 4, 4), np.float32), points),
         ("seed_bricks", points, np.zeros(3), 0.5, random.integers(-1, 9, size=3)),
