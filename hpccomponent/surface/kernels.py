@@ -20,6 +20,7 @@ from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = [
     "accumulate_moments",
+    "balance_vertices",
     "corner_moments",
     "count_boxes",
     "evaluate_bricks",
@@ -50,12 +51,12 @@ def _floats(values: Any) -> FloatArray:
     return np.ascontiguousarray(values, np.float64)
 
 
-def _integers(values: Any) -> IntArray:
-    return np.ascontiguousarray(values, np.int64)
-
-
 def _singles(values: Any) -> Float32Array:
     return np.ascontiguousarray(values, np.float32)
+
+
+def _integers(values: Any) -> IntArray:
+    return np.ascontiguousarray(values, np.int64)
 
 
 def count_boxes(
@@ -192,6 +193,7 @@ def fit_corners(
     threads: int = 1,
 ) -> tuple[Float32Array, Float32Array]:
     """Fit a quadric to the points around each corner (a task); see `cells.fit_corners`."""
+    weights = (lam, noise, least_mu, most_mu)
     if _native is None:
         from hpccomponent.surface import cells as portable
 
@@ -245,7 +247,6 @@ def seed_bricks(grid: Grid, positions: FloatArray) -> IntArray:
     edge = BRICK * grid.step
     result: IntArray = _native.seed_bricks(
         _floats(positions), _floats(grid.origin), edge, _integers(grid.bricks)
-    weights = (lam, noise, least_mu, most_mu)
     )
     return result
 
@@ -273,6 +274,16 @@ def grow_surface(
     result: tuple[FloatArray, IntArray] = _native.grow_surface(
         _field_values(field), *_grid_values(grid), _integers(seeds), case_triangles(), threads
     )
+    return result
+
+
+def balance_vertices(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Move vertices so that the faces balance around the surface; see `extraction`."""
+    if _native is None:
+        from hpccomponent.surface import extraction
+
+        return extraction.balance_vertices(vertices, faces)
+    result: FloatArray = _native.balance_vertices(_floats(vertices), _integers(faces))
     return result
 
 

@@ -149,6 +149,7 @@ class HierarchicalMethod:
         field = assemble_field(partition, quadrics)
         seeds = kernels.seed_bricks(grid, partition.cloud.positions)
         vertices, faces = kernels.grow_surface(field, grid, seeds, self.threads)
+        del field
         mesh = drop_small_components(Mesh(vertices, faces))
         advance(len(seeds), len(seeds))
         if not len(mesh.faces):
@@ -156,7 +157,8 @@ class HierarchicalMethod:
                 "no part of the cloud encloses a volume",
                 "check that the normals point out of the object, and try a finer --grid",
             )
-        return Mesh(mesh.vertices, mesh.faces, partition.cloud.origin)
+        balanced = kernels.balance_vertices(mesh.vertices, mesh.faces)
+        return Mesh(balanced, mesh.faces, partition.cloud.origin)
 
     def facts(self, partition: HierarchicalPartition) -> dict[str, Any]:
         """Return the estimates, and how many quadrics the finest level has."""

@@ -8,6 +8,9 @@ namespace hpc {
 // Check the number of bricks along each axis.
 const int64_t* check_sides(const Input& bricks);
 
+// Faces whose vertices are all there.
+const int64_t* check_faces(const Input& faces, int64_t vertices);
+
 void bind_points(nb::module_& module);
 void bind_lattice(nb::module_& module);
 void bind_moments(nb::module_& module);
@@ -17,5 +20,6 @@ void bind_far_field(nb::module_& module);
 void bind_field(nb::module_& module);
 void bind_surface(nb::module_& module);
 void bind_topology(nb::module_& module);
+void bind_balance(nb::module_& module);
 
 }  // namespace hpc

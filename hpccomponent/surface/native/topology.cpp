@@ -40,15 +40,6 @@ class Sets {
   std::vector<int32_t> parent_;
 };
 
-const int64_t* check_faces(const Input& faces_of, int64_t vertices) {
-  const int64_t* faces = check<int64_t>(faces_of, "faces", {ANY, 3});
-  const int64_t count = 3 * rows_of(faces_of);
-  if (vertices < 0 || vertices >= INT32_MAX || count >= INT32_MAX) refuse("faces: too many, or too many vertices");
-  for (int64_t i = 0; i < count; ++i)
-    if (faces[i] < 0 || faces[i] >= vertices) refuse("faces: a vertex that is not there");
-  return faces;
-}
-
 nb::tuple label_components(Input faces_of, int64_t vertices) {
   const int64_t* faces = check_faces(faces_of, vertices);
   const int64_t count = rows_of(faces_of);
@@ -162,6 +153,15 @@ double signed_volume(Input vertices_of, Input faces_of, Input reference_of) {
 }
 
 }  // namespace
+
+const int64_t* check_faces(const Input& faces_of, int64_t vertices) {
+  const int64_t* faces = check<int64_t>(faces_of, "faces", {ANY, 3});
+  const int64_t count = 3 * rows_of(faces_of);
+  if (vertices < 0 || vertices >= INT32_MAX || count >= INT32_MAX) refuse("faces: too many, or too many vertices");
+  for (int64_t i = 0; i < count; ++i)
+    if (faces[i] < 0 || faces[i] >= vertices) refuse("faces: a vertex that is not there");
+  return faces;
+}
 
 void bind_topology(nb::module_& module) {
   module.def("label_components", &label_components);

@@ -5,7 +5,11 @@ from hypothesis import strategies as st
 
 from hpcapp.applications.surface.topology import check_mesh, signed_volume
 from hpccomponent.surface.bricks import grow_bricks, seed_bricks
-from hpccomponent.surface.extraction import drop_small_components, extract_surface
+from hpccomponent.surface.extraction import (
+    balance_vertices,
+    drop_small_components,
+    extract_surface,
+)
 from hpccomponent.surface.field import BRICK, Grid
 from hpccomponent.surface.lattice import pack_places
 from hpccomponent.surface.mesh import Mesh
@@ -113,3 +117,39 @@ def test_components_below_the_share_are_dropped_with_their_vertices(sphere):
     assert np.array_equal(kept.faces, sphere.faces)
     assert np.array_equal(kept.origin, mesh.origin)
     assert len(drop_small_components(mesh, share=0.0).vertices) == count + 4
+
+
+def test_balanced_faces_miss_the_surface_by_half_and_keep_its_volume(sphere):
+    exact = sphere.vertices * (0.7 / np.linalg.norm(sphere.vertices, axis=1, keepdims=True))
+    balanced = Mesh(balance_vertices(exact, sphere.faces), sphere.faces)
+    ball = 4 / 3 * np.pi * 0.7**3
+    before, after = (signed_volume(m) - ball for m in (Mesh(exact, sphere.faces), balanced))
+    assert before < 0
+    assert abs(after) < 0.2 * abs(before)
+    errors = [
+        np.abs(np.linalg.norm(v[sphere.faces].mean(axis=1), axis=1) - 0.7).mean()
+        for v in (exact, balanced.vertices)
+    ]
+    assert errors[1] < 0.5 * errors[0]
+    shifts = np.linalg.norm(balanced.vertices - exact, axis=1)
+    assert shifts.max() < 0.25 * np.sqrt(3) * GRID.step
+
+
+def test_faces_that_would_turn_over_stay_where_they_are():
+    """A needle of a tetrahedron, whose tip would sink through its base."""
+    base = np.array([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]])
+    vertices = np.concatenate([base, [[0.0, 0.0, 1e-3]]])
+    faces = np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3], [2, 1, 0]])
+    balanced = balance_vertices(vertices, faces)
+
+    def normals(places):
+        a, b, c = (places[faces[:, k]] for k in range(3))
+        return np.cross(b - a, c - a)
+
+    assert ((normals(vertices) * normals(balanced)).sum(axis=1) > 0).all()
+
+
+def test_a_plane_is_balanced_already():
+    places = np.stack(np.meshgrid(*[np.arange(4.0)] * 2, [0.0]), axis=-1).reshape(-1, 3)
+    corners = np.array([[i, i + 1, i + 5, i, i + 5, i + 4] for i in (0, 1, 2, 4, 5, 6, 8, 9, 10)])
+    assert np.array_equal(balance_vertices(places, corners.reshape(-1, 3)), places)

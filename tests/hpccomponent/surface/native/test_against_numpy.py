@@ -178,6 +178,20 @@ def test_surface(native: ModuleType, any_ball: Any) -> None:
     assert len(expected.faces)
     radius = np.linalg.norm(expected.vertices, axis=1)
     assert np.abs(radius - 0.8).max() < 0.05 * max(function.cell_size, grid.step)
+    balanced = native.balance_vertices(expected.vertices, expected.faces)
+    wanted = extraction.balance_vertices(expected.vertices, expected.faces)
+    np.testing.assert_allclose(balanced, wanted, rtol=1e-12, atol=1e-14)
+
+
+@given(st.integers(0, 2**32))
+@settings(deadline=None, max_examples=40)
+def test_balancing_what_folds(native: ModuleType, seed: int) -> None:
+    """Faces between vertices at random, many of which would turn over."""
+    random = np.random.default_rng(seed)
+    vertices, faces = random.normal(size=(9, 3)), random.integers(0, 9, size=(12, 3))
+    found = native.balance_vertices(vertices, faces)
+    wanted = extraction.balance_vertices(vertices, faces)
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
 
 
 @given(

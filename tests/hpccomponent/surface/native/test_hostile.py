@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hpccomponent.surface.case_table import case_triangles
 
 KERNELS = (
-    "accumulate_moments", "corner_moments", "count_boxes", "evaluate_bricks",
+    "accumulate_moments", "balance_vertices", "corner_moments", "count_boxes", "evaluate_bricks",
     "evaluate_residuals", "extract_surface", "find_keys", "fit_corners", "grow_surface",
     "inherit_level", "inherit_quadrics", "label_components", "merge_cells",
     "parent_keys", "sample_grid", "scale_moments", "seed_bricks", "shift_moments",
@@ -75,6 +75,7 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
         ("sample_grid", np.ones((4, 4, 4), np.float32), points),
         ("seed_bricks", points, np.zeros(3), 0.5, random.integers(-1, 9, size=3)),
         ("survey_mesh", random.integers(-1, 9, size=(rows, 3)), draw(st.integers(-2, 9))),
+        ("balance_vertices", points, random.integers(-1, 9, size=(rows, 3))),
         ("label_components", random.integers(0, 9, size=(rows, 3)), 9),
     ]
     name, *values = draw(st.sampled_from(calls))
