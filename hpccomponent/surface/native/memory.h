@@ -10,10 +10,21 @@
 #if defined(__linux__)
 #include <sys/mman.h>
 #endif
+#if defined(__GLIBC__)
+#include <malloc.h>
+#endif
 
 namespace hpc {
 
 constexpr size_t HUGE_PAGE = size_t{1} << 21;
+
+// Have large arrays, numpy's too, given back to the system when they are freed. By itself glibc
+// keeps arrays of up to 32 MB once one of that size was freed, in pieces, for each thread.
+inline void give_back_large_arrays() {
+#if defined(__GLIBC__)
+  mallopt(M_MMAP_THRESHOLD, 1 << 20);
+#endif
+}
 
 inline void* take_memory(size_t bytes) {
 #if defined(__linux__)

@@ -2,6 +2,7 @@
 #include "families.h"
 
 NB_MODULE(_native, module) {
+  hpc::give_back_large_arrays();
   module.attr("KERNEL_HASH") = HPC_KERNEL_HASH;
   hpc::bind_points(module);
   hpc::bind_lattice(module);
