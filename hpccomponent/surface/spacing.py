@@ -5,12 +5,13 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
 from hpccomponent.surface.lattice import cells_of, pack_places, unique_keys
 from hpccomponent.surface.points import FloatArray, IntArray, bounding_box
 
-__all__ = ["count_boxes", "estimate_spacing"]
+__all__ = ["count_boxes", "estimate_spacing", "is_sampled"]
 
 _FEW, _MANY = 3.0, 20.0
 _SAMPLED_POINTS = 200_000
@@ -92,14 +93,25 @@ def count_boxes(
     points, boxes : int
     """
     keys = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
-    keys = _sample_boxes(keys, one_in)
+    keys = keys[is_sampled(keys, one_in)]
     return len(keys), len(unique_keys(keys))
 
 
-def _sample_boxes(keys: IntArray, one_in: int) -> IntArray:
-    """Keep the points of about one box in `one_in`, chosen by a hash of the box."""
+def is_sampled(boxes: IntArray, one_in: int) -> NDArray[np.bool_]:
+    """Tell which boxes are in the sample of about one in `one_in`, chosen by a hash.
+
+    Parameters
+    ----------
+    boxes : ndarray of int64, shape (n,)
+        Packed places.
+    one_in : int
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
     if one_in == 1:
-        return keys
-    mixed = (keys.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(33)
-    sampled: IntArray = keys[mixed % np.uint64(one_in) == 0]
-    return sampled
+        return np.ones(len(boxes), bool)
+    mixed = (boxes.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(33)
+    chosen: NDArray[np.bool_] = mixed % np.uint64(one_in) == 0
+    return chosen

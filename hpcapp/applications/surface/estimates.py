@@ -6,23 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpcapp.applications.surface.pyramid import build_pyramid, fit_pyramid
+from hpcapp.applications.surface.pyramid import Level, VertexQuadrics, build_pyramid, fit_levels
+from hpcapp.applications.surface.weights import LEAST_MU, Weights
 from hpcapp.batches import Workforce
 from hpccomponent.surface import kernels
+from hpccomponent.surface.lattice import cells_of, pack_places
 from hpccomponent.surface.points import PointCloud
-from hpccomponent.surface.spacing import estimate_spacing
+from hpccomponent.surface.spacing import estimate_spacing, is_sampled
 
-__all__ = ["MU", "Scale", "choose_scale", "estimate_noise"]
+__all__ = ["Scale", "choose_scale", "estimate_noise"]
 
-MU = 0.3
-"""Weight of a vertex's prior, in points."""
-
-_PROBE_SPACINGS = 4.0
+_PROBE_SPACINGS = 2.0
 _PROBE_LAM = 0.3
 _PROBE_SHARE = 0.15
-_PROBE_ROUNDS = 4
-_PROBE_POINTS = 24
-_PROBE_CORNERS = 100_000
+_PROBE_ROUNDS = 5
+_PROBE_POINTS = 14, 24  # in the finer and in the coarser cells of a probe
+_SAMPLED_POINTS = 200_000
+_SAMPLED_BOX = 24.0  # spacings: large against the cells of a probe
+_QUANTILE, _TO_MEDIAN = 0.25, 1.0
+_SAME_NOISE, _BIAS_GROWTH = 1.35, 1.2
 _FREE = 10
 
 
@@ -34,14 +36,11 @@ class Scale:
     ----------
     spacing, noise, cell_size : float
         In length units of the input; the noise is a standard deviation along the normal.
-    lam : float
-        Weight of the normals against the positions, dimensionless.
     """
 
     spacing: float
     noise: float
     cell_size: float
-    lam: float
 
 
 def estimate_noise(cloud: PointCloud, spacing: float, workforce: Workforce) -> float:
@@ -62,40 +61,71 @@ def estimate_noise(cloud: PointCloud, spacing: float, workforce: Workforce) -> f
 
     Notes
     -----
-    Quadrics in cells of four spacings; the median over the vertices with 24 points or more of
-    the residual variance, RSS / (n - 10). Where the noise exceeds 0.15 of such a cell, the cells
-    cut its tails off, and larger ones are tried.
+    A probe fits quadrics in cells of two sizes, two and four spacings, and takes the lower
+    quartile of the residual variances RSS / (n - 10): edges and thin parts, which no quadric
+    fits, are in the upper ones. Noise is the same in cells of both sizes; what grows with the
+    cell is detail that the quadrics miss, and is taken off. Where the noise exceeds 0.15 of the
+    finer cells, they cut its tails off, and a probe with larger ones is made. Large clouds are
+    sampled by whole boxes.
     """
+    sample = _sample_cloud(cloud, spacing)
     cell_size = _PROBE_SPACINGS * spacing
-    noise = _probe_noise(cloud, cell_size, workforce)
+    finer, coarser = _probe_variances(sample, cell_size, workforce)
     for _ in range(_PROBE_ROUNDS):
-        if noise <= _PROBE_SHARE * cell_size:
+        if finer <= (_PROBE_SHARE * cell_size) ** 2:
             break
         cell_size *= 2.0
-        noise = _probe_noise(cloud, cell_size, workforce)
-    return noise
+        finer, coarser = _probe_variances(sample, cell_size, workforce)
+    bias = max(0.0, coarser - _SAME_NOISE * finer) / _BIAS_GROWTH
+    return _TO_MEDIAN * float(np.sqrt(max(0.0, finer - bias)))
 
 
-def _probe_noise(cloud: PointCloud, cell_size: float, workforce: Workforce) -> float:
-    """Return the median residual of quadrics in cells of one size."""
+def _sample_cloud(cloud: PointCloud, spacing: float) -> PointCloud:
+    """Return the points in a sample of boxes, about `_SAMPLED_POINTS` of them."""
+    one_in = len(cloud) // _SAMPLED_POINTS
+    if one_in < 2:
+        return cloud
+    low = cloud.positions.min(axis=0)
+    places = np.floor(cells_of(cloud.positions, low, _SAMPLED_BOX * spacing)).astype(np.int64)
+    chosen = is_sampled(pack_places(places), one_in)
+    return cloud.take(chosen) if np.count_nonzero(chosen) > _SAMPLED_POINTS // 4 else cloud
+
+
+def _probe_variances(
+    cloud: PointCloud, cell_size: float, workforce: Workforce
+) -> tuple[float, float]:
+    """Return the lower quartiles of the residual variances in cells of a size and of its double.
+
+    In length units of the input squared; 0 where no vertex has enough points.
+    """
     pyramid = build_pyramid(cloud, cell_size, workforce)
-    finest = pyramid.levels[0]
-    quadrics = fit_pyramid(pyramid, _PROBE_LAM, MU, workforce)
-    # The median over a sample is as good: every so many-th corner of a large cloud.
-    touched = finest.touched[:: len(finest.touched) // _PROBE_CORNERS + 1]
-    moments = kernels.corner_moments(touched, finest.cells, finest.moments)
-    rich = moments[:, 0] >= _PROBE_POINTS
+    levels = list(pyramid.levels[:2])  # a fit drops the moments of its level
+    weights = [Weights(_PROBE_LAM, 0.0, LEAST_MU, LEAST_MU)] * len(pyramid.levels)
+    quadrics = fit_levels(pyramid, weights, workforce)
+    variances = [
+        cell_size**2 * 4.0**depth * _lower_quartile(level, fitted, points)
+        for depth, (level, fitted, points) in enumerate(
+            zip(levels, quadrics, _PROBE_POINTS, strict=False)
+        )
+    ]
+    return variances[0], variances[-1] or variances[0]
+
+
+def _lower_quartile(level: Level, quadrics: VertexQuadrics, points: int) -> float:
+    """Return that of RSS / (n - 10), in cells squared, over the vertices with enough points."""
+    moments = kernels.corner_moments(level.touched, level.cells, level.moments)
+    rich = moments[:, 0] >= points
     if not rich.any():
         return 0.0
-    coefficients = quadrics.coefficients[kernels.find_keys(finest.vertices, touched)]
-    residuals = kernels.evaluate_residuals(moments[rich], coefficients[rich])
-    return pyramid.cell_size * float(np.sqrt(np.median(residuals / (moments[rich, 0] - _FREE))))
+    rows = kernels.find_keys(level.vertices, level.touched[rich])
+    residuals = kernels.evaluate_residuals(moments[rich], quadrics.coefficients[rows])
+    return float(np.quantile(residuals / (moments[rich, 0] - _FREE), _QUANTILE))
 
 
 def choose_scale(
     cloud: PointCloud, step: float, smoothness: float, detail: float, workforce: Workforce
 ) -> Scale:
-    """Choose the cell size and the weight of the normals.
+    """Choose the cell size.
 
     Parameters
     ----------
@@ -123,5 +153,4 @@ def choose_scale(
     noise = estimate_noise(cloud, spacing, workforce)
     wanted = max(1.5 * spacing, 6.0 * noise * smoothness) / detail
     cell_size = max(wanted, step)
-    lam = float(np.clip(5.0 * (noise * smoothness / cell_size) ** 2, 0.01, 1.0))
-    return Scale(spacing, noise, cell_size, lam)
+    return Scale(spacing, noise, cell_size)
