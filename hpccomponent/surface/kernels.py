@@ -23,6 +23,7 @@ __all__ = [
     "balance_vertices",
     "corner_moments",
     "count_boxes",
+    "count_cells",
     "evaluate_bricks",
     "evaluate_residuals",
     "find_keys",
@@ -32,12 +33,14 @@ __all__ = [
     "label_components",
     "merge_cells",
     "parent_keys",
+    "poll_normals",
     "sample_grid",
     "seed_bricks",
     "signed_volume",
     "sort_points",
     "spread_component",
     "spread_keys",
+    "sum_neighbours",
     "survey_mesh",
     "unite_keys",
 ]
@@ -45,6 +48,7 @@ __all__ = [
 _native: Any = load_native()
 
 Float32Array = NDArray[np.float32]
+ByteArray = NDArray[np.uint8]
 
 
 def _floats(values: Any) -> FloatArray:
@@ -82,6 +86,55 @@ def sort_points(
     result: tuple[IntArray, IntArray, FloatArray, FloatArray] = _native.sort_points(
         _floats(positions), _floats(normals), _floats(origin), cell_size
     )
+    return result
+
+
+def count_cells(
+    positions: FloatArray, low: FloatArray, edge: float
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Count the points in each occupied cell; see `outliers.count_cells`."""
+    if _native is None:
+        from hpccomponent.surface import outliers
+
+        return outliers.count_cells(positions, low, edge)
+    result: tuple[IntArray, IntArray, IntArray] = _native.count_cells(
+        _floats(positions), _floats(low), edge
+    )
+    return result
+
+
+def sum_neighbours(keys: IntArray, values: IntArray, wanted: IntArray) -> IntArray:
+    """Sum values over the 27 cells around some cells; see `outliers.sum_neighbours`."""
+    if _native is None:
+        from hpccomponent.surface import outliers
+
+        return outliers.sum_neighbours(keys, values, wanted)
+    result: IntArray = _native.sum_neighbours(_integers(keys), _integers(values), _integers(wanted))
+    return result
+
+
+def poll_normals(
+    positions: FloatArray,
+    normals: FloatArray,
+    keys: IntArray,
+    cell_of: IntArray,
+    asked: ByteArray,
+    reach: float,
+    tolerance: float,
+    drift: float,
+    threads: int = 1,
+) -> ByteArray:
+    """Ask the neighbours of each point about its normal; see `normals.poll_normals`."""
+    if _native is None:
+        from hpccomponent.surface import normals as portable
+
+        return portable.poll_normals(
+            positions, normals, keys, cell_of, asked, reach, tolerance, drift
+        )
+    points = (_floats(positions), _floats(normals))
+    cells = (_integers(keys), _integers(cell_of))
+    lengths = (reach, tolerance, drift)
+    result: ByteArray = _native.poll_normals(*points, *cells, asked, *lengths, threads)
     return result
 
 

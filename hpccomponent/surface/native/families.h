@@ -2,17 +2,23 @@
 #pragma once
 
 #include "arrays.h"
+#include "keys.h"
 
 namespace hpc {
 
 // Check the number of bricks along each axis.
 const int64_t* check_sides(const Input& bricks);
 
+// Return the points' rows in the order of their cells, stably, and the cells' squeezed keys.
+Large<Ranked> rank_points(const double* points, int64_t count, const double* origin, double size,
+                          Span& span);
+
 // Faces whose vertices are all there.
 const int64_t* check_faces(const Input& faces, int64_t vertices);
 
 void bind_points(nb::module_& module);
 void bind_lattice(nb::module_& module);
+void bind_outliers(nb::module_& module);
 void bind_moments(nb::module_& module);
 void bind_hermite(nb::module_& module);
 void bind_inheritance(nb::module_& module);

@@ -6,6 +6,7 @@ NB_MODULE(_native, module) {
   module.attr("KERNEL_HASH") = HPC_KERNEL_HASH;
   hpc::bind_points(module);
   hpc::bind_lattice(module);
+  hpc::bind_outliers(module);
   hpc::bind_moments(module);
   hpc::bind_hermite(module);
   hpc::bind_inheritance(module);

@@ -75,9 +75,10 @@ nb::tuple count_boxes(Input positions, Input low, double edge, int64_t one_in) {
   return nb::make_tuple(kept, boxes);
 }
 
-// The points' rows in the order of their cells, stably, and the cells' squeezed keys.
+}  // namespace
+
 Large<Ranked> rank_points(const double* points, int64_t count, const double* origin,
-                                double size, Span& span) {
+                          double size, Span& span) {
   Place low{BIAS, BIAS, BIAS}, high{-BIAS, -BIAS, -BIAS};
   for (int64_t i = 0; i < count; ++i) {
     const Place place = cell_of(points + 3 * i, origin, size);
@@ -95,6 +96,8 @@ Large<Ranked> rank_points(const double* points, int64_t count, const double* ori
   radix_sort(ranked, span.bits());
   return ranked;
 }
+
+namespace {
 
 nb::tuple sort_points(Input positions, Input normals, Input origin_of, double size) {
   const double* point = check<double>(positions, "positions", {ANY, 3});

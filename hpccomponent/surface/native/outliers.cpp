@@ -1,0 +1,217 @@
+// Points that do not belong and normals that point the wrong way (see outliers.py, normals.py).
+#include "families.h"
+#include "threads.h"
+
+namespace hpc {
+namespace {
+
+// The occupied cells around a cell, in the order of their keys: at most 27 rows.
+class Neighbourhood {
+ public:
+  Neighbourhood(const int64_t* keys, int64_t count) : keys_(keys), count_(count) {
+    fingers_.assign(9, Finger(keys, count));
+  }
+
+  // Return how many rows were found around `key`; they are in `rows`.
+  int gather(int64_t key) {
+    int found = 0;
+    for (int column = 0; column < 9; ++column) {
+      const int64_t middle = key + (column / 3 - 1) * STRIDES[0] + (column % 3 - 1) * STRIDES[1];
+      int64_t row = fingers_[static_cast<size_t>(column)].lower_bound(middle - 1);
+      for (; row < count_ && keys_[row] <= middle + 1; ++row) rows[found++] = row;
+    }
+    return found;
+  }
+
+  int64_t rows[27];
+
+ private:
+  const int64_t* keys_;
+  int64_t count_;
+  std::vector<Finger> fingers_;  // one for each column of cells: each walks on as the keys rise
+};
+
+nb::tuple count_cells(Input positions, Input origin_of, double edge) {
+  const double* point = check<double>(positions, "positions", {ANY, 3});
+  const double* origin = check<double>(origin_of, "origin", {3});
+  check_positive(edge, "edge");
+  const int64_t count = rows_of(positions);
+  if (!count || count >= UINT32_MAX) refuse("positions: expected 1 to 2^32 - 1 points");
+  Large<int64_t> cells, counts;
+  Buffer<int64_t> cell_of;
+  {
+    nb::gil_scoped_release unlocked;
+    Span span({0, 0, 0}, {0, 0, 0});
+    const Large<Ranked> ranked = rank_points(point, count, origin, edge, span);
+    cell_of = make_buffer<int64_t>(count);
+    for (size_t i = 0; i < ranked.size(); ++i) {
+      if (!i || ranked[i].key != ranked[i - 1].key) {
+        cells.push_back(pack(span.restore(ranked[i].key)));
+        counts.push_back(0);
+      }
+      ++counts.back();
+      cell_of[ranked[i].row] = static_cast<int64_t>(cells.size()) - 1;
+    }
+  }
+  return nb::make_tuple(give(std::move(cells)), give(std::move(counts)),
+                        give(std::move(cell_of), {static_cast<size_t>(count)}));
+}
+
+const int64_t* check_rows(const Input& array, const char* name, int64_t end) {
+  const int64_t* rows = check<int64_t>(array, name, {ANY});
+  for (int64_t i = 0; i < rows_of(array); ++i)
+    if (rows[i] < 0 || rows[i] >= end) refuse(std::string(name) + ": a row is out of range");
+  return rows;
+}
+
+Output<int64_t> sum_neighbours(Input cells, Input values, Input wanted) {
+  const int64_t* keys = check_keys(cells, "cells");
+  const int64_t count = rows_of(cells);
+  const int64_t* value = check<int64_t>(values, "values", {count, ANY});
+  const int64_t* rows = check_rows(wanted, "wanted", count);
+  const int64_t width = static_cast<int64_t>(values.shape(1)), asked = rows_of(wanted);
+  Buffer<int64_t> sums;
+  {
+    nb::gil_scoped_release unlocked;
+    sums = make_buffer<int64_t>(asked * width);
+    std::fill(sums.get(), sums.get() + asked * width, 0);
+    Neighbourhood around(keys, count);
+    for (int64_t i = 0; i < asked; ++i) {
+      const int found = around.gather(keys[rows[i]]);
+      for (int cell = 0; cell < found; ++cell)
+        for (int64_t column = 0; column < width; ++column)
+          // Unsigned, so that absurd values wrap as they do in numpy.
+          sums[i * width + column] = static_cast<int64_t>(
+              static_cast<uint64_t>(sums[i * width + column]) +
+              static_cast<uint64_t>(value[around.rows[cell] * width + column]));
+    }
+  }
+  return give(std::move(sums), {static_cast<size_t>(asked), static_cast<size_t>(width)});
+}
+
+enum Verdict : uint8_t { FINE = 0, UNSURE = 1, WRONG = 2 };
+
+constexpr double ALIKE = 0.5;     // cosine from which normals agree; below its negative they oppose
+constexpr int LEAST = 8;          // opponents that a verdict takes
+constexpr int MAJORITY = 4;       // and as many more for each neighbour that agrees
+
+// Points in the order of their cells, with the mean of the normals around each cell.
+struct SortedPoints {
+  const int64_t* keys;
+  int64_t cells;
+  Large<int64_t> offsets, row;
+  Large<double> position, normal;
+  double reach, tolerance, drift;
+};
+
+inline double dot(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+SortedPoints sort_by_cell(const double* position, const double* normal, const int64_t* cell_of,
+                          int64_t points, const int64_t* keys, int64_t cells) {
+  SortedPoints sorted{keys, cells, {}, {}, {}, {}, 0.0, 0.0, 0.0};
+  sorted.offsets.assign(static_cast<size_t>(cells) + 1, 0);
+  for (int64_t i = 0; i < points; ++i) ++sorted.offsets[cell_of[i] + 1];
+  for (int64_t c = 0; c < cells; ++c) sorted.offsets[c + 1] += sorted.offsets[c];
+  Large<int64_t> next(sorted.offsets.begin(), sorted.offsets.end() - 1);
+  sorted.row.resize(static_cast<size_t>(points));
+  sorted.position.resize(static_cast<size_t>(3 * points));
+  sorted.normal.resize(static_cast<size_t>(3 * points));
+  for (int64_t i = 0; i < points; ++i) {
+    const int64_t at = next[cell_of[i]]++;
+    sorted.row[at] = i;
+    for (int axis = 0; axis < 3; ++axis) {
+      sorted.position[3 * at + axis] = position[3 * i + axis];
+      sorted.normal[3 * at + axis] = normal[3 * i + axis];
+    }
+  }
+  return sorted;
+}
+
+// Ask the points of the neighbourhood that lie on the sheet of point `at` for their normals.
+Verdict poll(const SortedPoints& sorted, const Neighbourhood& around, int found, int64_t at) {
+  const double* position = &sorted.position[3 * at];
+  const double* normal = &sorted.normal[3 * at];
+  int agree = 0, oppose = 0;
+  double offsets = 0.0;
+  for (int cell = 0; cell < found; ++cell)
+    for (int64_t i = sorted.offsets[around.rows[cell]]; i < sorted.offsets[around.rows[cell] + 1]; ++i) {
+      const double* other = &sorted.position[3 * i];
+      const double away[3] = {other[0] - position[0], other[1] - position[1], other[2] - position[2]};
+      const double offset = dot(normal, away);
+      if (std::abs(offset) > sorted.tolerance) continue;
+      if (dot(away, away) > sorted.reach * sorted.reach) continue;
+      if (std::abs(dot(&sorted.normal[3 * i], away)) > sorted.tolerance) continue;
+      const double cosine = dot(normal, &sorted.normal[3 * i]);
+      agree += cosine > ALIKE;
+      if (cosine < -ALIKE) ++oppose, offsets += offset;
+    }
+  --agree;  // the point itself
+  if (oppose >= LEAST + MAJORITY * agree && std::abs(offsets) <= sorted.drift * oppose) return WRONG;
+  return oppose > agree || agree + oppose < LEAST ? UNSURE : FINE;
+}
+
+// Judge the points of some cells; only those that are at odds with the whole neighbourhood are polled.
+void judge_cells(const SortedPoints& sorted, const double* sums, const uint8_t* asked,
+                 int64_t start, int64_t stop, uint8_t* verdicts) {
+  Neighbourhood around(sorted.keys, sorted.cells);
+  for (int64_t cell = start; cell < stop; ++cell) {
+    const int found = around.gather(sorted.keys[cell]);
+    double mean[3] = {0.0, 0.0, 0.0};
+    int64_t count = 0;
+    for (int i = 0; i < found; ++i) {
+      const int64_t row = around.rows[i];
+      for (int axis = 0; axis < 3; ++axis) mean[axis] += sums[3 * row + axis];
+      count += sorted.offsets[row + 1] - sorted.offsets[row];
+    }
+    for (int64_t at = sorted.offsets[cell]; at < sorted.offsets[cell + 1]; ++at) {
+      uint8_t& verdict = verdicts[sorted.row[at]];
+      verdict = FINE;
+      if (!asked[sorted.row[at]]) continue;
+      if (dot(&sorted.normal[3 * at], mean) > ALIKE * static_cast<double>(count)) continue;
+      verdict = poll(sorted, around, found, at);
+    }
+  }
+}
+
+Output<uint8_t> poll_normals(Input positions, Input normals, Input cells, Input cell_of, Input asked_of,
+                             double reach, double tolerance, double drift, int64_t threads) {
+  const double* position = check<double>(positions, "positions", {ANY, 3});
+  const int64_t points = rows_of(positions);
+  const double* normal = check<double>(normals, "normals", {points, 3});
+  const int64_t* keys = check_keys(cells, "cells");
+  const int64_t count = rows_of(cells);
+  const int64_t* cell = check_rows(cell_of, "cell_of", count);
+  if (rows_of(cell_of) != points) refuse("cell_of: expected another shape");
+  const uint8_t* asked = check<uint8_t>(asked_of, "asked", {points});
+  check_positive(reach, "reach");
+  check_positive(tolerance, "tolerance");
+  check_positive(drift, "drift");
+  const int workers = check_threads(threads);
+  Buffer<uint8_t> verdicts;
+  {
+    nb::gil_scoped_release unlocked;
+    verdicts = make_buffer<uint8_t>(points);
+    SortedPoints sorted = sort_by_cell(position, normal, cell, points, keys, count);
+    sorted.reach = reach;
+    sorted.tolerance = tolerance;
+    sorted.drift = drift;
+    Large<double> sums(static_cast<size_t>(3 * count), 0.0);
+    for (int64_t c = 0; c < count; ++c)
+      for (int64_t at = sorted.offsets[c]; at < sorted.offsets[c + 1]; ++at)
+        for (int axis = 0; axis < 3; ++axis) sums[3 * c + axis] += sorted.normal[3 * at + axis];
+    run_ranges(count, workers, [&](int64_t start, int64_t stop) {
+      judge_cells(sorted, sums.data(), asked, start, stop, verdicts.get());
+    });
+  }
+  return give(std::move(verdicts), {static_cast<size_t>(points)});
+}
+
+}  // namespace
+
+void bind_outliers(nb::module_& module) {
+  module.def("count_cells", &count_cells);
+  module.def("sum_neighbours", &sum_neighbours);
+  module.def("poll_normals", &poll_normals);
+}
+
+}  // namespace hpc
