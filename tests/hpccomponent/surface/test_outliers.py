@@ -75,7 +75,8 @@ def test_points_that_hang_beside_the_surface_are_found() -> None:
     random = np.random.default_rng(5)
     surface = sphere(50_000)
     spacing = estimate_spacing(surface)
-    hanging = surface[:300] * (1.0 + spacing * random.uniform(8.0, 16.0, (300, 1)))
+    heights = random.uniform(8.0, 30.0, (300, 1)) * random.choice([-1.0, 1.0], (300, 1))
+    hanging = surface[:300] * (1.0 + spacing * heights)
     dropped = found(np.concatenate([surface, hanging]))
     assert not dropped[:50_000].any()
     assert dropped[50_000:].mean() > 0.98
