@@ -13,6 +13,7 @@ from hpccomponent.surface.hermite import (
     BASIS,
     fit_vertices,
     inherit_quadrics,
+    residual_variances,
     weigh_priors,
 )
 from hpccomponent.surface.lattice import (
@@ -155,11 +156,11 @@ def fit_corners(
     cells: IntArray,
     moments: FloatArray,
     prior: Float32Array,
+    noise: Float32Array,
     lam: float,
-    noise: float,
     least_mu: float,
     most_mu: float,
-) -> tuple[Float32Array, Float32Array]:
+) -> tuple[Float32Array, Float32Array, Float32Array]:
     """Fit one quadric to the points in the eight cells around each corner.
 
     Parameters
@@ -170,10 +171,12 @@ def fit_corners(
     moments : ndarray of float64, shape (c, 44)
         See `corner_moments`.
     prior : ndarray of float32, shape (t, 10)
+    noise : ndarray of float32, shape (t,)
+        Variance of the positions around each corner, in cells squared.
     lam : float
         Weight of the normals, see `hermite.fit_vertices`.
-    noise, least_mu, most_mu : float
-        What decides the weights of the priors, see `hermite.weigh_priors`.
+    least_mu, most_mu : float
+        Between which the weights of the priors lie, see `hermite.weigh_priors`.
 
     Returns
     -------
@@ -181,23 +184,27 @@ def fit_corners(
         Rounded once, here, by the only one who computes them.
     counts : ndarray of float32, shape (t,)
         Points around each corner.
+    variances : ndarray of float32, shape (t,)
+        What the fits leave over, NaN where points are few: see `hermite.residual_variances`.
     """
     coefficients = np.empty((len(touched), BASIS), np.float32)
-    counts = np.empty(len(touched), np.float32)
+    counts, variances = np.empty((2, len(touched)), np.float32)
     for start in range(0, len(touched), _CHUNK_VERTICES):
         rows = slice(start, start + _CHUNK_VERTICES)
         around = corner_moments(touched[rows], cells, moments)
         priors = prior[rows].astype(np.float64)
-        mu = weigh_priors(around, priors, noise, least_mu, most_mu)
-        coefficients[rows] = fit_vertices(around, priors, lam, mu)
+        mu = weigh_priors(around, priors, noise[rows].astype(np.float64), least_mu, most_mu)
+        fitted = fit_vertices(around, priors, lam, mu)
+        coefficients[rows] = fitted
         counts[rows] = around[:, 0]
-    return coefficients, counts
+        variances[rows] = residual_variances(around, fitted)
+    return coefficients, counts, variances
 
 
 def inherit_level(
-    vertices: IntArray, parents: IntArray, coefficients: Float32Array, support: Float32Array
+    vertices: IntArray, parents: IntArray, coefficients: Float32Array, values: Float32Array
 ) -> tuple[Float32Array, Float32Array]:
-    """Return the means of the parents' quadrics, about their children, and of their support.
+    """Return the means of the parents' quadrics, about their children, and of other values.
 
     Parameters
     ----------
@@ -206,18 +213,20 @@ def inherit_level(
     parents : ndarray of int64, shape (p,)
         Sorted keys of corners of the next coarser level, all parents among them.
     coefficients : ndarray of float32, shape (p, 10)
-    support : ndarray of float32, shape (p,)
+    values : ndarray of float32, shape (p, k)
+        Whatever else is to be averaged.
 
     Returns
     -------
     coefficients : ndarray of float32, shape (v, 10)
-    support : ndarray of float32, shape (v,)
+    values : ndarray of float32, shape (v, k)
     """
-    means, supports = np.zeros((len(vertices), BASIS)), np.zeros(len(vertices))
+    means = np.zeros((len(vertices), BASIS))
+    inherited = np.zeros((len(vertices), values.shape[1]))
     places = unpack_keys(vertices)
     for octant in OCTANTS:
         keys, steps = corner_parents(places, octant)
         rows = find_keys(parents, keys)
         means += 0.125 * inherit_quadrics(coefficients[rows].astype(np.float64), steps)
-        supports += 0.125 * support[rows]
-    return means.astype(np.float32), supports.astype(np.float32)
+        inherited += 0.125 * values[rows]
+    return means.astype(np.float32), inherited.astype(np.float32)

@@ -18,6 +18,7 @@ __all__ = [
     "evaluate_slopes",
     "fit_vertices",
     "inherit_quadrics",
+    "residual_variances",
     "weigh_priors",
 ]
 
@@ -25,6 +26,7 @@ BASIS = 10
 _RIDGE = 1e-9
 _LEAST_SLOPE = 0.05  # of the mean square of a prior's gradient, which is about 1
 _LEAST_EXCESS = 1e-12
+_LEAST_POINTS = 24.0  # for a variance: with fewer, it says more of the fit than of the noise
 _CHUNK_ROWS = 1 << 11
 _COLUMN_OF = {exponent: column for column, exponent in enumerate(EXPONENTS)}
 
@@ -223,8 +225,34 @@ def evaluate_slopes(moments: FloatArray, coefficients: FloatArray) -> FloatArray
     return total
 
 
+def _mean_squares(moments: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Return the mean squared distances of the points from the quadrics' surfaces."""
+    slopes = np.maximum(evaluate_slopes(moments, coefficients), _LEAST_SLOPE * moments[:, 0])
+    return evaluate_residuals(moments, coefficients) / slopes
+
+
+def residual_variances(moments: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Tell the noise of the points from what a fit leaves over.
+
+    Parameters
+    ----------
+    moments : ndarray of float64, shape (v, 44)
+    coefficients : ndarray of float64, shape (v, 10)
+        Fitted to these points.
+
+    Returns
+    -------
+    ndarray of float64, shape (v,)
+        sum f^2 / (mean |grad f|^2) / (n - 10), in cells squared; NaN where n < 24.
+    """
+    counts = moments[:, 0]
+    rich = counts >= _LEAST_POINTS
+    unbiased = counts / np.where(rich, counts - BASIS, 1.0)
+    return np.where(rich, _mean_squares(moments, coefficients) * unbiased, np.nan)
+
+
 def weigh_priors(
-    moments: FloatArray, prior: FloatArray, noise: float, least: float, most: float
+    moments: FloatArray, prior: FloatArray, noise: FloatArray | float, least: float, most: float
 ) -> FloatArray:
     """Weigh each prior by how well it explains the points: empirical Bayes.
 
@@ -232,7 +260,7 @@ def weigh_priors(
     ----------
     moments : ndarray of float64, shape (v, 44)
     prior : ndarray of float64, shape (v, 10)
-    noise : float
+    noise : float, or ndarray of float64, shape (v,)
         Variance of the positions along the normals, in cells squared.
     least, most : float
         Between which the weight lies, in points.
@@ -249,9 +277,7 @@ def weigh_priors(
     the prior is kept: it averages over many more points. Where it misses them, the points win.
     The weight is the ratio of the variances: a prior counts like so many points.
     """
-    counts = moments[:, 0]
-    slopes = np.maximum(evaluate_slopes(moments, prior), _LEAST_SLOPE * counts)
-    chance = noise * (1.0 + np.sqrt(2.0 / counts))
-    excess = evaluate_residuals(moments, prior) / slopes - chance
+    chance = noise * (1.0 + np.sqrt(2.0 / moments[:, 0]))
+    excess = _mean_squares(moments, prior) - chance
     weights: FloatArray = np.clip(noise / np.maximum(excess, _LEAST_EXCESS), least, most)
     return weights

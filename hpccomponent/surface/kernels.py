@@ -206,17 +206,17 @@ def inherit_level(
     vertices: IntArray,
     parents: IntArray,
     coefficients: Float32Array,
-    support: Float32Array,
+    values: Float32Array,
     threads: int = 1,
 ) -> tuple[Float32Array, Float32Array]:
-    """Return the means of the parents' quadrics and support; see `cells.inherit_level`."""
+    """Return the means of the parents' quadrics and values; see `cells.inherit_level`."""
     if _native is None:
         from hpccomponent.surface import cells
 
-        return cells.inherit_level(vertices, parents, coefficients, support)
+        return cells.inherit_level(vertices, parents, coefficients, values)
     keys = (_integers(vertices), _integers(parents))
-    values = (_singles(coefficients), _singles(support))
-    result: tuple[Float32Array, Float32Array] = _native.inherit_level(*keys, *values, threads)
+    of_parents = (_singles(coefficients), _singles(values))
+    result: tuple[Float32Array, Float32Array] = _native.inherit_level(*keys, *of_parents, threads)
     return result
 
 
@@ -239,21 +239,21 @@ def fit_corners(
     cells: IntArray,
     moments: FloatArray,
     prior: Float32Array,
+    noise: Float32Array,
     lam: float,
-    noise: float,
     least_mu: float,
     most_mu: float,
     threads: int = 1,
-) -> tuple[Float32Array, Float32Array]:
+) -> tuple[Float32Array, Float32Array, Float32Array]:
     """Fit a quadric to the points around each corner (a task); see `cells.fit_corners`."""
-    weights = (lam, noise, least_mu, most_mu)
+    weights = (lam, least_mu, most_mu)
     if _native is None:
         from hpccomponent.surface import cells as portable
 
-        return portable.fit_corners(touched, cells, moments, prior, *weights)
+        return portable.fit_corners(touched, cells, moments, prior, noise, *weights)
     keys = (_integers(touched), _integers(cells))
-    values = (_floats(moments), _singles(prior))
-    result: tuple[Float32Array, Float32Array] = _native.fit_corners(
+    values = (_floats(moments), _singles(prior), _singles(noise))
+    result: tuple[Float32Array, Float32Array, Float32Array] = _native.fit_corners(
         *keys, *values, *weights, threads
     )
     return result

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hpcapp.applications.surface.crowding import crowd_vertices
 from hpcapp.applications.surface.estimates import Scale, choose_scale
 from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.pyramid import (
@@ -219,13 +220,20 @@ def assemble_field(partition: HierarchicalPartition, quadrics: list[VertexQuadri
     pyramid = partition.pyramid
     levels = []
     for depth, of_level in enumerate(quadrics):
-        keys = pyramid.levels[depth].vertices
+        level = pyramid.levels[depth]
+        keys = level.vertices
+        crowds = (
+            crowd_vertices(keys, of_level.counts, level.cells, level.squares)
+            if depth
+            else np.zeros(len(keys))
+        )
         trust = np.empty(len(keys), np.float32)
         for start in range(0, len(keys), _TRUST_ROWS):
             rows = slice(start, start + _TRUST_ROWS)
             far = _sample_far_field(partition, keys[rows], depth)
             values, counts = of_level.coefficients[rows, 0], of_level.counts[rows]
-            trust[rows] = trust_vertices(values, far, counts, of_level.inherited[rows], depth)
+            inherited = of_level.inherited[rows]
+            trust[rows] = trust_vertices(values, far, counts, inherited, crowds[rows], depth)
         levels.append(FieldLevel(keys, of_level.coefficients, trust))
     return Field(pyramid.origin, pyramid.cell_size, tuple(levels), partition.far)
 

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.crowding import sum_squares
 from hpcapp.applications.surface.method import Advance
-from hpcapp.applications.surface.weights import FIELD_LEVELS, Weights
+from hpcapp.applications.surface.weights import FIELD_LEVELS, Weights, localise_noise
 from hpcapp.batches import Workforce, map_batches
 from hpccomponent.surface import kernels
 from hpccomponent.surface.hermite import BASIS
@@ -29,7 +30,6 @@ __all__ = [
     "Pyramid",
     "VertexQuadrics",
     "build_pyramid",
-    "corner_moments",
     "fit_levels",
     "fit_pyramid",
 ]
@@ -38,7 +38,10 @@ Float32Array = NDArray[np.float32]
 
 _COARSEST_CELLS = 6
 _WAVE = 1 << 18  # corners under way at once: priors and results take 160 B each
-_ANCESTORS = 0.25  # what a point counts one level further up, where the surface is 4 times larger
+_FINER_UNITS = np.float32(4.0)  # the same variance, in cells of the next finer level squared
+_LOCAL_FROM = 2  # levels further up, which tell a vertex the noise around it
+# What a point counts one level further up, where the surface is 4 times larger.
+_ANCESTORS = np.float32(0.25)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,12 +58,15 @@ class Level:
         Sorted keys of the corners of the occupied cells: what is fitted.
     vertices : ndarray of int64, shape (v,)
         Sorted keys of these, and of what else carries a quadric, its parents'.
+    squares : ndarray of float64, shape (c,)
+        Sums of the squared counts of each cell's children; none at the finest level.
     """
 
     cells: IntArray
     moments: FloatArray
     touched: IntArray
     vertices: IntArray
+    squares: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,11 +99,15 @@ class VertexQuadrics:
         Points in the eight cells around each vertex.
     inherited : ndarray of float32, shape (v,)
         The mean count of its parents, plus a quarter of what these inherited.
+    variances : ndarray of float32, shape (v, 3)
+        What the fits leave over (see `hermite.residual_variances`), in cells squared: its own, the
+        mean of its parents' and of theirs. Where points are few, its own is the parents'.
     """
 
     coefficients: Float32Array
     counts: Float32Array
     inherited: Float32Array
+    variances: Float32Array
 
 
 def build_pyramid(cloud: PointCloud, cell_size: float, workforce: Workforce) -> Pyramid:
@@ -121,12 +131,14 @@ def build_pyramid(cloud: PointCloud, cell_size: float, workforce: Workforce) -> 
     coarser = max(0, int(np.floor(np.log2(longest / cell_size / _COARSEST_CELLS))))
     cells, moments = _finest_moments(cloud, low, cell_size, workforce)
     vertices = kernels.spread_keys(cells, -1, 2)
-    levels = [Level(cells, moments, kernels.spread_keys(cells, 0, 1), vertices)]
+    levels = [Level(cells, moments, kernels.spread_keys(cells, 0, 1), vertices, np.empty(0))]
     for _ in range(coarser):
+        finer = levels[-1]
         cells, moments = kernels.merge_cells(cells, moments)
+        squares = sum_squares(finer.cells, finer.moments[:, 0], cells)
         touched = kernels.spread_keys(cells, 0, 1)
         vertices = kernels.unite_keys(touched, kernels.parent_keys(vertices))
-        levels.append(Level(cells, moments, touched, vertices))
+        levels.append(Level(cells, moments, touched, vertices, squares))
     return Pyramid(low, cell_size, levels)
 
 
@@ -157,20 +169,6 @@ def _join(parts: list[FloatArray]) -> FloatArray:
         joined[end - len(part) : end] = part
         end -= len(part)
     return joined
-
-
-def corner_moments(level: Level) -> FloatArray:
-    """Sum the moments of the eight cells around each touched vertex, about it.
-
-    Parameters
-    ----------
-    level : Level
-
-    Returns
-    -------
-    ndarray of float64, shape (t, 44)
-    """
-    return kernels.corner_moments(level.touched, level.cells, level.moments)
 
 
 def fit_pyramid(
@@ -230,9 +228,11 @@ def fit_levels(
         level = pyramid.levels[index]
         quadrics = _inherit_level(level, above)
         rows = kernels.find_keys(level.vertices, level.touched)
+        local = index < len(pyramid.levels) - _LOCAL_FROM
+        noise = _find_noise(weights[index].noise, quadrics.variances[rows], local)
         for start in range(0, len(rows), _WAVE):
             wave = slice(start, min(start + _WAVE, len(rows)))
-            _fit_wave(level, wave, rows, quadrics, weights[index], workforce)
+            _fit_wave(level, wave, rows, quadrics, noise, weights[index], workforce)
         pyramid.levels[index] = level = replace(level, moments=np.empty((0, COLUMNS)))
         above = (level, quadrics)
         kept = [quadrics, *kept][:FIELD_LEVELS]
@@ -243,17 +243,26 @@ def fit_levels(
 
 
 def _inherit_level(level: Level, above: tuple[Level, VertexQuadrics] | None) -> VertexQuadrics:
-    """Return the means of the parents' quadrics and support; zeros at the coarsest level."""
+    """Return the means of the parents' quadrics, support and variances; zeros at the coarsest."""
     vertices = len(level.vertices)
     none = np.zeros(vertices, np.float32)
     if above is None:
-        return VertexQuadrics(np.zeros((vertices, BASIS), np.float32), none, none.copy())
+        coefficients, variances = (np.zeros((vertices, k), np.float32) for k in (BASIS, 3))
+        return VertexQuadrics(coefficients, none, none.copy(), variances)
     parent_level, parents = above
-    support = parents.counts + np.float32(_ANCESTORS) * parents.inherited
+    support = parents.counts + _ANCESTORS * parents.inherited
+    values = np.column_stack((support, _FINER_UNITS * parents.variances[:, :2]))
     means, inherited = kernels.inherit_level(
-        level.vertices, parent_level.vertices, parents.coefficients, support
+        level.vertices, parent_level.vertices, parents.coefficients, values
     )
-    return VertexQuadrics(means, none, inherited)
+    return VertexQuadrics(means, none, inherited[:, 0].copy(), inherited[:, [1, 1, 2]])
+
+
+def _find_noise(overall: float, variances: Float32Array, local: bool) -> Float32Array:
+    """Return the noise at some vertices, told locally where there are two levels further up."""
+    if local:
+        return localise_noise(overall, variances[:, 1], variances[:, 2])
+    return np.full(len(variances), overall, np.float32)
 
 
 def _fit_wave(
@@ -261,6 +270,7 @@ def _fit_wave(
     wave: slice,
     rows: IntArray,
     quadrics: VertexQuadrics,
+    noise: Float32Array,
     weights: Weights,
     workforce: Workforce,
 ) -> None:
@@ -269,23 +279,25 @@ def _fit_wave(
         slice(wave.start + cut.start, wave.start + cut.stop)
         for cut in workforce.cut(wave.stop - wave.start)
     ]
-    priors = [quadrics.coefficients[rows[cut]] for cut in cuts]
     batches = [
-        _fit_batch(level, cut, prior, weights) for cut, prior in zip(cuts, priors, strict=True)
+        _fit_batch(level, cut, quadrics.coefficients[rows[cut]], noise[cut], weights)
+        for cut in cuts
     ]
     fitted = map_batches(workforce, kernels.fit_corners, batches)
-    for cut, (coefficients, counts) in zip(cuts, fitted, strict=True):
+    for cut, (coefficients, counts, variances) in zip(cuts, fitted, strict=True):
         quadrics.coefficients[rows[cut]] = coefficients
         quadrics.counts[rows[cut]] = counts
+        known = ~np.isnan(variances)
+        quadrics.variances[rows[cut][known], 0] = variances[known]
 
 
 def _fit_batch(
-    level: Level, cut: slice, prior: Float32Array, weights: Weights
+    level: Level, cut: slice, prior: Float32Array, noise: Float32Array, weights: Weights
 ) -> tuple[NDArray[Any] | float, ...]:
     """Return the arguments of a fit: some corners, and a run of cells with all around them."""
     touched = level.touched[cut]
     first = step_keys(touched[0], -OCTANTS[-1])
     bounds = np.searchsorted(level.cells, (first, touched[-1] + 1))
     near = slice(int(bounds[0]), int(bounds[1]))
-    points = (touched, level.cells[near], level.moments[near], prior)
-    return *points, weights.lam, weights.noise, weights.least_mu, weights.most_mu
+    points = (touched, level.cells[near], level.moments[near], prior, noise)
+    return *points, weights.lam, weights.least_mu, weights.most_mu

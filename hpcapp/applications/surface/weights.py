@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 
 from hpccomponent.surface.points import FloatArray
 
-__all__ = ["FIELD_LEVELS", "LEAST_MU", "Weights", "trust_vertices", "weigh_levels"]
+__all__ = [
+    "FIELD_LEVELS",
+    "LEAST_MU",
+    "Weights",
+    "localise_noise",
+    "trust_vertices",
+    "weigh_levels",
+]
 
 FIELD_LEVELS = 4
 """So many levels, finest first, lie above the far field; coarser ones only serve as priors."""
@@ -28,9 +35,12 @@ _LEAST_LAM = 0.001
 _LEAST_COARSE_LAM = 0.1  # a quadric bends within a coarse cell: its normals hold it
 _MOST_LAM = 1.0
 
+_MOST_LOCAL = 4.0  # times the variance of the whole cloud, or its part
+
 _FULL_COUNT = 6.0
 _FULL_INHERITED = 16.0
 _OWN_COUNT = 3.0
+_CROWDED_FROM, _CROWDED_AT = 6.0, 12.0  # other points in the cell of a point, one level finer
 _OVERRULED_FROM, _OVERRULED_AT = 0.3, 0.8  # steps of the far field from its surface
 
 
@@ -85,11 +95,42 @@ def weigh_levels(cell_size: float, levels: int, noise: float) -> list[Weights]:
     return weights
 
 
+def localise_noise(overall: float, finer: Float32Array, coarser: Float32Array) -> Float32Array:
+    """Tell the noise around each vertex from what the fits of coarser levels left over there.
+
+    Parameters
+    ----------
+    overall : float
+        The variance of the whole cloud, in cells of the vertices' level squared.
+    finer, coarser : ndarray of float32, shape (v,)
+        Residual variances one and two levels further up, in the same cells squared.
+
+    Returns
+    -------
+    ndarray of float32, shape (v,)
+        Variances in the same cells squared, within a factor of four of the whole cloud's.
+
+    Notes
+    -----
+    Scans that do not quite match leave the same residuals in cells of any size, and they are
+    noise for who averages; detail that a quadric misses leaves more in larger cells, and is taken
+    off, as in `estimates.estimate_noise`.
+    """
+    # The estimates are made with the pyramid, which is made with the weights.
+    from hpcapp.applications.surface.estimates import _BIAS_GROWTH, _SAME_NOISE
+
+    bias = np.maximum(0.0, coarser - _SAME_NOISE * finer) / _BIAS_GROWTH
+    local = np.clip(finer - bias, overall / _MOST_LOCAL, overall * _MOST_LOCAL)
+    result: Float32Array = local.astype(np.float32)
+    return result
+
+
 def trust_vertices(
     values: Float32Array,
     far: FloatArray,
     counts: Float32Array,
     inherited: Float32Array,
+    crowds: FloatArray | float,
     depth: int,
 ) -> Float32Array:
     """Tell how much the quadrics of a level count against what lies behind them.
@@ -102,6 +143,9 @@ def trust_vertices(
         The far field there, in its steps, positive outside.
     counts, inherited : ndarray of float32, shape (v,)
         Points around each vertex, and around its ancestors (see `VertexQuadrics`).
+    crowds : float, or ndarray of float64, shape (v,)
+        Other points in the cell of a point of the next finer level (see `crowding`); 0 at the
+        finest level.
     depth : int
         The level, 0 for the finest.
 
@@ -115,8 +159,12 @@ def trust_vertices(
     Quadrics go on where the surface ends, and sheets would grow there. Where the far field is
     sure of its sign and the quadric has the other one, it is overruled, unless points of its own
     support it. At coarser levels points support it only as a whole, from all around.
+
+    Coarse quadrics fill in where finer cells hold too few points; where these hold enough, the
+    space between them is empty because the surface does not pass there.
     """
     trust = np.minimum(1.0, counts / _FULL_COUNT + inherited / _FULL_INHERITED)
+    trust *= np.clip((_CROWDED_AT - crowds) / (_CROWDED_AT - _CROWDED_FROM), 0.0, 1.0)
     sure = (np.abs(far) - _OVERRULED_FROM) / (_OVERRULED_AT - _OVERRULED_FROM)
     overruled = np.clip(sure, 0.0, 1.0) * (np.sign(values) != np.sign(far))
     own = 0.0 if depth else np.clip(counts / _OWN_COUNT, 0.0, 1.0)

@@ -1,4 +1,6 @@
 // Fits of quadrics to the moments around each vertex: one 10x10 Cholesky per lane.
+#include <limits>
+
 #include "families.h"
 #include "keys.h"
 #include "moments.h"
@@ -10,6 +12,7 @@ namespace {
 constexpr int BASIS = 10;
 constexpr double RIDGE = 1e-9;
 constexpr double LEAST_SLOPE = 0.05, LEAST_EXCESS = 1e-12;  // see hermite.weigh_priors
+constexpr double LEAST_POINTS = 24.0;  // see hermite.residual_variances
 
 constexpr int value_column(int i, int j) {
   const int* p = EXPONENTS[i].power;
@@ -105,46 +108,72 @@ HPC_INLINE void solve(Matrix& matrix, Vector& right) {
 
 // What the fits of a range read and write.
 struct Fits {
-  const float* prior;
-  double lam, noise, least_mu, most_mu;
-  float *coefficients, *counts;
+  const float *prior, *noise;
+  double lam, least_mu, most_mu;
+  float *coefficients, *counts, *variances;
 };
 
-// Weigh each prior by how well it explains the points.
-HPC_INLINE void weigh_priors(const Block& rows, const Vector& prior, const Fits& fits, double (&mu)[LANES]) {
+// Find the mean squared distances of the points from the quadrics' surfaces.
+HPC_INLINE void mean_squares(const Block& rows, const Vector& c, double (&squares)[LANES]) {
   double residual[LANES] = {}, slope[LANES] = {};
   for (int j = 0; j < BASIS; ++j)
     for (int i = j; i < BASIS; ++i) {
       const Pair& pair = PAIRS.at[i][j];
       double product[LANES];
-      EACH_LANE product[lane] = (i == j ? 1.0 : 2.0) * prior[i][lane] * prior[j][lane];
+      EACH_LANE product[lane] = (i == j ? 1.0 : 2.0) * c[i][lane] * c[j][lane];
       EACH_LANE residual[lane] += product[lane] * rows[pair.value][lane];
       for (int term = 0; term < pair.terms; ++term)
         EACH_LANE slope[lane] += pair.factor[term] * product[lane] * rows[pair.column[term]][lane];
     }
   EACH_LANE {
-    const double count = rows[0][lane];
-    const double chance = fits.noise * (1.0 + std::sqrt(2.0 / count));
-    const double least = LEAST_SLOPE * count;
+    const double least = LEAST_SLOPE * rows[0][lane];
     const double steep = slope[lane] > least ? slope[lane] : least;
-    const double excess = (residual[lane] > 0.0 ? residual[lane] : 0.0) / steep - chance;
-    const double weight = fits.noise / (excess > LEAST_EXCESS ? excess : LEAST_EXCESS);
+    squares[lane] = (residual[lane] > 0.0 ? residual[lane] : 0.0) / steep;
+  }
+}
+
+// Weigh each prior by how well it explains the points.
+HPC_INLINE void weigh_priors(const Block& rows, const Vector& prior, const double (&noise)[LANES],
+                             const Fits& fits, double (&mu)[LANES]) {
+  double squares[LANES];
+  mean_squares(rows, prior, squares);
+  EACH_LANE {
+    const double chance = noise[lane] * (1.0 + std::sqrt(2.0 / rows[0][lane]));
+    const double excess = squares[lane] - chance;
+    const double weight = noise[lane] / (excess > LEAST_EXCESS ? excess : LEAST_EXCESS);
     const double bounded = weight < fits.most_mu ? weight : fits.most_mu;
     mu[lane] = bounded > fits.least_mu ? bounded : fits.least_mu;
+  }
+}
+
+// Tell the noise of the points from what the fits leave over.
+HPC_INLINE void measure_residuals(const Block& rows, const Vector& fitted, const Fits& fits,
+                                  int64_t start, int width) {
+  bool rich = false;
+  EACH_LANE rich |= rows[0][lane] >= LEAST_POINTS;
+  double squares[LANES] = {};
+  if (rich) mean_squares(rows, fitted, squares);
+  for (int lane = 0; lane < width; ++lane) {
+    const double count = rows[0][lane];
+    fits.variances[start + lane] = count >= LEAST_POINTS
+                                       ? static_cast<float>(squares[lane] * (count / (count - BASIS)))
+                                       : std::numeric_limits<float>::quiet_NaN();
   }
 }
 
 HPC_INLINE void fit_block(const Block& rows, const Fits& fits, int64_t start, int width) {
   Matrix matrix;
   Vector prior, right;
-  double mu[LANES];
+  double noise[LANES], mu[LANES];
   EACH_LANE {
     const int64_t row = start + std::min(lane, width - 1);
+    noise[lane] = fits.noise[row];
     for (int i = 0; i < BASIS; ++i) prior[i][lane] = fits.prior[row * BASIS + i];
   }
-  weigh_priors(rows, prior, fits, mu);
+  weigh_priors(rows, prior, noise, fits, mu);
   fill_equations(rows, prior, fits.lam, mu, matrix, right);
   solve(matrix, right);
+  measure_residuals(rows, right, fits, start, width);
   for (int lane = 0; lane < width; ++lane)
     for (int i = 0; i < BASIS; ++i) fits.coefficients[(start + lane) * BASIS + i] = static_cast<float>(right[i][lane]);
 }
@@ -215,15 +244,22 @@ Output<double> corner_moments(Input touched_of, Input cells_of, Input moments_of
 }
 
 nb::tuple fit_corners(Input touched_of, Input cells_of, Input moments_of, Input prior_of,
-                      double lam, double noise, double least_mu, double most_mu, int64_t threads) {
+                      Input noise_of, double lam, double least_mu, double most_mu, int64_t threads) {
   const int64_t* touched = check_keys(touched_of, "touched");
   const int64_t* cells = check_keys(cells_of, "cells");
   const int64_t count = rows_of(touched_of), known = rows_of(cells_of);
   const double* moments = check<double>(moments_of, "moments", {known, COLUMNS});
   auto coefficients = make_buffer<float>(count * BASIS);
   auto counts = make_buffer<float>(count);
-  const Fits fits{check<float>(prior_of, "prior", {count, BASIS}), lam, noise, least_mu, most_mu,
-                  coefficients.get(), counts.get()};
+  auto variances = make_buffer<float>(count);
+  const Fits fits{check<float>(prior_of, "prior", {count, BASIS}),
+                  check<float>(noise_of, "noise", {count}),
+                  lam,
+                  least_mu,
+                  most_mu,
+                  coefficients.get(),
+                  counts.get(),
+                  variances.get()};
   const int workers = check_threads(threads);
   {
     nb::gil_scoped_release unlocked;
@@ -233,7 +269,8 @@ nb::tuple fit_corners(Input touched_of, Input cells_of, Input moments_of, Input 
     });
   }
   const size_t rows = static_cast<size_t>(count);
-  return nb::make_tuple(give(std::move(coefficients), {rows, BASIS}), give(std::move(counts), {rows}));
+  return nb::make_tuple(give(std::move(coefficients), {rows, BASIS}), give(std::move(counts), {rows}),
+                        give(std::move(variances), {rows}));
 }
 
 Output<double> evaluate_residuals(Input moments_of, Input coefficients_of) {

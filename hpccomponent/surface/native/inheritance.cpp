@@ -24,15 +24,17 @@ inline void add_inherited(const T* c, const double* step, double weight, double*
 
 struct Parents {
   const int64_t* keys;
-  int64_t count;
-  const float *coefficients, *counts;
+  int64_t count, columns;
+  const float *coefficients, *values;
 };
 
 void inherit_range(const int64_t* vertices, const Parents& parents, int64_t start, int64_t stop,
                    float* coefficients, float* inherited) {
+  std::vector<double> means(parents.columns);
   std::vector<Finger> fingers(8, Finger(parents.keys, parents.count));
   for (int64_t row = start; row < stop; ++row) {
-    double child[BASIS] = {}, support = 0.0;
+    double child[BASIS] = {};
+    std::fill(means.begin(), means.end(), 0.0);
     const Place place = unpack(vertices[row]);
     int odd = 0;
     for (int axis = 0; axis < 3; ++axis) odd |= static_cast<int>(place[axis] & 1) << axis;
@@ -49,23 +51,27 @@ void inherit_range(const int64_t* vertices, const Parents& parents, int64_t star
       const int64_t found = fingers[octant].find(pack(parent));
       if (found < 0) refuse("parent_keys: a vertex has no parent there");
       add_inherited(parents.coefficients + found * BASIS, step, weight, child);
-      support += weight * parents.counts[found];
+      const float* values = parents.values + found * parents.columns;
+      for (int64_t i = 0; i < parents.columns; ++i) means[i] += weight * values[i];
     }
     for (int i = 0; i < BASIS; ++i) coefficients[row * BASIS + i] = static_cast<float>(child[i]);
-    inherited[row] = static_cast<float>(support);
+    for (int64_t i = 0; i < parents.columns; ++i)
+      inherited[row * parents.columns + i] = static_cast<float>(means[i]);
   }
 }
 
-nb::tuple inherit_level(Input vertices_of, Input keys_of, Input coefficients_of, Input counts_of,
+nb::tuple inherit_level(Input vertices_of, Input keys_of, Input coefficients_of, Input values_of,
                         int64_t threads) {
   const int64_t* vertices = check_keys(vertices_of, "vertices");
   const int64_t* keys = check_keys(keys_of, "parent_keys");
   const int64_t count = rows_of(vertices_of), known = rows_of(keys_of);
-  const Parents parents{keys, known, check<float>(coefficients_of, "coefficients", {known, BASIS}),
-                        check<float>(counts_of, "counts", {known})};
+  const float* values = check<float>(values_of, "values", {known, ANY});
+  const int64_t columns = static_cast<int64_t>(values_of.shape(1));
+  const float* means = check<float>(coefficients_of, "coefficients", {known, BASIS});
+  const Parents parents{keys, known, columns, means, values};
   const int workers = check_threads(threads);
   auto coefficients = make_buffer<float>(count * BASIS);
-  auto inherited = make_buffer<float>(count);
+  auto inherited = make_buffer<float>(count * columns);
   {
     nb::gil_scoped_release unlocked;
     run_ranges(count, workers, [&](int64_t start, int64_t stop) {
@@ -73,7 +79,8 @@ nb::tuple inherit_level(Input vertices_of, Input keys_of, Input coefficients_of,
     });
   }
   const size_t rows = static_cast<size_t>(count);
-  return nb::make_tuple(give(std::move(coefficients), {rows, BASIS}), give(std::move(inherited), {rows}));
+  return nb::make_tuple(give(std::move(coefficients), {rows, BASIS}),
+                        give(std::move(inherited), {rows, static_cast<size_t>(columns)}));
 }
 
 Output<double> inherit_quadrics(Input parents_of, Input steps_of) {

@@ -6,6 +6,7 @@ from hpccomponent.surface.hermite import (
     evaluate_slopes,
     fit_vertices,
     inherit_quadrics,
+    residual_variances,
     weigh_priors,
 )
 from hpccomponent.surface.moments import accumulate_moments
@@ -151,3 +152,19 @@ def test_a_prior_that_explains_the_points_is_kept_and_without_noise_none_is():
     prior = np.array([[0.0, 0, 0, 1, 0, 0, 0, 0, 0, 0]])
     assert weigh_priors(moments, prior, 0.01, 0.3, 1000.0) == 1000.0
     assert weigh_priors(moments, prior, 0.0, 0.3, 1000.0) == 0.3
+
+
+def test_what_a_fit_leaves_over_is_the_noise():
+    rng = np.random.default_rng(11)
+    sigma, counts, plane = 0.03, (23, 24, 4000), np.zeros((3, 10))
+    normals = np.tile([0.0, 0.0, 1.0], (4000, 1))
+    points = rng.uniform(-1, 1, (4000, 3)) * [1, 1, 0]
+    points[:, 2] = sigma * rng.normal(size=4000)
+    moments = stack_moments([(points[:n], normals[:n]) for n in counts])
+    fitted = fit_vertices(moments, plane, 0.01, 0.0)
+    few, enough, many = residual_variances(moments, fitted)
+    assert np.isnan(few)
+    assert enough > 0.0
+    assert many == pytest.approx(sigma**2, rel=0.1)
+    steeper = residual_variances(moments, 3.0 * fitted)  # the same surface
+    np.testing.assert_allclose(steeper[1:], [enough, many])

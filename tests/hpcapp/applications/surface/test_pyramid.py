@@ -3,8 +3,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.pyramid import build_pyramid, corner_moments, fit_pyramid
+from hpcapp.applications.surface.pyramid import build_pyramid, fit_levels, fit_pyramid
+from hpcapp.applications.surface.weights import weigh_levels
 from hpcapp.batches import Workforce
+from hpccomponent.surface import kernels
 from hpccomponent.surface.lattice import find_keys, unpack_keys
 from hpccomponent.surface.moments import accumulate_moments
 from hpccomponent.surface.points import PointCloud
@@ -50,7 +52,7 @@ def test_every_level_counts_every_point(cloud, workforce):
 def test_vertices_know_the_points_of_the_eight_cells_around_them(cloud, workforce):
     pyramid = build_pyramid(cloud, CELL_SIZE, workforce)
     for number, level in enumerate(pyramid.levels):
-        moments = corner_moments(level)
+        moments = kernels.corner_moments(level.touched, level.cells, level.moments)
         for row in np.random.default_rng(number).integers(0, len(moments), 8):
             vertex = unpack_keys(level.touched[row])
             expected = moments_around(cloud, pyramid, number, vertex)
@@ -93,3 +95,19 @@ def test_bits_do_not_depend_on_the_batches(cloud):
             results.append(fit_pyramid(pyramid, 0.05, 0.3, workforce).coefficients)
     assert np.array_equal(results[0], results[1])
     assert np.array_equal(results[0], results[2])
+
+
+def test_vertices_learn_the_noise_around_them_from_further_up(workforce):
+    """One half of a sphere is noisier than the other: each must be told of its own noise."""
+    rng = np.random.default_rng(3)
+    directions = rng.normal(size=(40_000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    sigma = np.where(directions[:, 2] > 0.0, 0.01, 0.002)
+    radii = 1.0 + sigma * rng.normal(size=len(directions))
+    pyramid = build_pyramid(PointCloud(radii[:, None] * directions, directions), 0.04, workforce)
+    weights = weigh_levels(0.04, len(pyramid.levels), 0.005)
+    finest = fit_levels(pyramid, weights, workforce)[0]
+    heights = (pyramid.origin + 0.04 * unpack_keys(pyramid.levels[0].vertices))[:, 2]
+    told = 0.04**2 * finest.variances[:, 1]
+    assert np.median(told[heights > 0.3]) == pytest.approx(0.01**2, rel=0.2)
+    assert np.median(told[heights < -0.3]) == pytest.approx(0.002**2, rel=0.5)

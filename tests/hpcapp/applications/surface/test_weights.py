@@ -1,13 +1,18 @@
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.weights import LEAST_MU, trust_vertices, weigh_levels
+from hpcapp.applications.surface.weights import (
+    LEAST_MU,
+    localise_noise,
+    trust_vertices,
+    weigh_levels,
+)
 
 
-def trusted(value, far, count, inherited, depth=0):
+def trusted(value, far, count, inherited, crowd=0.0, depth=0):
     rows = (np.array([x], np.float32) for x in (value, count, inherited))
     value, count, inherited = rows
-    return float(trust_vertices(value, np.array([far]), count, inherited, depth)[0])
+    return float(trust_vertices(value, np.array([far]), count, inherited, crowd, depth)[0])
 
 
 def test_noise_counts_in_cells_of_each_level():
@@ -44,3 +49,31 @@ def test_a_sure_far_field_overrules_quadrics_without_points_of_their_own():
     assert trusted(1.0, 1.5, 0.0, 100.0) == 1.0  # they agree
     assert trusted(-1.0, 0.2, 0.0, 100.0) == 1.0  # it is not sure
     assert 0.0 < trusted(-1.0, 0.5, 0.0, 100.0) < 1.0
+
+
+def test_crowded_coarse_vertices_are_not_trusted():
+    trust = [trusted(1.0, 0.1, 50.0, 50.0, crowd, depth=1) for crowd in (2.0, 9.0, 20.0, np.inf)]
+    assert trust[0] == 1.0
+    assert 0.0 < trust[1] < 1.0
+    assert trust[2:] == [0.0, 0.0]
+
+
+def localised(overall, finer, coarser):
+    values = (np.array([x], np.float32) for x in (finer, coarser))
+    return float(localise_noise(overall, *values)[0])
+
+
+def test_the_same_residual_in_cells_of_two_sizes_is_noise():
+    assert localised(0.01, 0.02, 0.02) == pytest.approx(0.02)
+    assert localised(0.01, 0.005, 0.005) == pytest.approx(0.005)
+
+
+def test_a_residual_that_grows_with_the_cells_is_detail():
+    assert localised(0.01, 0.03, 0.5) == pytest.approx(0.0025)
+    assert localised(0.01, 0.03, 0.05) < 0.03
+
+
+def test_local_noise_stays_within_a_factor_of_the_whole_cloud_s():
+    assert localised(0.01, 1.0, 1.0) == pytest.approx(0.04)
+    assert localised(0.01, 0.0, 0.0) == pytest.approx(0.0025)
+    assert localised(0.0, 1.0, 1.0) == 0.0

@@ -97,17 +97,21 @@ def test_moments_of_cells(native: ModuleType, cloud: Any) -> None:
     np.testing.assert_allclose(around, wanted, rtol=1e-12, atol=1e-11)
 
 
-@pytest.mark.parametrize("weights", [(0.01, 0.0, 0.3, 9.0), (1.0, 0.01, 0.3, 9.0)])
-def test_fits(native: ModuleType, cloud: Any, weights: tuple[float, ...]) -> None:
+@pytest.mark.parametrize(("lam", "most_noise"), [(0.01, 0.0), (1.0, 0.01)])
+def test_fits(native: ModuleType, cloud: Any, lam: float, most_noise: float) -> None:
     random = np.random.default_rng(3)
     around = cells.corner_moments(cloud.touched, cloud.cells, cloud.moments)
     # Priors of every quality: near fits, moved by the noise and by much more.
     prior = hermite.fit_vertices(around, np.zeros((len(around), 10)), 0.3, 0.3)
     prior += random.uniform(0.0, 0.3, size=(len(around), 1)) * random.normal(size=prior.shape)
-    points = (cloud.touched, cloud.cells, cloud.moments, prior.astype(np.float32))
-    found, counts = native.fit_corners(*points, *weights, 1)
-    expected, wanted_counts = cells.fit_corners(*points, *weights)
+    noise = (most_noise * random.uniform(size=len(around))).astype(np.float32)
+    points = (cloud.touched, cloud.cells, cloud.moments, prior.astype(np.float32), noise)
+    weights = (lam, 0.3, 9.0)
+    found, counts, variances = native.fit_corners(*points, *weights, 1)
+    expected, wanted_counts, wanted_variances = cells.fit_corners(*points, *weights)
     np.testing.assert_array_equal(counts, wanted_counts)
+    assert 0 < np.isnan(variances).sum() < len(variances)
+    np.testing.assert_allclose(variances, wanted_variances, rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
     expected = expected.astype(np.float64)
     residuals = native.evaluate_residuals(around, expected)
@@ -120,9 +124,9 @@ def test_priors(native: ModuleType, cloud: Any) -> None:
     vertices = lattice.spread_keys(cloud.cells, -1, 2)
     parents = cells.parent_keys(vertices)
     coefficients = random.normal(size=(len(parents), 10)).astype(np.float32)
-    support = random.uniform(size=len(parents)).astype(np.float32)
-    found = native.inherit_level(vertices, parents, coefficients, support, 1)
-    expected = cells.inherit_level(vertices, parents, coefficients, support)
+    values = random.uniform(size=(len(parents), 3)).astype(np.float32)
+    found = native.inherit_level(vertices, parents, coefficients, values, 1)
+    expected = cells.inherit_level(vertices, parents, coefficients, values)
     for mean, wanted in zip(found, expected, strict=True):
         np.testing.assert_allclose(mean, wanted, rtol=1e-6, atol=1e-7)
     coefficients = random.normal(size=(len(parents), 10))

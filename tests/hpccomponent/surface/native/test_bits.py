@@ -13,7 +13,7 @@ from hpccomponent.surface import cells, lattice
 from hpccomponent.surface.case_table import case_triangles
 
 THREADS = (2, 3, 16)
-WEIGHTS = (0.2, 0.01, 0.3, 1000.0)
+WEIGHTS = (0.2, 0.3, 1000.0)
 
 
 def same(first: Any, second: Any) -> None:
@@ -27,12 +27,13 @@ def test_threads(native: ModuleType, cloud: Any, threads: int) -> None:
     same([native.accumulate_moments(*points, 1)], [native.accumulate_moments(*points, threads)])
     around = (cloud.touched, cloud.cells, cloud.moments)
     same([native.corner_moments(*around, 1)], [native.corner_moments(*around, threads)])
-    fits = (*around, np.zeros((len(cloud.touched), 10), np.float32), *WEIGHTS)
+    noise = np.linspace(0.0, 0.02, len(cloud.touched), dtype=np.float32)
+    fits = (*around, np.zeros((len(cloud.touched), 10), np.float32), noise, *WEIGHTS)
     fitted = native.fit_corners(*fits, 1)
     same(fitted, native.fit_corners(*fits, threads))
     parents = cells.parent_keys(cloud.touched)
     means = np.ones((len(parents), 10), np.float32)
-    level = (cloud.touched, parents, means, means[:, 0].copy())
+    level = (cloud.touched, parents, means, means[:, :3].copy())
     same(native.inherit_level(*level, 1), native.inherit_level(*level, threads))
 
 
@@ -70,11 +71,12 @@ def test_batches(native: ModuleType, cloud: Any, parts: int) -> None:
 def test_batches_of_fits(native: ModuleType, cloud: Any, parts: int) -> None:
     vertices = len(cloud.touched)
     prior = np.random.default_rng(1).normal(size=(vertices, 10)).astype(np.float32)
+    noise = np.linspace(0.0, 0.02, vertices, dtype=np.float32)
     around = (cloud.cells, cloud.moments)
-    whole = native.fit_corners(cloud.touched, *around, prior, *WEIGHTS, 1)
+    whole = native.fit_corners(cloud.touched, *around, prior, noise, *WEIGHTS, 1)
     cuts = np.linspace(0, vertices, parts + 1).astype(int)
     fitted = [
-        native.fit_corners(cloud.touched[a:b], *around, prior[a:b], *WEIGHTS, 1)
+        native.fit_corners(cloud.touched[a:b], *around, prior[a:b], noise[a:b], *WEIGHTS, 1)
         for a, b in itertools.pairwise(cuts)
     ]
     same(whole, [np.concatenate(column) for column in zip(*fitted, strict=True)])

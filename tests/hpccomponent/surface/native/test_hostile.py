@@ -70,7 +70,7 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
         ("accumulate_moments", points, points, random.integers(-9, 30, size=5), 1),
         ("sort_points", points, points, points[0] if rows else np.zeros(3), 0.1),
         ("corner_moments", keys, keys, random.normal(size=(len(keys), 44)), 2),
-        ("inherit_level", keys, keys, means, means[:, 0].copy(), 2),
+        ("inherit_level", keys, keys, means, means[:, :3].copy(), 2),
         ("merge_cells", keys, np.ones((len(keys), 44))),
         ("sample_grid", np.ones((4, 4, 4), np.float32), points),
         ("seed_bricks", points, np.zeros(3), 0.5, random.integers(-1, 9, size=3)),

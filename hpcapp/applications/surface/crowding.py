@@ -1,0 +1,64 @@
+"""How crowded the points are around the vertices of a level, in the cells of the next finer one.
+
+Coarse quadrics are for places where the finer level is too sparse; this tells where that is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface import kernels
+from hpccomponent.surface.lattice import OCTANTS, pack_places, step_keys, unpack_keys
+from hpccomponent.surface.points import FloatArray, IntArray
+
+__all__ = ["crowd_vertices", "sum_squares"]
+
+
+def sum_squares(children: IntArray, counts: FloatArray, parents: IntArray) -> FloatArray:
+    """Sum the squared counts of the children of each cell.
+
+    Parameters
+    ----------
+    children : ndarray of int64, shape (c,)
+        Keys of cells.
+    counts : ndarray of float64, shape (c,)
+        Points in each.
+    parents : ndarray of int64, shape (p,)
+        Sorted keys of the next coarser level, all parents among them.
+
+    Returns
+    -------
+    ndarray of float64, shape (p,)
+    """
+    owners = kernels.find_keys(parents, pack_places(unpack_keys(children) >> 1))
+    return np.bincount(owners, counts**2, len(parents)).astype(np.float64)
+
+
+def crowd_vertices(
+    vertices: IntArray, counts: NDArray[np.float32], cells: IntArray, squares: FloatArray
+) -> FloatArray:
+    """Find how many other points a point around each vertex meets in its finer cell, on average.
+
+    Parameters
+    ----------
+    vertices : ndarray of int64, shape (v,)
+        Sorted keys of corners, all corners of the cells among them.
+    counts : ndarray of float32, shape (v,)
+        Points in the eight cells around each.
+    cells : ndarray of int64, shape (c,)
+        Keys of the occupied cells of the same level.
+    squares : ndarray of float64, shape (c,)
+        As `sum_squares` gives them.
+
+    Returns
+    -------
+    ndarray of float64, shape (v,)
+        sum n_child^2 / sum n_child - 1; infinite where there is no point.
+    """
+    total = np.zeros(len(vertices))
+    for octant in OCTANTS:
+        total[kernels.find_keys(vertices, step_keys(cells, octant))] += squares
+    crowds = np.full(len(vertices), np.inf)
+    np.divide(total, counts, out=crowds, where=counts > 0.0)
+    return crowds - 1.0
