@@ -35,6 +35,8 @@ _PORTABLE = (
     "hermite",
     "lattice",
     "moments",
+    "normals",
+    "outliers",
     "patch_quadrics",
     "spacing",
 )

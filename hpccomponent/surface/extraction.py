@@ -19,6 +19,9 @@ Float32Array = NDArray[np.float32]
 _NEAREST = 0.002
 """Vertices keep this share of an edge from its ends, so that no triangle has zero area."""
 
+_SLIVER = 0.15
+"""Squared edges count as if they were longer by this share of their mean."""
+
 
 def extract_surface(grid: Grid, places: IntArray, values: Float32Array) -> Mesh:
     """Extract the 0-level of the node values.
@@ -188,7 +191,8 @@ def balance_vertices(vertices: FloatArray, faces: IntArray) -> FloatArray:
     rises over the edge by about (q - p) . (n_q - n_p) / 8, two thirds of it on average; over a
     face the mean gap is the sum over its edges of (q - p) . (n_q - n_p) / 24. Each vertex moves
     along its normal by the area-weighted mean gap of its faces, which is never more than a
-    quarter of their longest edge. Normals are weighted as is exact on spheres.
+    quarter of their longest edge. Normals are weighted as is exact on spheres, but for slivers,
+    whose normals are nothing to go by.
 
     References
     ----------
@@ -217,7 +221,9 @@ def _face_crosses(vertices: FloatArray, faces: IntArray) -> FloatArray:
 def _vertex_normals(vertices: FloatArray, faces: IntArray, crosses: FloatArray) -> FloatArray:
     """Return unit normals, each face counting 1 / (product of its two squared edges there)."""
     edges = [vertices[faces[:, k - 2]] - vertices[faces[:, k]] for k in range(3)]
-    squares = [np.maximum((edge**2).sum(axis=1), 1e-150) for edge in edges]
+    squares = [(edge**2).sum(axis=1) for edge in edges]
+    excess = max(_SLIVER * float(np.mean(squares)) if len(faces) else 0.0, 1e-150)
+    squares = [square + excess for square in squares]
     weights = np.stack([1.0 / (squares[k] * squares[k - 1]) for k in range(3)], axis=1)
     corners = faces.reshape(-1)
     sums = [

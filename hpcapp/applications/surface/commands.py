@@ -48,7 +48,7 @@ def _only_without_patches(ctx: click.Context) -> None:
 
 
 PAPER_OPTIONS = ("delta", "max_points", "cone", "patches", "norm")
-HIERARCHICAL_OPTIONS = ("smoothness", "detail")
+HIERARCHICAL_OPTIONS = ("clean", "smoothness", "detail")
 
 
 def _check_flags(ctx: click.Context) -> None:
@@ -131,6 +131,12 @@ def _check_flags(ctx: click.Context) -> None:
     default=1.0,
     show_default=True,
     help="Factor on the finest detail that the spacing allows.",
+)
+@click.option(
+    "--clean/--no-clean",
+    default=True,
+    show_default=True,
+    help="hierarchical: drop outliers and turn wrong normals round first.",
 )
 @click.option(
     "--delta",

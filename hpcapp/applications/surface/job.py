@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from hpcapp.applications.surface.doubts import doubt_closure, doubt_normals, doubt_resolution
+from hpcapp.applications.surface.cleaning import Cleaned, clean_cloud
 from hpcapp.applications.surface.hierarchical import MARGIN, HierarchicalMethod
 from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.method import Method
@@ -64,6 +65,7 @@ class Settings:
     backend: str = "auto"
     workers: int | None = None
     policy: str = "pull"
+    clean: bool = True
     smoothness: float = 1.0
     detail: float = 1.0
     delta: float = 0.1
@@ -101,6 +103,7 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
         with clock.stage("read"):
             cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
         _report_dropped(settings.points, dropped)
+        cloud, cleaned = _clean(settings, cloud, clock)
         grid = _choose_grid(settings, cloud)
         check_memory(settings.method, grid, cloud)
         threads = available_cores() if len(cloud) >= THREADS_FROM_POINTS else 1
@@ -122,7 +125,9 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
     report["dropped"] = {
         "non_finite_points": dropped.non_finite_points,
         "bad_normals": dropped.bad_normals,
+        "outliers": cleaned.outliers,
     }
+    report["turned_normals"] = cleaned.flipped
     report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
     return report
 
@@ -159,6 +164,21 @@ def _warn(settings: Settings, grid: int, cloud: PointCloud, result: Reconstructi
     for doubt in doubts:
         log.warning("warning: %s", doubt)
     return doubts
+
+
+def _clean(
+    settings: Settings, cloud: PointCloud, clock: StageClock
+) -> tuple[PointCloud, Cleaned]:
+    """Drop outliers and turn wrong normals round, and say so; the paper's method takes all."""
+    if settings.method == "paper" or not settings.clean:
+        return cloud, Cleaned(0, 0)
+    with clock.stage("clean"):
+        cloud, cleaned = clean_cloud(cloud)
+    if cleaned.outliers:
+        log.warning("%s: dropped %d outliers", settings.points, cleaned.outliers)
+    if cleaned.flipped:
+        log.warning("%s: turned %d wrong normals round", settings.points, cleaned.flipped)
+    return cloud, cleaned
 
 
 def _report_dropped(path: Path, dropped: Dropped) -> None:

@@ -32,17 +32,31 @@ inline Vector face_cross(const double* vertices, const int64_t* face) {
   return cross(at(vertices, face[1]) - a, at(vertices, face[2]) - a);
 }
 
+// Squared edges count as if they were longer by this share of their mean: a sliver has no normal
+// to speak of.
+constexpr double SLIVER = 0.15;
+
+inline double squared_edge(const Surface& mesh, const int64_t* face, int k) {
+  const Vector edge = at(mesh.vertices, face[(k + 1) % 3]) - at(mesh.vertices, face[k]);
+  return dot(edge, edge);
+}
+
+double mean_squared_edge(const Surface& mesh) {
+  double total = 0.0;
+  for (int64_t f = 0; f < mesh.face_count; ++f)
+    for (int k = 0; k < 3; ++k) total += squared_edge(mesh, mesh.faces + 3 * f, k);
+  return total / static_cast<double>(std::max<int64_t>(3 * mesh.face_count, 1));
+}
+
 // Unit normals, each face counting 1 / (product of its two squared edges there): exact on spheres.
 void sum_normals(const Surface& mesh, Vector* normals) {
   std::fill(normals, normals + mesh.vertex_count, Vector{0.0, 0.0, 0.0});
+  const double excess = std::max(SLIVER * mean_squared_edge(mesh), 1e-150);
   for (int64_t f = 0; f < mesh.face_count; ++f) {
     const int64_t* face = mesh.faces + 3 * f;
     const Vector n = face_cross(mesh.vertices, face);
     double squares[3];  // of the edge that leaves each corner
-    for (int k = 0; k < 3; ++k) {
-      const Vector edge = at(mesh.vertices, face[(k + 1) % 3]) - at(mesh.vertices, face[k]);
-      squares[k] = std::max(dot(edge, edge), 1e-150);
-    }
+    for (int k = 0; k < 3; ++k) squares[k] = squared_edge(mesh, face, k) + excess;
     for (int k = 0; k < 3; ++k) {
       const double weight = 1.0 / (squares[k] * squares[(k + 2) % 3]);
       Vector& sum = normals[face[k]];

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,8 @@ from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import PointCloud
 
 SILENT = SilentProgress()
+
+WriteCloud = Callable[..., Path]
 
 
 @pytest.mark.usefixtures("standing_helpers")
@@ -55,7 +59,7 @@ def test_preprocessing_runs_when_asked(sphere_file: Path, tmp_path: Path) -> Non
     )
     report = run_job(settings, SILENT)
     stages = list(report["stages"])
-    assert stages[:5] == ["read", "remove outliers", "denoise", "resample", "partition"]
+    assert stages[:5] == ["read", "clean", "remove outliers", "denoise", "resample"]
     assert report["points"] < 1500
 
 
@@ -101,3 +105,19 @@ def test_two_objects_far_apart_are_two_components(sphere: PointCloud, tmp_path: 
     report = run_job(Settings(tmp_path / "two.xyz", str(tmp_path / "m.ply"), grid=96), SILENT)
     assert (report["components"], report["watertight"]) == (2, True)
     assert report["warnings"] == []
+
+
+def test_outliers_go_and_wrong_normals_turn_unless_told_not_to(
+    sphere: PointCloud, write_cloud: WriteCloud, tmp_path: Path
+) -> None:
+    normals = np.concatenate([sphere.normals, np.tile([0.0, 0.0, 1.0], (5, 1))])
+    normals[:10] *= -1.0
+    far = np.array([[9.0, 0, 0], [-9, 3, 0], [0, 8, 8], [0, -9, 2], [3, 3, 9]])
+    path = write_cloud(np.concatenate([sphere.positions, far]), normals)
+    settings = Settings(path, str(tmp_path / "m.ply"), grid=32)
+    report = run_job(settings, SILENT)
+    assert (report["dropped"]["outliers"], report["turned_normals"]) == (5, 10)
+    assert (report["points"], report["components"]) == (1500, 1)
+    kept = run_job(replace(settings, clean=False), SILENT)
+    assert (kept["dropped"]["outliers"], kept["turned_normals"]) == (0, 0)
+    assert kept["points"] == 1505
