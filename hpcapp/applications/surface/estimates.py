@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface.pyramid import Level, VertexQuadrics, build_pyramid, fit_levels
-from hpcapp.applications.surface.weights import LEAST_MU, Weights
+from hpcapp.applications.surface.weights import LEAST_MU, Weights, tell_noise
 from hpcapp.batches import Workforce
 from hpccomponent.surface import kernels
 from hpccomponent.surface.lattice import cells_of, pack_places
@@ -24,7 +24,6 @@ _PROBE_POINTS = 14, 24  # in the finer and in the coarser cells of a probe
 _SAMPLED_POINTS = 50_000
 _SAMPLED_BOX = 24.0  # spacings: large against the cells of a probe
 _QUANTILE, _TO_MEDIAN = 0.25, 1.0
-_SAME_NOISE, _BIAS_GROWTH = 1.35, 1.2
 _FREE = 10
 
 
@@ -76,8 +75,8 @@ def estimate_noise(cloud: PointCloud, spacing: float, workforce: Workforce) -> f
             break
         cell_size *= 2.0
         finer, coarser = _probe_variances(sample, cell_size, workforce)
-    bias = max(0.0, coarser - _SAME_NOISE * finer) / _BIAS_GROWTH
-    return _TO_MEDIAN * float(np.sqrt(max(0.0, finer - bias)))
+    noise = tell_noise(np.array(finer), np.array(coarser))
+    return _TO_MEDIAN * float(np.sqrt(noise))
 
 
 def _sample_cloud(cloud: PointCloud, spacing: float) -> PointCloud:

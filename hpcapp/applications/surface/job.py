@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.doubts import doubt_closure, doubt_normals, doubt_resolution
 from hpcapp.applications.surface.cleaning import Cleaned, clean_cloud
+from hpcapp.applications.surface.doubts import doubt_closure, doubt_normals, doubt_resolution
 from hpcapp.applications.surface.hierarchical import MARGIN, HierarchicalMethod
 from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.method import Method
@@ -166,9 +166,7 @@ def _warn(settings: Settings, grid: int, cloud: PointCloud, result: Reconstructi
     return doubts
 
 
-def _clean(
-    settings: Settings, cloud: PointCloud, clock: StageClock
-) -> tuple[PointCloud, Cleaned]:
+def _clean(settings: Settings, cloud: PointCloud, clock: StageClock) -> tuple[PointCloud, Cleaned]:
     """Drop outliers and turn wrong normals round, and say so; the paper's method takes all."""
     if settings.method == "paper" or not settings.clean:
         return cloud, Cleaned(0, 0)

@@ -6,6 +6,7 @@ The constants are the method's: nobody has to set them, and all of them are here
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ __all__ = [
     "LEAST_MU",
     "Weights",
     "localise_noise",
+    "tell_noise",
     "trust_vertices",
     "weigh_levels",
 ]
@@ -35,6 +37,7 @@ _LEAST_LAM = 0.001
 _LEAST_COARSE_LAM = 0.1  # a quadric bends within a coarse cell: its normals hold it
 _MOST_LAM = 1.0
 
+_SAME_NOISE, _BIAS_GROWTH = 1.35, 1.2  # of residuals in cells of double the size
 _MOST_LOCAL = 4.0  # times the variance of the whole cloud, or its part
 
 _FULL_COUNT = 6.0
@@ -95,6 +98,29 @@ def weigh_levels(cell_size: float, levels: int, noise: float) -> list[Weights]:
     return weights
 
 
+def tell_noise(finer: NDArray[Any], coarser: NDArray[Any]) -> NDArray[Any]:
+    """Tell noise from detail by the residual variances in cells of one size and of its double.
+
+    Parameters
+    ----------
+    finer, coarser : ndarray of float, shape (...)
+        In one unit.
+
+    Returns
+    -------
+    ndarray of float, shape (...)
+        Variances in that unit, 0 or more.
+
+    Notes
+    -----
+    Noise leaves the same residual in cells of either size; what the larger cells leave beyond
+    that is detail that their quadrics miss, and the smaller ones leave a good part of it too.
+    """
+    bias = np.maximum(0.0, coarser - _SAME_NOISE * finer) / _BIAS_GROWTH
+    noise: NDArray[Any] = np.maximum(0.0, finer - bias)
+    return noise
+
+
 def localise_noise(overall: float, finer: Float32Array, coarser: Float32Array) -> Float32Array:
     """Tell the noise around each vertex from what the fits of coarser levels left over there.
 
@@ -114,13 +140,9 @@ def localise_noise(overall: float, finer: Float32Array, coarser: Float32Array) -
     -----
     Scans that do not quite match leave the same residuals in cells of any size, and they are
     noise for who averages; detail that a quadric misses leaves more in larger cells, and is taken
-    off, as in `estimates.estimate_noise`.
+    off.
     """
-    # The estimates are made with the pyramid, which is made with the weights.
-    from hpcapp.applications.surface.estimates import _BIAS_GROWTH, _SAME_NOISE
-
-    bias = np.maximum(0.0, coarser - _SAME_NOISE * finer) / _BIAS_GROWTH
-    local = np.clip(finer - bias, overall / _MOST_LOCAL, overall * _MOST_LOCAL)
+    local = np.clip(tell_noise(finer, coarser), overall / _MOST_LOCAL, overall * _MOST_LOCAL)
     result: Float32Array = local.astype(np.float32)
     return result
 

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from hpccomponent.surface.case_table import case_triangles
 
 KERNELS = (
-    "accumulate_moments", "balance_vertices", "corner_moments", "count_boxes", "evaluate_bricks",
+    "accumulate_moments", "balance_vertices", "corner_moments", "count_boxes", "count_cells",
+    "evaluate_bricks", "poll_normals", "sum_neighbours",
     "evaluate_residuals", "extract_surface", "find_keys", "fit_corners", "grow_surface",
     "inherit_level", "inherit_quadrics", "label_components", "merge_cells",
     "parent_keys", "sample_grid", "scale_moments", "seed_bricks", "shift_moments",

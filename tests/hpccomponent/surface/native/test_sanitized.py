@@ -57,7 +57,9 @@ def test_kernels_under_sanitizers(tmp_path: Path) -> None:
         done = subprocess.run(command, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
     (extension,) = tmp_path.glob("_native*.so")
-    tests = [str(HERE / f"test_{name}.py") for name in ("against_numpy", "bits", "hostile")]
+    tests = [
+        str(HERE / f"test_{name}.py") for name in ("against_numpy", "bits", "hostile", "outliers")
+    ]
     environment = os.environ | {
         INSIDE: "1",
         "LD_PRELOAD": " ".join(libraries),
