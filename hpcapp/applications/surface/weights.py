@@ -44,7 +44,7 @@ _FULL_COUNT = 6.0
 _FULL_INHERITED = 16.0
 _OWN_COUNT = 3.0
 _CROWDED_FROM, _CROWDED_AT = 6.0, 12.0  # other points in the cell of a point, one level finer
-_OVERRULED_FROM, _OVERRULED_AT = 0.3, 0.8  # steps of the far field from its surface
+_OVERRULED_FROM, _OVERRULED_AT = 0.6, 1.2  # steps of the far field from its surface
 
 
 @dataclass(frozen=True, slots=True)
