@@ -138,7 +138,7 @@ def _edge_numbers(
     return found
 
 
-def drop_small_components(mesh: Mesh, share: float = 0.001) -> Mesh:
+def drop_small_components(mesh: Mesh, share: float = 0.002) -> Mesh:
     """Drop components with fewer faces than a share of the largest one's.
 
     Parameters

@@ -48,7 +48,7 @@ def test_a_sure_far_field_overrules_quadrics_without_points_of_their_own():
     assert trusted(-1.0, 1.5, 30.0, 100.0, depth=1) == 0.0
     assert trusted(1.0, 1.5, 0.0, 100.0) == 1.0  # they agree
     assert trusted(-1.0, 0.2, 0.0, 100.0) == 1.0  # it is not sure
-    assert 0.0 < trusted(-1.0, 0.5, 0.0, 100.0) < 1.0
+    assert 0.0 < trusted(-1.0, 0.9, 0.0, 100.0) < 1.0
 
 
 def test_crowded_coarse_vertices_are_not_trusted():
