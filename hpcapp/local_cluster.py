@@ -41,6 +41,7 @@ from hpcapp.communicator.executor import CommunicatorExecutor
 from hpcapp.communicator.policy import EqualPolicy, PullPolicy
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.protocol.connection import write_connection
+from hpccomponent.runtime.numerics import numerics_id
 
 __all__ = ["LocalCluster"]
 
@@ -110,7 +111,9 @@ class LocalCluster:
             folder = Path(stack.enter_context(TemporaryDirectory(prefix="hpcapp-")))
             stack.callback(self._stop_machines)
             self.executor = CommunicatorExecutor(
-                policy=_POLICIES[self._policy](), extra_tasks=self._extra_tasks
+                policy=_POLICIES[self._policy](),
+                extra_tasks=self._extra_tasks,
+                numerics=numerics_id(),  # the master computes too
             )
             # Twice: an interrupt while the first waits for work to end makes the second give up.
             stack.push(self.executor)

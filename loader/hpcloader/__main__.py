@@ -6,12 +6,13 @@ import argparse
 import dataclasses
 import json
 import logging
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from hpccomponent.errors import HpcError
-from hpcloader.builds import Choice, choose_build, read_catalogue
+from hpcloader.builds import BUILD_VARIABLE, Choice, choose_build, read_catalogue
 from hpcloader.daemon import Daemon
 from hpcloader.machine import Machine, read_machine
 from hpcloader.settings import LoaderSettings, read_settings
@@ -57,7 +58,9 @@ def _run(arguments: argparse.Namespace) -> int:
         stream=sys.stderr,
         format=f"%(asctime)s %(levelname)s loader {settings.name}: %(message)s",
     )
-    choice = choose_build(read_catalogue(settings.catalogue), read_machine())
+    choice = choose_build(
+        read_catalogue(settings.catalogue), read_machine(), os.environ.get(BUILD_VARIABLE, "")
+    )
     for name, reason in choice.passed_over:
         logger.info("build %s passed over: %s", name, reason)
     logger.info("build %s chosen", choice.build.name)
@@ -74,7 +77,9 @@ def component_argv(settings: LoaderSettings, choice: Choice) -> list[str]:
 
 def _facts(arguments: argparse.Namespace) -> int:
     machine = read_machine()
-    choice = choose_build(read_catalogue(arguments.catalogue), machine)
+    choice = choose_build(
+        read_catalogue(arguments.catalogue), machine, os.environ.get(BUILD_VARIABLE, "")
+    )
     text = _facts_json(machine, choice) if arguments.json else _facts_text(machine, choice)
     sys.stdout.write(text + "\n")
     return 0

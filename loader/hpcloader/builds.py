@@ -17,6 +17,7 @@ from hpccomponent.errors import ConfigError
 from hpcloader.machine import Machine
 
 __all__ = [
+    "BUILD_VARIABLE",
     "TASK_PATTERN",
     "Build",
     "Catalogue",
@@ -26,6 +27,9 @@ __all__ = [
     "parse_size",
     "read_catalogue",
 ]
+
+BUILD_VARIABLE = "HPCAPP_BUILD"
+"""The environment variable that names the build of a job's master, and so of its workers."""
 
 TASK_PATTERN = r"^[\w.-]+=[\w.]+:\w+$"  # NAME=module:function
 
@@ -180,8 +184,15 @@ def read_catalogue(path: Path | None = None) -> Catalogue:
     return read_config(path or Path(__file__).with_name("builds.yaml"), Catalogue)
 
 
-def choose_build(catalogue: Catalogue, machine: Machine) -> Choice:
+def choose_build(catalogue: Catalogue, machine: Machine, wanted: str = "") -> Choice:
     """Choose the first build whose requirements `machine` meets.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+    machine : Machine
+    wanted : str
+        Name of the only build to consider; by default all are.
 
     Returns
     -------
@@ -195,6 +206,8 @@ def choose_build(catalogue: Catalogue, machine: Machine) -> Choice:
     passed_over: list[tuple[str, str]] = []
     for build in catalogue.builds:
         unmet = list(build.requires.unmet(machine))
+        if wanted not in ("", build.name):
+            unmet.append(f"{BUILD_VARIABLE} asks for {wanted}")
         if not unmet:
             return Choice(build, tuple(passed_over))
         passed_over.append((build.name, ", ".join(unmet)))

@@ -132,3 +132,10 @@ def test_sizes_are_counted_in_bytes(size: int | str, count: int) -> None:
 def test_what_is_no_size_is_refused(size: int | str) -> None:
     with pytest.raises(ValueError, match="512 MiB"):
         parse_size(size)
+
+
+def test_a_wanted_build_is_chosen_over_better_ones() -> None:
+    choice = choose_build(read_catalogue(), MACHINE, "portable")
+    assert choice.build.name == "portable"
+    with pytest.raises(ConfigError, match="asks for nothing-such"):
+        choose_build(read_catalogue(), MACHINE, "nothing-such")
