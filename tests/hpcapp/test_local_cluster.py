@@ -266,7 +266,7 @@ def master(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """Start a master with a session of its own, as a terminal would."""
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     process = subprocess.Popen(
-        [sys.executable, "-c", MASTER, str(tmp_path / "hangs"), *NAMES],
+        [sys.executable, "-P", "-c", MASTER, str(tmp_path / "hangs"), *NAMES],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
