@@ -31,7 +31,6 @@ __all__ = [
     "VertexQuadrics",
     "build_pyramid",
     "fit_levels",
-    "fit_pyramid",
 ]
 
 Float32Array = NDArray[np.float32]
@@ -169,33 +168,6 @@ def _join(parts: list[FloatArray]) -> FloatArray:
         joined[end - len(part) : end] = part
         end -= len(part)
     return joined
-
-
-def fit_pyramid(
-    pyramid: Pyramid,
-    lam: float,
-    mu: float,
-    workforce: Workforce,
-    advance: Advance | None = None,
-) -> VertexQuadrics:
-    """Fit every level with the same weights, as it is done before the noise is known.
-
-    Parameters
-    ----------
-    pyramid : Pyramid
-    lam, mu : float
-        See `fit_vertices`.
-    workforce : Workforce
-    advance : callable, optional
-        Told (vertices fitted, vertices in all) after each level.
-
-    Returns
-    -------
-    VertexQuadrics
-        Of the finest level.
-    """
-    weights = [Weights(lam, 0.0, mu, mu)] * len(pyramid.levels)
-    return fit_levels(pyramid, weights, workforce, advance)[0]
 
 
 def fit_levels(

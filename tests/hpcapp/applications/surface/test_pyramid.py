@@ -3,8 +3,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.pyramid import build_pyramid, fit_levels, fit_pyramid
-from hpcapp.applications.surface.weights import weigh_levels
+from hpcapp.applications.surface.pyramid import build_pyramid, fit_levels
+from hpcapp.applications.surface.weights import Weights, weigh_levels
 from hpcapp.batches import Workforce
 from hpccomponent.surface import kernels
 from hpccomponent.surface.lattice import find_keys, unpack_keys
@@ -13,6 +13,12 @@ from hpccomponent.surface.points import PointCloud
 
 CELL_SIZE = 0.05
 CENTRE = np.array([10.0, 0.0, -3.0])
+
+
+def fit_alike(pyramid, workforce, advance=None):
+    """Fit every level with the same weights; return the finest one's quadrics."""
+    weights = [Weights(0.05, 0.0, 0.3, 0.3)] * len(pyramid.levels)
+    return fit_levels(pyramid, weights, workforce, advance)[0]
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +68,7 @@ def test_vertices_know_the_points_of_the_eight_cells_around_them(cloud, workforc
 def test_finest_quadrics_are_signed_distances_near_the_surface(cloud, workforce):
     pyramid = build_pyramid(cloud, CELL_SIZE, workforce)
     told = []
-    quadrics = fit_pyramid(pyramid, 0.05, 0.3, workforce, lambda *parts: told.append(parts))
+    quadrics = fit_alike(pyramid, workforce, lambda *parts: told.append(parts))
     finest = pyramid.levels[0]
     rows = find_keys(finest.vertices, finest.touched)
     places = pyramid.origin + CELL_SIZE * unpack_keys(finest.touched)
@@ -75,7 +81,7 @@ def test_finest_quadrics_are_signed_distances_near_the_surface(cloud, workforce)
 
 def test_vertices_without_points_inherit_from_those_that_have_some(cloud, workforce):
     pyramid = build_pyramid(cloud, CELL_SIZE, workforce)
-    quadrics = fit_pyramid(pyramid, 0.05, 0.3, workforce)
+    quadrics = fit_alike(pyramid, workforce)
     lonely = quadrics.counts == 0
     assert lonely.any()
     assert (quadrics.inherited[lonely] > 0).mean() > 0.95
@@ -92,7 +98,7 @@ def test_bits_do_not_depend_on_the_batches(cloud):
         with ThreadPoolExecutor(2) as executor:
             workforce = Workforce(executor, 1, batches)
             pyramid = build_pyramid(cloud, CELL_SIZE, workforce)
-            results.append(fit_pyramid(pyramid, 0.05, 0.3, workforce).coefficients)
+            results.append(fit_alike(pyramid, workforce).coefficients)
     assert np.array_equal(results[0], results[1])
     assert np.array_equal(results[0], results[2])
 
