@@ -8,6 +8,8 @@
     │   └── OutputError                    the place to write to cannot be written
     ├── InputError                exit 3   a file or an array holds no usable points
     ├── CloudError                exit 4   a cloud, an instance, provisioning
+    │   ├── CapacityError                  this type, market or zone is not to be had now
+    │   └── LeftoverError                  something could not be taken away
     └── JobError                  exit 1   the work could not be finished
         ├── TaskError                      the task's function raised
         ├── WorkerLostError                a batch outlived too many workers
@@ -22,11 +24,13 @@ Every error takes positional fields only, so that it survives pickling between p
 from __future__ import annotations
 
 __all__ = [
+    "CapacityError",
     "CloudError",
     "ConfigError",
     "HpcError",
     "InputError",
     "JobError",
+    "LeftoverError",
     "NoWorkersError",
     "OutputError",
     "ProtocolError",
@@ -82,6 +86,14 @@ class CloudError(HpcError):
     """A cloud, an instance or a provisioning step that failed."""
 
     exit_code = 4
+
+
+class CapacityError(CloudError):
+    """A machine of this type, market or zone that cannot be had now; another may be."""
+
+
+class LeftoverError(CloudError):
+    """Something of ours that could not be taken away."""
 
 
 class JobError(HpcError):

@@ -1,0 +1,33 @@
+"""Where things lie: on a machine, below the login user's home, and on the user's own machine.
+
+::
+
+    on every machine: hpcapp/CLUSTER/     on the user's machine: STATE/CLUSTER/
+      venv/          the installed package      journal.jsonl   the intents
+      wheels/        what it came from          id              the SSH key, 0600
+      loader.yaml    0600                       known_hosts     the pinned host keys
+      connection.json  keys, 0600               keys.json       CURVE keys of all nodes, 0600
+      loader.log, loader.pid
+      inventory.json   head only, 0600
+      jobs/JOB/        head only
+
+STATE is ``$XDG_STATE_HOME/hpcapp/clusters``, by default below ``~/.local/state``.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+__all__ = ["machine_folder", "state_folder"]
+
+
+def machine_folder(cluster: str) -> str:
+    """Return the folder of a cluster on a machine, relative to the login user's home."""
+    return f"hpcapp/{cluster}"
+
+
+def state_folder(cluster: str) -> Path:
+    """Return the folder of a cluster on the user's own machine; it need not exist."""
+    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
+    return Path(home) / "hpcapp/clusters" / cluster

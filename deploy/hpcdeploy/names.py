@@ -1,0 +1,92 @@
+"""What resources are called: everything is derived from cluster, node and generation.
+
+So a second `up` asks the cloud for the very resources that the first one asked for, and a sweep
+finds them by the cloud's own lists, with no memory of ours.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+__all__ = [
+    "CLUSTER_TAG",
+    "GENERATION_TAG",
+    "HEAD",
+    "LEASE_TAG",
+    "NAME_PATTERN",
+    "NODE_TAG",
+    "OWNER_TAG",
+    "PREFIX",
+    "NodeName",
+    "client_token",
+    "group_name",
+    "key_pair_name",
+]
+
+PREFIX = "hpcapp-"
+NAME_PATTERN = r"^[a-z][a-z0-9-]{0,39}$"
+"""Of clusters: it becomes part of every name in the cloud."""
+
+HEAD = "head"
+CLUSTER_TAG = "hpcapp:cluster"
+NODE_TAG = "hpcapp:node"
+GENERATION_TAG = "hpcapp:generation"
+LEASE_TAG = "hpcapp:lease-until"
+OWNER_TAG = "hpcapp:owner"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class NodeName:
+    """Which machine of a cluster, and the how-manieth of that name.
+
+    Parameters
+    ----------
+    node : str
+        ``head`` or ``worker-1``, ``worker-2``, ...
+    generation : int
+        From 1; a replacement has the next one.
+    """
+
+    node: str
+    generation: int = 1
+
+
+def group_name(cluster: str) -> str:
+    """Return the name of the security group of a cluster."""
+    return PREFIX + cluster
+
+
+def key_pair_name(cluster: str) -> str:
+    """Return the name of the key pair of a cluster."""
+    return PREFIX + cluster
+
+
+def client_token(cluster: str, incarnation: str, name: NodeName, attempt: str = "") -> str:
+    """Return the token by which the cloud recognises a repeated request to launch a node.
+
+    Parameters
+    ----------
+    cluster : str
+    incarnation : str
+        Drawn once for each life of the cluster, from the first `up` to `down`: a cloud remembers
+        a token after its machine is gone (see `GroupSeen`).
+    name : NodeName
+    attempt : str
+        What is asked for when an earlier choice was not to be had: instance type and market.
+
+    Returns
+    -------
+    str
+        At most 64 characters, beginning with the cluster's group name where it fits.
+
+    Examples
+    --------
+    >>> client_token("bunny", "a1b2c3", NodeName("worker-2"))
+    'hpcapp-bunny-a1b2c3-worker-2-1'
+    """
+    parts = [group_name(cluster), incarnation, name.node, str(name.generation)]
+    token = "-".join([*parts, attempt] if attempt else parts)
+    if len(token) <= 64:
+        return token
+    return f"{token[:47]}-{hashlib.sha256(token.encode()).hexdigest()[:16]}"

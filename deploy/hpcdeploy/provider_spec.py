@@ -1,0 +1,196 @@
+"""The block ``provider`` of a cluster file: what differs from cloud to cloud."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator
+
+from hpccomponent.config import ConfigModel
+
+__all__ = [
+    "AwsSpec",
+    "CloudSpec",
+    "Credentials",
+    "Ec2Spec",
+    "EucalyptusSpec",
+    "Host",
+    "Image",
+    "LocalSpec",
+    "Profile",
+    "ProviderSpec",
+    "SshSpec",
+]
+
+CAPABILITIES = Literal[
+    "auto",
+    "aws",
+    "euca-4.0",
+    "euca-4.1",
+    "euca-4.2",
+    "euca-4.3",
+    "euca-4.4",
+    "euca-5.0",
+    "euca-5.1",
+    "generic",
+]
+PROFILE_NAME = r"^[a-z][\w-]*$"
+
+
+class Credentials(ConfigModel):
+    """Where the keys of the cloud are; at most one of the three, the environment otherwise.
+
+    Parameters
+    ----------
+    profile : str, optional
+        Of the AWS configuration, ``~/.aws``.
+    euca_ini : str, optional
+        A file of euca2ools.
+    eucarc : str, optional
+        A shell file of exports, as a Eucalyptus hands out.
+    """
+
+    profile: str | None = None
+    euca_ini: str | None = None
+    eucarc: str | None = None
+
+
+class Image(ConfigModel):
+    """The image that machines boot.
+
+    Parameters
+    ----------
+    id : str
+        ``ami-...`` or ``emi-...``.
+    """
+
+    id: str = Field(pattern=r"^[ae]mi-\w+$")
+
+
+class Profile(ConfigModel):
+    """A kind of machine.
+
+    Parameters
+    ----------
+    image : Image
+    instance_type : str or tuple of str
+        In the order in which they are tried.
+    disk_gb : int
+        Of the root disk, 10^9 bytes; the image's own by default.
+    market : str
+        ``spot_with_fallback`` takes a machine on demand where no spot machine is to be had.
+    zone : str, optional
+        The availability zone; the cloud's choice by default.
+    hourly_cost : float, optional
+        Of one machine on demand, in dollars; by default from the table that ships.
+    """
+
+    image: Image
+    instance_type: str | tuple[str, ...]
+    disk_gb: int | None = Field(default=None, ge=1, le=16384)
+    market: Literal["on_demand", "spot", "spot_with_fallback"] = "on_demand"
+    zone: str | None = None
+    hourly_cost: float | None = Field(default=None, ge=0)
+
+    @field_validator("instance_type")
+    @classmethod
+    def _some_type(cls, types: str | tuple[str, ...]) -> str | tuple[str, ...]:
+        if not types or not all([types] if isinstance(types, str) else types):
+            raise ValueError("should name at least one instance type")
+        return types
+
+    @property
+    def instance_types(self) -> tuple[str, ...]:
+        """The instance types, best first."""
+        return (self.instance_type,) if isinstance(self.instance_type, str) else self.instance_type
+
+
+class _Cloud(ConfigModel):
+    """What every EC2-compatible cloud has.
+
+    Parameters
+    ----------
+    region : str
+        The cloud's own name for it.
+    signing_region : str, optional
+        What requests are signed for, where the region's name is no legal one.
+    endpoint_url, s3_endpoint_url : str, optional
+    credentials : Credentials
+    ca_bundle : str, optional
+        A file of certificates, relative to the cluster file.
+    subnet : str
+        ``auto``, or an id.
+    capabilities : str
+        Which calls and parameters the cloud knows; ``auto`` by the type.
+    profiles : dict of str to Profile
+    """
+
+    region: str = "us-east-1"
+    signing_region: str | None = None
+    endpoint_url: str | None = None
+    s3_endpoint_url: str | None = None
+    credentials: Credentials = Credentials()
+    ca_bundle: str | None = None
+    subnet: str = "auto"
+    capabilities: CAPABILITIES = "auto"
+    profiles: dict[Annotated[str, Field(pattern=PROFILE_NAME)], Profile] = Field(min_length=1)
+
+
+class AwsSpec(_Cloud):
+    """Amazon EC2."""
+
+    type: Literal["aws"]
+
+
+class EucalyptusSpec(_Cloud):
+    """A Eucalyptus cloud; ``auto`` uses what all versions from 4.0 on know."""
+
+    type: Literal["eucalyptus"]
+    region: str = "eucalyptus"
+
+
+class Ec2Spec(_Cloud):
+    """Any other cloud that speaks EC2."""
+
+    type: Literal["ec2"]
+    endpoint_url: str
+
+
+class Host(ConfigModel):
+    """A machine that is there.
+
+    Parameters
+    ----------
+    address : str
+        Name or address; a name of ``~/.ssh/config`` is followed.
+    user : str, optional
+        By default ``auth.ssh_user``.
+    port : int, optional
+        By default ``auth.ssh_port``.
+    private_address : str, optional
+        Where the other machines reach it; by default its address.
+    """
+
+    address: str
+    user: str | None = None
+    port: int | None = Field(default=None, ge=1, le=65535)
+    private_address: str | None = None
+
+
+class SshSpec(ConfigModel):
+    """Machines that are there, reached by SSH; the first is the head."""
+
+    type: Literal["ssh"]
+    hosts: tuple[Host, ...] = Field(min_length=1)
+
+
+class LocalSpec(ConfigModel):
+    """No machine but this one: every node is a folder with processes of its own."""
+
+    type: Literal["local"]
+
+
+CloudSpec = AwsSpec | EucalyptusSpec | Ec2Spec
+ProviderSpec = Annotated[
+    AwsSpec | EucalyptusSpec | Ec2Spec | SshSpec | LocalSpec, Field(discriminator="type")
+]

@@ -1,0 +1,83 @@
+"""A machine as seen by who sets it up: commands and files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+__all__ = ["Completed", "Shell"]
+
+
+@dataclass(frozen=True, slots=True)
+class Completed:
+    """A command that has ended.
+
+    Parameters
+    ----------
+    exit_code : int
+        As a shell says it; a signal is 128 and its number.
+    output, errors : str
+    """
+
+    exit_code: int
+    output: str
+    errors: str
+
+
+class Shell(Protocol):
+    """Commands and files on one machine, in the login user's home.
+
+    Paths of the machine are text, relative to the home. Every method raises `CloudError` with the
+    machine's name and the reason where the machine cannot be reached.
+    """
+
+    node: str
+
+    def run(self, command: str, *, stdin: bytes = b"", timeout_s: float = 60.0) -> Completed:
+        """Run a POSIX shell command to its end."""
+        ...
+
+    def follow(self, command: str, on_line: Callable[[str], None]) -> int:
+        """Run a command, hand over every line of its output as it comes, return its exit code."""
+        ...
+
+    def interact(self, command: str = "") -> int:
+        """Give the user's terminal to a command, or to a login shell; return its exit code."""
+        ...
+
+    def put(
+        self,
+        source: Path,
+        target: str,
+        *,
+        mode: int = 0o600,
+        on_progress: Callable[[int, int], None] | None = None,
+    ) -> None:
+        """Send a file: what is there already goes on, and the whole is checked by its SHA-256."""
+        ...
+
+    def get(
+        self, source: str, target: Path, *, on_progress: Callable[[int, int], None] | None = None
+    ) -> None:
+        """Fetch a file, in the same manner."""
+        ...
+
+    def forward(self, address: str, port: int) -> int:
+        """Forward a local port on loopback to an address the machine reaches; return the port."""
+        ...
+
+    def close(self) -> None:
+        """End the connection."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...

@@ -1,0 +1,208 @@
+"""The cluster file: every key and its default."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from hpccomponent.config import ConfigModel, read_config
+from hpcdeploy.names import NAME_PATTERN
+from hpcdeploy.provider_spec import ProviderSpec
+
+__all__ = [
+    "Auth",
+    "ClusterSpec",
+    "Communicator",
+    "Data",
+    "Environment",
+    "Head",
+    "Limits",
+    "Workers",
+    "parse_duration",
+    "read_spec",
+]
+
+_SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+
+
+def parse_duration(text: object) -> float:
+    """Return a duration in seconds.
+
+    Parameters
+    ----------
+    text : str
+        A number with its unit: ``90s``, ``15m``, ``2h``, ``1d``.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+
+    Examples
+    --------
+    >>> parse_duration("1.5h")
+    5400.0
+    """
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smhd])", str(text).strip())
+    if match is None:
+        raise ValueError("should be a duration such as 90s, 15m or 2h")
+    return float(match[1]) * _SECONDS[match[2]]
+
+
+Duration = Annotated[float, BeforeValidator(parse_duration)]
+
+
+class Head(ConfigModel):
+    """The machine of the HPC App.
+
+    Parameters
+    ----------
+    profile : str, optional
+        Of the provider's profiles; the only one by default.
+    component : bool
+        Whether it works too.
+    """
+
+    profile: str | None = None
+    component: bool = True
+
+
+class Workers(ConfigModel):
+    """The machines that work.
+
+    Parameters
+    ----------
+    profile : str, optional
+        Of the provider's profiles; the only one by default.
+    count : int, optional
+        By default all hosts that are left, for `ssh`; 1 for others.
+    min : int, optional
+        With fewer, `up` fails; by default `count`.
+    """
+
+    profile: str | None = None
+    count: int | None = Field(default=None, ge=0, le=1000)
+    min: int | None = Field(default=None, ge=0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Workers:
+        if self.min is not None and self.count is not None and self.min > self.count:
+            raise ValueError(f"min ({self.min}) exceeds count ({self.count})")
+        return self
+
+
+class Communicator(ConfigModel):
+    """Where workers find the HPC App.
+
+    Parameters
+    ----------
+    port : int
+        On the head's private address.
+    """
+
+    port: int = Field(default=7070, ge=1024, le=65535)
+
+
+class Auth(ConfigModel):
+    """How machines are reached.
+
+    Parameters
+    ----------
+    ssh_user : str
+    ssh_private_key : str
+        A file, or ``auto``: a key made for the cluster (for `ssh`: the user's own keys and agent).
+    ssh_port : int
+    allow_from : tuple of str
+        Networks (CIDR) that may reach the SSH port; ``auto`` is this machine's public address.
+    """
+
+    ssh_user: str = "admin"
+    ssh_private_key: str = "auto"
+    ssh_port: int = Field(default=22, ge=1, le=65535)
+    allow_from: tuple[str, ...] = Field(default=("auto",), min_length=1)
+
+
+class Limits(ConfigModel):
+    """What a cluster may cost at most.
+
+    Parameters
+    ----------
+    lease : float
+        The machines end by themselves so long after the last `up`, in seconds.
+    idle : float
+        And so long after the last job or login, in seconds.
+    max_hourly_cost, max_total_cost : float, optional
+        In dollars: `up` refuses what costs more an hour, or more within the lease.
+    """
+
+    lease: Duration = 7200.0
+    idle: Duration = 900.0
+    max_hourly_cost: float | None = Field(default=None, ge=0)
+    max_total_cost: float | None = Field(default=None, ge=0)
+
+
+class Environment(ConfigModel):
+    """What is installed on the machines.
+
+    Parameters
+    ----------
+    package : str
+        ``auto``: the wheel of this very release; or a file or requirement.
+    python : str
+        Which interpreters will do.
+    setup : tuple of str
+        Commands that run first, as the login user.
+    packages : tuple of str
+        Further requirements or wheels: applications of the user's own.
+    wheelhouse : str, optional
+        A folder of wheels that is uploaded, so that machines need no internet; without one they
+        install from the index.
+    """
+
+    package: str = "auto"
+    python: str = Field(default=">=3.11", pattern=r"^>=3\.\d+$")
+    setup: tuple[str, ...] = ()
+    packages: tuple[str, ...] = ()
+    wheelhouse: str | None = None
+
+
+class Data(ConfigModel):
+    """Where large files go instead of over SSH.
+
+    Parameters
+    ----------
+    s3 : str, optional
+        ``s3://bucket/prefix``.
+    """
+
+    s3: str | None = Field(default=None, pattern=r"^s3://[\w.-]+(/.*)?$")
+
+
+class ClusterSpec(ConfigModel):
+    """A cluster file; see ``docs/cluster.md``."""
+
+    version: Literal[1]
+    cluster: str = Field(pattern=NAME_PATTERN)
+    provider: ProviderSpec
+    head: Head = Head()
+    workers: Workers = Workers()
+    communicator: Communicator = Communicator()
+    auth: Auth = Auth()
+    limits: Limits = Limits()
+    env: Environment = Environment()
+    data: Data = Data()
+    tags: dict[str, str] = Field(default_factory=dict)
+
+
+def read_spec(path: Path) -> ClusterSpec:
+    """Read a cluster file.
+
+    Raises
+    ------
+    ConfigError
+        With a line for each mistake.
+    """
+    return read_config(path, ClusterSpec)
