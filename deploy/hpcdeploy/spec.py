@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from hpccomponent.config import ConfigModel, read_config
-from hpcdeploy.names import NAME_PATTERN
-from hpcdeploy.provider_spec import ProviderSpec
+from hpcdeploy.names import HEAD, NAME_PATTERN
+from hpcdeploy.provider_spec import LocalSpec, Profile, ProviderSpec, SshSpec
 
 __all__ = [
     "Auth",
@@ -182,7 +182,10 @@ class Data(ConfigModel):
 
 
 class ClusterSpec(ConfigModel):
-    """A cluster file; see ``docs/cluster.md``."""
+    """A cluster file; see ``docs/cluster.md``.
+
+    What it leaves to defaults that depend on one another is asked for by the methods.
+    """
 
     version: Literal[1]
     cluster: str = Field(pattern=NAME_PATTERN)
@@ -195,6 +198,36 @@ class ClusterSpec(ConfigModel):
     env: Environment = Environment()
     data: Data = Data()
     tags: dict[str, str] = Field(default_factory=dict)
+
+    def profiles(self) -> dict[str, Profile]:
+        """Return the provider's profiles; none where machines are there anyway."""
+        return {} if isinstance(self.provider, SshSpec | LocalSpec) else self.provider.profiles
+
+    def profile_name(self, node: str) -> str:
+        """Return the profile of ``head`` or ``worker-1``, ...; empty where there are none."""
+        chosen = self.head.profile if node == HEAD else self.workers.profile
+        profiles = self.profiles()
+        return (chosen or next(iter(profiles))) if profiles else ""
+
+    def profile(self, node: str) -> Profile | None:
+        """Return the profile of a node; None where the provider has none."""
+        return self.profiles().get(self.profile_name(node))
+
+    @property
+    def worker_count(self) -> int:
+        """How many workers there should be."""
+        if self.workers.count is not None:
+            return self.workers.count
+        return len(self.provider.hosts) - 1 if isinstance(self.provider, SshSpec) else 1
+
+    @property
+    def worker_min(self) -> int:
+        """With how many workers the cluster is still one."""
+        return self.worker_count if self.workers.min is None else self.workers.min
+
+    def nodes(self) -> tuple[str, ...]:
+        """Return the names of all its machines: ``head``, ``worker-1``, ..."""
+        return (HEAD, *(f"worker-{n}" for n in range(1, self.worker_count + 1)))
 
 
 def read_spec(path: Path) -> ClusterSpec:
