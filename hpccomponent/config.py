@@ -4,7 +4,8 @@
 
     text ── yaml.compose ──> nodes with marks ── plain values ──> pydantic model
                                │                                       │ errors with key paths
-                               └──────── line and column of a path <───┘
+                               ├──────── line and column of a path <───┤
+                               └──────── and of what does not fit <── check(model), if there is one
 
 A message reads ``loader.yaml:5:1: restart.frist_s: unknown key (got 2), did you mean "first_s"?``.
 
@@ -20,10 +21,10 @@ import contextlib
 import json
 import re
 import types
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar, Union, get_args, get_origin
+from typing import Any, NamedTuple, TypeVar, Union, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -31,7 +32,7 @@ from pydantic_core import ErrorDetails
 
 from hpccomponent.errors import ConfigError
 
-__all__ = ["ConfigModel", "parse_config", "read_config"]
+__all__ = ["ConfigModel", "Location", "Misfit", "parse_config", "read_config"]
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 Location = tuple[int | str, ...]
@@ -49,7 +50,28 @@ class ConfigModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-def read_config(path: Path | str, model: type[ModelT]) -> ModelT:
+class Misfit(NamedTuple):
+    """A value that is right by itself and does not fit the others.
+
+    Parameters
+    ----------
+    location : tuple of int and str
+        The path of the value; it need not be in the text.
+    message : str
+    choices : collection of str
+        What would fit; the nearest to the value is named.
+    """
+
+    location: Location
+    message: str
+    choices: Collection[str] = ()
+
+
+def read_config(
+    path: Path | str,
+    model: type[ModelT],
+    check: Callable[[ModelT], Iterable[Misfit]] | None = None,
+) -> ModelT:
     """Read a YAML file into `model`.
 
     Parameters
@@ -58,6 +80,8 @@ def read_config(path: Path | str, model: type[ModelT]) -> ModelT:
         The file, UTF-8.
     model : type
         A pydantic model, best a `ConfigModel`.
+    check : callable, optional
+        Tells which values do not fit together.
 
     Returns
     -------
@@ -78,10 +102,15 @@ def read_config(path: Path | str, model: type[ModelT]) -> ModelT:
         raise ConfigError(
             f"{path}: cannot be read ({error.strerror})", "name a YAML file that you may read"
         ) from error
-    return parse_config(text, str(path), model)
+    return parse_config(text, str(path), model, check)
 
 
-def parse_config(text: str, name: str, model: type[ModelT]) -> ModelT:
+def parse_config(
+    text: str,
+    name: str,
+    model: type[ModelT],
+    check: Callable[[ModelT], Iterable[Misfit]] | None = None,
+) -> ModelT:
     """Read YAML text into `model`.
 
     Parameters
@@ -92,6 +121,9 @@ def parse_config(text: str, name: str, model: type[ModelT]) -> ModelT:
         What messages call the text, normally the file's path.
     model : type
         A pydantic model, best a `ConfigModel`.
+    check : callable, optional
+        Tells which values do not fit together. Where a block of the text is wrong by itself, the
+        others are checked against that block's defaults, if it has any.
 
     Returns
     -------
@@ -117,18 +149,61 @@ def parse_config(text: str, name: str, model: type[ModelT]) -> ModelT:
     try:
         root = _compose(text, name)
         value = _plain_value(root, (), found, ())
-        valid = model.model_validate_json(json.dumps(value), strict=True)
+        valid = _validate(value, root, model, found)
+        if check is not None:
+            _check_together(value, root, model, check, found)
     except RecursionError:
         raise ConfigError(f"{name}: nested too deeply to be read") from None
+    if valid is None or found:
+        raise _error(name, found)
+    return valid
+
+
+def _validate(
+    value: Any, root: yaml.MappingNode, model: type[ModelT], found: list[Problem]
+) -> ModelT | None:
+    """Return the model; or None, with what pydantic finds wrong added to what was found."""
+    try:
+        return model.model_validate_json(json.dumps(value), strict=True)
     except ValidationError as error:
         known = {location for _, location, _ in found}
         for detail in error.errors(include_url=False, include_input=False):
             problem = _describe(detail, root, model)
             if problem[1] not in known:  # a value that could not be read is not wrong twice
                 found.append(problem)
-    if found:
-        raise _error(name, found)
-    return valid
+    return None
+
+
+def _check_together(
+    value: dict[str, Any],
+    root: yaml.MappingNode,
+    model: type[ModelT],
+    check: Callable[[ModelT], Iterable[Misfit]],
+    found: list[Problem],
+) -> None:
+    """Add what does not fit together, as far as the blocks that are right tell."""
+    wrong = {location[:1] for _, location, _ in found}
+    right = {key: block for key, block in value.items() if (key,) not in wrong}
+    try:
+        whole = model.model_validate_json(json.dumps(right), strict=True)
+    except ValidationError:  # a block that has no defaults is wrong
+        return
+    for location, message, choices in check(whole):
+        if location[:1] not in wrong:
+            found.append(_describe_misfit(location, message, choices, root))
+
+
+def _describe_misfit(
+    location: Location, message: str, choices: Collection[str], root: yaml.MappingNode
+) -> Problem:
+    """Put a misfit at its place in the text, or where the longest part of its path is."""
+    for end in range(len(location), -1, -1):
+        key, value, path = _locate(root, location[:end])
+        if path == location[:end]:
+            break
+    if path == location and isinstance(value, yaml.ScalarNode):
+        message += f" (got {_shown(value)}){_nearest(str(value.value), choices)}"
+    return key, location, message
 
 
 def _compose(text: str, name: str) -> yaml.MappingNode:
@@ -234,7 +309,7 @@ def _shown(node: yaml.Node) -> str:
         return _COLLECTION[node.tag]
     if node.tag == _TAG + "null":
         return "nothing"
-    text = str(node.value)
+    text = re.sub(r"(://[^/@:]*:)[^/@]*@", r"\1...@", str(node.value))  # no password in a log
     text = text if len(text) <= 60 else text[:57] + "..."
     return repr(text) if node.tag in _PLAIN else text
 
@@ -257,12 +332,20 @@ def _describe(detail: ErrorDetails, root: yaml.MappingNode, model: type[BaseMode
             r"'([^']*)'", str(context.get("expected", context.get("expected_tags")))
         )
         wrong = str(value.value)
+    nearest = _nearest(wrong, choices)
+    if "did you mean" in nearest or kind in ("extra_forbidden", "union_tag_invalid"):
+        message += nearest
+    return key, location, message
+
+
+def _nearest(wrong: str, choices: Collection[str]) -> str:
+    """Name the choice that is meant, or all of them where none is near."""
+    if not choices:
+        return ""
     nearest = get_close_matches(wrong, choices, n=1)
     if nearest:
-        message += f', did you mean "{nearest[0]}"?'
-    elif kind in ("extra_forbidden", "union_tag_invalid") and choices:
-        message += f", valid here: {', '.join(sorted(choices))}"
-    return key, location, message
+        return f', did you mean "{nearest[0]}"?'
+    return f", valid here: {', '.join(sorted(choices))}"
 
 
 def _reworded(kind: str, message: str) -> str:

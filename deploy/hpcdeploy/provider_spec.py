@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Literal
+from urllib.parse import urlsplit
 
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field, field_validator
 
 from hpccomponent.config import ConfigModel
 
@@ -35,6 +37,23 @@ CAPABILITIES = Literal[
     "generic",
 ]
 PROFILE_NAME = r"^[a-z][\w-]*$"
+USER_NAME = r"^[^\s@:-][^\s@:]*$"
+LEGAL_REGION = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
+"""What boto3 takes for a region: a label of a host name."""
+
+
+def _check_endpoint(url: str) -> str:
+    """Return the URL of a service; raise ValueError where it is none."""
+    parts = urlsplit(url)
+    if parts.scheme not in ("http", "https") or not parts.hostname or re.search(r"\s", url):
+        raise ValueError("should be a URL such as https://cloud.example:8773/services/compute/")
+    if parts.username or parts.query or parts.fragment:
+        raise ValueError("should be a URL without user, password and query; see credentials")
+    parts.port  # noqa: B018 - raises ValueError where it is none
+    return url
+
+
+Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
 
 
 class Credentials(ConfigModel):
@@ -125,15 +144,20 @@ class _Cloud(ConfigModel):
     profiles : dict of str to Profile
     """
 
-    region: str = "us-east-1"
-    signing_region: str | None = None
-    endpoint_url: str | None = None
-    s3_endpoint_url: str | None = None
+    region: str = Field(default="us-east-1", min_length=1)
+    signing_region: str | None = Field(default=None, pattern=f"^{LEGAL_REGION.pattern}$")
+    endpoint_url: Endpoint | None = None
+    s3_endpoint_url: Endpoint | None = None
     credentials: Credentials = Credentials()
     ca_bundle: str | None = None
-    subnet: str = "auto"
+    subnet: str = Field(default="auto", pattern=r"^(auto|subnet-\w+)$")
     capabilities: CAPABILITIES = "auto"
     profiles: dict[Annotated[str, Field(pattern=PROFILE_NAME)], Profile] = Field(min_length=1)
+
+    @property
+    def has_spot(self) -> bool:
+        """Whether the cloud has spot machines; elsewhere their calls do nothing, silently."""
+        return self.capabilities == "aws"
 
 
 class AwsSpec(_Cloud):
@@ -141,19 +165,24 @@ class AwsSpec(_Cloud):
 
     type: Literal["aws"]
 
+    @property
+    def has_spot(self) -> bool:
+        """Whether the cloud has spot machines."""
+        return self.capabilities in ("auto", "aws")
+
 
 class EucalyptusSpec(_Cloud):
     """A Eucalyptus cloud; ``auto`` uses what all versions from 4.0 on know."""
 
     type: Literal["eucalyptus"]
-    region: str = "eucalyptus"
+    region: str = Field(default="eucalyptus", min_length=1)
 
 
 class Ec2Spec(_Cloud):
     """Any other cloud that speaks EC2."""
 
     type: Literal["ec2"]
-    endpoint_url: str
+    endpoint_url: Endpoint
 
 
 class Host(ConfigModel):
@@ -171,10 +200,10 @@ class Host(ConfigModel):
         Where the other machines reach it; by default its address.
     """
 
-    address: str
-    user: str | None = None
+    address: str = Field(pattern=r"^[^\s@-][^\s@]*$")
+    user: str | None = Field(default=None, pattern=USER_NAME)
     port: int | None = Field(default=None, ge=1, le=65535)
-    private_address: str | None = None
+    private_address: str | None = Field(default=None, pattern=r"^[^\s@-][^\s@]*$")
 
 
 class SshSpec(ConfigModel):

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+from ipaddress import IPv4Network
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from hpccomponent.config import ConfigModel, read_config
 from hpcdeploy.names import HEAD, NAME_PATTERN
-from hpcdeploy.provider_spec import LocalSpec, Profile, ProviderSpec, SshSpec
+from hpcdeploy.provider_spec import USER_NAME, LocalSpec, Profile, ProviderSpec, SshSpec
+from hpcdeploy.spec_checks import find_misfits
 
 __all__ = [
     "Auth",
@@ -49,10 +51,55 @@ def parse_duration(text: object) -> float:
     match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smhd])", str(text).strip())
     if match is None:
         raise ValueError("should be a duration such as 90s, 15m or 2h")
-    return float(match[1]) * _SECONDS[match[2]]
+    seconds = float(match[1]) * _SECONDS[match[2]]
+    if not seconds:
+        raise ValueError("should be longer than nothing")
+    return seconds
+
+
+def parse_network(text: str) -> str:
+    """Return a network as clouds write it; ``auto`` stays.
+
+    Raises
+    ------
+    ValueError
+        It is no IPv4 network.
+
+    Examples
+    --------
+    >>> parse_network("192.0.2.7")
+    '192.0.2.7/32'
+    """
+    if text == "auto":
+        return text
+    try:
+        return str(IPv4Network(text))
+    except ValueError as error:
+        if "host bits" in str(error):
+            raise ValueError(f"should be the network {IPv4Network(text, strict=False)}") from None
+        raise ValueError("should be auto or an IPv4 network such as 192.0.2.0/24") from None
+
+
+def check_python(text: str) -> str:
+    """Return a requirement of Python that hpcapp can do with; raise ValueError for another."""
+    match = re.fullmatch(r">=3\.(\d{1,2})", text)
+    if match is None or int(match[1]) < 11:
+        raise ValueError('should be ">=3.11" or a later one, hpcapp needs 3.11')
+    return text
+
+
+def check_tag(key: str) -> str:
+    """Return the key of a user's own tag; raise ValueError where it is ours or the cloud's."""
+    if key.lower().startswith(("hpcapp:", "aws:", "euca:")) or not 0 < len(key) <= 127:
+        raise ValueError("should be 1 to 127 characters and not begin with hpcapp:, aws: or euca:")
+    return key
 
 
 Duration = Annotated[float, BeforeValidator(parse_duration)]
+Network = Annotated[str, AfterValidator(parse_network)]
+Python = Annotated[str, AfterValidator(check_python)]
+Tag = Annotated[str, AfterValidator(check_tag)]
+TagValue = Annotated[str, Field(max_length=255)]
 
 
 class Head(ConfigModel):
@@ -87,12 +134,6 @@ class Workers(ConfigModel):
     count: int | None = Field(default=None, ge=0, le=1000)
     min: int | None = Field(default=None, ge=0)
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Workers:
-        if self.min is not None and self.count is not None and self.min > self.count:
-            raise ValueError(f"min ({self.min}) exceeds count ({self.count})")
-        return self
-
 
 class Communicator(ConfigModel):
     """Where workers find the HPC App.
@@ -116,13 +157,13 @@ class Auth(ConfigModel):
         A file, or ``auto``: a key made for the cluster (for `ssh`: the user's own keys and agent).
     ssh_port : int
     allow_from : tuple of str
-        Networks (CIDR) that may reach the SSH port; ``auto`` is this machine's public address.
+        IPv4 networks (CIDR) that reach the SSH port; ``auto`` is this machine's public address.
     """
 
-    ssh_user: str = "admin"
+    ssh_user: str = Field(default="admin", pattern=USER_NAME)
     ssh_private_key: str = "auto"
     ssh_port: int = Field(default=22, ge=1, le=65535)
-    allow_from: tuple[str, ...] = Field(default=("auto",), min_length=1)
+    allow_from: tuple[Network, ...] = Field(default=("auto",), min_length=1)
 
 
 class Limits(ConfigModel):
@@ -163,7 +204,7 @@ class Environment(ConfigModel):
     """
 
     package: str = "auto"
-    python: str = Field(default=">=3.11", pattern=r"^>=3\.\d+$")
+    python: Python = ">=3.11"
     setup: tuple[str, ...] = ()
     packages: tuple[str, ...] = ()
     wheelhouse: str | None = None
@@ -197,7 +238,7 @@ class ClusterSpec(ConfigModel):
     limits: Limits = Limits()
     env: Environment = Environment()
     data: Data = Data()
-    tags: dict[str, str] = Field(default_factory=dict)
+    tags: dict[Tag, TagValue] = Field(default_factory=dict, max_length=40)
 
     def profiles(self) -> dict[str, Profile]:
         """Return the provider's profiles; none where machines are there anyway."""
@@ -231,11 +272,12 @@ class ClusterSpec(ConfigModel):
 
 
 def read_spec(path: Path) -> ClusterSpec:
-    """Read a cluster file.
+    """Read a cluster file, check that its values fit together and its files are there.
 
     Raises
     ------
     ConfigError
         With a line for each mistake.
     """
-    return read_config(path, ClusterSpec)
+    base = path.absolute().parent
+    return read_config(path, ClusterSpec, lambda spec: find_misfits(spec, base))

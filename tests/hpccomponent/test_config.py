@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field, field_validator
 
-from hpccomponent.config import ConfigModel, parse_config, read_config
+from hpccomponent.config import ConfigModel, Misfit, parse_config, read_config
 from hpccomponent.errors import ConfigError
 
 
@@ -225,3 +225,55 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
 def test_a_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
     (tmp_path / "bom.yaml").write_bytes(b"\xef\xbb\xbfname: a")
     assert read_config(tmp_path / "bom.yaml", Cluster).name == "a"
+
+
+def few_workers(cluster: Cluster) -> list[Misfit]:
+    """Say what a check of the whole may say: at a value, below a missing block, with choices."""
+    found = []
+    if cluster.workers > 2:
+        found.append(Misfit(("workers",), "too many"))
+    if cluster.limit is None:
+        found.append(Misfit(("by_host", "alpha", "cap_s"), "needed without a limit"))
+    if cluster.name not in ("alpha", "beta"):
+        found.append(Misfit(("name",), "nobody's name", ("alpha", "beta")))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name: beta\nworkers: 3\nlimit: 1", "c.yaml:2:1: workers: too many (got 3)"),
+        (
+            "limit: 1\nname: aplha",
+            "c.yaml:2:1: name: nobody's name (got 'aplha'), did you mean \"alpha\"?",
+        ),
+        ("limit: 1\nname: z", "c.yaml:2:1: name: nobody's name (got 'z'), valid here: alpha, beta"),
+        ("name: beta", "c.yaml:1:1: by_host.alpha.cap_s: needed without a limit"),
+        (
+            "name: beta\nby_host:\n  alpha: {}",
+            "c.yaml:3:3: by_host.alpha.cap_s: needed without a limit",
+        ),
+    ],
+)
+def test_what_does_not_fit_together_is_placed(text: str, message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_config(text, "c.yaml", Cluster, few_workers)
+    assert str(caught.value) == message
+
+
+def test_what_does_not_fit_is_named_beside_what_is_wrong_by_itself() -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_config(
+            "name: 7\nworkers: 3\nlimit: 1\nmod: fast\nmode: slow", "c.yaml", Cluster, few_workers
+        )
+    assert [line.split(": ")[1] for line in str(caught.value).splitlines()] == [
+        "name",  # wrong by itself, so not checked against the others
+        "workers",
+        "mod",
+        "mode",
+    ]
+
+
+def test_a_file_that_fits_together_becomes_the_model() -> None:
+    text = "name: beta\nlimit: 1"
+    assert parse_config(text, "c.yaml", Cluster, few_workers) == Cluster(name="beta", limit=1)
