@@ -32,6 +32,7 @@ from hpccomponent.surface.points import FloatArray, IntArray
 __all__ = [
     "corner_moments",
     "fit_corners",
+    "gather_points",
     "inherit_level",
     "merge_cells",
     "parent_keys",
@@ -44,15 +45,14 @@ _CHUNK_VERTICES = 1 << 14
 
 
 def sort_points(
-    positions: FloatArray, normals: FloatArray, origin: FloatArray, cell_size: float
-) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    positions: FloatArray, origin: FloatArray, cell_size: float
+) -> tuple[IntArray, IntArray, NDArray[np.uint32]]:
     """Sort points by the cell that they lie in.
 
     Parameters
     ----------
     positions : ndarray of float64, shape (n, 3)
         In length units of the input; at least one.
-    normals : ndarray of float64, shape (n, 3)
     origin : ndarray of float64, shape (3,)
         Where corner (0, 0, 0) of the lattice lies.
     cell_size : float
@@ -63,10 +63,8 @@ def sort_points(
     cells : ndarray of int64, shape (c,)
         Sorted keys of the occupied cells.
     offsets : ndarray of int64, shape (c + 1,)
-        Cell i holds the rows offsets[i] to offsets[i + 1] of what follows.
-    local_positions : ndarray of float64, shape (n, 3)
-        Relative to the centre of the point's cell, in cells.
-    normals : ndarray of float64, shape (n, 3)
+        Cell i holds the points rows[offsets[i]] to rows[offsets[i + 1]].
+    rows : ndarray of uint32, shape (n,)
         Within a cell the points keep their order.
 
     Raises
@@ -74,13 +72,38 @@ def sort_points(
     InputError
         A point lies too many cells away.
     """
-    places = cells_of(positions, origin, cell_size)
-    corners = np.floor(places)
-    keys = pack_places(corners.astype(np.int64))
-    order = np.argsort(keys, kind="stable")
+    keys = pack_places(np.floor(cells_of(positions, origin, cell_size)).astype(np.int64))
+    rows = np.argsort(keys, kind="stable")
     cells = unique_keys(keys)
-    offsets = np.append(np.searchsorted(keys[order], cells), len(keys)).astype(np.int64)
-    return cells, offsets, (places - corners - 0.5)[order], normals[order]
+    offsets = np.append(np.searchsorted(keys[rows], cells), len(keys)).astype(np.int64)
+    return cells, offsets, rows.astype(np.uint32)
+
+
+def gather_points(
+    positions: FloatArray,
+    normals: FloatArray,
+    rows: NDArray[np.uint32],
+    origin: FloatArray,
+    cell_size: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return some points, each relative to the centre of the cell that it lies in.
+
+    Parameters
+    ----------
+    positions, normals : ndarray of float64, shape (n, 3)
+    rows : ndarray of uint32, shape (r,)
+    origin : ndarray of float64, shape (3,)
+    cell_size : float
+        See `sort_points`.
+
+    Returns
+    -------
+    local_positions : ndarray of float64, shape (r, 3)
+        In cells.
+    normals : ndarray of float64, shape (r, 3)
+    """
+    places = cells_of(positions[rows], origin, cell_size)
+    return places - np.floor(places) - 0.5, normals[rows]
 
 
 def merge_cells(cells: IntArray, moments: FloatArray) -> tuple[IntArray, FloatArray]:

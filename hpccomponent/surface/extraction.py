@@ -157,7 +157,9 @@ def drop_small_components(mesh: Mesh, share: float = 0.002) -> Mesh:
     if not len(mesh.faces):
         return mesh
     count = len(mesh.vertices)
-    _, component = label_components(mesh.faces, count)
+    pieces, component = label_components(mesh.faces, count)
+    if pieces == 1:
+        return mesh
     sizes = np.bincount(component[mesh.faces[:, 0]])
     kept = sizes >= share * sizes.max()
     if kept[sizes > 0].all():

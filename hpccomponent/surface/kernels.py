@@ -28,17 +28,19 @@ __all__ = [
     "evaluate_residuals",
     "find_keys",
     "fit_corners",
+    "gather_points",
     "grow_surface",
     "inherit_level",
+    "integrate_normals",
     "label_components",
     "merge_cells",
     "parent_keys",
     "poll_normals",
+    "sample_corners",
     "sample_grid",
     "seed_bricks",
     "signed_volume",
     "sort_points",
-    "spread_component",
     "spread_keys",
     "sum_neighbours",
     "survey_mesh",
@@ -76,15 +78,34 @@ def count_boxes(
 
 
 def sort_points(
-    positions: FloatArray, normals: FloatArray, origin: FloatArray, cell_size: float
-) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    positions: FloatArray, origin: FloatArray, cell_size: float
+) -> tuple[IntArray, IntArray, NDArray[np.uint32]]:
     """Sort points by the cell that they lie in; see `cells.sort_points`."""
     if _native is None:
         from hpccomponent.surface import cells
 
-        return cells.sort_points(positions, normals, origin, cell_size)
-    result: tuple[IntArray, IntArray, FloatArray, FloatArray] = _native.sort_points(
-        _floats(positions), _floats(normals), _floats(origin), cell_size
+        return cells.sort_points(positions, origin, cell_size)
+    result: tuple[IntArray, IntArray, NDArray[np.uint32]] = _native.sort_points(
+        _floats(positions), _floats(origin), cell_size
+    )
+    return result
+
+
+def gather_points(
+    positions: FloatArray,
+    normals: FloatArray,
+    rows: NDArray[np.uint32],
+    origin: FloatArray,
+    cell_size: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return some points relative to the centres of their cells; see `cells.gather_points`."""
+    if _native is None:
+        from hpccomponent.surface import cells
+
+        return cells.gather_points(positions, normals, rows, origin, cell_size)
+    points = (_floats(positions), _floats(normals))
+    result: tuple[FloatArray, FloatArray] = _native.gather_points(
+        *points, rows, _floats(origin), cell_size
     )
     return result
 
@@ -269,15 +290,23 @@ def evaluate_residuals(moments: FloatArray, coefficients: FloatArray | Float32Ar
     return result
 
 
-def spread_component(
-    places: FloatArray, normals: FloatArray, axis: int, nodes: int
+def integrate_normals(
+    places: FloatArray,
+    normals: FloatArray,
+    smoothing: float,
+    held: IntArray,
+    nodes: int,
+    threads: int = 1,
 ) -> Float32Array:
-    """Spread a component of the normals on a grid; see `coarse_grid.spread_component`."""
+    """Integrate normals that are spread on a grid; see `coarse_grid.integrate_normals`."""
     if _native is None:
         from hpccomponent.surface import coarse_grid
 
-        return coarse_grid.spread_component(places, normals, axis, nodes)
-    result: Float32Array = _native.spread_component(_floats(places), _floats(normals), axis, nodes)
+        return coarse_grid.integrate_normals(places, normals, smoothing, held, nodes)
+    samples = (_floats(places), _floats(normals))
+    result: Float32Array = _native.integrate_normals(
+        *samples, smoothing, _integers(held), nodes, threads
+    )
     return result
 
 
@@ -288,6 +317,18 @@ def sample_grid(values: Float32Array, places: FloatArray) -> FloatArray:
 
         return coarse_grid.sample_grid(values, places)
     result: FloatArray = _native.sample_grid(values, _floats(places))
+    return result
+
+
+def sample_corners(
+    values: Float32Array, keys: IntArray, origin: FloatArray, spacing: float
+) -> FloatArray:
+    """Interpolate a grid at the corners of a lattice; see `coarse_grid.sample_corners`."""
+    if _native is None:
+        from hpccomponent.surface import coarse_grid
+
+        return coarse_grid.sample_corners(values, keys, origin, spacing)
+    result: FloatArray = _native.sample_corners(values, _integers(keys), _floats(origin), spacing)
     return result
 
 

@@ -13,6 +13,7 @@ from hpccomponent.errors import InputError
 from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = [
+    "BITS",
     "OCTANTS",
     "cells_of",
     "corner_parents",
@@ -25,10 +26,12 @@ __all__ = [
     "unpack_keys",
 ]
 
-_BITS = 21
-_BIAS = 1 << (_BITS - 1)
-_MASK = (1 << _BITS) - 1
-_STRIDES = (1 << 2 * _BITS, 1 << _BITS, 1)
+BITS = 21
+"""Of each coordinate in a key, x the highest."""
+
+_BIAS = 1 << (BITS - 1)
+_MASK = (1 << BITS) - 1
+_STRIDES = (1 << 2 * BITS, 1 << BITS, 1)
 
 OCTANTS: IntArray = np.array([(o & 1, o >> 1 & 1, o >> 2 & 1) for o in range(8)], np.int64)
 """The eight corners of the unit cube, x fastest."""
@@ -78,7 +81,7 @@ def unpack_keys(keys: IntArray) -> IntArray:
     -------
     ndarray of int64, shape (..., 3)
     """
-    parts = [(keys >> shift & _MASK) - _BIAS for shift in (2 * _BITS, _BITS, 0)]
+    parts = [(keys >> shift & _MASK) - _BIAS for shift in (2 * BITS, BITS, 0)]
     return np.stack(parts, axis=-1)
 
 

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpccomponent.surface.lattice import pack_places, unique_keys
+from hpccomponent.surface import kernels
+from hpccomponent.surface.lattice import pack_places
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
 __all__ = ["doubt_closure", "doubt_normals", "doubt_resolution"]
 
 #: Points are judged on a sample of about so many.
-SAMPLE = 100_000
+SAMPLE = 30_000
 #: Fewer points than these are too far apart to be called neighbours.
 FEWEST_JUDGED = 100
 #: Boxes along the longest side, in which neighbouring normals are compared.
@@ -91,8 +92,7 @@ def doubt_resolution(cloud: PointCloud, step: float) -> list[str]:
     list of str
     """
     low, high = bounding_box(cloud.positions)
-    places = np.floor((cloud.positions - low) / step).astype(np.int64)
-    cells = len(unique_keys(pack_places(places)))
+    _, cells = kernels.count_boxes(cloud.positions, low, step, 1)
     along = float((high - low).max()) / step
     if cells >= 2.0 * along or cells > len(cloud) // 4:
         return []

@@ -112,7 +112,8 @@ def _probe_variances(
 
 def _lower_quartile(level: Level, quadrics: VertexQuadrics, points: int) -> float:
     """Return that of RSS / (n - 10), in cells squared, over the vertices with enough points."""
-    moments = kernels.corner_moments(level.touched, level.cells, level.moments)
+    in_cells = level.points.sum(slice(0, len(level.cells)))
+    moments = kernels.corner_moments(level.touched, level.cells, in_cells)
     rich = moments[:, 0] >= points
     if not rich.any():
         return 0.0

@@ -73,7 +73,7 @@ class HierarchicalMethod:
     detail : float
         Above 1, cells are smaller: more detail, less averaging. Dimensionless.
     threads : int
-        How many threads the extraction takes; the mesh does not depend on it.
+        How many threads the far field and the extraction take; the mesh does not depend on it.
 
     Raises
     ------
@@ -127,7 +127,7 @@ class HierarchicalMethod:
         pyramid = build_pyramid(cloud, scale.cell_size, workforce)
         noise = scale.noise * self.smoothness
         weights = weigh_levels(scale.cell_size, len(pyramid.levels), noise)
-        far = _solve_far_field(grid, pyramid)
+        far = _solve_far_field(grid, pyramid, self.threads)
         return HierarchicalPartition(cloud, grid, scale, weights, pyramid, far)
 
     def fit(
@@ -141,6 +141,8 @@ class HierarchicalMethod:
     ) -> Mesh:
         """Blend the quadrics over the far field and extract the surface, brick by brick.
 
+        The list is empty afterwards: what it held is most of the memory.
+
         Raises
         ------
         InputError
@@ -148,6 +150,7 @@ class HierarchicalMethod:
         """
         grid = partition.grid
         field = assemble_field(partition, quadrics)
+        quadrics.clear()  # all that is left of them is in the field
         seeds = kernels.seed_bricks(grid, partition.cloud.positions)
         vertices, faces = kernels.grow_surface(field, grid, seeds, self.threads)
         del field
@@ -241,12 +244,12 @@ def assemble_field(partition: HierarchicalPartition, quadrics: list[VertexQuadri
 def _sample_far_field(partition: HierarchicalPartition, keys: IntArray, depth: int) -> FloatArray:
     """Return the far field, in its own steps, at some vertices of a level."""
     pyramid, far = partition.pyramid, partition.far
-    size = pyramid.cell_size * 2.0**depth
-    places = (pyramid.origin - far.origin + size * unpack_keys(keys)) / far.step
-    return kernels.sample_grid(far.values, places) / far.step
+    origin = (pyramid.origin - far.origin) / far.step
+    spacing = pyramid.cell_size * 2.0**depth / far.step
+    return kernels.sample_corners(far.values, keys, origin, spacing) / far.step
 
 
-def _solve_far_field(grid: Grid, pyramid: Pyramid) -> FarField:
+def _solve_far_field(grid: Grid, pyramid: Pyramid, threads: int) -> FarField:
     """Solve for the far field of the cells of one level: centroids and mean normals.
 
     Each cell counts once: its area, not its points, is what a scan's uneven density leaves
@@ -254,10 +257,12 @@ def _solve_far_field(grid: Grid, pyramid: Pyramid) -> FarField:
     """
     low, high = grid.origin, grid.origin + grid.step * BRICK * np.array(grid.bricks)
     level, size = _find_level(pyramid, _FAR_CELLS * far_step(low, high))
-    places = unpack_keys(level.cells) + 0.5 + level.moments[:, 1:4] / level.moments[:, :1]
+    moments = level.points.sum(slice(0, len(level.cells)))
+    places = unpack_keys(level.cells) + 0.5 + moments[:, 1:4] / moments[:, :1]
     centroids = pyramid.origin + size * places
-    normals = level.moments[:, 35:38] / level.moments[:, :1]
-    return solve_far_field(centroids, normals, (low, high), size)
+    normals = moments[:, 35:38] / moments[:, :1]
+    del moments
+    return solve_far_field(centroids, normals, (low, high), size, threads)
 
 
 def _find_level(pyramid: Pyramid, least: float) -> tuple[Level, float]:

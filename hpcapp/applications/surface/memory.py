@@ -8,10 +8,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import numpy as np
-
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.lattice import pack_places, unique_keys
+from hpccomponent.surface import kernels
 from hpccomponent.surface.points import PointCloud, bounding_box
 from hpccomponent.surface.spacing import estimate_spacing
 
@@ -87,8 +85,8 @@ def estimate_memory(method: str, grid: int, cloud: PointCloud) -> float:
     low, high = bounding_box(cloud.positions)
     step = float((high - low).max()) / grid
     box = max(8.0 * step, 3.0 * estimate_spacing(cloud.positions))
-    boxes = unique_keys(pack_places(np.floor((cloud.positions - low) / box).astype(np.int64)))
-    surface = BYTES_PER_SURFACE_CELL * len(boxes) * (box / step) ** 2
+    _, boxes = kernels.count_boxes(cloud.positions, low, box, 1)
+    surface = BYTES_PER_SURFACE_CELL * boxes * (box / step) ** 2
     return BYTES_OF_PROGRAM + BYTES_PER_POINT * len(cloud) + surface
 
 

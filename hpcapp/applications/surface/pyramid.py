@@ -2,9 +2,9 @@
 
 ::
 
-    points --cells--> moments of level 0 --sums of eight--> level 1 ... level L
-                                                                        |
-    quadrics of level 0 <--prior-- level 1 <--prior-- ... <--prior-- fits of level L
+    points of level 0 --moments, sums of eight--> level 1 ... level L
+                                                                |
+    quadrics of level 0 <--prior-- level 1 <--prior-- ... <-- fits of level L
 """
 
 from __future__ import annotations
@@ -15,6 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.cell_points import (
+    CellMoments,
+    SortedPoints,
+    merge_finest,
+    sort_cloud,
+)
 from hpcapp.applications.surface.crowding import sum_squares
 from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.weights import FIELD_LEVELS, Weights, localise_noise
@@ -36,7 +42,7 @@ __all__ = [
 Float32Array = NDArray[np.float32]
 
 _COARSEST_CELLS = 6
-_WAVE = 1 << 18  # corners under way at once: priors and results take 160 B each
+_WAVE = 1 << 17  # corners under way at once: priors and results take 160 B each
 _FINER_UNITS = np.float32(4.0)  # the same variance, in cells of the next finer level squared
 _LOCAL_FROM = 2  # levels further up, which tell a vertex the noise around it
 # What a point counts one level further up, where the surface is 4 times larger.
@@ -51,8 +57,8 @@ class Level:
     ----------
     cells : ndarray of int64, shape (c,)
         Sorted keys of the occupied cells.
-    moments : ndarray of float64, shape (c, 44)
-        Of each cell, about its centre, in its own units.
+    points : SortedPoints or CellMoments
+        What the fits know of the points in each cell: those of the finest level themselves.
     touched : ndarray of int64, shape (t,)
         Sorted keys of the corners of the occupied cells: what is fitted.
     vertices : ndarray of int64, shape (v,)
@@ -62,7 +68,7 @@ class Level:
     """
 
     cells: IntArray
-    moments: FloatArray
+    points: SortedPoints | CellMoments
     touched: IntArray
     vertices: IntArray
     squares: FloatArray
@@ -79,7 +85,7 @@ class Pyramid:
     cell_size : float
         Edge of the finest cells, in length units of the input.
     levels : list of Level
-        `fit_levels` takes the moments out of each as it goes: they are most of the memory.
+        `fit_levels` takes the points out of each as it goes: they are most of the memory.
     """
 
     origin: FloatArray
@@ -110,7 +116,7 @@ class VertexQuadrics:
 
 
 def build_pyramid(cloud: PointCloud, cell_size: float, workforce: Workforce) -> Pyramid:
-    """Sum the moments of the finest cells on the workers, and of all coarser ones from these.
+    """Sort the points into the finest cells, and sum their moments over all coarser ones.
 
     Parameters
     ----------
@@ -128,46 +134,20 @@ def build_pyramid(cloud: PointCloud, cell_size: float, workforce: Workforce) -> 
     low, high = bounding_box(cloud.positions)
     longest = float((high - low).max())
     coarser = max(0, int(np.floor(np.log2(longest / cell_size / _COARSEST_CELLS))))
-    cells, moments = _finest_moments(cloud, low, cell_size, workforce)
+    cells, points = sort_cloud(cloud, low, cell_size)
     vertices = kernels.spread_keys(cells, -1, 2)
-    levels = [Level(cells, moments, kernels.spread_keys(cells, 0, 1), vertices, np.empty(0))]
-    for _ in range(coarser):
+    levels = [Level(cells, points, kernels.spread_keys(cells, 0, 1), vertices, np.empty(0))]
+    for above in range(1, coarser + 1):
         finer = levels[-1]
-        cells, moments = kernels.merge_cells(cells, moments)
-        squares = sum_squares(finer.cells, finer.moments[:, 0], cells)
+        if above == 1:
+            cells, moments = merge_finest(cells, points, workforce)
+        else:
+            cells, moments = kernels.merge_cells(cells, moments)
+        squares = sum_squares(finer.cells, finer.points.counts, cells)
         touched = kernels.spread_keys(cells, 0, 1)
         vertices = kernels.unite_keys(touched, kernels.parent_keys(vertices))
-        levels.append(Level(cells, moments, touched, vertices, squares))
+        levels.append(Level(cells, CellMoments(moments), touched, vertices, squares))
     return Pyramid(low, cell_size, levels)
-
-
-def _finest_moments(
-    cloud: PointCloud, origin: FloatArray, cell_size: float, workforce: Workforce
-) -> tuple[IntArray, FloatArray]:
-    """Sort the points by cell and sum the moments of each cell."""
-    assert cloud.normals is not None  # noqa: S101 - checked by the method, at its border
-    cells, offsets, local, normals = kernels.sort_points(
-        cloud.positions, cloud.normals, origin, cell_size
-    )
-    batches = []
-    for cut in workforce.cut(len(cells)):
-        bounds = offsets[cut.start : cut.stop + 1]
-        points = slice(int(bounds[0]), int(bounds[-1]))
-        batches.append((local[points], normals[points], bounds - bounds[0]))
-    return cells, _join(map_batches(workforce, kernels.accumulate_moments, batches))
-
-
-def _join(parts: list[FloatArray]) -> FloatArray:
-    """Concatenate arrays and let go of each as soon as it is copied; `parts` is empty then."""
-    if len(parts) == 1:
-        return parts.pop()
-    joined = np.empty((sum(map(len, parts)), *parts[0].shape[1:]))
-    end = len(joined)
-    while parts:
-        part = parts.pop()
-        joined[end - len(part) : end] = part
-        end -= len(part)
-    return joined
 
 
 def fit_levels(
@@ -205,7 +185,7 @@ def fit_levels(
         for start in range(0, len(rows), _WAVE):
             wave = slice(start, min(start + _WAVE, len(rows)))
             _fit_wave(level, wave, rows, quadrics, noise, weights[index], workforce)
-        pyramid.levels[index] = level = replace(level, moments=np.empty((0, COLUMNS)))
+        pyramid.levels[index] = level = replace(level, points=CellMoments(np.empty((0, COLUMNS))))
         above = (level, quadrics)
         kept = [quadrics, *kept][:FIELD_LEVELS]
         done += len(rows)
@@ -255,7 +235,7 @@ def _fit_wave(
         _fit_batch(level, cut, quadrics.coefficients[rows[cut]], noise[cut], weights)
         for cut in cuts
     ]
-    fitted = map_batches(workforce, kernels.fit_corners, batches)
+    fitted = map_batches(workforce, level.points.fit, batches)
     for cut, (coefficients, counts, variances) in zip(cuts, fitted, strict=True):
         quadrics.coefficients[rows[cut]] = coefficients
         quadrics.counts[rows[cut]] = counts
@@ -271,5 +251,5 @@ def _fit_batch(
     first = step_keys(touched[0], -OCTANTS[-1])
     bounds = np.searchsorted(level.cells, (first, touched[-1] + 1))
     near = slice(int(bounds[0]), int(bounds[1]))
-    points = (touched, level.cells[near], level.moments[near], prior, noise)
-    return *points, weights.lam, weights.least_mu, weights.most_mu
+    points = (touched, level.cells[near], *level.points.cut(near))
+    return *points, prior, noise, weights.lam, weights.least_mu, weights.most_mu

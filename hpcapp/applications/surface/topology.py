@@ -135,6 +135,8 @@ def _renumber(faces: IntArray) -> tuple[IntArray, int]:
         return faces, 0
     is_used = np.zeros(int(faces.max()) + 1, dtype=bool)
     is_used[faces.ravel()] = True
+    if is_used.all():
+        return faces, len(is_used)
     return (np.cumsum(is_used) - 1)[faces], int(is_used.sum())
 
 

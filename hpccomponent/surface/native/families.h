@@ -23,6 +23,7 @@ void bind_moments(nb::module_& module);
 void bind_hermite(nb::module_& module);
 void bind_inheritance(nb::module_& module);
 void bind_far_field(nb::module_& module);
+void bind_poisson(nb::module_& module);
 void bind_field(nb::module_& module);
 void bind_surface(nb::module_& module);
 void bind_topology(nb::module_& module);

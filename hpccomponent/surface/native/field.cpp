@@ -1,7 +1,7 @@
 // The implicit function over bricks: quadrics in (x, y, z) collapse along z, then y, then x.
 //
 // Lanes run over x while z and y collapse, and over (y, z) while x does; what a node gets depends
-// on its own index only, and is rounded to float32.
+// on its own index only. All in single precision, but for where the nodes lie and the far field.
 #include "field.h"
 
 #include <algorithm>
@@ -18,7 +18,7 @@ constexpr int CHANNELS = 12, AFTER_Z = 8, AFTER_Y = 5;
 constexpr size_t MOST_LEVELS = 32;
 constexpr int PLANE = 88;  // the 81 nodes of a (y, z) plane, rounded up to whole vectors
 constexpr float TINY = 1e-30f;
-constexpr double LEAST_REST = 1e-6;  // what is left to the levels behind is 0 below this
+constexpr Real LEAST_REST = 1e-6f;  // what is left to the levels behind is 0 below this
 
 // Sizes of the intermediate arrays of a brick; x is padded to whole vectors.
 struct Shape {
@@ -27,14 +27,15 @@ struct Shape {
 
 // Collapse z. raw: [channel][z][y][lanes]; out: [channel][y][node][lanes], with
 // [1, x, y, xx, yy, xy, presence, trust].
-HPC_INLINE void collapse_z(const double* __restrict raw, const Shape& shape, const Axis& axis, double* __restrict out, const int lanes) {
+HPC_INLINE void collapse_z(const Real* __restrict raw, const Shape& shape, const Axis& axis, Real* __restrict out, const int lanes) {
   const int64_t from = int64_t{1} * shape.z * shape.y * lanes, to = int64_t{1} * shape.y * NODES * lanes;
   for (int y = 0; y < shape.y; ++y)
     for (int node = 0; node < NODES; ++node) {
-      const double w = axis.weight[node], v = 1.0 - w, t = axis.local[node], s = t - 1.0;
-      const double* __restrict a = raw + (axis.below[node] * shape.y + y) * lanes;
-      const double* b = a + shape.y * lanes;
-      double* __restrict o = out + (y * NODES + node) * lanes;
+      const Real w = static_cast<Real>(axis.weight[node]), v = static_cast<Real>(1.0 - axis.weight[node]);
+      const Real t = static_cast<Real>(axis.local[node]), s = static_cast<Real>(axis.local[node] - 1.0);
+      const Real* __restrict a = raw + (axis.below[node] * shape.y + y) * lanes;
+      const Real* b = a + shape.y * lanes;
+      Real* __restrict o = out + (y * NODES + node) * lanes;
       for (int i = 0; i < lanes; ++i) {
         const auto A = [&](int channel) { return a[channel * from + i]; };
         const auto B = [&](int channel) { return b[channel * from + i]; };
@@ -52,13 +53,14 @@ HPC_INLINE void collapse_z(const double* __restrict raw, const Shape& shape, con
 
 // Collapse y. in: [channel][y][z node][lanes]; out: [channel][y node][z node][lanes], with
 // [1, x, xx, presence, trust].
-HPC_INLINE void collapse_y(const double* __restrict in, const Shape& shape, const Axis& axis, double* __restrict out, const int lanes) {
+HPC_INLINE void collapse_y(const Real* __restrict in, const Shape& shape, const Axis& axis, Real* __restrict out, const int lanes) {
   const int64_t from = int64_t{1} * shape.y * NODES * lanes, to = int64_t{1} * NODES * NODES * lanes;
   for (int node = 0; node < NODES; ++node) {
-    const double w = axis.weight[node], v = 1.0 - w, t = axis.local[node], s = t - 1.0;
-    const double* a = in + axis.below[node] * NODES * lanes;
-    const double* b = a + NODES * lanes;
-    double* __restrict o = out + node * NODES * lanes;
+    const Real w = static_cast<Real>(axis.weight[node]), v = static_cast<Real>(1.0 - axis.weight[node]);
+    const Real t = static_cast<Real>(axis.local[node]), s = static_cast<Real>(axis.local[node] - 1.0);
+    const Real* a = in + axis.below[node] * NODES * lanes;
+    const Real* b = a + NODES * lanes;
+    Real* __restrict o = out + node * NODES * lanes;
     for (int i = 0; i < NODES * lanes; ++i) {
       const auto A = [&](int channel) { return a[channel * from + i]; };
       const auto B = [&](int channel) { return b[channel * from + i]; };
@@ -72,7 +74,7 @@ HPC_INLINE void collapse_y(const double* __restrict in, const Shape& shape, cons
 }
 
 // in: [channel][plane node][lanes]; out: [channel][x][PLANE].
-HPC_INLINE void turn(const double* in, const Shape& shape, double* out, const int lanes) {
+HPC_INLINE void turn(const Real* in, const Shape& shape, Real* out, const int lanes) {
   for (int channel = 0; channel < AFTER_Y; ++channel)
     for (int node = 0; node < NODES * NODES; ++node)
       for (int x = 0; x < shape.x; ++x)
@@ -81,38 +83,42 @@ HPC_INLINE void turn(const double* in, const Shape& shape, double* out, const in
 
 // What the levels so far amount to at each node, [x][PLANE], and what is left to those behind.
 struct Composite {
-  double *total, *rest;
+  Real *total, *rest;
 };
 
 // Collapse x, and blend behind the levels in front; `scale` is the size of the level's cells.
-HPC_INLINE void collapse_x(const double* in, const Shape& shape, const Axis& axis, double scale,
+HPC_INLINE void collapse_x(const Real* in, const Shape& shape, const Axis& axis, Real scale,
                            const Composite& composite) {
   const int64_t from = int64_t{1} * shape.x * PLANE;
   for (int node = 0; node < NODES; ++node) {
-    const double w = axis.weight[node], v = 1.0 - w, t = axis.local[node], s = t - 1.0;
-    const double* a = in + axis.below[node] * PLANE;
-    const double* b = a + PLANE;
-    double* __restrict total = composite.total + node * PLANE;
-    double* __restrict rest = composite.rest + node * PLANE;
+    const Real w = static_cast<Real>(axis.weight[node]), v = static_cast<Real>(1.0 - axis.weight[node]);
+    const Real t = static_cast<Real>(axis.local[node]), s = static_cast<Real>(axis.local[node] - 1.0);
+    const Real* a = in + axis.below[node] * PLANE;
+    const Real* b = a + PLANE;
+    Real* __restrict total = composite.total + node * PLANE;
+    Real* __restrict rest = composite.rest + node * PLANE;
+    bool open = false;
+    for (int i = 0; i < PLANE; ++i) open |= rest[i] > 0;
+    if (!open) continue;
     for (int i = 0; i < PLANE; ++i) {
       const auto A = [&](int channel) { return a[channel * from + i]; };
       const auto B = [&](int channel) { return b[channel * from + i]; };
-      const double quadric =
+      const Real quadric =
           (A(0) + t * (A(1) + t * A(2))) * v + (B(0) + s * (B(1) + s * B(2))) * w;
-      const double presence = A(3) * v + B(3) * w, trust = A(4) * v + B(4) * w;
-      const double near = scale * quadric / (presence > 0.0 ? presence : 1.0);
-      const double left = rest[i] * (1.0 - trust);
+      const Real presence = A(3) * v + B(3) * w, trust = A(4) * v + B(4) * w;
+      const Real near = scale * quadric / (presence > 0 ? presence : 1);
+      const Real left = rest[i] * (1 - trust);
       total[i] += rest[i] * trust * near;
-      rest[i] = left < LEAST_REST ? 0.0 : left;
+      rest[i] = left < LEAST_REST ? 0 : left;
     }
   }
 }
 
-HPC_CLONES void collapse(const double* raw, double* scratch, const Shape& shape, const Axis* axes,
-                         double scale, const Composite& composite) {
-  double* first = scratch;
-  double* second = first + AFTER_Z * shape.y * NODES * shape.lanes;
-  double* third = second + AFTER_Y * NODES * NODES * shape.lanes;
+HPC_CLONES void collapse(const Real* raw, Real* scratch, const Shape& shape, const Axis* axes,
+                         Real scale, const Composite& composite) {
+  Real* first = scratch;
+  Real* second = first + AFTER_Z * shape.y * NODES * shape.lanes;
+  Real* third = second + AFTER_Y * NODES * NODES * shape.lanes;
   // The usual widths are constants to the compiler.
   if (shape.lanes == 8) {
     collapse_z(raw, shape, axes[2], first, 8);
@@ -155,17 +161,17 @@ HPC_CLONES void add_far(const Field& field, const Axis* axes, const Composite& c
         const double w = axes[2].local[z];
         const int node = x * PLANE + y * NODES + z;
         const double far = (row[k] * (1.0 - w) + row[k + 1] * w) / field.cell_size;
-        composite.total[node] += composite.rest[node] * far;
+        composite.total[node] += static_cast<Real>(composite.rest[node] * far);
       }
     }
 }
 
 // Put the quadrics around a brick into raw: [channel][z][y][lanes]; 0 where a vertex is missing.
 // Return whether there is any.
-bool load_vertices(const FieldLevel& level, Finger& finger, const Axis* axes, const Shape& shape, double* raw) {
+bool load_vertices(const FieldLevel& level, Finger& finger, const Axis* axes, const Shape& shape, Real* raw) {
   bool any = false;
   const int64_t plane = int64_t{1} * shape.y * shape.lanes, channel = shape.z * plane;
-  std::fill(raw, raw + CHANNELS * channel, 0.0);
+  std::fill(raw, raw + CHANNELS * channel, Real{0});
   for (int x = 0; x < shape.x; ++x)
     for (int y = 0; y < shape.y; ++y)
       for (int z = 0; z < shape.z; ++z) {
@@ -179,9 +185,9 @@ bool load_vertices(const FieldLevel& level, Finger& finger, const Axis* axes, co
           if (axes[2].layer[shape.z - 1] - place[2] < ahead) break;
           continue;
         }
-        double* to = raw + z * plane + y * shape.lanes + x;
+        Real* to = raw + z * plane + y * shape.lanes + x;
         for (int i = 0; i < 10; ++i) to[i * channel] = level.coefficients[row * 10 + i];
-        to[10 * channel] = 1.0;
+        to[10 * channel] = 1;
         to[11 * channel] = level.trust[row];
         any = true;
       }
@@ -240,10 +246,10 @@ std::vector<FieldLevel> take_levels(const nb::tuple& levels_of) {
   return levels;
 }
 
-void round_values(const double* total, float* values) {
+void round_values(const Real* total, float* values) {
   for (int x = 0; x < NODES; ++x)
     for (int i = 0; i < NODES * NODES; ++i) {
-      const float value = static_cast<float>(total[x * PLANE + i]);
+      const float value = total[x * PLANE + i];
       values[x * NODES * NODES + i] = value == 0.0f ? TINY : value;
     }
 }
@@ -300,20 +306,20 @@ bool BrickEvaluator::add_level(const Place& brick, size_t depth) {
                                             AFTER_Y * shape.x * PLANE);
   // Zeros also where a plane is padded: those lanes are computed and thrown away.
   const size_t needed = 2 * NODES * PLANE + raw + others;
-  if (scratch_.size() < needed) scratch_.resize(needed, 0.0);
+  if (scratch_.size() < needed) scratch_.resize(needed, Real{0});
   const Composite composite{scratch_.data(), scratch_.data() + NODES * PLANE};
-  double* vertices = scratch_.data() + 2 * NODES * PLANE;
+  Real* vertices = scratch_.data() + 2 * NODES * PLANE;
   if (!load_vertices(field_.levels[depth], fingers_[depth], axes, shape, vertices)) return true;
-  collapse(vertices, vertices + raw, shape, axes, scale, composite);
+  collapse(vertices, vertices + raw, shape, axes, static_cast<Real>(scale), composite);
   for (int x = 0; x < NODES; ++x)
     for (int i = 0; i < NODES * NODES; ++i)
-      if (composite.rest[x * PLANE + i] > 0.0) return true;
+      if (composite.rest[x * PLANE + i] > 0) return true;
   return false;
 }
 
 void BrickEvaluator::evaluate(const Place& brick, float* values) {
-  std::fill(scratch_.begin(), scratch_.begin() + NODES * PLANE, 0.0);
-  std::fill(scratch_.begin() + NODES * PLANE, scratch_.begin() + 2 * NODES * PLANE, 1.0);
+  std::fill(scratch_.begin(), scratch_.begin() + NODES * PLANE, Real{0});
+  std::fill(scratch_.begin() + NODES * PLANE, scratch_.begin() + 2 * NODES * PLANE, Real{1});
   bool left = true;
   for (size_t depth = 0; left && depth < field_.levels.size(); ++depth) left = add_level(brick, depth);
   if (left) {

@@ -13,6 +13,9 @@ constexpr int BRICK = 8;
 constexpr int NODES = BRICK + 1;
 constexpr int BRICK_NODES = NODES * NODES * NODES;
 
+// Quadrics are of single precision, and so are the values of the nodes that come of them.
+using Real = float;
+
 struct Grid {
   const double* origin;
   double step;
@@ -54,7 +57,7 @@ class BrickEvaluator {
   const Field& field_;
   Grid grid_;
   std::vector<Finger> fingers_;
-  std::vector<double> scratch_;
+  std::vector<Real> scratch_;
 };
 
 }  // namespace hpc

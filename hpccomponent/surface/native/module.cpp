@@ -11,6 +11,7 @@ NB_MODULE(_native, module) {
   hpc::bind_hermite(module);
   hpc::bind_inheritance(module);
   hpc::bind_far_field(module);
+  hpc::bind_poisson(module);
   hpc::bind_field(module);
   hpc::bind_surface(module);
   hpc::bind_topology(module);

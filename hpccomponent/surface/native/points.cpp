@@ -99,39 +99,59 @@ Large<Ranked> rank_points(const double* points, int64_t count, const double* ori
 
 namespace {
 
-nb::tuple sort_points(Input positions, Input normals, Input origin_of, double size) {
+nb::tuple sort_points(Input positions, Input origin_of, double size) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const int64_t count = rows_of(positions);
-  const double* normal = check<double>(normals, "normals", {count, 3});
   const double* origin = check<double>(origin_of, "origin", {3});
   check_positive(size, "cell_size");
   if (!count || count >= UINT32_MAX) refuse("positions: expected 1 to 2^32 - 1 points");
   Large<int64_t> cells, offsets;
-  Buffer<double> local, sorted;
+  Buffer<uint32_t> rows;
   {
     nb::gil_scoped_release unlocked;
     Span span({0, 0, 0}, {0, 0, 0});
     const Large<Ranked> ranked = rank_points(point, count, origin, size, span);
-    for (int64_t i = 0; i < count; ++i)
-      if (!i || ranked[i].key != ranked[i - 1].key) {
-        cells.push_back(pack(span.restore(ranked[i].key)));
-        offsets.push_back(i);
-      }
-    offsets.push_back(count);
-    local = make_buffer<double>(3 * count);
-    sorted = make_buffer<double>(3 * count);
+    int64_t runs = 0;
+    for (int64_t i = 0; i < count; ++i) runs += !i || ranked[i].key != ranked[i - 1].key;
+    cells.reserve(runs);
+    offsets.reserve(runs + 1);
+    rows = make_buffer<uint32_t>(count);
     for (int64_t i = 0; i < count; ++i) {
-      const int64_t row = 3 * static_cast<int64_t>(ranked[i].row);
-      for (int axis = 0; axis < 3; ++axis) {
-        const double place = (point[row + axis] - origin[axis]) / size;
-        local[3 * i + axis] = place - std::floor(place) - 0.5;
-        sorted[3 * i + axis] = normal[row + axis];
-      }
+      rows[i] = ranked[i].row;
+      if (i && ranked[i].key == ranked[i - 1].key) continue;
+      cells.push_back(pack(span.restore(ranked[i].key)));
+      offsets.push_back(i);
     }
+    offsets.push_back(count);
+  }
+  return nb::make_tuple(give(std::move(cells)), give(std::move(offsets)),
+                        give(std::move(rows), {static_cast<size_t>(count)}));
+}
+
+nb::tuple gather_points(Input positions, Input normals, Input rows_wanted, Input origin_of, double size) {
+  const double* point = check<double>(positions, "positions", {ANY, 3});
+  const int64_t known = rows_of(positions);
+  const double* normal = check<double>(normals, "normals", {known, 3});
+  const uint32_t* rows = check<uint32_t>(rows_wanted, "rows", {ANY});
+  const int64_t count = rows_of(rows_wanted);
+  const double* origin = check<double>(origin_of, "origin", {3});
+  check_positive(size, "cell_size");
+  for (int64_t i = 0; i < count; ++i)
+    if (rows[i] >= known) refuse("rows: a point that is not there");
+  auto local = make_buffer<double>(3 * count);
+  auto gathered = make_buffer<double>(3 * count);
+  {
+    nb::gil_scoped_release unlocked;
+    for (int64_t i = 0; i < count; ++i)
+      for (int axis = 0; axis < 3; ++axis) {
+        const int64_t from = 3 * static_cast<int64_t>(rows[i]) + axis;
+        const double place = (point[from] - origin[axis]) / size;
+        local[3 * i + axis] = place - std::floor(place) - 0.5;
+        gathered[3 * i + axis] = normal[from];
+      }
   }
   const size_t n = static_cast<size_t>(count);
-  return nb::make_tuple(give(std::move(cells)), give(std::move(offsets)),
-                        give(std::move(local), {n, 3}), give(std::move(sorted), {n, 3}));
+  return nb::make_tuple(give(std::move(local), {n, 3}), give(std::move(gathered), {n, 3}));
 }
 
 Output<int64_t> seed_bricks(Input positions, Input origin_of, double edge, Input bricks) {
@@ -171,6 +191,7 @@ const int64_t* check_sides(const Input& bricks) {
 void bind_points(nb::module_& module) {
   module.def("count_boxes", &count_boxes);
   module.def("sort_points", &sort_points);
+  module.def("gather_points", &gather_points);
   module.def("seed_bricks", &seed_bricks);
 }
 

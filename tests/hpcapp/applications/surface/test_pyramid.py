@@ -51,14 +51,15 @@ def test_levels_end_at_six_to_twelve_cells(cloud, workforce):
 
 def test_every_level_counts_every_point(cloud, workforce):
     for level in build_pyramid(cloud, CELL_SIZE, workforce).levels:
-        assert level.moments[:, 0].sum() == len(cloud)
+        assert level.points.counts.sum() == len(cloud)
         assert np.isin(level.touched, level.vertices).all()
 
 
 def test_vertices_know_the_points_of_the_eight_cells_around_them(cloud, workforce):
     pyramid = build_pyramid(cloud, CELL_SIZE, workforce)
     for number, level in enumerate(pyramid.levels):
-        moments = kernels.corner_moments(level.touched, level.cells, level.moments)
+        in_cells = level.points.sum(slice(0, len(level.cells)))
+        moments = kernels.corner_moments(level.touched, level.cells, in_cells)
         for row in np.random.default_rng(number).integers(0, len(moments), 8):
             vertex = unpack_keys(level.touched[row])
             expected = moments_around(cloud, pyramid, number, vertex)

@@ -47,9 +47,8 @@ def make_cells(seed: int, points: int, cell_size: float) -> Cells:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     positions = normals * (1.0, 0.8, 0.6) + 0.01 * random.normal(size=(points, 3))
     origin = positions.min(axis=0)
-    cells, offsets, local, sorted_normals = portable.sort_points(
-        positions, normals, origin, cell_size
-    )
+    cells, offsets, rows = portable.sort_points(positions, origin, cell_size)
+    local, sorted_normals = portable.gather_points(positions, normals, rows, origin, cell_size)
     moments = accumulate_moments(local, sorted_normals, offsets)
     return Cells(
         positions, normals, origin, cell_size, cells, offsets, local, sorted_normals, moments,

@@ -61,9 +61,12 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
     random = np.random.default_rng(seed)
     positions, normals = random.normal(size=(2, points, 3))
     origin = random.normal(size=3)
-    expected = cells.sort_points(positions, normals, origin, size)
+    expected = cells.sort_points(positions, origin, size)
+    for found, wanted in zip(native.sort_points(positions, origin, size), expected, strict=True):
+        np.testing.assert_array_equal(found, wanted)
+    points = (positions, normals, expected[2], origin, size)
     for found, wanted in zip(
-        native.sort_points(positions, normals, origin, size), expected, strict=True
+        native.gather_points(*points), cells.gather_points(*points), strict=True
     ):
         np.testing.assert_array_equal(found, wanted)
     for one_in in (1, 3):
@@ -136,15 +139,24 @@ def test_priors(native: ModuleType, cloud: Any) -> None:
     )
 
 
-def test_coarse_grid(native: ModuleType, cloud: Any) -> None:
+@pytest.mark.parametrize("smoothing", [1.0, 2.5])
+@pytest.mark.parametrize("held", [[[0, 32], [0, 32]], [[5, 28], [3, 27]]])
+def test_integrated_normals(native: ModuleType, cloud: Any, smoothing: float, held: Any) -> None:
+    places = cloud.positions * 8.0 + 16.0
+    samples = (places, cloud.normals, smoothing, np.array(held), 32)
+    found = native.integrate_normals(*samples, 1)
+    expected = coarse_grid.integrate_normals(*samples)
+    np.testing.assert_allclose(found, expected, atol=3e-6 * np.abs(expected).max())
+
+
+def test_sampled_grid(native: ModuleType, cloud: Any) -> None:
+    values = np.random.default_rng(4).normal(size=(16, 16, 16)).astype(np.float32)
     places = (cloud.positions + 1.5) * 5.0
-    for axis in range(3):
-        grid = native.spread_component(places, cloud.normals, axis, 16)
-        expected = coarse_grid.spread_component(places, cloud.normals, axis, 16)
-        np.testing.assert_allclose(grid, expected, rtol=1e-4, atol=1e-5)
-        samples = native.sample_grid(expected, places)
-        wanted = coarse_grid.sample_grid(expected, places)
-        np.testing.assert_allclose(samples, wanted, rtol=1e-12, atol=1e-12)
+    samples = native.sample_grid(values, places)
+    np.testing.assert_allclose(samples, coarse_grid.sample_grid(values, places), 1e-12, 1e-12)
+    corners = (values, cloud.touched, np.array([1.0, 3.0, 5.0]), 0.7)
+    wanted = coarse_grid.sample_corners(*corners)
+    np.testing.assert_allclose(native.sample_corners(*corners), wanted, 1e-12, 1e-12)
 
 
 def test_bricks(native: ModuleType, any_ball: Any) -> None:

@@ -35,6 +35,9 @@ def test_threads(native: ModuleType, cloud: Any, threads: int) -> None:
     means = np.ones((len(parents), 10), np.float32)
     level = (cloud.touched, parents, means, means[:, :3].copy())
     same(native.inherit_level(*level, 1), native.inherit_level(*level, threads))
+    samples = (cloud.positions * 8.0 + 16.0, cloud.normals, 1.5, np.array([[2, 30], [4, 29]]), 32)
+    whole = native.integrate_normals(*samples, 1)
+    same([whole], [native.integrate_normals(*samples, threads)])
 
 
 @pytest.mark.parametrize("threads", THREADS)

@@ -19,7 +19,8 @@ KERNELS = (
     "evaluate_residuals", "extract_surface", "find_keys", "fit_corners", "grow_surface",
     "inherit_level", "inherit_quadrics", "label_components", "merge_cells",
     "parent_keys", "sample_grid", "scale_moments", "seed_bricks", "shift_moments",
-    "signed_volume", "sort_points", "spread_component", "spread_keys", "survey_mesh", "unite_keys",
+    "signed_volume", "sort_points", "spread_keys", "survey_mesh", "unite_keys", "gather_points",
+    "integrate_normals", "sample_corners",
 )  # fmt: skip
 
 numbers = st.one_of(
@@ -69,7 +70,17 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
     means = np.ones((len(keys), 10), np.float32)
     calls = [
         ("accumulate_moments", points, points, random.integers(-9, 30, size=5), 1),
-        ("sort_points", points, points, points[0] if rows else np.zeros(3), 0.1),
+        ("sort_points", points, points[0] if rows else np.zeros(3), 0.1),
+        (
+            "gather_points",
+            points,
+            points,
+            random.integers(0, 30, size=9).astype(np.uint32),
+            np.zeros(3),
+            0.1,
+        ),
+        ("integrate_normals", points, points, 1.0, random.integers(-1, 9, size=(2, 2)), 8, 2),
+        ("sample_corners", np.ones((4, 4, 4), np.float32), keys, points[:1].sum(axis=0), 1e300),
         ("corner_moments", keys, keys, random.normal(size=(len(keys), 44)), 2),
         ("inherit_level", keys, keys, means, means[:, :3].copy(), 2),
         ("merge_cells", keys, np.ones((len(keys), 44))),
@@ -99,4 +110,4 @@ def test_messages_name_the_argument(native: ModuleType) -> None:
     with pytest.raises(ValueError, match="threads"):
         native.accumulate_moments(points, points, np.array([0, 4]), 0)
     with pytest.raises(ValueError, match="not finite"):
-        native.sort_points(points * np.nan, points, np.zeros(3), 1.0)
+        native.sort_points(points * np.nan, np.zeros(3), 1.0)

@@ -1,0 +1,173 @@
+"""What is known of the points in the cells of a level: the points themselves, or their moments.
+
+A row of moments is larger than a handful of points. So the finest level has none: moments are
+summed where a batch needs them, twice in all, and only for the cells of that batch.
+
+Who may import it: the pyramid and its tests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.batches import Workforce, map_batches
+from hpccomponent.surface import kernels
+from hpccomponent.surface.lattice import BITS
+from hpccomponent.surface.point_tasks import fit_points, merge_points
+from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
+
+__all__ = ["CellMoments", "SortedPoints", "merge_finest", "sort_cloud"]
+
+_SLAB = 1 << 15  # cells whose moments are summed at once: 12 MB
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellMoments:
+    """The moments of each cell of a level.
+
+    Parameters
+    ----------
+    moments : ndarray of float64, shape (c, 44)
+        About the centres of the cells, in their units.
+    """
+
+    moments: FloatArray
+
+    @property
+    def counts(self) -> FloatArray:
+        """Points in each cell."""
+        return self.moments[:, 0]
+
+    @property
+    def fit(self) -> Callable[..., Any]:
+        """The task that fits corners, given what `cut` returns."""
+        return kernels.fit_corners
+
+    def cut(self, cells: slice) -> tuple[FloatArray, ...]:
+        """Return what a task needs to know of a run of cells."""
+        return (self.moments[cells],)
+
+    def sum(self, cells: slice) -> FloatArray:
+        """Return the moments of a run of cells."""
+        return self.moments[cells]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SortedPoints:
+    """The points of each cell of the finest level.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        With normals.
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of the lattice lies.
+    cell_size : float
+        In length units of the input.
+    offsets : ndarray of int64, shape (c + 1,)
+        Cell i holds the points rows[offsets[i]] to rows[offsets[i + 1]].
+    rows : ndarray of uint32, shape (n,)
+        Of the cloud.
+    """
+
+    cloud: PointCloud
+    origin: FloatArray
+    cell_size: float
+    offsets: IntArray
+    rows: NDArray[np.uint32]
+
+    @property
+    def counts(self) -> FloatArray:
+        """Points in each cell."""
+        return np.diff(self.offsets).astype(np.float64)
+
+    @property
+    def fit(self) -> Callable[..., Any]:
+        """The task that fits corners, given what `cut` returns."""
+        return fit_points
+
+    def cut(self, cells: slice) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Return what a task needs to know of a run of cells: its points, in cells, and where."""
+        assert self.cloud.normals is not None  # noqa: S101 - checked by the method, at its border
+        offsets = self.offsets[cells.start : cells.stop + 1]
+        rows = self.rows[offsets[0] : offsets[-1]]
+        local, normals = kernels.gather_points(
+            self.cloud.positions, self.cloud.normals, rows, self.origin, self.cell_size
+        )
+        return local, normals, offsets - offsets[0]
+
+    def sum(self, cells: slice) -> FloatArray:
+        """Return the moments of a run of cells."""
+        return kernels.accumulate_moments(*self.cut(cells))
+
+
+def sort_cloud(
+    cloud: PointCloud, origin: FloatArray, cell_size: float
+) -> tuple[IntArray, SortedPoints]:
+    """Sort points by the cell that they lie in.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        With normals.
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of the lattice lies.
+    cell_size : float
+        In length units of the input.
+
+    Returns
+    -------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the occupied cells.
+    points : SortedPoints
+    """
+    cells, offsets, rows = kernels.sort_points(cloud.positions, origin, cell_size)
+    return cells, SortedPoints(cloud, origin, cell_size, offsets, rows)
+
+
+def merge_finest(
+    cells: IntArray, points: SortedPoints, workforce: Workforce
+) -> tuple[IntArray, FloatArray]:
+    """Sum the moments of the parents of the finest cells, on the workers.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the finest cells.
+    points : SortedPoints
+        In these.
+    workforce : Workforce
+
+    Returns
+    -------
+    parents : ndarray of int64, shape (p,)
+        Sorted keys.
+    moments : ndarray of float64, shape (p, 44)
+        See `merge_points`.
+    """
+    at_once = len(workforce.cut(len(cells)))
+    slabs = _cut_slabs(cells, max(at_once, -(-len(cells) // _SLAB)))
+    merged: list[tuple[IntArray, FloatArray]] = []
+    for first in range(0, len(slabs), at_once):
+        batches = [(cells[slab], *points.cut(slab)) for slab in slabs[first : first + at_once]]
+        merged += map_batches(workforce, merge_points, batches)
+    parents = np.concatenate([keys for keys, _ in merged])
+    return parents, np.concatenate([moments for _, moments in merged])
+
+
+def _cut_slabs(cells: IntArray, parts: int) -> list[slice]:
+    """Cut sorted cells into about so many runs that part no children of one parent.
+
+    The slowest coordinate of a key is x: between two layers of parents lies no parent.
+    """
+    layers = np.flatnonzero(np.diff(cells >> (2 * BITS + 1))) + 1
+    wanted = np.arange(1, parts) * len(cells) // parts
+    cuts = np.unique(np.append(layers, len(cells))[np.searchsorted(layers, wanted)])
+    bounds = [0, *cuts[cuts < len(cells)].tolist(), len(cells)]
+    return [slice(a, b) for a, b in pairwise(bounds)]
