@@ -7,7 +7,10 @@ finds them by the cloud's own lists, with no memory of ours.
 from __future__ import annotations
 
 import hashlib
+import re
+import secrets
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 __all__ = [
     "CLUSTER_TAG",
@@ -20,7 +23,9 @@ __all__ = [
     "PREFIX",
     "NodeName",
     "client_token",
+    "draw_incarnation",
     "group_name",
+    "incarnation_began",
     "key_pair_name",
 ]
 
@@ -60,6 +65,25 @@ def group_name(cluster: str) -> str:
 def key_pair_name(cluster: str) -> str:
     """Return the name of the key pair of a cluster."""
     return PREFIX + cluster
+
+
+def draw_incarnation(now: datetime) -> str:
+    """Draw the name of a new life of a cluster; it tells when that life began.
+
+    Examples
+    --------
+    >>> name = draw_incarnation(datetime(2026, 1, 2, tzinfo=UTC))
+    >>> len(name), incarnation_began(name).isoformat()
+    (12, '2026-01-02T00:00:00+00:00')
+    """
+    return f"{int(now.timestamp()):08x}{secrets.token_hex(2)}"
+
+
+def incarnation_began(incarnation: str) -> datetime | None:
+    """Return when the life of a cluster began, in UTC; None where its name does not tell."""
+    if re.fullmatch(r"[0-9a-f]{12}", incarnation) is None:
+        return None
+    return datetime.fromtimestamp(int(incarnation[:8], 16), UTC)
 
 
 def client_token(cluster: str, incarnation: str, name: NodeName, attempt: str = "") -> str:

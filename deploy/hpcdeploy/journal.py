@@ -1,0 +1,170 @@
+"""The journal: what `up` and `down` were about to do, written before they do it.
+
+It tells the user what was under way when a command was cut short, and lets the next one ask the
+cloud again with the very same token. Nothing that exists is found by it: that is the cloud's own
+list, see `provider.Provider.observe`. One line of JSON for each intent and each outcome, synced
+to the disk; the last line may be torn. While a journal is open no other command changes the
+cluster from this machine.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import IO, Any
+
+from hpccomponent.errors import CapacityError, CloudError, OutputError
+from hpcdeploy.layout import state_folder
+from hpcdeploy.names import NodeName
+from hpcdeploy.pace import utc_now
+
+__all__ = ["Attempt", "Journal", "Step", "open_journal"]
+
+Step = Callable[[str], AbstractContextManager[object]]
+"""Writes an intent, lets it be carried out, writes how it went; see `Journal.step`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """A launch that was asked for and whose answer is not known.
+
+    Parameters
+    ----------
+    instance_type, market : str
+    lease_until : datetime
+        A repeated request must be the same in all its parts.
+    """
+
+    instance_type: str
+    market: str
+    lease_until: datetime
+
+
+class Journal:
+    """An open journal; see `open_journal`."""
+
+    def __init__(self, file: IO[bytes], entries: list[dict[str, Any]]) -> None:
+        self._file = file
+        self._entries = entries
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def step(self, what: str, **details: str | int) -> Iterator[None]:
+        """Write an intent, let it be carried out, write how it went.
+
+        Parameters
+        ----------
+        what : str
+            What is about to be done, as the user may read it.
+        **details
+            What the next command needs to know about it.
+        """
+        self._write({"intent": what, **details})
+        try:
+            yield
+        except CapacityError as error:
+            self._write({"refused": what, "why": str(error), **details})
+            raise
+        except Exception as error:
+            self._write({"failed": what, "why": str(error), **details})
+            raise
+        self._write({"done": what, **details})
+
+    def note_bad(self, machine_id: str, reason: str) -> None:
+        """Remember that a machine is of no use, so that the next `up` replaces it at once."""
+        self._write({"bad": machine_id, "why": reason})
+
+    @property
+    def known_bad(self) -> frozenset[str]:
+        """The ids of machines that are of no use."""
+        return frozenset(entry["bad"] for entry in self._entries if "bad" in entry)
+
+    def unfinished(self) -> list[str]:
+        """Return what was begun and has no outcome, in the order in which it was begun."""
+        pending: dict[str, None] = {}
+        for entry in self._entries:
+            if "intent" in entry:
+                pending[entry["intent"]] = None
+            for outcome in ("done", "refused", "failed"):
+                pending.pop(entry.get(outcome, ""), None)
+        return list(pending)
+
+    def attempt(self, incarnation: str, name: NodeName) -> Attempt | None:
+        """Return the launch of a node that was asked for last, if it may have come about."""
+        of_node = {"incarnation": incarnation, "node": name.node, "generation": name.generation}
+        for entry in reversed(self._entries):
+            if of_node.items() <= entry.items():
+                if "done" in entry or "refused" in entry:
+                    return None
+                until = datetime.fromisoformat(entry["lease_until"])
+                return Attempt(entry["instance_type"], entry["market"], until)
+        return None
+
+    def clear(self) -> None:
+        """Forget everything: the cluster is gone."""
+        self._entries.clear()
+        self._file.truncate(0)
+        os.fsync(self._file.fileno())
+
+    def _write(self, entry: dict[str, Any]) -> None:
+        line = json.dumps({"at": utc_now().isoformat(timespec="milliseconds"), **entry})
+        with self._lock:
+            self._entries.append(entry)
+            self._file.write(line.encode() + b"\n")
+            os.fsync(self._file.fileno())
+
+
+@contextmanager
+def open_journal(cluster: str) -> Iterator[Journal]:
+    """Open the journal of a cluster, for this process alone.
+
+    Raises
+    ------
+    CloudError
+        Another process has it open.
+    OutputError
+        The state folder cannot be written.
+    """
+    path = state_folder(cluster) / "journal.jsonl"
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        file = path.open("ab+", buffering=0)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: {error.strerror}", "set XDG_STATE_HOME to a folder that can be written"
+        ) from None
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise CloudError(
+                f"cluster {cluster} is being changed by another hpcapp on this machine",
+                "wait for it to end, or end it",
+            ) from None
+        yield Journal(file, _read(file, path))
+
+
+def _read(file: IO[bytes], path: Path) -> list[dict[str, Any]]:
+    """Read all entries, and cut off a last line that is torn."""
+    file.seek(0)
+    text = file.read()
+    whole = text[: text.rfind(b"\n") + 1]
+    if len(whole) < len(text):
+        file.truncate(len(whole))
+    entries = []
+    for number, line in enumerate(whole.splitlines(), start=1):
+        try:
+            entries.append(json.loads(line))
+        except ValueError:
+            raise CloudError(
+                f"{path}:{number}: not a line of the journal",
+                "move the file away: nothing is found by it, the cloud's own lists are",
+            ) from None
+    return entries

@@ -1,0 +1,241 @@
+"""What to do so that the cloud is as the file says: (spec, observed) -> actions, pure.
+
+Nothing here calls a cloud; `converge` carries the actions out in their order, `plan` prints them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+from hpcdeploy.names import NodeName
+from hpcdeploy.provider import MachineSeen, Observed, State
+from hpcdeploy.provider_spec import CloudSpec, Profile
+from hpcdeploy.spec import ClusterSpec
+
+__all__ = [
+    "Action",
+    "Allow",
+    "CreateGroup",
+    "CreateKeyPair",
+    "Extend",
+    "LaunchNode",
+    "Plan",
+    "Terminate",
+    "launch_choices",
+    "make_plan",
+]
+
+LIVE = (State.PENDING, State.RUNNING)
+LEASE_SLACK = 0.1
+"""The lease is written anew once this part of it has passed."""
+
+
+@dataclass(frozen=True, slots=True)
+class CreateGroup:
+    """Make the security group; with it a life of the cluster begins."""
+
+    incarnation: str
+
+    def __str__(self) -> str:
+        return "create the security group"
+
+
+@dataclass(frozen=True, slots=True)
+class Allow:
+    """Set the rules of the security group."""
+
+    ssh_from: frozenset[str]
+    internal_ports: frozenset[int]
+
+    def __str__(self) -> str:
+        ports = ", ".join(str(port) for port in sorted(self.internal_ports))
+        return f"allow SSH from {', '.join(sorted(self.ssh_from))}, port {ports} inside"
+
+
+@dataclass(frozen=True, slots=True)
+class CreateKeyPair:
+    """Make the cluster's public key known."""
+
+    def __str__(self) -> str:
+        return "create the key pair"
+
+
+@dataclass(frozen=True, slots=True)
+class LaunchNode:
+    """Start the machine of a node.
+
+    Parameters
+    ----------
+    name : NodeName
+    profile : str
+    choices : tuple of (str, str)
+        Instance types and markets, in the order in which they are tried.
+    """
+
+    name: NodeName
+    profile: str
+    choices: tuple[tuple[str, str], ...]
+
+    def __str__(self) -> str:
+        kinds = " or ".join(f"{kind} ({market})" for kind, market in self.choices if kind)
+        again = f", generation {self.name.generation}" if self.name.generation > 1 else ""
+        return f"launch {self.name.node}{f' as {kinds}' if kinds else ''}{again}"
+
+
+@dataclass(frozen=True, slots=True)
+class Extend:
+    """Write a new end of the lease."""
+
+    machines: tuple[MachineSeen, ...]
+    lease_until: datetime
+
+    def __str__(self) -> str:
+        nodes = ", ".join(machine.name.node for machine in self.machines)
+        return f"extend the lease of {nodes} to {self.lease_until:%Y-%m-%d %H:%M} UTC"
+
+
+@dataclass(frozen=True, slots=True)
+class Terminate:
+    """End machines for one reason."""
+
+    machines: tuple[MachineSeen, ...]
+    why: str
+
+    def __str__(self) -> str:
+        nodes = ", ".join(f"{machine.name.node} ({machine.id})" for machine in self.machines)
+        return f"terminate {nodes}: {self.why}"
+
+
+Action = CreateGroup | Allow | CreateKeyPair | Terminate | Extend | LaunchNode
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What to do.
+
+    Parameters
+    ----------
+    actions : tuple of Action
+        In their order; empty where nothing is to be done.
+    kept : tuple of MachineSeen
+        Machines of the cluster that stay.
+    incarnation : str
+        The life of the cluster that new machines belong to.
+    """
+
+    actions: tuple[Action, ...] = ()
+    kept: tuple[MachineSeen, ...] = ()
+    incarnation: str = ""
+
+
+def launch_choices(profile: Profile | None) -> tuple[tuple[str, str], ...]:
+    """Return instance types and markets, in the order in which they are tried."""
+    if profile is None:
+        return (("", "on_demand"),)
+    markets = {"spot_with_fallback": ("spot", "on_demand")}.get(profile.market, (profile.market,))
+    return tuple((kind, market) for market in markets for kind in profile.instance_types)
+
+
+def make_plan(
+    spec: ClusterSpec,
+    observed: Observed,
+    now: datetime,
+    incarnation: str = "",
+    ssh_from: frozenset[str] = frozenset(),
+    known_bad: frozenset[str] = frozenset(),
+) -> Plan:
+    """Compare what is wanted with what is there.
+
+    Parameters
+    ----------
+    spec : ClusterSpec
+    observed : Observed
+        What belongs to other clusters does not matter.
+    now : datetime
+        In UTC.
+    incarnation : str
+        For a new life of the cluster, see `names.draw_incarnation`.
+    ssh_from : frozenset of str
+        Networks (CIDR) that may reach the SSH port.
+    known_bad : frozenset of str
+        Ids of machines that are to be replaced.
+    """
+    machines = [machine for machine in observed.machines if machine.cluster == spec.cluster]
+    actions: list[Action] = []
+    if isinstance(spec.provider, CloudSpec):
+        group = next((seen for seen in observed.groups if seen.cluster == spec.cluster), None)
+        ports = frozenset({spec.communicator.port})
+        life = group.incarnation if group else _latest_life(machines) or incarnation
+        if group is None:
+            actions.append(CreateGroup(life))
+        if group is None or (group.ssh_from, group.internal_ports) != (ssh_from, ports):
+            actions.append(Allow(ssh_from, ports))
+        if all(pair.cluster != spec.cluster for pair in observed.key_pairs):
+            actions.append(CreateKeyPair())
+    else:
+        life = _latest_life(machines) or incarnation
+    kept, endings = _sort_out(spec, machines, life, known_bad)
+    actions += endings
+    actions += _extensions(spec, kept, now)
+    there = {machine.name.node for machine in kept}
+    for node in spec.nodes():
+        if node not in there:
+            name = NodeName(node, _next_generation(machines, node, life))
+            choices = launch_choices(spec.profile(node))
+            actions.append(LaunchNode(name, spec.profile_name(node), choices))
+    return Plan(tuple(actions), tuple(kept), life)
+
+
+def _latest_life(machines: Iterable[MachineSeen]) -> str:
+    """Return the incarnation of live machines whose group cannot be seen."""
+    return max((m.incarnation for m in machines if m.state in LIVE), default="")
+
+
+def _sort_out(
+    spec: ClusterSpec, machines: Sequence[MachineSeen], life: str, known_bad: frozenset[str]
+) -> tuple[list[MachineSeen], list[Terminate]]:
+    """Tell the machines that stay, in the order of the nodes, from those that must go."""
+    wanted = spec.nodes()
+    best: dict[str, MachineSeen] = {}
+    going: dict[str, list[MachineSeen]] = {}
+    for machine in sorted(machines, key=_merit, reverse=True):
+        node = machine.name.node
+        if machine.state not in (*LIVE, State.STOPPED):
+            continue
+        if machine.id in known_bad:
+            going.setdefault("it could not be set up", []).append(machine)
+        elif machine.state is State.STOPPED:
+            going.setdefault("it has shut down", []).append(machine)
+        elif machine.incarnation != life:
+            going.setdefault("left from an earlier life of the cluster", []).append(machine)
+        elif node not in wanted:
+            going.setdefault("the file wants fewer machines", []).append(machine)
+        elif node in best:
+            going.setdefault(f"there is another {node}", []).append(machine)
+        else:
+            best[node] = machine
+    kept = [best[node] for node in wanted if node in best]
+    return kept, [Terminate(tuple(some), why) for why, some in going.items()]
+
+
+def _merit(machine: MachineSeen) -> tuple[bool, int, str]:
+    """Rank machines of one node: the one that runs, then the latest."""
+    return machine.state is State.RUNNING, machine.name.generation, machine.id
+
+
+def _extensions(spec: ClusterSpec, kept: Sequence[MachineSeen], now: datetime) -> list[Extend]:
+    """Return the lease's extension where it is due."""
+    if not isinstance(spec.provider, CloudSpec):
+        return []
+    until = now.replace(microsecond=0) + timedelta(seconds=spec.limits.lease)
+    slack = timedelta(seconds=LEASE_SLACK * spec.limits.lease)
+    due = tuple(m for m in kept if m.lease_until is None or abs(until - m.lease_until) > slack)
+    return [Extend(due, until)] if due else []
+
+
+def _next_generation(machines: Iterable[MachineSeen], node: str, life: str) -> int:
+    """Return the first generation of a node that no machine of this life has had."""
+    had = (m.name.generation for m in machines if m.name.node == node and m.incarnation == life)
+    return max(had, default=0) + 1

@@ -1,0 +1,233 @@
+"""A cloud in memory: what tests and demonstrations of `up` and `down` run against.
+
+It has the habits of real ones that matter: machines are pending for a while and ending for a
+while, a fresh machine may be missing from the lists at first, a token is remembered after its
+machine is gone, a group in use cannot be deleted, capacity runs out.
+"""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from typing import Literal
+
+from hpccomponent.errors import CapacityError
+from hpcdeploy.names import client_token, group_name, key_pair_name
+from hpcdeploy.pace import utc_now
+from hpcdeploy.provider import (
+    GroupSeen,
+    KeyPairSeen,
+    Launch,
+    MachineSeen,
+    Observed,
+    Problem,
+    State,
+)
+
+__all__ = ["Hook", "MemoryProvider"]
+
+Hook = Callable[[Literal["before", "after"], str], None]
+
+
+@dataclass(slots=True)
+class _Machine:
+    seen: MachineSeen
+    launched: datetime
+    ended: datetime | None = None
+
+
+class MemoryProvider:
+    """A cloud in memory.
+
+    Parameters
+    ----------
+    now : callable
+        Gives the time in UTC.
+    boot_s, end_s : float
+        How long a machine is pending, and how long it is ending.
+    unseen_s : float
+        How long a fresh machine is missing from `observe`.
+    listed_s : float
+        How long a machine that is gone is still listed.
+    hook : callable, optional
+        Called with ``before`` or ``after`` and the name of every call; what it raises is what the
+        caller gets. Raised ``after``, the work is done and its answer lost.
+
+    Attributes
+    ----------
+    unavailable : set of (str, str)
+        Instance types and markets that are not to be had.
+    never_boot : set of str
+        Nodes whose machines stay pending.
+    """
+
+    name = "memory"
+    makes_machines = True
+
+    def __init__(
+        self,
+        now: Callable[[], datetime] = utc_now,
+        boot_s: float = 0.0,
+        end_s: float = 0.0,
+        unseen_s: float = 0.0,
+        listed_s: float = 3600.0,
+        hook: Hook | None = None,
+    ) -> None:
+        self._now = now
+        self._boot, self._end = timedelta(seconds=boot_s), timedelta(seconds=end_s)
+        self._unseen, self._listed = timedelta(seconds=unseen_s), timedelta(seconds=listed_s)
+        self.hook = hook
+        self.unavailable: set[tuple[str, str]] = set()
+        self.never_boot: set[str] = set()
+        self._machines: dict[str, _Machine] = {}  # by client token
+        self._groups: dict[str, GroupSeen] = {}
+        self._key_pairs: dict[str, KeyPairSeen] = {}
+        self._numbers = itertools.count(1)
+        self._lock = threading.RLock()
+
+    def observe(self, cluster: str | None) -> Observed:
+        """Return all that exists, as it stands now."""
+        with self._called("observe"):
+            machines = [
+                self._seen(machine)
+                for machine in self._machines.values()
+                if self._is_listed(machine)
+            ]
+            return Observed(
+                tuple(seen for seen in machines if cluster in (None, seen.cluster)),
+                tuple(pair for name, pair in self._key_pairs.items() if cluster in (None, name)),
+                tuple(group for name, group in self._groups.items() if cluster in (None, name)),
+            )
+
+    def create_key_pair(self, cluster: str, public_key: str) -> KeyPairSeen:
+        """Make a key pair; its fingerprint is the public key."""
+        with self._called("create_key_pair"):
+            pair = KeyPairSeen(cluster, key_pair_name(cluster), public_key)
+            return self._key_pairs.setdefault(cluster, pair)
+
+    def create_group(self, cluster: str, incarnation: str) -> GroupSeen:
+        """Make a group."""
+        with self._called("create_group"):
+            name = group_name(cluster)
+            group = GroupSeen(cluster, f"sg-{next(self._numbers)}", name, incarnation)
+            return self._groups.setdefault(cluster, group)
+
+    def allow(
+        self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
+    ) -> None:
+        """Replace the rules of a group."""
+        with self._called("allow"):
+            there = self._groups[group.cluster]
+            self._groups[group.cluster] = replace(
+                there, ssh_from=ssh_from, internal_ports=internal_ports
+            )
+
+    def launch(self, launch: Launch) -> MachineSeen:
+        """Start a machine, or return the one that the same token has started."""
+        with self._called("launch"):
+            attempt = f"{launch.instance_type}-{launch.market}"
+            token = client_token(launch.cluster, launch.incarnation, launch.name, attempt)
+            if token not in self._machines:
+                if (launch.instance_type, launch.market) in self.unavailable:
+                    kind = f"{launch.instance_type} ({launch.market})"
+                    raise CapacityError(
+                        f"{launch.name.node}: no {kind} to be had",
+                        "try another instance type, market or zone",
+                    )
+                self._machines[token] = self._start(launch)
+            return self._seen(self._machines[token])
+
+    def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
+        """Write a new end of the lease."""
+        with self._called("extend"):
+            for machine in self._named(machines):
+                machine.seen = replace(machine.seen, lease_until=lease_until)
+
+    def terminate(self, machines: Sequence[MachineSeen]) -> None:
+        """Begin to end some machines."""
+        with self._called("terminate"):
+            for machine in self._named(machines):
+                machine.ended = machine.ended or self._now()
+
+    def delete_group(self, group: GroupSeen) -> bool:
+        """Delete a group unless a machine that is not yet gone was launched in it."""
+        with self._called("delete_group"):
+            if any(
+                machine.seen.cluster == group.cluster and self._state(machine) is not State.GONE
+                for machine in self._machines.values()
+            ):
+                return False
+            self._groups.pop(group.cluster, None)
+            return True
+
+    def delete_key_pair(self, key_pair: KeyPairSeen) -> None:
+        """Delete a key pair."""
+        with self._called("delete_key_pair"):
+            self._key_pairs.pop(key_pair.cluster, None)
+
+    def console(self, machine: MachineSeen) -> str:
+        """Return one line."""
+        return f"{machine.name.node}: booting\n"
+
+    def check(self) -> list[Problem]:
+        """Find no problem."""
+        return []
+
+    def interrupt(self, node: str, reason: str = "Server.SpotInstanceTermination") -> None:
+        """Take the machines of a node away, as a cloud does with spot machines."""
+        for machine in self._machines.values():
+            if machine.seen.name.node == node and machine.ended is None:
+                machine.ended, machine.seen = self._now(), replace(machine.seen, reason=reason)
+
+    def _start(self, launch: Launch) -> _Machine:
+        number, now = next(self._numbers), self._now()
+        seen = MachineSeen(
+            id=f"i-{number:08x}",
+            cluster=launch.cluster,
+            name=launch.name,
+            incarnation=launch.incarnation,
+            state=State.PENDING,
+            public_address=f"198.51.{number >> 8 & 255}.{number & 255}",
+            private_address=f"10.0.{number >> 8 & 255}.{number & 255}",
+            instance_type=launch.instance_type,
+            market=launch.market,
+            launched=now,
+            lease_until=launch.lease_until,
+        )
+        return _Machine(seen, now)
+
+    def _state(self, machine: _Machine) -> State:
+        if machine.ended is not None:
+            return State.GONE if self._now() >= machine.ended + self._end else State.ENDING
+        is_up = self._now() >= machine.launched + self._boot
+        return (
+            State.RUNNING
+            if is_up and machine.seen.name.node not in self.never_boot
+            else State.PENDING
+        )
+
+    def _seen(self, machine: _Machine) -> MachineSeen:
+        return replace(machine.seen, state=self._state(machine))
+
+    def _is_listed(self, machine: _Machine) -> bool:
+        now = self._now()
+        is_forgotten = machine.ended is not None and now > machine.ended + self._end + self._listed
+        return now >= machine.launched + self._unseen and not is_forgotten
+
+    def _named(self, machines: Sequence[MachineSeen]) -> list[_Machine]:
+        ids = {machine.id for machine in machines}
+        return [machine for machine in self._machines.values() if machine.seen.id in ids]
+
+    @contextmanager
+    def _called(self, call: str) -> Iterator[None]:
+        """Let the hook see a call on its way in and its answer on the way out."""
+        with self._lock:
+            if self.hook:
+                self.hook("before", call)
+            yield
+            if self.hook:
+                self.hook("after", call)
