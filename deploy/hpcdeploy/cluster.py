@@ -41,7 +41,7 @@ class Cluster:
     def machines(self) -> tuple[MachineSeen, ...]:
         """Return the machines that run, from the cloud: the head first, then by number."""
         seen = self.provider.observe(self.spec.cluster).machines
-        return tuple(sorted((m for m in seen if m.state is State.RUNNING), key=_rank))
+        return tuple(sorted((m for m in seen if m.state is State.RUNNING), key=node_order))
 
     def head(self) -> MachineSeen:
         """Return the machine of the HPC App.
@@ -57,7 +57,7 @@ class Cluster:
         raise CloudError(f"cluster {self.spec.cluster} is not up", f"run hpcapp up {self.path}")
 
 
-def _rank(machine: MachineSeen) -> tuple[bool, int, str, int]:
+def node_order(machine: MachineSeen) -> tuple[bool, int, str, int]:
     """Order machines as people count them: worker-2 comes before worker-10."""
     node = machine.name.node
     return node != HEAD, len(node), node, machine.name.generation

@@ -1,0 +1,48 @@
+"""The clouds that `ls --all` and `reap` look at: those of some files, or the environment's."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from hpccomponent.config import parse_config
+from hpcdeploy.provider import Provider
+from hpcdeploy.providers import open_provider
+from hpcdeploy.spec import ClusterSpec, read_spec
+
+__all__ = ["open_clouds"]
+
+ANY_CLUSTER = """
+version: 1
+cluster: any
+provider:
+  type: aws
+  region: {region}
+  profiles: {{any: {{image: {{id: ami-0}}, instance_type: any}}}}
+"""
+
+
+def open_clouds(files: Sequence[Path]) -> list[tuple[str, Provider]]:
+    """Return the clouds of some cluster files, each once, with a name to print.
+
+    Without a file, the AWS account and region of the environment.
+
+    Raises
+    ------
+    ConfigError
+        A file has mistakes.
+    CloudError
+        A cloud's keys are not to be found.
+    """
+    if not files:
+        region = os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION", "us-east-1")
+        spec = parse_config(ANY_CLUSTER.format(region=region), "the environment", ClusterSpec)
+        return [(f"aws {region}", open_provider(spec, Path.cwd()))]
+    clouds: dict[str, tuple[str, Provider]] = {}
+    for path in files:
+        spec = read_spec(path)
+        place = spec.provider.model_dump_json(exclude={"profiles"})
+        if place not in clouds:
+            clouds[place] = (str(path), open_provider(spec, path.absolute().parent))
+    return list(clouds.values())
