@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, LeftoverError
+from hpcdeploy.cost import check_limits, estimate_cost
 from hpcdeploy.effort import Effort, Report, remove_all
 from hpcdeploy.journal import open_journal
 from hpcdeploy.names import draw_incarnation
@@ -61,7 +62,10 @@ def bring_up(
         Fewer machines than `workers.min` are to be had; unless `keep`, what was made is gone.
     LeftoverError
         So it is, but something is left.
+    UsageError
+        It may cost more than the file allows; nothing was done.
     """
+    check_limits(cluster.spec, estimate_cost(cluster.spec))
     pace = pace or Pace()
     with open_journal(cluster.spec.cluster) as journal:
         for what in journal.unfinished():

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from hpcdeploy.cost import Cost
+    from hpcdeploy.plan import Action
+    from hpcdeploy.provider import Problem
 
 __all__ = ["plan", "validate"]
 
@@ -18,11 +26,66 @@ def validate(file: Path) -> None:
     from hpcdeploy.spec import read_spec
 
     spec = read_spec(file)
-    click.echo(f"{file}: valid: cluster {spec.cluster}, provider {spec.provider.type}")
+    click.echo(
+        f"{file}: valid: cluster {spec.cluster}, {spec.provider.type}, "
+        f"a head and {spec.worker_count} workers"
+    )
 
 
 @click.command()
 @click.argument("file", type=FILE)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def plan(file: Path, as_json: bool) -> None:
-    """Show what `up` would create or change, and what it costs an hour and at most."""
+    """Show what `up` would do with the cluster file FILE, and what that costs.
+
+    Changes nothing. Names the wheels that are missing; refuses what the file's limits forbid.
+    """
+    from hpcdeploy.bootstrap import check_wheels
+    from hpcdeploy.cluster import open_cluster
+    from hpcdeploy.converge import look_ahead
+    from hpcdeploy.cost import check_limits, estimate_cost
+
+    with open_cluster(file) as cluster:
+        actions = look_ahead(cluster).actions
+    missing = check_wheels(cluster.spec, file.absolute().parent)
+    cost = estimate_cost(cluster.spec)
+    if as_json:
+        click.echo(json.dumps(_as_json(cluster.spec.cluster, actions, cost, missing)))
+    else:
+        click.echo("\n".join(_lines(cluster.spec.cluster, actions, cost, missing)))
+    check_limits(cluster.spec, cost)
+
+
+def _lines(
+    name: str, actions: Sequence[Action], cost: Cost, missing: Sequence[Problem]
+) -> list[str]:
+    """Write a plan for people."""
+    from hpcdeploy.cost import describe_cost
+
+    return [
+        *(f"would {action}" for action in actions),
+        *([] if actions else [f"cluster {name}: nothing to create or change"]),
+        *describe_cost(cost),
+        *(f"missing: {problem.what}; {problem.advice}" for problem in missing),
+    ]
+
+
+def _as_json(
+    name: str, actions: Sequence[Action], cost: Cost, missing: Sequence[Problem]
+) -> dict[str, Any]:
+    """Write a plan for programs; money is in dollars."""
+    return {
+        "cluster": name,
+        "actions": [
+            {"kind": type(action).__name__, "description": str(action)} for action in actions
+        ],
+        "cost": {
+            "hourly": cost.hourly,
+            "total_at_most": cost.total_at_most,
+            "lease_s": cost.lease_s,
+            "priced_as_of": cost.priced_as_of,
+            "is_estimate": True,
+            "no_price_known_of": [line.instance_type for line in cost.unknown],
+        },
+        "missing": [{"what": problem.what, "advice": problem.advice} for problem in missing],
+    }

@@ -10,6 +10,7 @@ import pytest
 from pydantic_core import PydanticUndefined
 
 from hpccomponent.config import ConfigModel
+from hpccomponent.errors import ConfigError
 from hpcdeploy.provider_spec import AwsSpec, Ec2Spec, EucalyptusSpec, LocalSpec, SshSpec
 from hpcdeploy.spec import ClusterSpec, parse_duration, read_spec
 
@@ -59,6 +60,20 @@ def reference() -> dict[str, str]:
     text = (ROOT / "docs/cluster.md").read_text(encoding="utf-8")
     rows = [line.split("|") for line in text.splitlines() if line.startswith("| `")]
     return {row[1].strip().strip("`"): row[2].strip() for row in rows if len(row) == 5}
+
+
+def test_the_pages_file_is_valid_and_its_mistakes_are_told_so(tmp_path: Path) -> None:
+    page = (ROOT / "docs/cluster.md").read_text(encoding="utf-8")
+    _, _, text = page.partition("## The file\n```yaml\n")
+    text, _, after = text.partition("```\n")
+    told = after.split("```\n")[1]
+    path = tmp_path / "cluster.yaml"
+    path.write_text(text)
+    assert read_spec(path).worker_count == 3
+    path.write_text(text.replace("{profile: small", "{profile: smal").replace("idle", "idel"))
+    with pytest.raises(ConfigError) as caught:
+        read_spec(path)
+    assert str(caught.value).replace(f"{tmp_path}/", "") + "\n" == told
 
 
 def test_the_page_names_every_key_and_none_that_is_not_there() -> None:

@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 from simulated import SetUp, SimulatedTime, make_cluster, make_spec
 
-from hpccomponent.errors import CloudError, LeftoverError
+from hpccomponent.errors import CloudError, LeftoverError, UsageError
 from hpcdeploy.converge import bring_up, replace_lost, take_down
 from hpcdeploy.names import NodeName
 from hpcdeploy.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.spec import Limits
 
 CHANGES = {
     "create_group", "create_key_pair", "allow", "launch", "extend", "terminate",
@@ -78,6 +79,14 @@ def test_up_makes_what_the_file_says_and_down_takes_it_away(
     assert set_up.calls == [("head", "worker-1", "worker-2", "worker-3")]
     simulation.down()
     assert simulation.left() == Observed()
+
+
+def test_up_refuses_what_may_cost_too_much(simulation: Simulation) -> None:
+    spec = make_spec(3)
+    frugal = spec.model_copy(update={"limits": Limits(max_hourly_cost=0.1)})
+    with pytest.raises(UsageError, match="max_hourly_cost"):
+        bring_up(make_cluster(frugal, simulation.cloud), simulation.lines.append)
+    assert not simulation.calls
 
 
 def test_up_again_makes_no_call_that_changes_anything(simulation: Simulation) -> None:
