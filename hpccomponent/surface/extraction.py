@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.surface.blending import NODES
 from hpccomponent.surface.bricks import grow_bricks
 from hpccomponent.surface.case_table import EDGES, case_triangles, triangle_counts
 from hpccomponent.surface.field import BRICK, Field, Grid, evaluate_bricks
@@ -84,13 +85,41 @@ def _place_vertices(
     numbers = (np.cumsum(crossed.reshape(-1)) - 1).astype(np.int32).reshape(crossed.shape)
     brick, axis_of, *node = np.nonzero(crossed)
     local = np.stack(node, axis=1)
-    ends = local + np.eye(3, dtype=np.int64)[axis_of]
-    first = values[brick, local[:, 0], local[:, 1], local[:, 2]].astype(np.float64)
-    second = values[brick, ends[:, 0], ends[:, 1], ends[:, 2]].astype(np.float64)
-    along = np.clip(first / (first - second), _NEAREST, 1.0 - _NEAREST)
     coordinates = (BRICK * places[brick] + local).astype(np.float64)
-    coordinates[np.arange(len(brick)), axis_of] += along
+    coordinates[np.arange(len(brick)), axis_of] += _cross_edges(values, brick, local, axis_of)
     return numbers, grid.origin + coordinates * grid.step
+
+
+def _cross_edges(
+    values: Float32Array, brick: IntArray, local: IntArray, axis: IntArray
+) -> FloatArray:
+    """Return how far along each edge the surface crosses it, by a parabola through its ends.
+
+    A distance bends along an edge wherever the surface is curved: straight lines would put all
+    vertices on its hollow side. The parabola bends like the smaller of the two second differences
+    of the four nodes next to the edge in its brick, and not at all where they disagree, as they
+    do at creases and at the rims of the quadrics; it is monotone.
+    """
+    rows = np.arange(len(local))
+    place = local[rows, axis]
+    nodes = local.copy()
+
+    def at(along: IntArray) -> FloatArray:
+        nodes[rows, axis] = along
+        x, y, z = nodes.T
+        return values[brick, x, y, z].astype(np.float64)
+
+    start = np.clip(place - 1, 0, NODES - 4)
+    rises = np.diff([at(start + i) for i in range(4)], axis=0)
+    lower, upper = np.diff(rises, axis=0)
+    first = at(place)
+    rise = at(place + 1) - first
+    smaller = np.where(np.abs(lower) < np.abs(upper), lower, upper)
+    most = np.abs(rise)
+    bend = np.where(lower * upper > 0.0, 0.5 * np.clip(smaller, -most, most), 0.0)
+    slope = rise - bend
+    root = np.sqrt(slope * slope - 4.0 * bend * first)
+    return np.clip(2.0 * np.abs(first) / (root + np.abs(slope)), _NEAREST, 1.0 - _NEAREST)
 
 
 def _shifted(axis: int) -> tuple[slice, ...]:

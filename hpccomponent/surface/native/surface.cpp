@@ -1,4 +1,5 @@
 // From seeds to a mesh: bricks grown across sign changes, and marching cubes over them.
+#include <cmath>
 #include <cstring>
 
 #include "brick_signs.h"
@@ -50,6 +51,21 @@ struct Bricks {
   std::vector<Brick> bricks;
 };
 
+// Return how far along an edge the surface crosses it (see extraction.py).
+double cross_edge(const float* values, int node, int stride, int place) {
+  const float* four = values + node + (std::min(std::max(place - 1, 0), NODES - 4) - place) * stride;
+  double rises[3];
+  for (int i = 0; i < 3; ++i) rises[i] = static_cast<double>(four[(i + 1) * stride]) - four[i * stride];
+  const double first = values[node], rise = values[node + stride] - first;
+  const double lower = rises[1] - rises[0], upper = rises[2] - rises[1];
+  const double smaller = std::abs(lower) < std::abs(upper) ? lower : upper;
+  const double most = std::abs(rise);
+  const double bend = lower * upper > 0.0 ? 0.5 * std::min(std::max(smaller, -most), most) : 0.0;
+  const double slope = rise - bend;
+  const double root = std::sqrt(slope * slope - 4.0 * bend * first);
+  return std::min(std::max(2.0 * std::abs(first) / (root + std::abs(slope)), NEAREST), 1.0 - NEAREST);
+}
+
 void place_vertices(const Grid& grid, const Place& place, const Brick& brick, const float* values, double* out) {
   const int strides[3] = {NODES * NODES, NODES, 1};
   for (int axis = 0; axis < 3; ++axis)
@@ -58,9 +74,8 @@ void place_vertices(const Grid& grid, const Place& place, const Brick& brick, co
         for (int z = 0; brick.crossed[axis][x][y] >> z; ++z) {
           if (!(brick.crossed[axis][x][y] >> z & 1)) continue;
           const int node = (x * NODES + y) * NODES + z;
-          const double first = values[node], second = values[node + strides[axis]];
-          const double along = std::min(std::max(first / (first - second), NEAREST), 1.0 - NEAREST);
           const int local[3] = {x, y, z};
+          const double along = cross_edge(values, node, strides[axis], local[axis]);
           for (int a = 0; a < 3; ++a) {
             double coordinate = static_cast<double>(BRICK * place[a] + local[a]);
             if (a == axis) coordinate += along;

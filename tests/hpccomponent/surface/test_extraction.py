@@ -73,8 +73,9 @@ def test_a_sphere_is_one_closed_piece_seen_from_outside(sphere):
 
 def test_vertices_lie_on_the_sphere_and_inside_their_edges(sphere):
     radii = np.linalg.norm(sphere.vertices, axis=1)
-    # The chord of an edge errs by at most h^2 / (8 R), and clamping by 0.002 h.
+    # A straight line along an edge errs by up to h^2 / (8 R), and clamping by 0.002 h.
     assert np.abs(radii - 0.7).max() < GRID.step**2 / (8 * 0.7) + 0.002 * GRID.step
+    assert np.abs(radii - 0.7).mean() < 0.1 * GRID.step**2 / (8 * 0.7)
     along = ((sphere.vertices - GRID.origin) / GRID.step) % 1.0
     off_lattice = (along > 1e-9) & (along < 1 - 1e-9)
     assert (off_lattice.sum(axis=1) == 1).all()
