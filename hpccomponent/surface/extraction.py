@@ -107,7 +107,8 @@ def _cross_edges(
     def at(along: IntArray) -> FloatArray:
         nodes[rows, axis] = along
         x, y, z = nodes.T
-        return values[brick, x, y, z].astype(np.float64)
+        found: FloatArray = values[brick, x, y, z].astype(np.float64)
+        return found
 
     start = np.clip(place - 1, 0, NODES - 4)
     rises = np.diff([at(start + i) for i in range(4)], axis=0)
@@ -119,7 +120,8 @@ def _cross_edges(
     bend = np.where(lower * upper > 0.0, 0.5 * np.clip(smaller, -most, most), 0.0)
     slope = rise - bend
     root = np.sqrt(slope * slope - 4.0 * bend * first)
-    return np.clip(2.0 * np.abs(first) / (root + np.abs(slope)), _NEAREST, 1.0 - _NEAREST)
+    share: FloatArray = 2.0 * np.abs(first) / (root + np.abs(slope))
+    return share.clip(_NEAREST, 1.0 - _NEAREST)
 
 
 def _shifted(axis: int) -> tuple[slice, ...]:
