@@ -293,9 +293,11 @@ class Engine:
         return self._transport.send(identity, [encode_message(message)])
 
     def _assign(self, action: Assign) -> bool:
+        worker = self.scheduler.workers.get(action.worker)
+        if worker is None:
+            return True  # an earlier action found it lost; its tasks have been placed anew
         calls, buffers = self.ledger.calls(action.tasks)
         self.counts["batches"] += 1
         message = encode_message(Batch(self.session, action.batch, calls))
-        worker = self.scheduler.workers[action.worker]
         largest = min(LARGEST_FRAME, worker.register.largest_frame)
         return self._transport.send(action.worker, [message, *split_buffers(buffers, largest)])
