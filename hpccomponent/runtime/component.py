@@ -54,6 +54,8 @@ __all__ = ["ComponentOptions", "run_component"]
 
 _log = logging.getLogger(__name__)
 
+CONNECT_AGAIN_S = 2.0
+
 
 @dataclass(frozen=True, slots=True)
 class ComponentOptions:
@@ -104,6 +106,7 @@ class _Component:
         self._stop: Stop | None = None
         self._worker: WorkerProcess | None = None
         self._start_at: float | None = None
+        self._connect_at: float | None = None
         stack.callback(self._end_worker)
         context = stack.enter_context(zmq.Context())
         self._socket = stack.enter_context(_open_socket(context, connection, self._register))
@@ -136,9 +139,8 @@ class _Component:
         return self._stop.code
 
     def _patience_ms(self) -> int:
-        moments = [self._session.next_tick()]
-        if self._start_at is not None:
-            moments.append(self._start_at)
+        alarms = [self._start_at, self._connect_at]
+        moments = [self._session.next_tick(), *(at for at in alarms if at is not None)]
         return max(0, math.ceil((min(moments) - time.monotonic()) * 1000.0))
 
     def _keep_time(self) -> None:
@@ -146,6 +148,10 @@ class _Component:
         if self._start_at is not None and now >= self._start_at:
             self._start_at = None
             self._start_worker()
+        if self._connect_at is not None and now >= self._connect_at:
+            self._connect_at = None
+            self._socket.disconnect(self._endpoint)
+            self._socket.connect(self._endpoint)
         self._carry_out(self._session.tick(now))
 
     def _hear_master(self) -> None:
@@ -183,6 +189,8 @@ class _Component:
         trouble = describe_event(self._monitor.recv_multipart())
         if trouble is not None:
             _log.warning("the connection to %s failed: %s", self._endpoint, trouble)
+            # ZeroMQ tries no more, but the master may learn of this worker a little later.
+            self._connect_at = time.monotonic() + CONNECT_AGAIN_S
 
     def _carry_out(self, actions: Sequence[Action]) -> None:
         for action in actions:
