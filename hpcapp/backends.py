@@ -7,6 +7,8 @@ serial       the calling thread
 threads      a thread pool of this process
 processes    a process pool of the standard library, spawned; a lost worker ends the job
 zmq          loaders, components and workers as real processes; lost workers are replaced
+FILE.json    the workers of a cluster, by its inventory, on the head
+FILE.yaml    the workers of a cluster that is up, by its cluster file, from anywhere
 ===========  =========================================================================
 """
 
@@ -19,11 +21,15 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, ParamSpec, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from hpcapp.batches import Workforce
 from hpccomponent.errors import UsageError
 from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
+
+if TYPE_CHECKING:
+    from hpcapp.communicator.executor import CommunicatorExecutor
 
 __all__ = ["BACKENDS", "POLICIES", "Backend", "SerialExecutor", "Traffic", "open_executor"]
 
@@ -57,7 +63,7 @@ class Backend:
     Parameters
     ----------
     name : str
-        One of `BACKENDS`.
+        One of `BACKENDS`, or ``cluster``.
     workforce : Workforce
         The Executor, with what is needed to cut work for it.
     traffic : callable
@@ -141,9 +147,11 @@ def open_executor(
     Parameters
     ----------
     name : str
-        One of `BACKENDS`.
+        One of `BACKENDS`, or the file of a cluster: its inventory (``.json``) or the cluster file
+        (``.yaml``).
     workers : int, optional
-        How many tasks run at once; as many as there are cores by default, 1 for `serial`.
+        How many tasks run at once; as many as there are cores by default, 1 for `serial`. A
+        cluster's workers are all that its file names and that come.
     policy : str
         ``equal`` hands every worker the same number of batches, ``pull`` hands out the next
         batch to whoever is free.
@@ -161,20 +169,32 @@ def open_executor(
     NoWorkersError
         The workers did not come up.
     """
-    if name not in BACKENDS:
+    is_cluster = name.endswith((".json", ".yaml", ".yml"))
+    if name not in BACKENDS and not is_cluster:
         raise UsageError(f"unknown backend {name!r}", f"choose one of {', '.join(BACKENDS)}")
     if policy not in POLICIES:
         raise UsageError(f"unknown policy {policy!r}", f"choose one of {', '.join(POLICIES)}")
+    per_worker = BATCHES_PER_WORKER[policy]
+    if is_cluster:
+        if workers is not None:
+            raise UsageError(
+                f"a cluster's workers are those of {name}", "leave the number of workers out"
+            )
+        with _open_cluster(name, policy, extra_tasks) as (executor, count):
+            yield Backend("cluster", Workforce(executor, count, per_worker), _counter(executor))
+        return
     count = workers if workers is not None else (1 if name == "serial" else available_cores())
     if count < 1 or (name == "serial" and count > 1):
         raise UsageError(
             f"backend {name!r} cannot have {count} workers",
             "leave --workers out, or choose another --backend",
         )
-    per_worker = BATCHES_PER_WORKER[policy]
     if name == "zmq":
-        with _open_cluster(count, policy, extra_tasks) as (executor, traffic):
-            yield Backend(name, Workforce(executor, count, per_worker), traffic)
+        from hpcapp.local_cluster import LocalCluster
+
+        with LocalCluster(count, policy=policy, extra_tasks=extra_tasks) as cluster:
+            workforce = Workforce(cluster.executor, count, per_worker)
+            yield Backend(name, workforce, _counter(cluster.executor))
         return
     with _open_pool(name, count) as pool:
         yield Backend(name, Workforce(pool, count, per_worker))
@@ -253,15 +273,29 @@ def _watch_workers(processes: list[Any], writer: Any) -> None:
 
 @contextmanager
 def _open_cluster(
-    count: int, policy: str, extra_tasks: Sequence[str]
-) -> Iterator[tuple[Executor, Callable[[], Traffic]]]:
-    """Start loaders on this machine and yield the communicator's Executor."""
-    from hpcapp.local_cluster import LocalCluster
+    name: str, policy: str, extra_tasks: Sequence[str]
+) -> Iterator[tuple[CommunicatorExecutor, int]]:
+    """Open a cluster by its inventory, or by the cluster file through the package that knows it."""
+    from hpcapp.cluster import open_inventory
+    from hpcapp.cluster_jobs import load_cluster_function
 
-    with LocalCluster(count, policy=policy, extra_tasks=extra_tasks) as cluster:
+    path = Path(name)
+    if path.suffix == ".json":
+        with open_inventory(path, policy=policy, extra_tasks=extra_tasks) as opened:
+            yield opened
+        return
+    with (
+        load_cluster_function("open")(path) as (inventory, lead),
+        open_inventory(inventory, policy=policy, extra_tasks=extra_tasks, lead=lead) as opened,
+    ):
+        yield opened
 
-        def traffic() -> Traffic:
-            counted = cluster.executor.statistics()
-            return Traffic(counted["bytes_sent"], counted["bytes_received"])
 
-        yield cluster.executor, traffic
+def _counter(executor: CommunicatorExecutor) -> Callable[[], Traffic]:
+    """Return what counts the traffic of a communicator."""
+
+    def traffic() -> Traffic:
+        counted = executor.statistics()
+        return Traffic(counted["bytes_sent"], counted["bytes_received"])
+
+    return traffic

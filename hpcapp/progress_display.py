@@ -1,20 +1,34 @@
-"""Displays of progress: bars on a terminal, a line now and then elsewhere; always on stderr."""
+"""Displays of progress: bars on a terminal, a line now and then elsewhere; always on stderr.
+
+Besides, `open_events` writes what another program may read: one JSON object a line, either
+``{"stage": NAME, "done": N, "total": N}`` or, at its end, ``{"stage": NAME, "seconds": S}``.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, TextIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
 
 from hpcapp.progress import Progress
+from hpccomponent.errors import OutputError
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bars
     from rich.progress import TaskID
 
-__all__ = ["LINE_PERIOD_S", "BarProgress", "LineProgress", "open_progress"]
+__all__ = [
+    "LINE_PERIOD_S",
+    "BarProgress",
+    "EventProgress",
+    "LineProgress",
+    "open_events",
+    "open_progress",
+]
 
 LINE_PERIOD_S = 10.0
 
@@ -76,6 +90,69 @@ class BarProgress:
         if self._task is not None:
             self._bars.update(self._task, completed=1, total=1)
             self._bars.stop_task(self._task)
+
+
+class EventProgress:
+    """Writes each step as a line of JSON, and shows it on another display too.
+
+    Parameters
+    ----------
+    stream : file
+        Where lines go.
+    display : Progress
+        The other one.
+    """
+
+    def __init__(self, stream: TextIO, display: Progress) -> None:
+        self._stream = stream
+        self._display = display
+        self._stage = ""
+
+    def begin(self, stage: str) -> None:
+        """Write that nothing is done yet."""
+        self._stage = stage
+        self._write({"stage": stage, "done": 0, "total": 0})
+        self._display.begin(stage)
+
+    def advance(self, done: int, total: int) -> None:
+        """Write how far the stage has come."""
+        self._write({"stage": self._stage, "done": done, "total": total})
+        self._display.advance(done, total)
+
+    def end(self, stage: str, seconds: float) -> None:
+        """Write how long the stage took."""
+        self._write({"stage": stage, "seconds": round(seconds, 6)})
+        self._display.end(stage, seconds)
+
+    def _write(self, event: dict[str, Any]) -> None:
+        with contextlib.suppress(OSError):  # a full disk must not end the job here
+            self._stream.write(json.dumps(event) + "\n")
+            self._stream.flush()
+
+
+@contextmanager
+def open_events(path: Path | None, display: Progress) -> Iterator[Progress]:
+    """Yield a display that writes events to the file `path` as well, if there is one.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    if path is None:
+        yield display
+        return
+    try:
+        stream = path.open("w", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written ({error.strerror})", "give another --events"
+        ) from error
+    try:
+        yield EventProgress(stream, display)
+    finally:
+        with contextlib.suppress(OSError):  # what is left to write, likewise
+            stream.close()
 
 
 @contextmanager

@@ -1,14 +1,34 @@
 """The inventory: the file that deploy writes on the head and the HPC App reads.
 
 It tells the App where to listen, with which keys, and which workers it may admit; so the two
-need not know one another.
+need not know one another. Beside it lies a lock: one master at a time holds the cluster.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import fcntl
+import json
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
 
-__all__ = ["Inventory", "InventoryWorker"]
+from hpccomponent.errors import ConfigError
+from hpccomponent.protocol.keys import is_key
+from hpccomponent.protocol.private_json import check_keys, read_private_json
+
+__all__ = [
+    "INVENTORY_VERSION",
+    "Inventory",
+    "InventoryWorker",
+    "dump_inventory",
+    "hold_cluster",
+    "read_inventory",
+]
+
+INVENTORY_VERSION = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,4 +71,85 @@ class Inventory:
     server_public_key: str
     server_secret_key: str = field(repr=False)
     workers: tuple[InventoryWorker, ...] = ()
-    version: int = 1
+    version: int = INVENTORY_VERSION
+
+
+def dump_inventory(inventory: Inventory) -> str:
+    """Return the text of an inventory's file, which must be for its owner only (0600)."""
+    return json.dumps(asdict(inventory), indent=2) + "\n"
+
+
+def read_inventory(path: Path | str) -> Inventory:
+    """Read an inventory, and trust it only if nobody else can read it.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, is readable by group or others, or a key is missing, unknown or
+        not as it should be; the message names the file and the key.
+    """
+    expected = {item.name for item in fields(Inventory)}
+    entries = read_private_json(Path(path), INVENTORY_VERSION, expected)
+    for key in ("server_public_key", "server_secret_key"):
+        _check_curve_key(f"{path}: {key}", entries[key])
+    if not isinstance(entries["cluster"], str) or not entries["cluster"]:
+        raise ConfigError(f"{path}: cluster: {entries['cluster']!r} is not a name")
+    if not isinstance(entries["bind"], str) or not entries["bind"].startswith("tcp://"):
+        raise ConfigError(f"{path}: bind: {entries['bind']!r} is not tcp://HOST:PORT")
+    if not isinstance(entries["workers"], list):
+        raise ConfigError(f"{path}: workers: not a list")
+    workers = tuple(
+        _read_worker(f"{path}: workers[{number}]", entry)
+        for number, entry in enumerate(entries["workers"])
+    )
+    return Inventory(**entries | {"workers": workers})
+
+
+def _read_worker(where: str, entry: Any) -> InventoryWorker:
+    if not isinstance(entry, dict):
+        raise ConfigError(f"{where}: not an object")
+    check_keys(where, entry, {item.name for item in fields(InventoryWorker)})
+    for key in ("name", "address"):
+        if not isinstance(entry[key], str) or not entry[key]:
+            raise ConfigError(f"{where}: {key}: {entry[key]!r} is not text")
+    _check_curve_key(f"{where}: public_key", entry["public_key"])
+    return InventoryWorker(**entry)
+
+
+def _check_curve_key(where: str, key: object) -> None:
+    if not is_key(key):
+        raise ConfigError(f"{where}: not a Z85 CURVE key of 40 characters")
+
+
+@contextmanager
+def hold_cluster(path: Path | str, on_wait: Callable[[], None]) -> Iterator[None]:
+    """Be the only master of an inventory's cluster; wait while another one is.
+
+    Parameters
+    ----------
+    path : path-like
+        The inventory; the lock is a file beside it, freed by the system when its holder ends.
+    on_wait : callable
+        Called if another one is.
+
+    Raises
+    ------
+    ConfigError
+        If nothing can be written beside it.
+    """
+    lock = Path(path).with_suffix(".lock")
+    try:
+        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise ConfigError(
+            f"{lock}: cannot be opened ({error.strerror})", "run as the user who set the cluster up"
+        ) from error
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            on_wait()
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)

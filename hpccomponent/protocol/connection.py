@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import stat
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
 from hpccomponent.errors import ConfigError
 from hpccomponent.protocol.keys import is_key, write_secret
+from hpccomponent.protocol.private_json import read_private_json
 
 __all__ = ["CONNECTION_VERSION", "Connection", "read_connection", "write_connection"]
 
@@ -72,43 +71,10 @@ def read_connection(path: Path | str) -> Connection:
         If the file is missing, is readable by group or others, or a key is missing, unknown or
         not as it should be; the message names the file and the key.
     """
-    text = _read_private(Path(path))
-    try:
-        entries = json.loads(text)
-    except ValueError as error:
-        raise ConfigError(f"{path}: not JSON ({error})", "have the file written anew") from error
-    if not isinstance(entries, dict):
-        raise ConfigError(f"{path}: not a JSON object", "have the file written anew")
-    if entries.get("version") != CONNECTION_VERSION:
-        raise ConfigError(
-            f"{path}: version: {entries.get('version')!r} is not {CONNECTION_VERSION}",
-            "use the same release of hpcapp on both ends",
-        )
     expected = {item.name for item in fields(Connection)}
-    for key in sorted(expected ^ entries.keys()):
-        verdict = "is missing" if key in expected else "is not known"
-        raise ConfigError(f"{path}: {key}: {verdict}", "have the file written anew")
+    entries = read_private_json(Path(path), CONNECTION_VERSION, expected)
     _check(path, entries)
     return Connection(**entries)
-
-
-def _read_private(path: Path) -> str:
-    try:
-        with path.open(encoding="utf-8") as stream:
-            mode = stat.S_IMODE(os.fstat(stream.fileno()).st_mode)
-            text = stream.read()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not text"
-        raise ConfigError(
-            f"{path}: the connection file cannot be read ({reason})",
-            "give the path that the loader or the master wrote",
-        ) from error
-    if mode & 0o077:
-        raise ConfigError(
-            f"{path}: holds a secret key, yet others may read it (mode {mode:04o})",
-            f"chmod 600 {path}, and make new keys if the machine is shared",
-        )
-    return text
 
 
 def _check(path: Path | str, entries: dict[str, object]) -> None:

@@ -47,6 +47,16 @@ def _only_without_patches(ctx: click.Context) -> None:
             )
 
 
+def _only_without_cluster(ctx: click.Context) -> None:
+    """Raise UsageError where workers were asked for beside those of the cluster."""
+    for name in ("backend", "workers"):
+        if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+            raise UsageError(
+                f"--cluster and --{name} exclude each other",
+                "the workers of a cluster are those of its file",
+            )
+
+
 PAPER_OPTIONS = ("delta", "max_points", "cone", "patches", "norm")
 HIERARCHICAL_OPTIONS = ("clean", "smoothness", "detail")
 
@@ -63,6 +73,8 @@ def _check_flags(ctx: click.Context) -> None:
         raise UsageError("the standard output is closed", "give -o a file and leave --json out")
     if ctx.params["output"] == "-" and ctx.params["as_json"]:
         raise UsageError("-o - and --json both want the standard output", "give one of them")
+    if ctx.params["cluster"] is not None:
+        _only_without_cluster(ctx)
     if ctx.params["method"] == "paper":
         _only_for(ctx, "hierarchical", HIERARCHICAL_OPTIONS)
     else:
@@ -117,6 +129,12 @@ def _check_flags(ctx: click.Context) -> None:
     default="pull",
     show_default=True,
     help="Batches to whoever is free, or the paper's equal batches.",
+)
+@click.option(
+    "--cluster",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Run on a cluster: by its cluster file (.yaml), or on its head by its inventory (.json).",
 )
 @click.option(
     "--smoothness",
@@ -189,18 +207,24 @@ def _check_flags(ctx: click.Context) -> None:
     show_default=True,
     help="Resample the points to even density first.",
 )
+@click.option(
+    "--events",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Write the progress to a file as it comes, one JSON object a line.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 @click.pass_context
 def reconstruct(ctx: click.Context, /, **options: Any) -> None:
     """Reconstruct a watertight mesh from the oriented points of the file POINTS."""
     _check_flags(ctx)
-    from hpcapp.applications.surface.job import Settings, run_job
-    from hpcapp.progress_display import open_progress
-
     as_json = options.pop("as_json")
-    settings: Settings = Settings(**options)
-    with open_progress(sys.stderr) as progress:
-        report = run_job(settings, progress)
+    events = options.pop("events")
+    cluster = options["cluster"]
+    if cluster is not None and cluster.suffix != ".json":
+        report = _run_on_cluster(ctx, options)
+    else:
+        report = _run_here(options, events)
     if as_json:
         click.echo(json.dumps(report))
     else:
@@ -209,6 +233,49 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
             options["output"], report["vertices"], report["faces"],
             "watertight" if report["watertight"] else "not watertight", report["components"],
         )  # fmt: skip
+
+
+def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
+    """Run the job with this process as its master."""
+    from hpcapp.applications.surface.job import Settings, run_job
+    from hpcapp.progress_display import open_events, open_progress
+
+    settings: Settings = Settings(**options)
+    with open_progress(sys.stderr) as display, open_events(events, display) as progress:
+        return run_job(settings, progress)
+
+
+def _run_on_cluster(ctx: click.Context, options: dict[str, Any]) -> dict[str, Any]:
+    """Have a cluster's head run the job with the options that were typed, and fetch the mesh."""
+    from hpcapp.applications.surface.output import open_output
+    from hpcapp.cluster_jobs import load_cluster_function
+
+    if ctx.params["events"] is not None:
+        raise UsageError(
+            "--events means nothing to a cluster file", "its jobs keep their events by themselves"
+        )
+    with open_output(options["output"], options["points"]) as target:
+        run = load_cluster_function("run")
+        report: dict[str, Any] = run(
+            options["cluster"], "reconstruct", options["points"], target, _typed_options(ctx)
+        )
+    return report
+
+
+def _typed_options(ctx: click.Context) -> list[str]:
+    """Return the options that were typed, but for those that name what is on this machine."""
+    words: list[str] = []
+    for parameter in ctx.command.params:
+        name = parameter.name or ""
+        is_typed = ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+        if not is_typed or name in ("points", "output", "cluster", "events", "as_json"):
+            continue
+        value = ctx.params[name]
+        if value is False:
+            words.append(parameter.secondary_opts[0])
+        else:
+            words += [parameter.opts[-1]] if value is True else [parameter.opts[-1], str(value)]
+    return words
 
 
 @click.command()

@@ -3,12 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
-import shutil
-import sys
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,13 +14,14 @@ from hpcapp.applications.surface.doubts import doubt_closure, doubt_normals, dou
 from hpcapp.applications.surface.hierarchical import MARGIN, HierarchicalMethod
 from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.method import Method
+from hpcapp.applications.surface.output import open_output
 from hpcapp.applications.surface.pipeline import Preprocess, Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
 from hpcapp.backends import Backend, available_cores, open_executor
-from hpcapp.io import check_writable, drop_unusable, read_points, write_mesh
+from hpcapp.io import drop_unusable, read_points, write_mesh
 from hpcapp.io.usable import Dropped
 from hpcapp.progress import Progress, StageClock
-from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.errors import UsageError
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.points import PointCloud, bounding_box
 
@@ -54,6 +49,8 @@ class Settings:
         The resolution; at most one of the three. `voxel_size` in length units of the input.
     backend, workers, policy : str, int or None, str
         Where batches run.
+    cluster : Path or None
+        The inventory of a cluster, in place of the backend.
     """
 
     points: Path
@@ -65,6 +62,7 @@ class Settings:
     backend: str = "auto"
     workers: int | None = None
     policy: str = "pull"
+    cluster: Path | None = None
     clean: bool = True
     smoothness: float = 1.0
     detail: float = 1.0
@@ -99,7 +97,7 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
         Whatever went wrong; no output is left half written.
     """
     clock = StageClock(progress)
-    with _open_output(settings) as target:
+    with open_output(settings.output, settings.points) as target:
         with clock.stage("read"):
             cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
         _report_dropped(settings.points, dropped)
@@ -130,26 +128,6 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
     report["turned_normals"] = cleaned.flipped
     report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
     return report
-
-
-@contextmanager
-def _open_output(settings: Settings) -> Iterator[Path]:
-    """Yield the path to write to; find out now whether it can be written."""
-    if settings.output == "-":
-        with tempfile.TemporaryDirectory(prefix="hpcapp-") as folder:
-            path = Path(folder) / "mesh.ply"
-            yield path
-            with path.open("rb") as mesh:
-                shutil.copyfileobj(mesh, sys.stdout.buffer)
-        return
-    path = Path(settings.output)
-    if not settings.output or settings.output.endswith(("/", os.sep)):
-        raise OutputError(f"-o {settings.output!r} names no file", "name a file to write to")
-    with suppress(OSError):  # what cannot be looked at is no input; check_writable says the rest
-        if path.samefile(settings.points):
-            raise OutputError(f"{path} is the input itself", "give another -o")
-    check_writable(path)
-    yield path
 
 
 def _warn(settings: Settings, grid: int, cloud: PointCloud, result: Reconstruction) -> list[str]:
@@ -237,6 +215,8 @@ def _steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:
 
 def _choose_backend(settings: Settings, cloud: PointCloud) -> str:
     """Return the backend: the user's, else processes for `--workers`, else what pays here."""
+    if settings.cluster is not None:
+        return str(settings.cluster)
     if settings.backend != "auto":
         return settings.backend
     if settings.workers is not None:

@@ -1,0 +1,49 @@
+"""Where a mesh goes: a file or the standard output."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from hpcapp.io import check_writable
+from hpccomponent.errors import OutputError
+
+__all__ = ["open_output"]
+
+
+@contextmanager
+def open_output(output: str, points: Path) -> Iterator[Path]:
+    """Yield the path to write to; find out now whether it can be written.
+
+    Parameters
+    ----------
+    output : str
+        What the user typed; ``-`` is the standard output, which gets a PLY at the end.
+    points : Path
+        The input, which must not be overwritten.
+
+    Raises
+    ------
+    OutputError
+        Nothing can be written there.
+    """
+    if output == "-":
+        with tempfile.TemporaryDirectory(prefix="hpcapp-") as folder:
+            path = Path(folder) / "mesh.ply"
+            yield path
+            with path.open("rb") as mesh:
+                shutil.copyfileobj(mesh, sys.stdout.buffer)
+        return
+    path = Path(output)
+    if not output or output.endswith(("/", os.sep)):
+        raise OutputError(f"-o {output!r} names no file", "name a file to write to")
+    with suppress(OSError):  # what cannot be looked at is no input; check_writable says the rest
+        if path.samefile(points):
+            raise OutputError(f"{path} is the input itself", "give another -o")
+    check_writable(path)
+    yield path
