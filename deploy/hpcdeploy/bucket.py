@@ -1,0 +1,179 @@
+"""An S3-compatible bucket between the user's machine and the head.
+
+The credentials stay here: the head gets presigned addresses that end with the lease.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpccomponent.errors import CloudError
+from hpcdeploy.bucket_client import sha256_of
+from hpcdeploy.job_folder import JobOrder, JobStatus
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["Bucket"]
+
+PART = 16 << 20  # 10,000 parts at most, so 160 GB; S3 wants at least 5 MiB
+LONGEST_S = 7 * 86400  # of a presigned address
+Progress = Callable[[int, int], None]
+
+
+class Bucket:
+    """A place in a bucket.
+
+    Parameters
+    ----------
+    client : boto3 client of S3
+    url : str
+        ``s3://bucket/prefix``.
+    cluster : str
+        Its objects lie below ``prefix/cluster/``.
+    valid_s : float
+        How long addresses are valid, in seconds.
+    ca_bundle : str
+        Certificates (PEM) by which the head checks the bucket's own.
+    """
+
+    def __init__(
+        self, client: Any, url: str, cluster: str, valid_s: float, ca_bundle: str = ""
+    ) -> None:
+        self._client = client
+        self._bucket, _, prefix = url.removeprefix("s3://").partition("/")
+        self._prefix = "/".join(part for part in (prefix.strip("/"), cluster) if part)
+        self._valid_s = int(min(valid_s, LONGEST_S))
+        self._ca_bundle = ca_bundle
+
+    def send(
+        self, points: Path, digest: str, order: JobOrder, on_progress: Progress | None = None
+    ) -> JobOrder:
+        """Send a job's points unless they are there; return the order with its addresses.
+
+        Parameters
+        ----------
+        points : pathlib.Path
+        digest : str
+            Its SHA-256, which is part of the object's name.
+        order : JobOrder
+        on_progress : callable, optional
+            Told (bytes sent, bytes in all).
+
+        Raises
+        ------
+        CloudError
+            The bucket does not take them.
+        """
+        source = f"{self._prefix}/points/{digest}{points.suffix}"
+        target = f"{self._prefix}/meshes/{secrets.token_hex(8)}-{order.mesh}"
+        with self._translated():
+            self._upload(points, source, on_progress or (lambda _done, _total: None))
+            return replace(
+                order,
+                points_url=self._presign("get_object", source),
+                mesh_url=self._presign("put_object", target),
+                mesh_key=target,
+                ca_bundle=self._ca_bundle,
+            )
+
+    def fetch(self, status: JobStatus, target: Path) -> None:
+        """Fetch a job's mesh, check it, and take it out of the bucket.
+
+        Raises
+        ------
+        CloudError
+            The bucket does not give it, or gives another.
+        """
+        part = target.with_name(f".{target.name}.{os.getpid()}")
+        try:
+            with self._translated():
+                self._client.download_file(self._bucket, status.mesh_key, str(part))
+            if sha256_of(part) != status.mesh_sha256:
+                raise CloudError(
+                    f"{self._bucket}/{status.mesh_key} is not the mesh that was sent",
+                    "fetch it with 'hpcapp get'",
+                )
+            os.replace(part, target)
+        finally:
+            part.unlink(missing_ok=True)
+        with self._translated():
+            self._client.delete_object(Bucket=self._bucket, Key=status.mesh_key)
+
+    def _presign(self, operation: str, key: str) -> str:
+        url: str = self._client.generate_presigned_url(
+            operation, Params={"Bucket": self._bucket, "Key": key}, ExpiresIn=self._valid_s
+        )
+        return url
+
+    def _upload(self, path: Path, key: str, on_progress: Progress) -> None:
+        """Send a file in parts; those that an earlier attempt has sent are not sent again.
+
+        The object is named by its content, so that a part of the same number is the same part.
+        """
+        size = path.stat().st_size
+        listed = self._client.list_objects_v2(Bucket=self._bucket, Prefix=key)
+        if any(item["Key"] == key and item["Size"] == size for item in listed.get("Contents", ())):
+            return
+        if size <= PART:
+            self._client.put_object(Bucket=self._bucket, Key=key, Body=path.read_bytes())
+            on_progress(size, size)
+            return
+        upload = self._find_upload(key)
+        where = {"Bucket": self._bucket, "Key": key, "UploadId": upload}
+        sent = self._sent_parts(where)
+        parts = []
+        with path.open("rb") as stream:
+            for number, start in enumerate(range(0, size, PART), start=1):
+                length = min(PART, size - start)
+                tag, length_there = sent.get(number, ("", 0))
+                if length_there != length:
+                    stream.seek(start)
+                    body = stream.read(length)
+                    tag = self._client.upload_part(**where, PartNumber=number, Body=body)["ETag"]
+                parts.append({"PartNumber": number, "ETag": tag})
+                on_progress(start + length, size)
+        self._client.complete_multipart_upload(**where, MultipartUpload={"Parts": parts})
+
+    def _find_upload(self, key: str) -> str:
+        """Return the upload that an earlier attempt has begun, or a new one."""
+        begun = self._client.list_multipart_uploads(Bucket=self._bucket, Prefix=key)
+        for upload in begun.get("Uploads", ()):
+            if upload["Key"] == key:
+                return str(upload["UploadId"])
+        made = self._client.create_multipart_upload(Bucket=self._bucket, Key=key)
+        return str(made["UploadId"])
+
+    def _sent_parts(self, where: dict[str, str]) -> dict[int, tuple[str, int]]:
+        """Return tag and length of the parts that are there, by their number."""
+        pages = self._client.get_paginator("list_parts").paginate(**where)
+        return {
+            part["PartNumber"]: (part["ETag"], part["Size"])
+            for page in pages
+            for part in page.get("Parts", ())
+        }
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        """Turn what boto3 raises into one line."""
+        from boto3.exceptions import Boto3Error
+        from botocore.exceptions import BotoCoreError, ClientError
+
+        try:
+            yield
+        except ClientError as error:
+            code = error.response.get("Error", {}).get("Code", "unknown error")
+            raise CloudError(
+                f"s3://{self._bucket}: {error.operation_name} was refused ({code})",
+                "check data.s3 in the cluster file and the rights of the credentials",
+            ) from error
+        except (Boto3Error, BotoCoreError) as error:
+            raise CloudError(
+                f"s3://{self._bucket}: {error}", "check data.s3 and s3_endpoint_url"
+            ) from error

@@ -1,0 +1,252 @@
+"""What a job leaves on the head, and what can be read from it; only the standard library.
+
+::
+
+    hpcapp/CLUSTER/
+      points/SHA256.SUFFIX   each cloud once, however many jobs read it
+      jobs/queue.lock        held while a job is given its number
+      jobs/N/
+        job.json             what to do; 0600, as it may hold the addresses of a bucket
+        lock                 held by the runner, and by what it runs: the job lives
+        status.json          where it stands, written by the runner alone
+        log, events.jsonl    what it says, for people and for programs
+        report.json, mesh.*  what came out
+
+The lock is the system's own word on whether a job lives: whoever holds it may be killed, and it
+is free. So a job that says "running" while its lock is free has lost its runner.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, fields, replace
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+__all__ = ["JobFolder", "JobOrder", "JobState", "JobStatus", "all_jobs", "create_job", "now"]
+
+EXIT_FAILED = 1
+
+
+class JobState(StrEnum):
+    """Where the life of a job stands."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing will change any more."""
+        return self not in (JobState.QUEUED, JobState.RUNNING)
+
+
+@dataclass(frozen=True, slots=True)
+class JobOrder:
+    """What a job is to do.
+
+    Parameters
+    ----------
+    verb : str
+        Of `hpcapp`: it reads `points`, writes ``-o`` `mesh` and knows ``--cluster``.
+    points : str
+        The input, relative to the cluster's folder.
+    mesh : str
+        The output's name.
+    options : tuple of str
+        Further options of the verb.
+    title : str
+        What the user calls the input.
+    points_url, mesh_url : str
+        Presigned addresses in a bucket to fetch the input from and to send the output to.
+    mesh_key : str
+        What the output is called there.
+    ca_bundle : str
+        Certificates (PEM) by which the bucket's own is checked; the system's by default.
+    """
+
+    verb: str
+    points: str
+    mesh: str
+    options: tuple[str, ...] = ()
+    title: str = ""
+    points_url: str = ""
+    mesh_url: str = ""
+    mesh_key: str = ""
+    ca_bundle: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class JobStatus:
+    """Where a job stands.
+
+    Parameters
+    ----------
+    job : str
+        Its number.
+    state : JobState
+    title, mesh : str
+        What the user calls the input, and the output's name.
+    submitted, started, ended : str
+        UTC, ISO 8601; empty while it has not happened.
+    exit_code : int, optional
+        Of the verb.
+    reason : str
+        Why it failed.
+    runner : int
+        Process id, and id of the process group.
+    mesh_key, mesh_sha256 : str
+        Of a mesh that lies in the bucket as well.
+    """
+
+    job: str
+    state: JobState
+    title: str = ""
+    mesh: str = ""
+    submitted: str = ""
+    started: str = ""
+    ended: str = ""
+    exit_code: int | None = None
+    reason: str = ""
+    runner: int = 0
+    mesh_key: str = ""
+    mesh_sha256: str = ""
+
+    def to_json(self) -> str:
+        """Return the status as one line."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> JobStatus:
+        """Read what `to_json` wrote; what a later release added is left out."""
+        known = {item.name for item in fields(cls)}
+        entries = {key: value for key, value in json.loads(text).items() if key in known}
+        return cls(**entries | {"state": JobState(entries["state"])})
+
+
+def now() -> str:
+    """Return the present moment as a status has it."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+class JobFolder:
+    """One job's files.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.log = path / "log"
+        self.events = path / "events.jsonl"
+        self.report = path / "report.json"
+        self._order = path / "job.json"
+        self._status = path / "status.json"
+        self._lock = path / "lock"
+
+    def read_order(self) -> JobOrder:
+        """Return what the job is to do."""
+        entries: dict[str, Any] = json.loads(self._order.read_text(encoding="utf-8"))
+        return JobOrder(**entries | {"options": tuple(entries["options"])})
+
+    def write_order(self, order: JobOrder) -> None:
+        """Write what the job is to do, for its owner only."""
+        self._write(self._order, json.dumps(asdict(order)))
+
+    def write_status(self, status: JobStatus) -> None:
+        """Replace the status as a whole."""
+        self._write(self._status, status.to_json())
+
+    def read_status(self) -> JobStatus:
+        """Return where the job stands; one whose runner was lost has failed."""
+        was_alive = self.is_alive()  # first: it may end between the two looks
+        status = JobStatus.from_json(self._status.read_text(encoding="utf-8"))
+        if was_alive or status.state.is_over:
+            return status
+        return replace(
+            status,
+            state=JobState.FAILED,
+            exit_code=EXIT_FAILED,
+            reason="its runner was killed, or the head was switched off",
+        )
+
+    def take_lock(self) -> int:
+        """Lock the new job, and return the descriptor that holds it."""
+        descriptor = os.open(self._lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        return descriptor
+
+    def is_alive(self) -> bool:
+        """Tell whether the lock is held."""
+        try:
+            with self._open_lock() as lock:
+                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except FileNotFoundError:
+            return False
+        return False
+
+    def wait_for_end(self) -> None:
+        """Sleep until the lock is free."""
+        with self._open_lock() as lock:
+            fcntl.flock(lock, fcntl.LOCK_SH)
+
+    @contextmanager
+    def _open_lock(self) -> Iterator[int]:
+        descriptor = os.open(self._lock, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            yield descriptor
+        finally:
+            os.close(descriptor)
+
+    def _write(self, path: Path, text: str) -> None:
+        beside = path.with_name(f".{path.name}.new")
+        descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
+            stream.write(text + "\n")
+        os.replace(beside, path)
+
+
+def all_jobs(folder: Path) -> list[JobFolder]:
+    """Return the jobs of a cluster's folder, in the order of their numbers."""
+    found = [path for path in (folder / "jobs").glob("[0-9]*") if (path / "status.json").exists()]
+    return [JobFolder(path) for path in sorted(found, key=lambda path: int(path.name))]
+
+
+def create_job(folder: Path, order: JobOrder) -> tuple[JobFolder, int]:
+    """Give a job its number and its place in the queue.
+
+    Returns
+    -------
+    job : JobFolder
+    lock : int
+        The descriptor that holds the job's lock. It was taken before any later job could look.
+    """
+    jobs = folder / "jobs"
+    jobs.mkdir(parents=True, exist_ok=True, mode=0o700)
+    queue = os.open(jobs / "queue.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(queue, fcntl.LOCK_EX)
+        number = 1 + max((int(path.name) for path in jobs.glob("[0-9]*")), default=0)
+        path = jobs / str(number)
+        path.mkdir(mode=0o700)
+        job = JobFolder(path)
+        lock = job.take_lock()
+        job.write_order(order)
+        job.write_status(
+            JobStatus(str(number), JobState.QUEUED, order.title, order.mesh, submitted=now())
+        )
+    finally:
+        os.close(queue)
+    return job, lock
