@@ -56,10 +56,11 @@ def keys_of(model: type[ConfigModel], above: str = "") -> Iterator[tuple[str, An
 
 
 def reference() -> dict[str, str]:
-    """Return the rows of the page's table of keys: key to default."""
-    text = (ROOT / "docs/cluster.md").read_text(encoding="utf-8")
-    rows = [line.split("|") for line in text.splitlines() if line.startswith("| `")]
-    return {row[1].strip().strip("`"): row[2].strip() for row in rows if len(row) == 5}
+    """Return the rows of the page's tables of keys: key to default."""
+    page = (ROOT / "docs/cluster.md").read_text(encoding="utf-8")
+    tables = [block for block in page.split("\n\n") if block.startswith("| key | default |")]
+    rows = [line.split("|") for table in tables for line in table.splitlines()[2:]]
+    return {row[1].strip().strip("`"): row[2].strip() for row in rows}
 
 
 def test_the_pages_file_is_valid_and_its_mistakes_are_told_so(tmp_path: Path) -> None:
