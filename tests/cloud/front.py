@@ -18,6 +18,7 @@ import urllib.parse
 import uuid
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from socket import socket
 from types import TracebackType
 from typing import Any, Self
 
@@ -85,6 +86,8 @@ class StrictCloud:
         How many questions for a new instance's id, and how many lists, do not know it yet.
     vpc : bool, optional
         Whether the cloud has VPCs; by default all but the Eucalyptus of 4.
+    listening : socket, optional
+        Where it answers, the caller's; by default a port of its own on loopback.
     """
 
     def __init__(
@@ -95,6 +98,7 @@ class StrictCloud:
         lag: int = 1,
         list_lag: int = 0,
         vpc: bool | None = None,
+        listening: socket | None = None,
     ) -> None:
         assert profile in PROFILES, profile
         self.profile = profile
@@ -111,9 +115,16 @@ class StrictCloud:
         self.model = Model(profile)
         has_vpc = not profile.startswith("euca-4") if vpc is None else vpc
         self._rules = Rules(self.model, profile, pending, lag, list_lag, has_vpc)
+        address, port = listening.getsockname() if listening else ("127.0.0.1", 0)
         self._server = make_server(
-            "127.0.0.1", 0, self, threaded=True, request_handler=_QuietHandler
+            address,
+            port,
+            self,
+            threaded=True,
+            request_handler=_QuietHandler,
+            fd=listening.fileno() if listening else None,
         )
+        self._address = f"{address}:{self._server.server_address[1]}"
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,))
         self._thread.start()
 
@@ -146,13 +157,13 @@ class StrictCloud:
     def endpoint_url(self) -> str:
         """Of EC2, as the cloud lays it out."""
         path = "/services/compute/" if self.profile.startswith("euca") else "/"
-        return f"http://127.0.0.1:{self._server.server_port}{path}"
+        return f"http://{self._address}{path}"
 
     @property
     def s3_endpoint_url(self) -> str:
         """Of S3: moto's, as it is."""
         path = "/services/objectstorage/" if self.profile.startswith("euca") else "/"
-        return f"http://127.0.0.1:{self._server.server_port}{path}"
+        return f"http://{self._address}{path}"
 
     def environment(self) -> dict[str, str]:
         """Return what a process needs in its environment to be let in, and nothing else."""
