@@ -12,7 +12,6 @@ import os
 import signal
 import sys
 from importlib import import_module
-from importlib.metadata import entry_points, version
 from typing import Any, NoReturn
 
 import click
@@ -36,6 +35,8 @@ class Verbs(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all verbs, shipped ones first."""
         del ctx
+        from importlib.metadata import entry_points  # 20 ms that a shipped verb can save
+
         others = {entry.name for entry in entry_points(group="hpc.commands")} - set(SHIPPED)
         return [*SHIPPED, *sorted(others)]
 
@@ -46,6 +47,8 @@ class Verbs(click.Group):
             module, _, attribute = SHIPPED[cmd_name].partition(":")
             command = getattr(import_module(module), attribute)
         else:
+            from importlib.metadata import entry_points
+
             found = entry_points(group="hpc.commands", name=cmd_name)
             if not found:
                 return None
@@ -69,6 +72,8 @@ class _LogLines(logging.Handler):
 def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> None:
     del param
     if value and not ctx.resilient_parsing:
+        from importlib.metadata import version
+
         from hpccomponent.runtime.numerics import numerics_id  # it imports the kernels
 
         click.echo(f"hpcapp {version('hpcapp')} (kernels {numerics_id()})")

@@ -21,6 +21,7 @@ from hpccomponent.surface.points import FloatArray, IntArray
 __all__ = [
     "accumulate_moments",
     "balance_vertices",
+    "bound_points",
     "corner_moments",
     "count_boxes",
     "count_cells",
@@ -63,6 +64,16 @@ def _singles(values: Any) -> Float32Array:
 
 def _integers(values: Any) -> IntArray:
     return np.ascontiguousarray(values, np.int64)
+
+
+def bound_points(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the corners of the box around some points; see `spacing.bound_points`."""
+    if _native is None:
+        from hpccomponent.surface import spacing
+
+        return spacing.bound_points(positions)
+    bounds: tuple[FloatArray, FloatArray] = _native.bound_points(_floats(positions))
+    return bounds
 
 
 def count_boxes(

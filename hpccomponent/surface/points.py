@@ -60,7 +60,6 @@ def bounding_box(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     -------
     low, high : ndarray of float64, shape (3,)
     """
-    # Column by column: numpy is slow to reduce along the first axis of narrow arrays.
-    columns = positions.T
-    low = np.array([column.min() for column in columns])
-    return low, np.array([column.max() for column in columns])
+    from hpccomponent.surface.kernels import bound_points  # which knows this module
+
+    return bound_points(positions)

@@ -11,7 +11,7 @@ from hpccomponent.errors import InputError
 from hpccomponent.surface.lattice import cells_of, pack_places, unique_keys
 from hpccomponent.surface.points import FloatArray, IntArray, bounding_box
 
-__all__ = ["count_boxes", "estimate_spacing", "is_sampled"]
+__all__ = ["bound_points", "count_boxes", "estimate_spacing", "is_sampled"]
 
 _FEW, _MANY = 3.0, 20.0
 _SAMPLED_POINTS = 200_000
@@ -95,6 +95,24 @@ def count_boxes(
     keys = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
     keys = keys[is_sampled(keys, one_in)]
     return len(keys), len(unique_keys(keys))
+
+
+def bound_points(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the corners of the box around some points, in numpy (see `kernels`).
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        At least one point; finite.
+
+    Returns
+    -------
+    low, high : ndarray of float64, shape (3,)
+    """
+    # Column by column: numpy is slow to reduce along the first axis of narrow arrays.
+    columns = positions.T
+    low = np.array([column.min() for column in columns])
+    return low, np.array([column.max() for column in columns])
 
 
 def is_sampled(boxes: IntArray, one_in: int) -> NDArray[np.bool_]:

@@ -85,7 +85,7 @@ def clean_cloud(cloud: PointCloud, threads: int = 1) -> tuple[PointCloud, Cleane
 def _find_near(positions: FloatArray) -> NDArray[np.bool_]:
     """Tell which points lie within reach of the core, judged by every so many-th point."""
     sample = positions[:: len(positions) // _SAMPLE + 1]
-    low, high = np.quantile(sample, _CORE, axis=0)
+    low, high = np.sort(sample, axis=0)[np.rint(np.multiply(_CORE, len(sample) - 1)).astype(int)]
     reach = _CORES * float((high - low).max())
     if reach <= 0.0:
         return np.ones(len(positions), np.bool_)

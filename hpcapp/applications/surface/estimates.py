@@ -21,7 +21,7 @@ _PROBE_LAM = 0.3
 _PROBE_SHARE = 0.15
 _PROBE_ROUNDS = 5
 _PROBE_POINTS = 14, 24  # in the finer and in the coarser cells of a probe
-_SAMPLED_POINTS = 50_000
+_SAMPLED_POINTS = 15_000
 _SAMPLED_BOX = 24.0  # spacings: large against the cells of a probe
 _QUANTILE, _TO_MEDIAN = 0.25, 1.0
 _FREE = 10
@@ -119,7 +119,8 @@ def _lower_quartile(level: Level, quadrics: VertexQuadrics, points: int) -> floa
         return 0.0
     rows = kernels.find_keys(level.vertices, level.touched[rich])
     residuals = kernels.evaluate_residuals(moments[rich], quadrics.coefficients[rows])
-    return float(np.quantile(residuals / (moments[rich, 0] - _FREE), _QUANTILE))
+    variances = np.sort(residuals / (moments[rich, 0] - _FREE))
+    return float(variances[int(_QUANTILE * (len(variances) - 1))])
 
 
 def choose_scale(

@@ -24,10 +24,10 @@ from hpcapp.applications.surface.cell_points import (
 from hpcapp.applications.surface.crowding import sum_squares
 from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.weights import FIELD_LEVELS, Weights, localise_noise
-from hpcapp.batches import Workforce, map_batches
+from hpcapp.batches import Workforce, cut_equal, map_batches
 from hpccomponent.surface import kernels
 from hpccomponent.surface.hermite import BASIS
-from hpccomponent.surface.lattice import OCTANTS, step_keys
+from hpccomponent.surface.lattice import BITS, OCTANTS, step_keys
 from hpccomponent.surface.moments import COLUMNS
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, bounding_box
 
@@ -42,7 +42,9 @@ __all__ = [
 Float32Array = NDArray[np.float32]
 
 _COARSEST_CELLS = 6
-_WAVE = 1 << 17  # corners under way at once: priors and results take 160 B each
+# Corners in a batch: what it takes stays in the cache, and memory that was freed is used again.
+_LEAST_BATCH, _MOST_BATCH = 1 << 12, 1 << 16
+_LAYERS = 2  # of corners in a batch at least: the cells on both sides of its ends are summed twice
 _FINER_UNITS = np.float32(4.0)  # the same variance, in cells of the next finer level squared
 _LOCAL_FROM = 2  # levels further up, which tell a vertex the noise around it
 # What a point counts one level further up, where the surface is 4 times larger.
@@ -182,8 +184,10 @@ def fit_levels(
         rows = kernels.find_keys(level.vertices, level.touched)
         local = index < len(pyramid.levels) - _LOCAL_FROM
         noise = _find_noise(weights[index].noise, quadrics.variances[rows], local)
-        for start in range(0, len(rows), _WAVE):
-            wave = slice(start, min(start + _WAVE, len(rows)))
+        cuts = _cut_corners(level.touched, workforce)
+        at_once = len(workforce.cut(len(rows)))
+        for first in range(0, len(cuts), at_once):
+            wave = cuts[first : first + at_once]
             _fit_wave(level, wave, rows, quadrics, noise, weights[index], workforce)
         pyramid.levels[index] = level = replace(level, points=CellMoments(np.empty((0, COLUMNS))))
         above = (level, quadrics)
@@ -217,20 +221,24 @@ def _find_noise(overall: float, variances: Float32Array, local: bool) -> Float32
     return np.full(len(variances), overall, np.float32)
 
 
+def _cut_corners(touched: IntArray, workforce: Workforce) -> list[slice]:
+    """Cut the corners of a level into batches: small ones, but not of less than two layers."""
+    layers = int((touched[-1] >> 2 * BITS) - (touched[0] >> 2 * BITS)) + 1
+    wanted = max(_LAYERS * len(touched) // layers, _LEAST_BATCH)
+    batches = -(-len(touched) // min(wanted, _MOST_BATCH))
+    return cut_equal(len(touched), max(batches, len(workforce.cut(len(touched)))))
+
+
 def _fit_wave(
     level: Level,
-    wave: slice,
+    cuts: list[slice],
     rows: IntArray,
     quadrics: VertexQuadrics,
     noise: Float32Array,
     weights: Weights,
     workforce: Workforce,
 ) -> None:
-    """Fit a run of corners on the workers; `rows` says where they stand in `quadrics`."""
-    cuts = [
-        slice(wave.start + cut.start, wave.start + cut.stop)
-        for cut in workforce.cut(wave.stop - wave.start)
-    ]
+    """Fit some runs of corners on the workers; `rows` says where they stand in `quadrics`."""
     batches = [
         _fit_batch(level, cut, quadrics.coefficients[rows[cut]], noise[cut], weights)
         for cut in cuts

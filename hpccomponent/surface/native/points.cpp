@@ -53,6 +53,27 @@ class KeyCounter {
   size_t count_ = 0;
 };
 
+nb::tuple bound_points(Input positions) {
+  const double* point = check<double>(positions, "positions", {ANY, 3});
+  const int64_t count = rows_of(positions);
+  if (!count) refuse("positions: expected at least one point");
+  auto low = make_buffer<double>(3), high = make_buffer<double>(3);
+  {
+    nb::gil_scoped_release unlocked;
+    double least[3], most[3];
+    for (int axis = 0; axis < 3; ++axis) least[axis] = most[axis] = point[axis];
+    for (int64_t i = 1; i < count; ++i)
+      for (int axis = 0; axis < 3; ++axis) {
+        const double value = point[3 * i + axis];
+        least[axis] = value < least[axis] ? value : least[axis];
+        most[axis] = value > most[axis] ? value : most[axis];
+      }
+    std::copy(least, least + 3, low.get());
+    std::copy(most, most + 3, high.get());
+  }
+  return nb::make_tuple(give(std::move(low), {3}), give(std::move(high), {3}));
+}
+
 nb::tuple count_boxes(Input positions, Input low, double edge, int64_t one_in) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const double* origin = check<double>(low, "low", {3});
@@ -189,6 +210,7 @@ const int64_t* check_sides(const Input& bricks) {
 }
 
 void bind_points(nb::module_& module) {
+  module.def("bound_points", &bound_points);
   module.def("count_boxes", &count_boxes);
   module.def("sort_points", &sort_points);
   module.def("gather_points", &gather_points);

@@ -69,6 +69,7 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
         native.gather_points(*points), cells.gather_points(*points), strict=True
     ):
         np.testing.assert_array_equal(found, wanted)
+    np.testing.assert_array_equal(native.bound_points(positions), spacing.bound_points(positions))
     for one_in in (1, 3):
         counted = native.count_boxes(positions, origin, size, one_in)
         assert counted == spacing.count_boxes(positions, origin, size, one_in)
