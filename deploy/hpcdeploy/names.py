@@ -16,6 +16,7 @@ __all__ = [
     "CLUSTER_TAG",
     "GENERATION_TAG",
     "HEAD",
+    "INCARNATION_TAG",
     "LEASE_TAG",
     "NAME_PATTERN",
     "NODE_TAG",
@@ -27,6 +28,7 @@ __all__ = [
     "group_name",
     "incarnation_began",
     "key_pair_name",
+    "read_client_token",
 ]
 
 PREFIX = "hpcapp-"
@@ -37,6 +39,7 @@ HEAD = "head"
 CLUSTER_TAG = "hpcapp:cluster"
 NODE_TAG = "hpcapp:node"
 GENERATION_TAG = "hpcapp:generation"
+INCARNATION_TAG = "hpcapp:incarnation"
 LEASE_TAG = "hpcapp:lease-until"
 OWNER_TAG = "hpcapp:owner"
 
@@ -94,7 +97,7 @@ def client_token(cluster: str, incarnation: str, name: NodeName, attempt: str = 
     cluster : str
     incarnation : str
         Drawn once for each life of the cluster, from the first `up` to `down`: a cloud remembers
-        a token after its machine is gone (see `GroupSeen`).
+        a token after its machine is gone (see `GroupSeen`). Small letters and digits.
     name : NodeName
     attempt : str
         What is asked for when an earlier choice was not to be had: instance type and market.
@@ -102,15 +105,31 @@ def client_token(cluster: str, incarnation: str, name: NodeName, attempt: str = 
     Returns
     -------
     str
-        At most 64 characters, beginning with the cluster's group name where it fits.
+        At most 64 characters; `read_client_token` reads it. A long cluster's name is cut, which
+        leaves the token unique by its incarnation.
 
     Examples
     --------
     >>> client_token("bunny", "a1b2c3", NodeName("worker-2"))
     'hpcapp-bunny-a1b2c3-worker-2-1'
     """
-    parts = [group_name(cluster), incarnation, name.node, str(name.generation)]
-    token = "-".join([*parts, attempt] if attempt else parts)
-    if len(token) <= 64:
-        return token
-    return f"{token[:47]}-{hashlib.sha256(token.encode()).hexdigest()[:16]}"
+    digest = f"-{hashlib.sha256(attempt.encode()).hexdigest()[:8]}" if attempt else ""
+    tail = f"-{incarnation}-{name.node}-{name.generation}{digest}"
+    return group_name(cluster)[: 64 - len(tail)] + tail
+
+
+_TOKEN = re.compile(rf"{PREFIX}.+-([0-9a-z]+)-({HEAD}|worker-\d+)-(\d+)(?:-[0-9a-f]{{8}})?")
+
+
+def read_client_token(token: str) -> tuple[str, NodeName] | None:
+    """Return the incarnation and the node that a token is of; None where it is none of ours.
+
+    So a machine is known whose tags were never written.
+
+    Examples
+    --------
+    >>> read_client_token("hpcapp-bunny-a1b2c3-worker-2-1")
+    ('a1b2c3', NodeName(node='worker-2', generation=1))
+    """
+    match = _TOKEN.fullmatch(token)
+    return (match[1], NodeName(match[2], int(match[3]))) if match else None

@@ -176,7 +176,10 @@ class Rules:
         changed = {name: value.replace("emi-", "ami-") for name, value in parameters.items()}
         status, headers, body = moto(changed)
         own = self._model.image_id[:4].encode()
-        return status, headers, body.replace(b"ami-", own)
+        body = body.replace(b"ami-", own)
+        # As nearly all images have it; moto's would leave a volume behind for every instance.
+        ends = b"<deleteOnTermination>%b</deleteOnTermination>"
+        return status, headers, body.replace(ends % b"false", ends % b"true")
 
     def _find(self, instance_id: str) -> Instance:
         instance = self._model.instances.get(instance_id)

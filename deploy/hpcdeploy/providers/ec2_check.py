@@ -1,0 +1,107 @@
+"""What would make `up` fail, found without changing anything."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hpccomponent.errors import CloudError
+from hpcdeploy.provider import Problem
+from hpcdeploy.provider_spec import CloudSpec, Profile
+from hpcdeploy.providers.ec2_capabilities import Capabilities
+from hpcdeploy.providers.ec2_client import Calls
+from hpcdeploy.providers.ec2_errors import code_of
+from hpcdeploy.providers.ec2_launch import root_disk
+
+__all__ = ["check_cloud", "find_image"]
+
+
+def find_image(calls: Calls, image_id: str) -> dict[str, Any]:
+    """Return an image as the cloud describes it.
+
+    Raises
+    ------
+    CloudError
+        There is none, or it cannot be used yet.
+    """
+    found = calls.call("describe_images", f"find image {image_id}", ImageIds=[image_id])
+    for image in found["Images"]:
+        if image.get("State", "available") == "available":
+            return dict(image)
+    raise CloudError(f"image {image_id} is not available", "check the profile's image.id")
+
+
+def check_cloud(calls: Calls, cloud: CloudSpec, capabilities: Capabilities) -> list[Problem]:
+    """Look at credentials, images, types, zones, subnet and rights.
+
+    A cloud that cannot be reached, or does not let us in, is the only problem named: all others
+    follow from it.
+    """
+    try:
+        zones = calls.call("describe_availability_zones", "list the zones")["AvailabilityZones"]
+    except CloudError as error:
+        return [_problem(error)]
+    problems = []
+    known = {zone["ZoneName"] for zone in zones}
+    if cloud.subnet != "auto":
+        problems += _tried(
+            calls, "describe_subnets", f"find subnet {cloud.subnet}", SubnetIds=[cloud.subnet]
+        )
+    for name, profile in cloud.profiles.items():
+        if profile.zone is not None and profile.zone not in known:
+            problems.append(
+                Problem(
+                    f"profile {name}: there is no zone {profile.zone}",
+                    f"the cloud has {', '.join(sorted(known))}",
+                )
+            )
+        problems += _check_image(calls, name, profile)
+        if capabilities.instance_types:
+            problems += _tried(
+                calls,
+                "describe_instance_types",
+                f"find the instance types of profile {name}",
+                InstanceTypes=list(profile.instance_types),
+            )
+        if capabilities.dry_run:
+            problems += _dry_run(calls, cloud, profile)
+    return problems
+
+
+def _problem(error: CloudError) -> Problem:
+    return Problem(error.problem, error.advice)
+
+
+def _tried(calls: Calls, operation: str, doing: str, **parameters: Any) -> list[Problem]:
+    try:
+        calls.call(operation, doing, **parameters)
+    except CloudError as error:
+        return [_problem(error)]
+    return []
+
+
+def _check_image(calls: Calls, name: str, profile: Profile) -> list[Problem]:
+    try:
+        image = find_image(calls, profile.image.id)
+        root_disk(image, profile.disk_gb)
+    except CloudError as error:
+        return [Problem(f"profile {name}: {error.problem}", error.advice)]
+    return []
+
+
+def _dry_run(calls: Calls, cloud: CloudSpec, profile: Profile) -> list[Problem]:
+    """Ask whether a launch would be let through; the answer is an error either way."""
+    parameters: dict[str, Any] = {
+        "ImageId": profile.image.id,
+        "InstanceType": profile.instance_types[0],
+        "MinCount": 1,
+        "MaxCount": 1,
+        "DryRun": True,
+    }
+    if cloud.subnet != "auto":
+        parameters["SubnetId"] = cloud.subnet
+    try:
+        calls.call("run_instances", "launch a machine (dry run)", **parameters)
+    except CloudError as error:
+        if code_of(error) == "UnauthorizedOperation":
+            return [_problem(error)]
+    return []

@@ -1,0 +1,141 @@
+"""The parameters of a launch, as each cloud may have them."""
+
+from __future__ import annotations
+
+import getpass
+import math
+import socket
+from collections.abc import Mapping
+from typing import Any
+
+from hpccomponent.errors import CloudError
+from hpcdeploy.names import LEASE_TAG, OWNER_TAG, client_token, key_pair_name
+from hpcdeploy.provider import Launch
+from hpcdeploy.provider_spec import CloudSpec, Profile
+from hpcdeploy.providers.ec2_capabilities import Capabilities
+from hpcdeploy.providers.ec2_observe import identity_tags, lease_text
+
+__all__ = ["attempt_of", "launch_parameters", "launch_tags", "profile_of", "root_disk"]
+
+USER_DATA_LIMIT = 16384
+"""Bytes, on every cloud that we know."""
+
+
+def attempt_of(launch: Launch) -> str:
+    """Return what tells one launch of a node from the next that is tried."""
+    return f"{launch.instance_type}-{launch.market}"
+
+
+def profile_of(cloud: CloudSpec, name: str) -> Profile:
+    """Return a profile of the cluster file."""
+    try:
+        return cloud.profiles[name]
+    except KeyError:
+        known = ", ".join(sorted(cloud.profiles))
+        raise CloudError(f"there is no profile {name!r}", f"the file has {known}") from None
+
+
+def launch_tags(launch: Launch) -> dict[str, str]:
+    """Return the tags of a machine: the user's own, and ours over them."""
+    owner = f"{getpass.getuser()}@{socket.gethostname()}"
+    tags = launch.tags | identity_tags(launch.cluster, launch.incarnation, launch.name)
+    if launch.lease_until is not None:
+        tags[LEASE_TAG] = lease_text(launch.lease_until)
+    return tags | {OWNER_TAG: owner}
+
+
+def launch_parameters(
+    cloud: CloudSpec,
+    capabilities: Capabilities,
+    launch: Launch,
+    group_id: str,
+    image: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Return what RunInstances is asked for.
+
+    Parameters
+    ----------
+    cloud : CloudSpec
+    capabilities : Capabilities
+    launch : Launch
+    group_id : str
+        Of the cluster's security group.
+    image : mapping
+        As DescribeImages describes it.
+
+    Raises
+    ------
+    CloudError
+        The cloud cannot have such a machine.
+    """
+    if launch.market == "spot" and not capabilities.spot:
+        raise CloudError(
+            f"{cloud.type} has no spot market", "set the profile's market to on_demand"
+        )
+    size = len(launch.user_data.encode())
+    if size > USER_DATA_LIMIT:
+        raise CloudError(
+            f"user data of {launch.name.node} has {size} bytes, the limit is {USER_DATA_LIMIT}"
+        )
+    profile = profile_of(cloud, launch.profile)
+    parameters: dict[str, Any] = {
+        "ImageId": profile.image.id,
+        "InstanceType": launch.instance_type,
+        "MinCount": 1,
+        "MaxCount": 1,
+        "KeyName": key_pair_name(launch.cluster),
+        "SecurityGroupIds": [group_id],
+        "ClientToken": client_token(
+            launch.cluster, launch.incarnation, launch.name, attempt_of(launch)
+        ),
+    }
+    if launch.user_data:
+        parameters["UserData"] = launch.user_data
+    if cloud.subnet != "auto":
+        parameters["SubnetId"] = cloud.subnet
+    if profile.zone is not None:
+        parameters["Placement"] = {"AvailabilityZone": profile.zone}
+    disk = root_disk(image, profile.disk_gb)
+    if disk is not None:
+        parameters["BlockDeviceMappings"] = [disk]
+    return parameters | _where_known(capabilities, launch)
+
+
+def _where_known(capabilities: Capabilities, launch: Launch) -> dict[str, Any]:
+    parameters: dict[str, Any] = {}
+    if capabilities.tags_at_launch:
+        tags = [{"Key": key, "Value": value} for key, value in launch_tags(launch).items()]
+        parameters["TagSpecifications"] = [{"ResourceType": "instance", "Tags": tags}]
+    if capabilities.ends_when_shut_down:
+        parameters["InstanceInitiatedShutdownBehavior"] = "terminate"
+    if capabilities.imds_v2:
+        parameters["MetadataOptions"] = {"HttpTokens": "required", "HttpEndpoint": "enabled"}
+    if launch.market == "spot":
+        parameters["InstanceMarketOptions"] = {
+            "MarketType": "spot",
+            "SpotOptions": {
+                "SpotInstanceType": "one-time",
+                "InstanceInterruptionBehavior": "terminate",
+            },
+        }
+    return parameters
+
+
+def root_disk(image: Mapping[str, Any], disk_gb: int | None) -> dict[str, Any] | None:
+    """Return how the root disk is to differ from the image's; None where it need not.
+
+    A disk that outlives its machine would be left behind, so none does.
+    """
+    root = image.get("RootDeviceName")
+    volumes = {m.get("DeviceName"): m.get("Ebs", {}) for m in image.get("BlockDeviceMappings", [])}
+    own = volumes.get(root, {})
+    if disk_gb is None and own.get("DeleteOnTermination", True):
+        return None
+    if image.get("RootDeviceType") != "ebs" or not root:
+        raise CloudError(
+            f"image {image.get('ImageId', '')} has no root volume whose size could be set",
+            "leave out the profile's disk_gb",
+        )
+    volume = {"DeleteOnTermination": True}
+    size = own.get("VolumeSize") if disk_gb is None else math.ceil(disk_gb * 10**9 / 2**30)
+    return {"DeviceName": root, "Ebs": volume | ({"VolumeSize": size} if size else {})}

@@ -1,0 +1,82 @@
+"""The EC2 provider on a strict cloud, with waits that are written down instead of waited."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cloud import StrictCloud
+from pydantic import TypeAdapter
+
+from hpcdeploy.names import NodeName
+from hpcdeploy.provider import Launch, MachineSeen
+from hpcdeploy.provider_spec import ProviderSpec
+from hpcdeploy.providers.ec2 import Ec2Provider
+from hpcdeploy.providers.ec2_client import Calls, open_client
+
+RSA_KEY = (
+    "ssh-rsa "
+    + base64.b64encode(b"\0\0\0\x07ssh-rsa\0\0\0\x03\1\0\1\0\0\1\1\0" + b"\xc5" * 256).decode()
+)
+LEASE = datetime(2030, 1, 2, 3, 4, 5, tzinfo=UTC)
+OPEN = frozenset({"192.0.2.0/24"})
+
+
+@dataclass
+class Desk:
+    """A cloud, a provider that works on it, and how long it would have waited."""
+
+    cloud: StrictCloud
+    provider: Ec2Provider
+    waits: list[float] = field(default_factory=list)
+
+    def prepare(self) -> None:
+        """Make what a launch needs, as `up` does."""
+        self.provider.create_key_pair("bunny", RSA_KEY)
+        group = self.provider.create_group("bunny", "a1b2c3")
+        self.provider.allow(group, OPEN, frozenset({7070}))
+
+    def launch(self, node: str = "worker-1", **more: Any) -> MachineSeen:
+        return self.provider.launch(a_launch(node, **more))
+
+    def changes(self) -> list[str]:
+        return [call.action for call in self.cloud.calls if call.changes]
+
+
+def a_launch(node: str = "worker-1", **more: Any) -> Launch:
+    asked: dict[str, Any] = {
+        "profile": "small",
+        "instance_type": "m5.large",
+        "user_data": "#!/bin/sh\n",
+        "lease_until": LEASE,
+        "tags": {"project": "x"},
+    }
+    return Launch("bunny", "a1b2c3", NodeName(node), **(asked | more))
+
+
+@pytest.fixture
+def open_desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[..., Desk]]:
+    """Give a function that starts a cloud of a profile and opens a provider on it."""
+    clouds = []
+
+    def start(profile: str, small: dict[str, Any] | None = None, **options: Any) -> Desk:
+        keys = options.pop("provider", {})
+        cloud = options.pop("cloud", None) or StrictCloud(profile, **options)
+        clouds.append(cloud)
+        for name, value in cloud.environment().items():
+            monkeypatch.setenv(name, value)
+        spec: Any = TypeAdapter(ProviderSpec).validate_python(
+            cloud.provider_block(small=small or {}) | keys
+        )
+        waits: list[float] = []
+        calls = Calls(open_client("ec2", spec, tmp_path), "the cloud", waits.append)
+        return Desk(cloud, Ec2Provider(spec, calls, 22), waits)
+
+    yield start
+    for cloud in clouds:
+        cloud.close()
