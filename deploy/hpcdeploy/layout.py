@@ -7,7 +7,8 @@
       wheels/        what it came from          id              the SSH key, 0600
       loader.yaml    0600                       known_hosts     the pinned host keys
       connection.json  keys, 0600               keys.json       CURVE keys of all nodes, 0600
-      loader.log, loader.pid
+      loader.log, loader.pid, watch-loader
+      installed, configured   stamps: what is there already
       inventory.json   head only, 0600
       jobs/JOB/        head only
 
@@ -19,7 +20,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-__all__ = ["machine_folder", "state_folder"]
+__all__ = ["clusters_folder", "machine_folder", "state_folder"]
 
 
 def machine_folder(cluster: str) -> str:
@@ -27,7 +28,12 @@ def machine_folder(cluster: str) -> str:
     return f"hpcapp/{cluster}"
 
 
+def clusters_folder() -> Path:
+    """Return the folder of all clusters on the user's own machine; it need not exist."""
+    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
+    return Path(home) / "hpcapp/clusters"
+
+
 def state_folder(cluster: str) -> Path:
     """Return the folder of a cluster on the user's own machine; it need not exist."""
-    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
-    return Path(home) / "hpcapp/clusters" / cluster
+    return clusters_folder() / cluster

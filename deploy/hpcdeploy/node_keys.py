@@ -1,0 +1,65 @@
+"""The CURVE keys of a cluster: made on the user's machine, one pair for the master and each node.
+
+A machine that is replaced gets new ones, and the inventory lists only those of machines that are
+there: the keys of a lost machine let nobody in.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+
+from hpccomponent.errors import CloudError
+from hpccomponent.protocol.keys import KeyPair, make_key_pair, write_secret
+
+__all__ = ["NodeKeys"]
+
+_SERVER = "server"
+
+
+class NodeKeys:
+    """The keys in a file of mode 0600.
+
+    Parameters
+    ----------
+    path : Path
+        It need not exist.
+    machine_ids : iterable of str
+        Machines that must have keys; those that lack them get some now.
+
+    Raises
+    ------
+    CloudError
+        The file is damaged.
+    """
+
+    def __init__(self, path: Path, machine_ids: Iterable[str]) -> None:
+        self._pairs = _read(path)
+        missing = {_SERVER, *machine_ids} - self._pairs.keys()
+        if missing:
+            self._pairs |= {name: make_key_pair() for name in sorted(missing)}
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            write_secret(path, json.dumps({n: asdict(pair) for n, pair in self._pairs.items()}))
+
+    @property
+    def server(self) -> KeyPair:
+        """The master's."""
+        return self._pairs[_SERVER]
+
+    def of(self, machine_id: str) -> KeyPair:
+        """Return those of a machine."""
+        return self._pairs[machine_id]
+
+
+def _read(path: Path) -> dict[str, KeyPair]:
+    try:
+        return {name: KeyPair(**pair) for name, pair in json.loads(path.read_text()).items()}
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise CloudError(
+            f"{path}: the cluster's keys cannot be read ({error})",
+            "delete the file and run hpcapp up again",
+        ) from error

@@ -1,0 +1,143 @@
+"""No machine but this one: a node is a folder below the cluster's state, with a loader of its own.
+
+The loader is a detached process; it is ended by its recorded process id and time of start, so
+that a foreign process is never met.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from hpccomponent.errors import CloudError
+from hpcdeploy.layout import clusters_folder, machine_folder, state_folder
+from hpcdeploy.loader_service import stop_command
+from hpcdeploy.local_shell import LocalShell
+from hpcdeploy.names import NodeName
+from hpcdeploy.provider import (
+    GroupSeen,
+    KeyPairSeen,
+    Launch,
+    MachineSeen,
+    Observed,
+    Problem,
+    State,
+)
+from hpcdeploy.spec import ClusterSpec
+
+__all__ = ["LocalProvider", "open_local"]
+
+LOOPBACK = "127.0.0.1"
+_CLAIM = "machine.json"
+_NODES = "nodes"
+
+
+def open_local(spec: ClusterSpec, base: Path) -> LocalProvider:
+    """Return the provider of this machine."""
+    del spec, base
+    return LocalProvider()
+
+
+class LocalProvider:
+    """Folders for machines."""
+
+    name = "local"
+    makes_machines = False
+
+    def observe(self, cluster: str | None) -> Observed:
+        """Return the nodes whose folders are there."""
+        top = clusters_folder()
+        folders = [top / cluster] if cluster else sorted(top.glob("*"))
+        return Observed(tuple(seen for folder in folders for seen in _nodes(folder)))
+
+    def launch(self, launch: Launch) -> MachineSeen:
+        """Make the folder of a node."""
+        home = state_folder(launch.cluster) / _NODES / launch.name.node
+        claim = home / _CLAIM
+        if not claim.exists():
+            home.mkdir(mode=0o700, parents=True, exist_ok=True)
+            beside = claim.with_suffix(".new")
+            beside.write_text(
+                json.dumps(
+                    {
+                        "cluster": launch.cluster,
+                        "incarnation": launch.incarnation,
+                        "generation": launch.name.generation,
+                        "launched": datetime.now(UTC).isoformat(),
+                    }
+                )
+            )
+            beside.replace(claim)
+        return _node(claim)
+
+    def terminate(self, machines: Sequence[MachineSeen]) -> None:
+        """End the loaders of some nodes, and remove their folders."""
+        for machine in machines:
+            home = Path(machine.id)
+            if not home.exists():
+                continue
+            command = stop_command(machine.cluster, machine_folder(machine.cluster))
+            if LocalShell(machine.name.node, home).run(command).exit_code:
+                raise CloudError(
+                    f"{machine.name.node}: its loader does not end",
+                    f"see {home} and end it by hand",
+                )
+            shutil.rmtree(home, ignore_errors=True)
+
+    def create_key_pair(self, cluster: str, public_key: str) -> KeyPairSeen:
+        """Do nothing: there is no login."""
+        del public_key
+        return KeyPairSeen(cluster, "")
+
+    def create_group(self, cluster: str, incarnation: str) -> GroupSeen:
+        """Do nothing: there is no network."""
+        return GroupSeen(cluster, "", "", incarnation)
+
+    def allow(
+        self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
+    ) -> None:
+        """Do nothing: there is no network."""
+
+    def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
+        """Do nothing: there is no lease."""
+
+    def delete_group(self, group: GroupSeen) -> bool:
+        """Do nothing: there is none."""
+        del group
+        return True
+
+    def delete_key_pair(self, key_pair: KeyPairSeen) -> None:
+        """Do nothing: there is none."""
+
+    def console(self, machine: MachineSeen) -> str:
+        """Return nothing: there is none."""
+        del machine
+        return ""
+
+    def check(self) -> list[Problem]:
+        """Return nothing: this machine is there."""
+        return []
+
+
+def _nodes(folder: Path) -> Iterator[MachineSeen]:
+    yield from map(_node, sorted((folder / _NODES).glob(f"*/{_CLAIM}")))
+
+
+def _node(claim: Path) -> MachineSeen:
+    try:
+        said = json.loads(claim.read_text())
+        return MachineSeen(
+            id=str(claim.parent),
+            cluster=said["cluster"],
+            name=NodeName(claim.parent.name, said["generation"]),
+            incarnation=said["incarnation"],
+            state=State.RUNNING,
+            public_address=LOOPBACK,
+            private_address=LOOPBACK,
+            launched=datetime.fromisoformat(said["launched"]),
+        )
+    except (OSError, ValueError, KeyError) as error:
+        raise CloudError(f"{claim}: cannot be read ({error})", "remove its folder") from error

@@ -1,0 +1,190 @@
+"""Machines that are there: hosts of the cluster file, the first of which is the head.
+
+A host is a machine of the cluster when our folder on it holds our claim. To end it is to stop the
+loader and to remove that folder; nothing else on a host is touched.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from hpccomponent.errors import CloudError
+from hpcdeploy.access import Access, make_access
+from hpcdeploy.installing import write_text
+from hpcdeploy.layout import machine_folder
+from hpcdeploy.loader_service import stop_command
+from hpcdeploy.names import NodeName
+from hpcdeploy.provider import (
+    GroupSeen,
+    KeyPairSeen,
+    Launch,
+    MachineSeen,
+    Observed,
+    Problem,
+    State,
+)
+from hpcdeploy.provider_spec import Host, SshSpec
+from hpcdeploy.spec import ClusterSpec
+from hpcdeploy.ssh_target import host_address, host_id
+
+__all__ = ["SshHosts", "open_ssh_hosts"]
+
+AT_ONCE = 16
+_CLAIM = "machine.json"
+
+
+def open_ssh_hosts(spec: ClusterSpec, base: Path) -> SshHosts:
+    """Return the provider of the hosts of a cluster file."""
+    return SshHosts(spec, base)
+
+
+class SshHosts:
+    """Hosts, and what we have put on them.
+
+    Parameters
+    ----------
+    spec : ClusterSpec
+    base : Path
+        The folder of the cluster file.
+    """
+
+    name = "ssh"
+    makes_machines = False
+
+    def __init__(self, spec: ClusterSpec, base: Path) -> None:
+        assert isinstance(spec.provider, SshSpec)  # noqa: S101 - by the provider's type
+        self._spec = spec
+        self._access: Access = make_access(spec, base, self)
+        self._hosts: dict[str, Host] = dict(zip(spec.nodes(), spec.provider.hosts, strict=False))
+        self._folder = machine_folder(spec.cluster)
+
+    def observe(self, cluster: str | None) -> Observed:
+        """Return the hosts that hold our claim; one that does not answer counts as stopped."""
+        if cluster not in (None, self._spec.cluster):
+            return Observed()
+        with ThreadPoolExecutor(AT_ONCE, thread_name_prefix="hosts") as pool:
+            found = list(pool.map(self._look, self._hosts))
+        return Observed(tuple(machine for machine in found if machine is not None))
+
+    def launch(self, launch: Launch) -> MachineSeen:
+        """Claim the host of a node.
+
+        Raises
+        ------
+        CloudError
+            It does not answer.
+        """
+        machine = self._machine(launch.name.node)
+        claim = {
+            "cluster": launch.cluster,
+            "node": launch.name.node,
+            "generation": launch.name.generation,
+            "incarnation": launch.incarnation,
+            "launched": datetime.now(UTC).isoformat(),
+        }
+        with self._access.open(machine) as shell:
+            write_text(shell, f"{self._folder}/{_CLAIM}", json.dumps(claim))
+        return self._claimed(launch.name.node, claim)
+
+    def terminate(self, machines: Sequence[MachineSeen]) -> None:
+        """Stop the loaders and remove our folders; hosts that do not answer stay as they are."""
+        with ThreadPoolExecutor(AT_ONCE, thread_name_prefix="hosts") as pool:
+            list(pool.map(self._end, (m for m in machines if m.state is State.RUNNING)))
+
+    def create_key_pair(self, cluster: str, public_key: str) -> KeyPairSeen:
+        """Do nothing: the hosts know who may log in."""
+        del public_key
+        return KeyPairSeen(cluster, "")
+
+    def create_group(self, cluster: str, incarnation: str) -> GroupSeen:
+        """Do nothing: the network is as it is."""
+        return GroupSeen(cluster, "", "", incarnation)
+
+    def allow(
+        self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
+    ) -> None:
+        """Do nothing: the network is as it is."""
+
+    def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
+        """Do nothing: the hosts stay."""
+
+    def delete_group(self, group: GroupSeen) -> bool:
+        """Do nothing: there is none."""
+        del group
+        return True
+
+    def delete_key_pair(self, key_pair: KeyPairSeen) -> None:
+        """Do nothing: there is none."""
+
+    def console(self, machine: MachineSeen) -> str:
+        """Return nothing: a host's console is its owner's."""
+        del machine
+        return ""
+
+    def check(self) -> list[Problem]:
+        """Log in to every host."""
+        problems = []
+        for node in self._hosts:
+            try:
+                self._access.open(self._machine(node)).close()
+            except CloudError as error:
+                problems.append(Problem(error.problem, error.advice))
+        return problems
+
+    def _machine(self, node: str) -> MachineSeen:
+        host = self._hosts[node]
+        address = host_address(host)
+        return MachineSeen(
+            id=host_id(host),
+            cluster=self._spec.cluster,
+            name=NodeName(node),
+            incarnation="",
+            state=State.RUNNING,
+            public_address=address,
+            private_address=host.private_address or address,
+        )
+
+    def _look(self, node: str) -> MachineSeen | None:
+        machine = self._machine(node)
+        try:
+            with self._access.open(machine) as shell:
+                done = shell.run(f"cat {shlex.quote(self._folder)}/{_CLAIM}")
+        except CloudError as error:
+            return replace(machine, state=State.STOPPED, reason=error.problem)
+        if done.exit_code:
+            return None
+        try:
+            return self._claimed(node, json.loads(done.output))
+        except (ValueError, KeyError, TypeError) as error:
+            raise CloudError(
+                f"{machine.id}: {self._folder}/{_CLAIM} cannot be read ({error})",
+                f"remove ~/{self._folder} there",
+            ) from error
+
+    def _claimed(self, node: str, claim: dict[str, Any]) -> MachineSeen:
+        """Return the machine of a claim; a host may have had another node's name before."""
+        return replace(
+            self._machine(node),
+            name=NodeName(claim["node"], claim["generation"]),
+            incarnation=claim["incarnation"],
+            launched=datetime.fromisoformat(claim["launched"]),
+        )
+
+    def _end(self, machine: MachineSeen) -> None:
+        stop = stop_command(self._spec.cluster, self._folder)
+        remove = f"rm -rf {shlex.quote(self._folder)} && {{ rmdir hpcapp 2>/dev/null; true; }}"
+        with self._access.open(machine) as shell:
+            done = shell.run(f"{stop}cd && {remove}", timeout_s=60.0)
+        if done.exit_code:
+            raise CloudError(
+                f"{machine.name.node} ({machine.id}): what we put there cannot be removed: "
+                f"{done.errors.strip()}",
+                f"remove ~/{self._folder} there by hand",
+            )

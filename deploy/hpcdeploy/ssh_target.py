@@ -1,0 +1,130 @@
+"""Where a machine is and who we are there: from the cluster file, the cloud and ~/.ssh/config."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import paramiko
+
+from hpccomponent.errors import ConfigError
+from hpcdeploy.provider_spec import Host
+from hpcdeploy.spec import Auth
+
+__all__ = ["Target", "host_address", "host_id", "host_target"]
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A machine to log in to.
+
+    Parameters
+    ----------
+    address : str
+    port : int
+    user : str
+    key_files : tuple of str
+        Private keys; with none, the user's own in ``~/.ssh`` are tried, and the agent's.
+    host_keys : tuple of paramiko.PKey
+        Those that it may have; with none, the ones in `known_hosts`.
+    known_hosts : tuple of str
+        Files of the user's own.
+    host_key_name : str
+        What it is called there, where not by its address.
+    jumps : tuple of Target
+        Machines on the way, the nearest first.
+    """
+
+    address: str
+    port: int
+    user: str
+    key_files: tuple[str, ...] = ()
+    host_keys: tuple[paramiko.PKey, ...] = ()
+    known_hosts: tuple[str, ...] = ()
+    host_key_name: str = ""
+    jumps: tuple[Target, ...] = ()
+
+    @property
+    def known_as(self) -> str:
+        """The name of its host key, as ``known_hosts`` files write it."""
+        if self.host_key_name or self.port == 22:
+            return self.host_key_name or self.address
+        return f"[{self.address}]:{self.port}"
+
+
+def host_id(host: Host) -> str:
+    """Return what tells a host of the cluster file from the others."""
+    return host.address if host.port is None else f"{host.address}:{host.port}"
+
+
+def host_address(host: Host) -> str:
+    """Return the address of a host, following ``~/.ssh/config``."""
+    return str(_read_config().lookup(host.address).get("hostname", host.address))
+
+
+def host_target(host: Host, auth: Auth, key_files: tuple[str, ...]) -> Target:
+    """Return how a host of the cluster file is reached, following ``~/.ssh/config``.
+
+    Parameters
+    ----------
+    host : Host
+    auth : Auth
+        Its user and port are used where neither the host nor the configuration has one.
+    key_files : tuple of str
+        The file's own; by default the configuration's.
+
+    Raises
+    ------
+    ConfigError
+        The configuration cannot be read.
+    """
+    config = _read_config()
+    jumps = config.lookup(host.address).get("proxyjump", "none")
+    names = [] if jumps.lower() == "none" else jumps.split(",")
+    return replace(
+        _resolve(config, host.address, host.user or "", host.port, auth, key_files),
+        jumps=tuple(_resolve_jump(config, name.strip(), auth, key_files) for name in names),
+    )
+
+
+def _read_config() -> paramiko.SSHConfig:
+    path = Path.home() / ".ssh/config"
+    try:
+        return paramiko.SSHConfig.from_path(str(path))
+    except FileNotFoundError:
+        return paramiko.SSHConfig()
+    except (OSError, UnicodeDecodeError, paramiko.ConfigParseError) as error:
+        raise ConfigError(f"{path}: {error}", "correct the file, which ssh reads too") from error
+
+
+def _resolve_jump(
+    config: paramiko.SSHConfig, jump: str, auth: Auth, key_files: tuple[str, ...]
+) -> Target:
+    """Return the target of a ProxyJump's ``[USER@]HOST[:PORT]``; its own jumps do not count."""
+    user, _, place = jump.rpartition("@")
+    name, _, port = place.partition(":")
+    return _resolve(config, name, user, int(port) if port else None, auth, key_files)
+
+
+def _resolve(
+    config: paramiko.SSHConfig,
+    name: str,
+    user: str,
+    port: int | None,
+    auth: Auth,
+    key_files: tuple[str, ...],
+) -> Target:
+    found = config.lookup(name)
+    files = found.get("userknownhostsfile", "~/.ssh/known_hosts").split()
+    return Target(
+        address=found.get("hostname", name),
+        port=port or int(found.get("port", auth.ssh_port)),
+        user=user or found.get("user", auth.ssh_user),
+        key_files=key_files or tuple(map(_home, found.get("identityfile", ()))),
+        known_hosts=tuple(map(_home, files)),
+        host_key_name=found.get("hostkeyalias", ""),
+    )
+
+
+def _home(file: str) -> str:
+    return str(Path(file).expanduser())

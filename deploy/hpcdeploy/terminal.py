@@ -1,0 +1,103 @@
+"""The user's terminal, given to a command on another machine."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+import shutil
+import signal
+import sys
+from collections.abc import Iterator
+from types import FrameType
+
+import paramiko
+
+__all__ = ["give_terminal"]
+
+_CHUNK = 1 << 14
+
+
+def give_terminal(channel: paramiko.Channel, command: str) -> None:
+    """Run a command, or a login shell, on this process's stdin, stdout and stderr, to its end.
+
+    Parameters
+    ----------
+    channel : paramiko.Channel
+        A fresh session.
+    command : str
+        Empty for a login shell.
+
+    Notes
+    -----
+    With a terminal on stdin there is one on the other side too, of the same size, and every key
+    goes there; without one, bytes go through as they are.
+    """
+    is_terminal = os.isatty(0)
+    if is_terminal:
+        size = shutil.get_terminal_size()
+        channel.get_pty(os.environ.get("TERM", "vt100"), size.columns, size.lines)
+    if command:
+        channel.exec_command(command)
+    else:
+        channel.invoke_shell()
+    with _raw_terminal(channel) if is_terminal else contextlib.nullcontext():
+        _relay(channel)
+
+
+@contextlib.contextmanager
+def _raw_terminal(channel: paramiko.Channel) -> Iterator[None]:
+    """Hand every key over, and every change of the window's size."""
+    import termios
+    import tty
+
+    def resize(signum: int, frame: FrameType | None) -> None:
+        del signum, frame
+        size = shutil.get_terminal_size()
+        with contextlib.suppress(OSError, paramiko.SSHException):
+            channel.resize_pty(size.columns, size.lines)
+
+    settings = termios.tcgetattr(0)
+    before = signal.signal(signal.SIGWINCH, resize)
+    try:
+        tty.setraw(0)
+        yield
+    finally:
+        signal.signal(signal.SIGWINCH, before)
+        termios.tcsetattr(0, termios.TCSADRAIN, settings)
+
+
+def _relay(channel: paramiko.Channel) -> None:
+    """Carry bytes both ways until the command has ended and all it said is written."""
+    with selectors.DefaultSelector() as selector:
+        selector.register(channel, selectors.EVENT_READ)
+        with contextlib.suppress(PermissionError):  # a plain file cannot be waited for
+            selector.register(0, selectors.EVENT_READ)
+        if len(selector.get_map()) == 1:
+            while chunk := os.read(0, _CHUNK):
+                channel.sendall(chunk)
+            channel.shutdown_write()
+        while True:
+            ready = {key.fileobj for key, _ in selector.select()}
+            if 0 in ready:
+                if chunk := os.read(0, _CHUNK):
+                    channel.sendall(chunk)
+                else:
+                    selector.unregister(0)
+                    channel.shutdown_write()
+            if channel in ready and not _write_out(channel):
+                return
+
+
+def _write_out(channel: paramiko.Channel) -> bool:
+    """Write what has come; False at its end."""
+    if channel.recv_stderr_ready():
+        sys.stderr.buffer.write(channel.recv_stderr(_CHUNK))
+        sys.stderr.flush()
+        return True
+    if channel.recv_ready() or channel.eof_received or channel.closed:
+        chunk = channel.recv(_CHUNK)
+        sys.stdout.buffer.write(chunk)
+        sys.stdout.flush()
+        return bool(chunk)
+    return True

@@ -1,0 +1,214 @@
+"""Logging in: real SSH servers in this process, and every way in which it can fail."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from machines.servers import Machines, Server
+
+from hpccomponent.errors import CloudError
+from hpcdeploy import access as access_module
+from hpcdeploy.access import Access, make_access
+from hpcdeploy.layout import state_folder
+from hpcdeploy.names import NodeName
+from hpcdeploy.provider import MachineSeen, State
+from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.spec import ClusterSpec
+
+
+class Consoles(MemoryProvider):
+    """A cloud whose machines are the test's servers."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.text: dict[str, str] = {}
+
+    def console(self, machine: MachineSeen) -> str:
+        return self.text.get(machine.id, "")
+
+
+def cloud_spec(port: int) -> ClusterSpec:
+    image = {"image": {"id": "ami-1"}, "instance_type": "m5.large"}
+    return ClusterSpec.model_validate(
+        {
+            "version": 1,
+            "cluster": "bunny",
+            "provider": {"type": "aws", "profiles": {"small": image}},
+            "auth": {"ssh_port": port},
+        }
+    )
+
+
+def seen(server: Server, node: str = "worker-1") -> MachineSeen:
+    return MachineSeen(
+        f"i-{server.port}",
+        "bunny",
+        NodeName(node),
+        "x",
+        State.RUNNING,
+        public_address=server.address,
+    )
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(access_module, "RETRY_S", 0.01)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("HOME", str(tmp_path / "user"))
+
+
+@pytest.fixture
+def machines(tmp_path: Path) -> Iterator[Machines]:
+    with Machines.open(tmp_path) as machines:
+        yield machines
+
+
+@pytest.fixture
+def server(machines: Machines) -> Server:
+    return machines.add()
+
+
+@pytest.fixture
+def cloud() -> Consoles:
+    return Consoles()
+
+
+@pytest.fixture
+def access(server: Server, cloud: Consoles, tmp_path: Path) -> Iterator[Access]:
+    access = make_access(cloud_spec(server.port), tmp_path, cloud)
+    server.keys.append(access.public_key())
+    cloud.text[f"i-{server.port}"] = server.console
+    yield access
+    access.close()
+
+
+def test_the_clusters_key_is_made_once_and_for_its_owner_only(access: Access) -> None:
+    assert access.public_key() == access.public_key()
+    assert access.public_key().startswith("ssh-rsa ")
+    path = state_folder("bunny") / "id"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+
+
+def test_a_machine_whose_console_shows_its_key_is_let_in(server: Server, access: Access) -> None:
+    with access.open(seen(server)) as shell:
+        assert shell.run("echo ready").output == "ready\n"
+
+
+def test_a_key_stays_pinned_after_the_console_has_forgotten_it(
+    server: Server, access: Access, cloud: Consoles
+) -> None:
+    access.open(seen(server))
+    cloud.text.clear()
+    access.open(seen(server))
+
+
+def test_another_machines_host_key_is_refused_at_once(
+    server: Server, access: Access, machines: Machines, cloud: Consoles
+) -> None:
+    other = machines.add()
+    cloud.text[f"i-{server.port}"] = other.console
+    with pytest.raises(CloudError, match=r"worker-1 \(i-\d+, 127.*not the pinned"):
+        access.open(seen(server))
+
+
+def test_a_machine_that_shows_no_key_is_waited_for_and_then_named(
+    server: Server, access: Access, cloud: Consoles
+) -> None:
+    cloud.text[f"i-{server.port}"] = "kernel panic: no root\n"
+    with pytest.raises(CloudError, match=r"host keys on its console(?s:.)*kernel panic: no root"):
+        access.open(seen(server), timeout_s=0.05)
+    assert server.commands == []
+
+
+def test_permission_denied_right_after_boot_is_tried_again(server: Server, access: Access) -> None:
+    server.denials = 2
+    with access.open(seen(server)) as shell:
+        assert shell.run("true").exit_code == 0
+
+
+def test_permission_that_stays_denied_ends_the_waiting(
+    server: Server, access: Access, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(access_module, "DENIED_S", 0.05)
+    server.keys.clear()
+    with pytest.raises(CloudError, match="permission denied"):
+        access.open(seen(server))
+
+
+def test_a_machine_that_refuses_is_named_with_the_reason(
+    server: Server, access: Access, machines: Machines
+) -> None:
+    machines.stop(server)
+    with pytest.raises(CloudError, match="connection refused"):
+        access.open(seen(server), timeout_s=0.05)
+
+
+def test_waiting_ends_when_the_cluster_is_closed(
+    server: Server, access: Access, machines: Machines
+) -> None:
+    machines.stop(server)
+    access.close()
+    with pytest.raises(CloudError, match="no longer waited for"):
+        access.open(seen(server))
+
+
+def ssh_spec(server: Server, key: Path) -> ClusterSpec:
+    return ClusterSpec.model_validate(
+        {
+            "version": 1,
+            "cluster": "lab",
+            "provider": {"type": "ssh", "hosts": [{"address": "lab1"}]},
+            "auth": {"ssh_private_key": str(key)},
+        }
+    )
+
+
+def host() -> MachineSeen:
+    return MachineSeen("lab1", "lab", NodeName("head"), "x", State.RUNNING)
+
+
+@pytest.fixture
+def configured(server: Server, access: Access, tmp_path: Path) -> Iterator[Access]:
+    """A user whose ssh configuration leads to the server."""
+    folder = tmp_path / "user/.ssh"
+    folder.mkdir(parents=True)
+    (folder / "config").write_text(
+        f"Host lab1\n  HostName {server.address}\n  Port {server.port}\n  User admin\n"
+    )
+    spec = ssh_spec(server, state_folder("bunny") / "id")
+    access = make_access(spec, tmp_path, MemoryProvider())
+    yield access
+    access.close()
+
+
+def test_a_host_of_the_users_configuration_is_reached(
+    server: Server, configured: Access, tmp_path: Path
+) -> None:
+    line = f"[{server.address}]:{server.port} {server.host_line}\n"
+    (tmp_path / "user/.ssh/known_hosts").write_text(line)
+    with configured.open(host()) as shell:
+        assert shell.run("echo $HOME").output.strip() == str(server.home)
+
+
+def test_a_host_that_the_user_has_never_seen_is_refused(configured: Access) -> None:
+    with pytest.raises(CloudError, match=r"SHA256:\S+ is not known; run ssh lab1 once"):
+        configured.open(host())
+
+
+def test_a_proxy_jump_is_followed(
+    server: Server, machines: Machines, configured: Access, tmp_path: Path
+) -> None:
+    gate = machines.add()
+    gate.keys += server.keys
+    folder = tmp_path / "user/.ssh"
+    with (folder / "config").open("a") as config:
+        config.write(f"  ProxyJump admin@{gate.address}:{gate.port}\n")
+    (folder / "known_hosts").write_text(
+        "".join(f"[{s.address}]:{s.port} {s.host_line}\n" for s in (server, gate))
+    )
+    with configured.open(host()) as shell:
+        assert shell.run("pwd").output.strip() == str(server.home)
