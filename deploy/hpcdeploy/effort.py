@@ -67,6 +67,8 @@ class Effort:
 
     def converge(self) -> None:
         """Go round until every node is set up or given up; see the module's diagram."""
+        if self._journal.unfinished():
+            self._pace.sleep(self._pace.settle_s)
         plan = self._plan()
         if self._only_replace and not plan.actions and not self._journal.unfinished():
             return
@@ -75,14 +77,19 @@ class Effort:
             self._check_enough()
             running, failed = self._await_running(awaited)
             failed = failed or self._set_up(running)
-            if not failed:
-                break
             for machine, reason in failed:
                 self._dismiss(machine, reason)
             self._check_enough()
             plan = self._plan()
+            if not failed and self._is_settled(plan):
+                break
         for node, reason in self._given_up.items():
             self._report(f"going without {node}: {reason}")
+
+    def _is_settled(self, plan: Plan) -> bool:
+        """Tell whether all are there and nobody else: some are lost or listed only by now."""
+        is_late = self._pace.now() >= self._deadline
+        return is_late or not any(isinstance(a, LaunchNode | Terminate) for a in plan.actions)
 
     def undo(self, before: frozenset[str]) -> None:
         """Take away what was made since, or all where no machine was there before."""

@@ -33,7 +33,7 @@ Step = Callable[[str], AbstractContextManager[object]]
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """A launch that was asked for and whose answer is not known.
+    """A launch that has come about, or may have: a cloud lists a new machine with a delay.
 
     Parameters
     ----------
@@ -97,11 +97,11 @@ class Journal:
         return list(pending)
 
     def attempt(self, incarnation: str, name: NodeName) -> Attempt | None:
-        """Return the launch of a node that was asked for last, if it may have come about."""
+        """Return the launch of a node that was asked for last, unless it was refused."""
         of_node = {"incarnation": incarnation, "node": name.node, "generation": name.generation}
         for entry in reversed(self._entries):
             if of_node.items() <= entry.items():
-                if "done" in entry or "refused" in entry:
+                if "refused" in entry:
                     return None
                 until = datetime.fromisoformat(entry["lease_until"])
                 return Attempt(entry["instance_type"], entry["market"], until)

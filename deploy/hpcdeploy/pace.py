@@ -25,6 +25,8 @@ class Pace:
         Between two looks at the cloud; it grows to five times that.
     boot_s, end_s : float
         Until a machine must run, and until one must be gone, with what it holds.
+    settle_s : float
+        After a command that was cut short: until the cloud lists what that one has asked for.
     backoff_s : tuple of float
         Before each further try to get machines that were not to be had.
     total_s : float
@@ -36,6 +38,7 @@ class Pace:
     poll_s: float = 1.0
     boot_s: float = 600.0
     end_s: float = 600.0
+    settle_s: float = 5.0
     backoff_s: tuple[float, ...] = (5.0, 20.0)
     total_s: float = 2400.0
     now: Callable[[], datetime] = utc_now

@@ -55,6 +55,14 @@ def test_what_was_cut_short_is_told_to_the_next_command() -> None:
         assert journal.attempt("another life", NodeName("worker-1")) is None
 
 
+def test_a_launch_that_is_done_is_asked_for_again_in_the_same_words() -> None:
+    with open_journal("bunny") as journal:
+        with journal.step("launch worker-1", **LAUNCH):
+            pass
+        expected = Attempt("c6i.xlarge", "spot", UNTIL)
+        assert journal.attempt("life", NodeName("worker-1")) == expected
+
+
 @pytest.mark.parametrize(
     ("error", "may_have_come_about"),
     [(CapacityError("none"), False), (CloudError("the answer is lost"), True)],
