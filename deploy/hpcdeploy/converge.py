@@ -68,12 +68,13 @@ def bring_up(
     check_limits(cluster.spec, estimate_cost(cluster.spec))
     pace = pace or Pace()
     with open_journal(cluster.spec.cluster) as journal:
-        for what in journal.unfinished():
-            report(f"cut short before: {what}; going on from what the cloud lists")
+        if unfinished := journal.unfinished():
+            report(f"cut short before: {', '.join(unfinished)}; going on from the cloud's lists")
         effort = Effort(cluster, journal, report, pace)
         before = _alive(cluster.provider.observe(cluster.spec.cluster))
         try:
-            effort.converge()
+            with journal.step("bring the cluster up"):
+                effort.converge()
         except KeyboardInterrupt:
             report(f"what was made stays: {_ways_on(cluster)}")
             raise
@@ -100,7 +101,9 @@ def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) 
         The head does not run, the cloud refuses, or another command is changing the cluster.
     """
     with open_journal(cluster.spec.cluster) as journal:
-        Effort(cluster, journal, report, pace or Pace(), only_replace=True).converge()
+        effort = Effort(cluster, journal, report, pace or Pace(), only_replace=True)
+        with journal.step("replace lost workers"):
+            effort.converge()
 
 
 def take_down(cluster: Cluster, report: Report, *, pace: Pace | None = None) -> None:

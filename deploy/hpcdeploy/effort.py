@@ -55,6 +55,7 @@ class Effort:
         self._cluster, self._spec, self._provider = cluster, cluster.spec, cluster.provider
         self._journal, self._report, self._pace = journal, report, pace
         self._only_replace = only_replace
+        self._was_cut_short = bool(journal.unfinished())
         self._ssh_from = frozenset[str]() if only_replace else ssh_networks(self._spec)
         self._incarnation = draw_incarnation(pace.now())
         self._group: GroupSeen | None = None
@@ -67,10 +68,10 @@ class Effort:
 
     def converge(self) -> None:
         """Go round until every node is set up or given up; see the module's diagram."""
-        if self._journal.unfinished():
+        if self._was_cut_short:
             self._pace.sleep(self._pace.settle_s)
         plan = self._plan()
-        if self._only_replace and not plan.actions and not self._journal.unfinished():
+        if self._only_replace and not plan.actions and not self._was_cut_short:
             return
         while True:
             awaited = self._carry_out(plan)

@@ -40,11 +40,11 @@ def ssh_networks(
     networks = set()
     for entry in spec.auth.allow_from:
         if entry != "auto":
-            networks.add(str(ipaddress.ip_network(entry, strict=False)))
+            networks.add(entry)
             continue
         try:
             address = _address_towards(spec.provider.endpoint_url) or ask_public_address()
-            networks.add(str(ipaddress.ip_network(address)))
+            networks.add(str(ipaddress.IPv4Network(address)))
         except (OSError, ValueError) as error:
             raise CloudError(
                 f"this machine's public address is not to be found out ({error})",
@@ -58,11 +58,11 @@ def _address_towards(endpoint_url: str | None) -> str:
     if endpoint_url is None:
         return ""
     parts = urlsplit(endpoint_url)
-    family, _, _, _, target = socket.getaddrinfo(
-        parts.hostname, parts.port or 443, type=socket.SOCK_DGRAM
+    *_, target = socket.getaddrinfo(
+        parts.hostname, parts.port or 443, socket.AF_INET, socket.SOCK_DGRAM
     )[0]
     if ipaddress.ip_address(target[0]).is_global:
         return ""
-    with socket.socket(family, socket.SOCK_DGRAM) as probe:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(target)  # sends nothing, only chooses the way
         return str(probe.getsockname()[0])

@@ -185,7 +185,7 @@ class ClusterLife(RuleBasedStateMachine):
 
 TestClusterLife = ClusterLife.TestCase
 TestClusterLife.settings = settings(
-    max_examples=100,
+    max_examples=40,
     stateful_step_count=25,
     phases=[Phase.explicit, Phase.reuse, Phase.generate],  # shrinking takes minutes
     deadline=None,

@@ -1,0 +1,135 @@
+"""What has outlived its use is found by the cloud's lists alone."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+from simulated import START, SetUp, SimulatedTime, make_cluster, make_spec
+
+from hpccomponent.errors import LeftoverError
+from hpcdeploy.converge import bring_up
+from hpcdeploy.names import NodeName, draw_incarnation
+from hpcdeploy.provider import GroupSeen, KeyPairSeen, Launch, MachineSeen, Observed, State
+from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.reap import overdue, reap
+
+HOUR = timedelta(hours=1)
+
+
+def group(cluster: str, age: timedelta) -> GroupSeen:
+    return GroupSeen(cluster, "sg", f"hpcapp-{cluster}", draw_incarnation(START - age))
+
+
+def machine(
+    cluster: str,
+    lease_left: timedelta | None,
+    state: State = State.RUNNING,
+    age: timedelta = 2 * HOUR,
+) -> MachineSeen:
+    until = None if lease_left is None else START + lease_left
+    return MachineSeen(
+        f"i-{cluster}",
+        cluster,
+        NodeName("head"),
+        "life",
+        state,
+        launched=START - age,
+        lease_until=until,
+    )
+
+
+PAIR = KeyPairSeen("bunny", "hpcapp-bunny")
+
+
+@pytest.mark.parametrize(
+    ("lease_left", "state", "age", "goes"),
+    [
+        (HOUR, State.RUNNING, 2 * HOUR, False),
+        (-timedelta(minutes=4), State.RUNNING, 2 * HOUR, False),  # clocks differ
+        (-timedelta(minutes=6), State.RUNNING, 2 * HOUR, True),
+        (-HOUR, State.PENDING, 2 * HOUR, True),
+        (-HOUR, State.GONE, 2 * HOUR, False),
+        (HOUR, State.STOPPED, 2 * HOUR, True),  # has shut itself down, its disk still costs
+        (None, State.RUNNING, timedelta(minutes=50), False),  # its tags are being written
+        (None, State.RUNNING, timedelta(minutes=70), True),
+    ],
+)
+def test_a_machine_goes_by_its_lease_or_else_by_its_age(
+    lease_left: timedelta | None, state: State, age: timedelta, goes: bool
+) -> None:
+    seen = machine("bunny", lease_left, state, age)
+    observed = Observed((seen,), (), (group("bunny", timedelta(minutes=1)),))
+    assert overdue(observed, START).machines == ((seen,) if goes else ())
+
+
+@pytest.mark.parametrize(("age", "goes"), [(HOUR / 2, False), (2 * HOUR, True)])
+def test_a_machine_without_its_group_is_an_orphan_once_it_is_old(
+    age: timedelta, goes: bool
+) -> None:
+    seen = machine("bunny", HOUR, age=age)
+    assert bool(overdue(Observed((seen,)), START).machines) == goes
+
+
+@pytest.mark.parametrize(
+    ("age", "lease_left", "goes"),
+    [
+        (timedelta(minutes=50), None, False),  # somebody is making the cluster
+        (timedelta(minutes=70), None, True),
+        (2 * HOUR, HOUR, False),  # a machine is in it
+        (2 * HOUR, -HOUR, True),  # which goes, and the group with it
+    ],
+)
+def test_a_group_and_its_key_pair_go_once_nobody_can_need_them(
+    age: timedelta, lease_left: timedelta | None, goes: bool
+) -> None:
+    machines = () if lease_left is None else (machine("bunny", lease_left),)
+    found = overdue(Observed(machines, (PAIR,), (group("bunny", age),)), START)
+    assert bool(found.groups) == goes
+    assert bool(found.key_pairs) == goes
+
+
+def test_a_key_pair_without_a_group_is_an_orphan_at_once() -> None:
+    assert overdue(Observed((), (PAIR,)), START).key_pairs == (PAIR,)
+
+
+def test_a_new_life_is_left_alone_though_machines_of_the_last_one_are_listed() -> None:
+    gone = machine("bunny", -HOUR, State.GONE)
+    young = group("bunny", timedelta(minutes=1))
+    assert overdue(Observed((gone,), (PAIR,), (young,)), START) == Observed()
+
+
+@pytest.fixture
+def time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimulatedTime:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    monkeypatch.setattr("hpcdeploy.bootstrap.set_up", SetUp())
+    monkeypatch.setattr("hpcdeploy.user_data.user_data", lambda *about: "#!")
+    return SimulatedTime()
+
+
+def up(cloud: MemoryProvider, time: SimulatedTime, name: str) -> None:
+    cluster = make_cluster(make_spec(1, cluster=name), cloud)
+    bring_up(cluster, lambda line: None, pace=time.pace())
+
+
+def test_expired_clusters_are_removed_and_others_stay(time: SimulatedTime) -> None:
+    cloud = MemoryProvider(time.now, boot_s=30, end_s=20)
+    up(cloud, time, "old")
+    time.sleep(1.5 * 3600)
+    up(cloud, time, "young")
+    time.sleep(1.5 * 3600)
+    lines: list[str] = []
+    reap(cloud, lines.append, time.pace())
+    left = cloud.observe(None)
+    assert {m.cluster for m in left.machines if m.state is State.RUNNING} == {"young"}
+    assert [g.cluster for g in left.groups] == [p.cluster for p in left.key_pairs] == ["young"]
+    assert any(line.startswith("terminating head (i-") for line in lines)
+
+
+def test_what_cannot_be_removed_is_named(time: SimulatedTime) -> None:
+    cloud = MemoryProvider(time.now, end_s=1e9)
+    cloud.launch(Launch("bunny", "life", NodeName("head"), lease_until=START - HOUR))
+    time.sleep(7200)
+    with pytest.raises(LeftoverError, match=r"still there: head i-\d+ \(ending\); it may cost"):
+        reap(cloud, lambda line: None, time.pace())
