@@ -11,13 +11,19 @@ from typing import Any
 
 import boto3
 from botocore.config import Config
-from botocore.exceptions import BotoCoreError, ClientError
+from botocore.exceptions import BotoCoreError
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.provider_spec import CloudSpec
 from hpcdeploy.providers.ec2_capabilities import capabilities_of
 from hpcdeploy.providers.ec2_credentials import find_keys
-from hpcdeploy.providers.ec2_errors import code_of, is_lost_answer, is_throttled, translate
+from hpcdeploy.providers.ec2_errors import (
+    BOTO_ERRORS,
+    code_of,
+    is_lost_answer,
+    is_throttled,
+    translate,
+)
 
 __all__ = ["Calls", "cloud_name", "open_client"]
 
@@ -142,7 +148,7 @@ class Calls:
             try:
                 reply: dict[str, Any] = getattr(self._client, operation)(**parameters)
                 return reply
-            except (ClientError, BotoCoreError) as error:
+            except BOTO_ERRORS as error:
                 passes = is_throttled(error) or is_lost_answer(error) or code_of(error) in not_yet
                 if not passes or attempt == ATTEMPTS:
                     raise translate(error, doing, self._place) from error

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import botocore.exceptions as boto
+from botocore.parsers import ResponseParserError
 
 from hpccomponent.errors import CapacityError, CloudError
 
-__all__ = ["code_of", "is_lost_answer", "is_throttled", "translate"]
+__all__ = ["BOTO_ERRORS", "code_of", "is_lost_answer", "is_throttled", "translate"]
+
+BOTO_ERRORS = (boto.ClientError, boto.BotoCoreError, ResponseParserError)
+"""All that a call may raise: the last, of no family, where a web page answers instead of EC2."""
 
 _CAPACITY = {
     "InsufficientCapacity",
@@ -36,6 +40,7 @@ _LOST = (
     boto.EndpointConnectionError,
     boto.HTTPClientError,
     boto.ReadTimeoutError,
+    ResponseParserError,  # a gateway's page may hide that it was done
 )
 _KEYS = "check provider.credentials, or the environment's AWS_ACCESS_KEY_ID"
 _CLOCK = "check this machine's clock (timedatectl)"
@@ -108,6 +113,8 @@ def translate(error: Exception, doing: str, place: str) -> CloudError:
     place : str
         The cloud, as the user calls it.
     """
+    if isinstance(error, ResponseParserError):
+        return CloudError(f"{place}: cannot {doing}: the answer is no EC2 answer", _advise(error))
     if not isinstance(error, boto.ClientError):
         return CloudError(f"{place}: cannot {doing}: {_one_line(str(error))}", _advise(error))
     code = code_of(error)
@@ -135,6 +142,8 @@ def _advise(error: Exception) -> str:
         return _RENEW
     if isinstance(error, boto.ParamValidationError | boto.UnknownServiceError):
         return "check provider.capabilities"
+    if isinstance(error, ResponseParserError):
+        return "something other than EC2 answers: check provider.endpoint_url"
     if isinstance(error, _LOST):
         return "check provider.endpoint_url, provider.region and the network, and try again"
     return ""

@@ -44,6 +44,12 @@ class Desk:
     def launch(self, node: str = "worker-1", **more: Any) -> MachineSeen:
         return self.provider.launch(a_launch(node, **more))
 
+    def reopened(self, base: Path = Path(), **keys: Any) -> Ec2Provider:
+        """Open another provider, by the environment as it is now, and with other keys."""
+        spec = self.provider._cloud.model_copy(update=keys)
+        calls = Calls(open_client("ec2", spec, base), "the cloud", self.waits.append)
+        return Ec2Provider(spec, calls, 22)
+
     def changes(self) -> list[str]:
         return [call.action for call in self.cloud.calls if call.changes]
 
