@@ -13,14 +13,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpccomponent.errors import CloudError
+from hpccomponent.errors import CloudError, ConfigError
 from hpcdeploy.bucket_client import sha256_of
 from hpcdeploy.job_folder import JobOrder, JobStatus
+from hpcdeploy.provider_spec import LocalSpec, SshSpec
+from hpcdeploy.spec import ClusterSpec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["Bucket"]
+__all__ = ["Bucket", "open_bucket"]
 
 PART = 16 << 20  # 10,000 parts at most, so 160 GB; S3 wants at least 5 MiB
 LONGEST_S = 7 * 86400  # of a presigned address
@@ -177,3 +179,32 @@ class Bucket:
             raise CloudError(
                 f"s3://{self._bucket}: {error}", "check data.s3 and s3_endpoint_url"
             ) from error
+
+
+def open_bucket(spec: ClusterSpec, base: Path) -> Bucket:
+    """Return the bucket that a cluster file names in ``data.s3``.
+
+    Parameters
+    ----------
+    spec : ClusterSpec
+    base : pathlib.Path
+        The folder of the cluster file.
+
+    Raises
+    ------
+    ConfigError
+        The provider has no keys for a bucket.
+    CloudError
+        They are not to be found.
+    """
+    from hpcdeploy.providers.ec2_client import open_client  # it imports boto3
+
+    cloud = spec.provider
+    if isinstance(cloud, SshSpec | LocalSpec) or spec.data.s3 is None:
+        raise ConfigError(
+            f"data.s3: provider {cloud.type} has no keys for a bucket",
+            "leave it out, or choose aws, eucalyptus or ec2",
+        )
+    bundle = (base / Path(cloud.ca_bundle).expanduser()).read_text() if cloud.ca_bundle else ""
+    client = open_client("s3", cloud, base)
+    return Bucket(client, spec.data.s3, spec.cluster, spec.limits.lease, bundle)

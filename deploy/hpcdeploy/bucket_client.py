@@ -94,7 +94,10 @@ def send_mesh(order: JobOrder, mesh: Path, say: Callable[[str], None]) -> str:
                     order.mesh_url,
                     data=stream,
                     method="PUT",
-                    headers={"Content-Length": str(mesh.stat().st_size)},
+                    headers={
+                        "Content-Length": str(mesh.stat().st_size),
+                        "Content-Type": "application/octet-stream",  # or it would be a form
+                    },
                 )
                 with _open(order, request):
                     return sha256_of(mesh)

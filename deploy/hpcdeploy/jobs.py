@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import logging
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -21,31 +20,19 @@ from hpccomponent.errors import (
     JobError,
     UsageError,
 )
+from hpcdeploy.job_display import JobDisplay
 from hpcdeploy.job_folder import JobOrder, JobState, JobStatus
 from hpcdeploy.layout import machine_folder
 from hpcdeploy.shell import Shell
 
 if TYPE_CHECKING:
     from hpcdeploy.bucket import Bucket
+    from hpcdeploy.cluster import Cluster
 
-__all__ = ["JobDisplay", "Jobs", "raise_failure"]
-
-log = logging.getLogger("hpcapp")
+__all__ = ["Jobs", "open_jobs", "raise_failure"]
 
 _ERRORS: dict[int, type[HpcError]] = {2: UsageError, 3: InputError, 4: CloudError}
 PATIENCE_S = 60.0
-HASH_S = 600.0
-
-
-class JobDisplay:
-    """Where a job is shown while it runs; this one shows what it says, line by line."""
-
-    def show_log(self, line: str) -> None:
-        """Show a line that the job has written."""
-        log.info("%s", line)
-
-    def show_event(self, event: dict[str, Any]) -> None:
-        """Show how far a stage has come."""
 
 
 class Jobs:
@@ -106,7 +93,7 @@ class Jobs:
         order = JobOrder(verb, name, mesh, tuple(options), points.name)
         if self._bucket is not None:
             order = self._bucket.send(points, digest, order, on_progress)
-        elif not self._has(name):
+        else:
             self._run(f"umask 077; mkdir -p {shlex.quote(self._folder)}/points")
             self._head.put(points, f"{self._folder}/{name}", on_progress=on_progress)
         [answer] = self._ask("start", stdin=json.dumps(asdict(order)).encode())
@@ -194,14 +181,6 @@ class Jobs:
             self._head.get(source, target, on_progress=on_progress)
         return report
 
-    def _has(self, name: str) -> bool:
-        """Tell whether a whole file is on the head: its name is its SHA-256."""
-        path = shlex.quote(f"{self._folder}/{name}")
-        found = self._head.run(
-            f"sha256sum {path} 2>/dev/null || true", timeout_s=HASH_S
-        ).output.split()
-        return bool(found) and found[0] == Path(name).stem
-
     def _command(self, *words: str) -> str:
         python = f"{self._folder}/venv/bin/python"
         parts = [python, "-P", "-m", "hpcdeploy.runner", "--folder", self._folder, *words]
@@ -218,6 +197,23 @@ class Jobs:
             kind = _ERRORS.get(done.exit_code, CloudError)
             raise kind(f"{self._head.node}: {said or f'exit code {done.exit_code}'}")
         return done.output.splitlines()
+
+
+def open_jobs(cluster: Cluster) -> Jobs:
+    """Return the jobs of a cluster that is up.
+
+    Raises
+    ------
+    CloudError
+        It is not, or its head cannot be reached.
+    """
+    head = cluster.access.open(cluster.head())
+    bucket = None
+    if cluster.spec.data.s3 is not None:
+        from hpcdeploy.bucket import open_bucket
+
+        bucket = open_bucket(cluster.spec, cluster.path.absolute().parent)
+    return Jobs(head, cluster.spec.cluster, bucket)
 
 
 def raise_failure(status: JobStatus) -> None:

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from hpccomponent.errors import CloudError, InputError, JobError, UsageError
+from hpcdeploy.job_display import JobDisplay
 from hpcdeploy.job_folder import JobState, JobStatus
-from hpcdeploy.jobs import JobDisplay, Jobs
+from hpcdeploy.jobs import Jobs
 from hpcdeploy.local_shell import LocalShell
 
 PATIENCE_S = 60.0

@@ -1,0 +1,176 @@
+"""A bucket of moto's server between the user's machine and the head."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import boto3
+import pytest
+from botocore.config import Config
+from moto.server import ThreadedMotoServer
+
+from hpccomponent.errors import CloudError
+from hpcdeploy import bucket as bucket_module
+from hpcdeploy import bucket_client
+from hpcdeploy.bucket import Bucket
+from hpcdeploy.bucket_client import fetch_points, send_mesh, sha256_of
+from hpcdeploy.job_folder import JobOrder, JobState, JobStatus
+
+ORDER = JobOrder("reconstruct", "points/x.ply", "mesh.ply")
+
+
+@pytest.fixture(scope="module")
+def endpoint() -> Iterator[str]:
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    yield f"http://{host}:{port}"
+    server.stop()
+
+
+@pytest.fixture
+def client(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    client = boto3.session.Session().client(
+        "s3",
+        region_name="us-east-1",
+        endpoint_url=endpoint,
+        aws_access_key_id="AKIA",
+        aws_secret_access_key="not-for-the-head",  # noqa: S106
+        config=Config(
+            s3={"addressing_style": "path"},
+            request_checksum_calculation="when_required",
+            response_checksum_validation="when_required",
+            retries={"total_max_attempts": 1},
+        ),
+    )
+    client.create_bucket(Bucket="lab")
+    yield client
+    for item in client.list_objects_v2(Bucket="lab").get("Contents", ()):
+        client.delete_object(Bucket="lab", Key=item["Key"])
+    client.delete_bucket(Bucket="lab")
+    client.close()
+
+
+@pytest.fixture
+def bucket(client: Any) -> Bucket:
+    return Bucket(client, "s3://lab/scans/", "bunny", 3600.0)
+
+
+def write(path: Path, size: int) -> str:
+    path.write_bytes(os.urandom(size))
+    return sha256_of(path)
+
+
+def keys(client: Any) -> list[str]:
+    return [item["Key"] for item in client.list_objects_v2(Bucket="lab").get("Contents", ())]
+
+
+def test_points_go_up_and_the_mesh_comes_down(bucket: Bucket, client: Any, tmp_path: Path) -> None:
+    digest = write(tmp_path / "a.ply", 1000)
+    order = bucket.send(tmp_path / "a.ply", digest, ORDER)
+    assert "not-for-the-head" not in repr(order)
+    assert keys(client) == [f"scans/bunny/points/{digest}.ply"]
+    said: list[str] = []
+    fetch_points(order, tmp_path / f"head/{digest}.ply", said.append)
+    assert sha256_of(tmp_path / f"head/{digest}.ply") == digest
+    mesh = write(tmp_path / "mesh.ply", 5000)
+    assert send_mesh(order, tmp_path / "mesh.ply", said.append) == mesh
+    status = JobStatus("1", JobState.DONE, mesh_key=order.mesh_key, mesh_sha256=mesh)
+    bucket.fetch(status, tmp_path / "fetched.ply")
+    assert sha256_of(tmp_path / "fetched.ply") == mesh
+    assert order.mesh_key not in keys(client)
+
+
+def test_what_is_there_is_not_sent_again(
+    bucket: Bucket, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    digest = write(tmp_path / "a.ply", 1000)
+    bucket.send(tmp_path / "a.ply", digest, ORDER)
+    monkeypatch.setattr(client, "put_object", None)
+    bucket.send(tmp_path / "a.ply", digest, ORDER)
+
+
+def test_an_interrupted_upload_goes_on(
+    bucket: Bucket, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = 5 << 20
+    monkeypatch.setattr(bucket_module, "PART", part)
+    digest = write(tmp_path / "a.ply", 2 * part + 7)
+
+    def interrupt(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        bucket.send(tmp_path / "a.ply", digest, ORDER, interrupt)
+    sent: list[int] = []
+    upload_part = client.upload_part
+    monkeypatch.setattr(
+        client,
+        "upload_part",
+        lambda **call: sent.append(call["PartNumber"]) or upload_part(**call),
+    )
+    progress: list[int] = []
+    order = bucket.send(tmp_path / "a.ply", digest, ORDER, lambda done, _: progress.append(done))
+    assert sent == [2, 3]
+    assert progress == [part, 2 * part, 2 * part + 7]
+    fetch_points(order, tmp_path / f"{digest}.ply", lambda _: None)
+
+
+def test_a_download_goes_on_where_it_stopped(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    digest = write(tmp_path / "a.ply", 1000)
+    order = bucket.send(tmp_path / "a.ply", digest, ORDER)
+    content = (tmp_path / "a.ply").read_bytes()
+    for have in (400, 1000):
+        target = tmp_path / f"{have}" / f"{digest}.ply"
+        target.parent.mkdir()
+        target.with_name(target.name + ".part").write_bytes(content[:have])
+        fetch_points(order, target, lambda _: None)
+        assert target.read_bytes() == content
+
+
+def test_other_points_are_refused(bucket: Bucket, client: Any, tmp_path: Path) -> None:
+    digest = write(tmp_path / "a.ply", 1000)
+    order = bucket.send(tmp_path / "a.ply", digest, ORDER)
+    client.put_object(Bucket="lab", Key=keys(client)[0], Body=b"others")
+    with pytest.raises(CloudError, match="other points than were sent"):
+        fetch_points(order, tmp_path / f"{digest}.ply", lambda _: None)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
+def test_a_mesh_that_was_changed_is_refused(bucket: Bucket, client: Any, tmp_path: Path) -> None:
+    client.put_object(Bucket="lab", Key="m", Body=b"others")
+    status = JobStatus("1", JobState.DONE, mesh_key="m", mesh_sha256=hashlib.sha256().hexdigest())
+    with pytest.raises(CloudError, match="not the mesh that was sent"):
+        bucket.fetch(status, tmp_path / "mesh.ply")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bucket_that_is_gone_is_one_line(
+    bucket: Bucket, client: Any, tmp_path: Path, endpoint: str
+) -> None:
+    digest = write(tmp_path / "a.ply", 1000)
+    nowhere = Bucket(client, "s3://no-such-bucket", "bunny", 60.0)
+    with pytest.raises(CloudError, match=r"s3://no-such-bucket: .* was refused \(NoSuchBucket\)"):
+        nowhere.send(tmp_path / "a.ply", digest, ORDER)
+    order = replace(ORDER, points_url=f"{endpoint}/lab/none", mesh_url=f"{endpoint}/none/none")
+    with pytest.raises(CloudError, match=r"cannot be fetched from the bucket \(HTTP Error 40"):
+        fetch_points(order, tmp_path / "none.ply", lambda _: None)
+    said: list[str] = []
+    assert send_mesh(order, tmp_path / "a.ply", said.append) == ""
+    assert "it stays on the head" in said[-1]
+
+
+def test_a_bucket_that_cannot_be_reached_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bucket_client, "ATTEMPTS", 2)
+    order = replace(ORDER, points_url="http://127.0.0.1:1/x")
+    with pytest.raises(CloudError, match="Connection refused"):
+        fetch_points(order, tmp_path / "x.ply", lambda _: None)
