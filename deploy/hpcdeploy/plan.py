@@ -130,11 +130,19 @@ class Plan:
     incarnation: str = ""
 
 
-def launch_choices(profile: Profile | None) -> tuple[tuple[str, str], ...]:
-    """Return instance types and markets, in the order in which they are tried."""
+def launch_choices(profile: Profile | None, has_spot: bool = True) -> tuple[tuple[str, str], ...]:
+    """Return instance types and markets, in the order in which they are tried.
+
+    Parameters
+    ----------
+    profile : Profile, optional
+    has_spot : bool
+        Of the cloud; where it has none, a fallback is all there is.
+    """
     if profile is None:
         return (("", "on_demand"),)
-    markets = {"spot_with_fallback": ("spot", "on_demand")}.get(profile.market, (profile.market,))
+    fallback = ("spot", "on_demand") if has_spot else ("on_demand",)
+    markets = {"spot_with_fallback": fallback}.get(profile.market, (profile.market,))
     return tuple((kind, market) for market in markets for kind in profile.instance_types)
 
 
@@ -180,10 +188,11 @@ def make_plan(
     actions += endings
     actions += _extensions(spec, kept, now)
     there = {machine.name.node for machine in kept}
+    has_spot = isinstance(spec.provider, CloudSpec) and spec.provider.has_spot
     for node in spec.nodes():
         if node not in there:
             name = NodeName(node, _next_generation(machines, node, life))
-            choices = launch_choices(spec.profile(node))
+            choices = launch_choices(spec.profile(node), has_spot)
             actions.append(LaunchNode(name, spec.profile_name(node), choices))
     return Plan(tuple(actions), tuple(kept), life)
 

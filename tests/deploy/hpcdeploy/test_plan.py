@@ -209,6 +209,9 @@ def test_a_group_that_vanished_is_made_again_for_the_life_of_its_machines() -> N
 def test_spot_comes_before_on_demand(market: str, choices: list[str]) -> None:
     profile = make_spec(market=market).profile("worker-1")
     assert [" ".join(choice) for choice in launch_choices(profile)] == choices
+    without_spot = launch_choices(profile, has_spot=False)
+    assert set(without_spot) <= set(launch_choices(profile))
+    assert ("spot" in {market for _, market in without_spot}) == (profile.market == "spot")
 
 
 def test_where_machines_are_there_no_group_no_key_pair_and_no_lease_is_planned() -> None:

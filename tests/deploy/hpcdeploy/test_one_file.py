@@ -1,0 +1,151 @@
+"""One cluster file on every cloud, changed in its provider block only; and what keys must allow."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from cloud import StrictCloud
+from pydantic import TypeAdapter
+from simulated import SetUp, SimulatedTime
+
+from hpcapp.cli import main
+from hpcdeploy.cluster import Cluster
+from hpcdeploy.converge import bring_up, take_down
+from hpcdeploy.provider_spec import CloudSpec, ProviderSpec
+from hpcdeploy.providers import open_provider
+from hpcdeploy.providers.ec2_capabilities import capabilities_of
+from hpcdeploy.spec import read_spec
+
+ROOT = Path(__file__).parents[3]
+RSA_KEY = (
+    "ssh-rsa "
+    + base64.b64encode(b"\0\0\0\x07ssh-rsa\0\0\0\x03\1\0\1\0\0\1\1\0" + b"\xc5" * 256).decode()
+)
+REST = """
+head: {profile: small}
+workers: {profile: fast, count: 3, min: 2}
+auth: {allow_from: [192.0.2.0/24]}
+limits: {lease: 2h, idle: 15m, max_hourly_cost: 2.00, max_total_cost: 5.00}
+tags: {project: x}
+"""
+
+
+@pytest.fixture
+def profile() -> str:
+    return "aws"
+
+
+@pytest.fixture
+def cloud(profile: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[StrictCloud]:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr("hpcdeploy.bootstrap.set_up", SetUp())
+    monkeypatch.setattr("hpcdeploy.bootstrap.check_wheels", lambda spec, base: [])
+    monkeypatch.setattr("hpcdeploy.user_data.user_data", lambda *about: "#!/bin/sh")
+    with StrictCloud(profile, lag=0) as opened:
+        for name, value in opened.environment().items():
+            monkeypatch.setenv(name, value)
+        yield opened
+
+
+def write_file(cloud: StrictCloud, folder: Path, **changes: Any) -> Path:
+    """Write the one file, with the block of a cloud; JSON is YAML too."""
+    price = {"hourly_cost": 0.2} if cloud.profile == "generic" else {}
+    block = cloud.provider_block(small=price, fast={"market": "spot_with_fallback"} | price)
+    path = folder / "cluster.yaml"
+    path.write_text(f"version: 1\ncluster: bunny\nprovider: {json.dumps(block | changes)}\n{REST}")
+    return path
+
+
+def run(*arguments: str | Path) -> int:
+    with pytest.raises(SystemExit) as left:
+        main([str(argument) for argument in arguments])
+    assert isinstance(left.value.code, int)
+    return left.value.code
+
+
+def open_file(path: Path) -> Cluster:
+    """Open a file as the verbs do, but with a key that is there and no shells."""
+    spec = read_spec(path)
+    access: Any = SimpleNamespace(public_key=lambda: RSA_KEY)
+    return Cluster(path, spec, open_provider(spec, path.parent), access)
+
+
+every_cloud = pytest.mark.parametrize(
+    "profile", ["aws", "euca-4.0", "euca-4.4", "euca-5.1", "generic"]
+)
+
+
+@every_cloud
+def test_validate_and_plan(
+    cloud: StrictCloud, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_file(cloud, tmp_path)
+    assert run("validate", path) == 0
+    assert not cloud.calls
+    assert run("plan", path) == 0
+    told = capsys.readouterr().out
+    assert all(f"would launch {node}" in told for node in ("head", "worker-1", "worker-3"))
+    assert not [call for call in cloud.calls if call.changes]
+
+
+@every_cloud
+def test_up_again_and_down(cloud: StrictCloud, tmp_path: Path) -> None:
+    cluster, lines, time = open_file(write_file(cloud, tmp_path)), list[str](), SimulatedTime()
+    bring_up(cluster, lines.append, pace=time.pace())
+    assert [m.name.node for m in cluster.machines()] == ["head", "worker-1", "worker-2", "worker-3"]
+    calls = len(cloud.calls)
+    bring_up(cluster, lines.append, pace=time.pace())
+    assert not [call for call in cloud.calls[calls:] if call.changes]
+    take_down(cluster, lines.append, pace=time.pace())
+    assert not cloud.left()
+
+
+def allowed_actions() -> set[str]:
+    """Return the EC2 actions of the page's policy."""
+    page = (ROOT / "docs/cluster.md").read_text(encoding="utf-8")
+    _, _, text = page.partition("```json\n")
+    statements = json.loads(text.partition("```")[0])["Statement"]
+    return {
+        action.removeprefix("ec2:")
+        for statement in statements
+        for action in statement["Action"]
+        if action.startswith("ec2:")
+    }
+
+
+def test_the_pages_policy_allows_what_is_called_and_nothing_else(
+    cloud: StrictCloud, tmp_path: Path
+) -> None:
+    subnet = cloud.model.default_subnet(None)
+    cluster = open_file(write_file(cloud, tmp_path, subnet=subnet))
+    lines, time = list[str](), SimulatedTime()
+    cluster.provider.check()
+    bring_up(cluster, lines.append, pace=time.pace())
+    cluster.provider.console(cluster.head())
+    time.sleep(timedelta(hours=1).total_seconds())
+    auth = cluster.spec.auth.model_copy(update={"allow_from": ("198.51.100.0/24",)})
+    elsewhere = replace(cluster, spec=cluster.spec.model_copy(update={"auth": auth}))
+    bring_up(elsewhere, lines.append, pace=time.pace())
+    take_down(cluster, lines.append, pace=time.pace())
+    assert {call.action for call in cloud.calls} == allowed_actions()
+
+
+@pytest.mark.parametrize("kind", ["aws", "eucalyptus", "ec2"])
+@pytest.mark.parametrize("profile", ["auto", "aws", "euca-4.0", "euca-5.1", "generic"])
+def test_the_file_knows_which_clouds_have_spot_machines(kind: str, profile: str) -> None:
+    block: Any = {
+        "type": kind,
+        "capabilities": profile,
+        "endpoint_url": "http://cloud.example/",
+        "profiles": {"small": {"image": {"id": "ami-1"}, "instance_type": "m5.large"}},
+    }
+    cloud: CloudSpec = TypeAdapter(ProviderSpec).validate_python(block)
+    assert cloud.has_spot == capabilities_of(cloud).spot
