@@ -25,7 +25,6 @@ from hpcdeploy.ssh_target import Target, host_id, host_target
 
 __all__ = ["Access", "make_access"]
 
-BOOT_S = 300.0  # until a machine answers
 DENIED_S = 60.0  # an image's SSH server answers before the key is installed
 RETRY_S = 1.0
 KEY_BITS = 2048  # RSA, of 1024, 2048 or 4096 bits: a Eucalyptus imports nothing else
@@ -72,15 +71,15 @@ class Access:
             ) from error
         return f"{key.get_name()} {key.get_base64()}"
 
-    def open(self, machine: MachineSeen, timeout_s: float = BOOT_S) -> Shell:
-        """Open a shell on a machine, and wait until it answers.
+    def open(self, machine: MachineSeen, timeout_s: float | None = None) -> Shell:
+        """Open a shell on a machine, and wait until it answers, by default for `limits.boot`.
 
         Raises
         ------
         CloudError
             It did not answer in time, or its host key is not the pinned one.
         """
-        shell = self._open(machine, timeout_s)
+        shell = self._open(machine, self._spec.limits.boot if timeout_s is None else timeout_s)
         with self._lock:
             self._shells.append(shell)
         return shell

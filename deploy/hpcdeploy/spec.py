@@ -175,12 +175,15 @@ class Limits(ConfigModel):
         The machines end by themselves so long after the last `up`, in seconds.
     idle : float
         And so long after the last job or login, in seconds.
+    boot : float
+        A machine that lets nobody in for so long is given up, in seconds.
     max_hourly_cost, max_total_cost : float, optional
         In dollars: `up` refuses what costs more an hour, or more within the lease.
     """
 
     lease: Duration = 7200.0
     idle: Duration = 900.0
+    boot: Duration = 300.0
     max_hourly_cost: float | None = Field(default=None, ge=0)
     max_total_cost: float | None = Field(default=None, ge=0)
 
