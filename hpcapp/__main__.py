@@ -23,6 +23,8 @@ def _leave(signum: int, frame: FrameType | None) -> NoReturn:
 def main() -> NoReturn:
     """Import the command and run it."""
     signal.signal(signal.SIGINT, _leave)
+    # No step calls BLAS to any extent; its threads would wake with numpy and spin for nothing.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hpcapp.cli import main as run
 
     run()

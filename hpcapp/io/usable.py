@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
-from hpccomponent.surface.points import FloatArray, PointCloud
+from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
 __all__ = ["FEWEST_POINTS", "Dropped", "drop_unusable"]
 
@@ -16,6 +17,9 @@ FEWEST_POINTS = 10
 
 _SMALLEST, _LARGEST = 1e-60, 1e60
 """Largest coordinate of a cloud: its fourth powers must stay within the range of float64."""
+
+_CHUNK = 1 << 14  # normals at once: what is made of them stays in the cache
+_SAMPLE = 100_000  # points that show whether they lie on a line, if they do not
 
 _FLATTEST = 1e-6
 """Second extent over first, below which points count as collinear: ten roundings of float32."""
@@ -85,10 +89,16 @@ def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[P
     return usable, dropped
 
 
-def _normalized(
-    normals: FloatArray,
-) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+def _normalized(normals: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return vectors of unit length, and which of them had a length at all."""
+    units, directed = np.empty_like(normals), np.empty(len(normals), np.bool_)
+    for start in range(0, len(normals), _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        units[rows], directed[rows] = _normalize_rows(normals[rows])
+    return units, directed
+
+
+def _normalize_rows(normals: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     largest = np.maximum.reduce([np.abs(column) for column in normals.T])[:, None]
     directed = np.isfinite(largest) & (largest > 0)
     # By the largest component first: squares of very long or short vectors leave the range.
@@ -112,24 +122,29 @@ def _refuse_too_few(usable: PointCloud, dropped: Dropped, source: str) -> None:
 
 
 def _refuse_degenerate(positions: FloatArray, source: str) -> None:
-    largest = np.abs(positions).max()
+    low, high = bounding_box(positions)
+    largest = float(np.abs([low, high]).max())
     if largest > _LARGEST or 0 < largest < _SMALLEST:
         raise InputError(
             f"{source}: the largest coordinate is {largest:g}",
             "scale the points: products of such numbers leave the range of float64",
         )
-    centred = positions / (largest or 1.0)  # squares must not leave the range
-    centred = centred - centred.mean(axis=0)
-    spread = np.abs(centred).max()
-    if spread == 0 or (positions == positions[0]).all():
+    if (low == high).all():
         raise InputError(
             f"{source}: all {len(positions)} points lie in one place",
             "check how the file was exported",
         )
-    centred /= spread
-    squares = np.linalg.eigvalsh(centred.T @ centred)
-    if squares[1] <= _FLATTEST**2 * squares[2]:
+    some = positions[:: -(-len(positions) // _SAMPLE)]  # in most clouds they tell enough
+    if _is_line(some / largest) and _is_line(positions / largest):
         raise InputError(
             f"{source}: all {len(positions)} points lie on one line",
             "a surface cannot be fitted to a line: check how the file was exported",
         )
+
+
+def _is_line(positions: FloatArray) -> bool:
+    """Tell whether all points lie on one line; their squares must not leave the range."""
+    centred = positions - positions.mean(axis=0)
+    centred /= np.abs(centred).max() or 1.0
+    squares = np.linalg.eigvalsh(np.einsum("ij,ik->jk", centred, centred))
+    return bool(squares[1] <= _FLATTEST**2 * squares[2])

@@ -37,6 +37,7 @@ __all__ = [
     "merge_cells",
     "parent_keys",
     "poll_normals",
+    "sample_boxes",
     "sample_corners",
     "sample_grid",
     "seed_bricks",
@@ -86,6 +87,16 @@ def count_boxes(
         return spacing.count_boxes(positions, low, edge, one_in)
     counts: tuple[int, int] = _native.count_boxes(_floats(positions), _floats(low), edge, one_in)
     return counts
+
+
+def sample_boxes(positions: FloatArray, low: FloatArray, edge: float, one_in: int) -> IntArray:
+    """Return the points in a sample of boxes; see `spacing.sample_boxes`."""
+    if _native is None:
+        from hpccomponent.surface import spacing
+
+        return spacing.sample_boxes(positions, low, edge, one_in)
+    rows: IntArray = _native.sample_boxes(_floats(positions), _floats(low), edge, one_in)
+    return rows
 
 
 def sort_points(

@@ -11,7 +11,7 @@ from hpccomponent.errors import InputError
 from hpccomponent.surface.lattice import cells_of, pack_places, unique_keys
 from hpccomponent.surface.points import FloatArray, IntArray, bounding_box
 
-__all__ = ["bound_points", "count_boxes", "estimate_spacing", "is_sampled"]
+__all__ = ["bound_points", "count_boxes", "estimate_spacing", "is_sampled", "sample_boxes"]
 
 _FEW, _MANY = 3.0, 20.0
 _SAMPLED_POINTS = 200_000
@@ -133,3 +133,23 @@ def is_sampled(boxes: IntArray, one_in: int) -> NDArray[np.bool_]:
     mixed = (boxes.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(33)
     chosen: NDArray[np.bool_] = mixed % np.uint64(one_in) == 0
     return chosen
+
+
+def sample_boxes(positions: FloatArray, low: FloatArray, edge: float, one_in: int) -> IntArray:
+    """Return the points in a sample of boxes, in numpy (see `kernels`).
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    low : ndarray of float64, shape (3,)
+    edge : float
+    one_in : int
+        See `count_boxes`.
+
+    Returns
+    -------
+    ndarray of int64, shape (m,)
+        Their rows, rising.
+    """
+    places = np.floor(cells_of(positions, low, edge)).astype(np.int64)
+    return np.flatnonzero(is_sampled(pack_places(places), one_in))

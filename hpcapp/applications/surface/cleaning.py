@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hpccomponent.surface.normals import mend_normals
 from hpccomponent.surface.outliers import find_outliers
-from hpccomponent.surface.points import FloatArray, PointCloud
+from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 from hpccomponent.surface.spacing import estimate_spacing
 
 __all__ = ["Cleaned", "clean_cloud"]
@@ -89,6 +89,9 @@ def _find_near(positions: FloatArray) -> NDArray[np.bool_]:
     reach = _CORES * float((high - low).max())
     if reach <= 0.0:
         return np.ones(len(positions), np.bool_)
-    away = np.abs(positions - 0.5 * (low + high))
+    middle = 0.5 * (low + high)
+    if (np.abs(np.stack(bounding_box(positions)) - middle) <= reach).all():
+        return np.ones(len(positions), np.bool_)
+    away = np.abs(positions - middle)
     near: NDArray[np.bool_] = (away <= reach).all(axis=1)
     return near

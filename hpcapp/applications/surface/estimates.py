@@ -10,9 +10,8 @@ from hpcapp.applications.surface.pyramid import Level, VertexQuadrics, build_pyr
 from hpcapp.applications.surface.weights import LEAST_MU, Weights, tell_noise
 from hpcapp.batches import Workforce
 from hpccomponent.surface import kernels
-from hpccomponent.surface.lattice import cells_of, pack_places
-from hpccomponent.surface.points import PointCloud
-from hpccomponent.surface.spacing import estimate_spacing, is_sampled
+from hpccomponent.surface.points import PointCloud, bounding_box
+from hpccomponent.surface.spacing import estimate_spacing
 
 __all__ = ["Scale", "choose_scale", "estimate_noise"]
 
@@ -84,10 +83,9 @@ def _sample_cloud(cloud: PointCloud, spacing: float) -> PointCloud:
     one_in = len(cloud) // _SAMPLED_POINTS
     if one_in < 2:
         return cloud
-    low = cloud.positions.min(axis=0)
-    places = np.floor(cells_of(cloud.positions, low, _SAMPLED_BOX * spacing)).astype(np.int64)
-    chosen = is_sampled(pack_places(places), one_in)
-    return cloud.take(chosen) if np.count_nonzero(chosen) > _SAMPLED_POINTS // 4 else cloud
+    low, _ = bounding_box(cloud.positions)
+    chosen = kernels.sample_boxes(cloud.positions, low, _SAMPLED_BOX * spacing, one_in)
+    return cloud.take(chosen) if len(chosen) > _SAMPLED_POINTS // 4 else cloud
 
 
 def _probe_variances(

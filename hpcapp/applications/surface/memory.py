@@ -22,6 +22,8 @@ BYTES_PER_NODE = 16.0
 BYTES_OF_PROGRAM = 1e8
 BYTES_PER_POINT = 150.0
 BYTES_PER_SURFACE_CELL = 350.0
+#: The boxes along the surface are counted on a sample of them, with about so many points.
+SAMPLED_POINTS = 1_000_000
 #: Below this a job fits on any machine that runs it.
 SMALL_GRID = 256
 
@@ -85,8 +87,9 @@ def estimate_memory(method: str, grid: int, cloud: PointCloud) -> float:
     low, high = bounding_box(cloud.positions)
     step = float((high - low).max()) / grid
     box = max(8.0 * step, 3.0 * estimate_spacing(cloud.positions))
-    _, boxes = kernels.count_boxes(cloud.positions, low, box, 1)
-    surface = BYTES_PER_SURFACE_CELL * boxes * (box / step) ** 2
+    one_in = len(cloud) // SAMPLED_POINTS + 1
+    _, boxes = kernels.count_boxes(cloud.positions, low, box, one_in)
+    surface = BYTES_PER_SURFACE_CELL * one_in * boxes * (box / step) ** 2
     return BYTES_OF_PROGRAM + BYTES_PER_POINT * len(cloud) + surface
 
 

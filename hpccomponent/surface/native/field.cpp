@@ -6,10 +6,10 @@
 
 #include <algorithm>
 
-#include "clones.h"
 #include "families.h"
 #include "layers.h"
 #include "threads.h"
+#include "transpose.h"
 
 namespace hpc {
 namespace {
@@ -74,11 +74,20 @@ HPC_INLINE void collapse_y(const Real* __restrict in, const Shape& shape, const 
 }
 
 // in: [channel][plane node][lanes]; out: [channel][x][PLANE].
-HPC_INLINE void turn(const Real* in, const Shape& shape, Real* out, const int lanes) {
-  for (int channel = 0; channel < AFTER_Y; ++channel)
-    for (int node = 0; node < NODES * NODES; ++node)
-      for (int x = 0; x < shape.x; ++x)
-        out[(channel * shape.x + x) * PLANE + node] = in[(channel * NODES * NODES + node) * lanes + x];
+HPC_INLINE void turn(const Real* in, Real* out, const int lanes) {
+  constexpr int PLANE_NODES = NODES * NODES;
+  for (int channel = 0; channel < AFTER_Y; ++channel, in += PLANE_NODES * lanes, out += lanes * PLANE)
+    for (int x = 0; x < lanes; x += 4) {
+      const Real* rows[4];
+      for (int i = 0; i < 4; ++i) rows[i] = in + i * lanes + x;
+      int node = 0;
+      for (; node + 4 <= PLANE_NODES; node += 4) {
+        transpose_four(rows, out + x * PLANE + node, PLANE);
+        for (auto& row : rows) row += 4 * lanes;
+      }
+      for (; node < PLANE_NODES; ++node)
+        for (int i = 0; i < 4; ++i) out[(x + i) * PLANE + node] = in[node * lanes + x + i];
+    }
 }
 
 // What the levels so far amount to at each node, [x][PLANE], and what is left to those behind.
@@ -89,7 +98,7 @@ struct Composite {
 // Collapse x, and blend behind the levels in front; `scale` is the size of the level's cells.
 HPC_INLINE void collapse_x(const Real* in, const Shape& shape, const Axis& axis, Real scale,
                            const Composite& composite) {
-  const int64_t from = int64_t{1} * shape.x * PLANE;
+  const int64_t from = int64_t{1} * shape.lanes * PLANE;
   for (int node = 0; node < NODES; ++node) {
     const Real w = static_cast<Real>(axis.weight[node]), v = static_cast<Real>(1.0 - axis.weight[node]);
     const Real t = static_cast<Real>(axis.local[node]), s = static_cast<Real>(axis.local[node] - 1.0);
@@ -123,15 +132,15 @@ HPC_CLONES void collapse(const Real* raw, Real* scratch, const Shape& shape, con
   if (shape.lanes == 8) {
     collapse_z(raw, shape, axes[2], first, 8);
     collapse_y(first, shape, axes[1], second, 8);
-    turn(second, shape, third, 8);
+    turn(second, third, 8);
   } else if (shape.lanes == 12) {
     collapse_z(raw, shape, axes[2], first, 12);
     collapse_y(first, shape, axes[1], second, 12);
-    turn(second, shape, third, 12);
+    turn(second, third, 12);
   } else {
     collapse_z(raw, shape, axes[2], first, shape.lanes);
     collapse_y(first, shape, axes[1], second, shape.lanes);
-    turn(second, shape, third, shape.lanes);
+    turn(second, third, shape.lanes);
   }
   collapse_x(third, shape, axes[0], scale, composite);
 }
@@ -303,7 +312,7 @@ bool BrickEvaluator::add_level(const Place& brick, size_t depth) {
   const Shape shape{axes[0].count, axes[1].count, axes[2].count, lanes};
   const size_t raw = static_cast<size_t>(CHANNELS * shape.z * shape.y * lanes);
   const size_t others = static_cast<size_t>(AFTER_Z * shape.y * NODES * lanes + AFTER_Y * NODES * NODES * lanes +
-                                            AFTER_Y * shape.x * PLANE);
+                                            AFTER_Y * lanes * PLANE);
   // Zeros also where a plane is padded: those lanes are computed and thrown away.
   const size_t needed = 2 * NODES * PLANE + raw + others;
   if (scratch_.size() < needed) scratch_.resize(needed, Real{0});

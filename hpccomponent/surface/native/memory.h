@@ -44,6 +44,16 @@ inline void* take_memory(size_t bytes) {
   return small;
 }
 
+// Ask for memory that is read a few rows later, where rows come in no order.
+constexpr int64_t AHEAD = 16;
+inline void fetch(const void* address) {
+#if defined(__GNUC__)
+  __builtin_prefetch(address);
+#else
+  (void)address;
+#endif
+}
+
 struct Release {
   void operator()(void* memory) const noexcept { std::free(memory); }
 };

@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-#include "clones.h"
+#include "transpose.h"
 
 namespace hpc {
 
@@ -121,17 +121,27 @@ using Around = int64_t[8][LANES];
 
 // Load the moments of one octant; return whether any lane has some.
 HPC_INLINE bool load_octant(const double* moments, const Around& around, int octant, Block& block) {
+  static constexpr double NONE[COLUMNS] = {};
   bool any = false;
   for (int lane = 0; lane < LANES; ++lane) any = any || around[octant][lane] >= 0;
-  for (int column = 0; column < COLUMNS; ++column)
-    for (int lane = 0; lane < LANES; ++lane) block[column][lane] = 0.0;
-  for (int lane = 0; any && lane < LANES; ++lane) {
-    const int64_t row = around[octant][lane];
-    if (row < 0) continue;
+  if (!any) {
     for (int column = 0; column < COLUMNS; ++column)
-      block[column][lane] = moments[row * COLUMNS + column];
+      for (int lane = 0; lane < LANES; ++lane) block[column][lane] = 0.0;
+    return false;
   }
-  return any;
+  static_assert(LANES % 4 == 0 && COLUMNS % 4 == 0, "moved four by four");
+  for (int lane = 0; lane < LANES; lane += 4) {
+    const double* rows[4];
+    for (int i = 0; i < 4; ++i) {
+      const int64_t row = around[octant][lane + i];
+      rows[i] = row < 0 ? NONE : moments + row * COLUMNS;
+    }
+    for (int column = 0; column < COLUMNS; column += 4) {
+      transpose_four(rows, &block[column][lane], LANES);
+      for (auto& row : rows) row += 4;
+    }
+  }
+  return true;
 }
 
 // Sum the moments around the centres of a block: pairs along z, then y, then x.

@@ -116,12 +116,14 @@ SortedPoints sort_by_cell(const double* position, const double* normal, const in
   sorted.row.resize(static_cast<size_t>(points));
   sorted.position.resize(static_cast<size_t>(3 * points));
   sorted.normal.resize(static_cast<size_t>(3 * points));
-  for (int64_t i = 0; i < points; ++i) {
-    const int64_t at = next[cell_of[i]]++;
-    sorted.row[at] = i;
+  for (int64_t i = 0; i < points; ++i) sorted.row[next[cell_of[i]]++] = i;
+  for (int64_t at = 0; at < points; ++at) {
+    const int64_t row = 3 * sorted.row[at], soon = 3 * sorted.row[std::min(at + AHEAD, points - 1)];
+    fetch(position + soon);
+    fetch(normal + soon);
     for (int axis = 0; axis < 3; ++axis) {
-      sorted.position[3 * at + axis] = position[3 * i + axis];
-      sorted.normal[3 * at + axis] = normal[3 * i + axis];
+      sorted.position[3 * at + axis] = position[row + axis];
+      sorted.normal[3 * at + axis] = normal[row + axis];
     }
   }
   return sorted;

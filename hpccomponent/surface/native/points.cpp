@@ -74,6 +74,12 @@ nb::tuple bound_points(Input positions) {
   return nb::make_tuple(give(std::move(low), {3}), give(std::move(high), {3}));
 }
 
+// Return whether a box is in the sample of about one in so many, chosen by a hash.
+inline bool is_sampled(int64_t key, int64_t one_in) {
+  const uint64_t mixed = static_cast<uint64_t>(key) * 0x9E3779B97F4A7C15u >> 33;
+  return mixed % static_cast<uint64_t>(one_in) == 0;
+}
+
 nb::tuple count_boxes(Input positions, Input low, double edge, int64_t one_in) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const double* origin = check<double>(low, "low", {3});
@@ -86,14 +92,28 @@ nb::tuple count_boxes(Input positions, Input low, double edge, int64_t one_in) {
     KeyCounter counter(static_cast<size_t>(count / one_in / 4));
     for (int64_t i = 0; i < count; ++i) {
       const int64_t key = pack(cell_of(point + 3 * i, origin, edge));
-      const uint64_t mixed = static_cast<uint64_t>(key) * 0x9E3779B97F4A7C15u >> 33;
-      if (mixed % static_cast<uint64_t>(one_in)) continue;
+      if (!is_sampled(key, one_in)) continue;
       ++kept;
       counter.add(key);
     }
     boxes = counter.count();
   }
   return nb::make_tuple(kept, boxes);
+}
+
+Output<int64_t> sample_boxes(Input positions, Input low, double edge, int64_t one_in) {
+  const double* point = check<double>(positions, "positions", {ANY, 3});
+  const double* origin = check<double>(low, "low", {3});
+  check_positive(edge, "edge");
+  if (one_in < 1) refuse("one_in: expected 1 or more");
+  const int64_t count = rows_of(positions);
+  Large<int64_t> rows;
+  {
+    nb::gil_scoped_release unlocked;
+    for (int64_t i = 0; i < count; ++i)
+      if (is_sampled(pack(cell_of(point + 3 * i, origin, edge)), one_in)) rows.push_back(i);
+  }
+  return give(std::move(rows));
 }
 
 }  // namespace
@@ -163,13 +183,18 @@ nb::tuple gather_points(Input positions, Input normals, Input rows_wanted, Input
   auto gathered = make_buffer<double>(3 * count);
   {
     nb::gil_scoped_release unlocked;
-    for (int64_t i = 0; i < count; ++i)
+    for (int64_t i = 0; i < count; ++i) {
+      // Neighbours in space lie anywhere in the file: ask for what comes soon.
+      const int64_t soon = 3 * static_cast<int64_t>(rows[std::min(i + AHEAD, count - 1)]);
+      fetch(point + soon);
+      fetch(normal + soon);
       for (int axis = 0; axis < 3; ++axis) {
         const int64_t from = 3 * static_cast<int64_t>(rows[i]) + axis;
         const double place = (point[from] - origin[axis]) / size;
         local[3 * i + axis] = place - std::floor(place) - 0.5;
         gathered[3 * i + axis] = normal[from];
       }
+    }
   }
   const size_t n = static_cast<size_t>(count);
   return nb::make_tuple(give(std::move(local), {n, 3}), give(std::move(gathered), {n, 3}));
@@ -212,6 +237,7 @@ const int64_t* check_sides(const Input& bricks) {
 void bind_points(nb::module_& module) {
   module.def("bound_points", &bound_points);
   module.def("count_boxes", &count_boxes);
+  module.def("sample_boxes", &sample_boxes);
   module.def("sort_points", &sort_points);
   module.def("gather_points", &gather_points);
   module.def("seed_bricks", &seed_bricks);

@@ -120,7 +120,8 @@ struct Extracted {
   int64_t vertex_count = 0, face_count = 0;
 };
 
-Extracted extract(const Grid& grid, Bricks& all, const CaseTable& table, int threads) {
+// Number the vertices and faces of all bricks and place the vertices: the last that values are for.
+Extracted place_all(const Grid& grid, Bricks& all, const CaseTable& table, int threads) {
   const int64_t count = static_cast<int64_t>(all.keys.size());
   run_ranges(count, threads, [&](int64_t start, int64_t stop) {
     for (int64_t i = start; i < stop; ++i) count_brick(all.bricks[i], table);
@@ -133,17 +134,27 @@ Extracted extract(const Grid& grid, Bricks& all, const CaseTable& table, int thr
     mesh.face_count += brick.faces;
   }
   mesh.vertices = make_buffer<double>(3 * mesh.vertex_count);
+  run_ranges(count, threads, [&](int64_t start, int64_t stop) {
+    for (int64_t i = start; i < stop; ++i) {
+      const Brick& brick = all.bricks[i];
+      if (brick.vertices)
+        place_vertices(grid, unpack(all.keys[i]), brick, all.values[i], mesh.vertices.get() + 3 * brick.first_vertex);
+    }
+  });
+  return mesh;
+}
+
+void assemble_all(const Bricks& all, const CaseTable& table, int threads, Extracted& mesh) {
+  const int64_t count = static_cast<int64_t>(all.keys.size());
   mesh.faces = make_buffer<int64_t>(3 * mesh.face_count);
   run_ranges(count, threads, [&](int64_t start, int64_t stop) {
     std::vector<Finger> fingers(8, Finger(all.keys.data(), count));
     for (int64_t i = start; i < stop; ++i) {
       const Brick& brick = all.bricks[i];
-      if (!brick.vertices && !brick.faces) continue;
-      place_vertices(grid, unpack(all.keys[i]), brick, all.values[i], mesh.vertices.get() + 3 * brick.first_vertex);
-      assemble_faces(all, static_cast<size_t>(i), fingers.data(), table, mesh.faces.get() + 3 * brick.first_face);
+      if (brick.faces)
+        assemble_faces(all, static_cast<size_t>(i), fingers.data(), table, mesh.faces.get() + 3 * brick.first_face);
     }
   });
-  return mesh;
 }
 
 // Evaluates seeds, and every brick behind a face with a sign change, until none is left.
@@ -175,6 +186,8 @@ class Growth {
     bricks_ = {};
     return all;
   }
+
+  void drop_values() { chunks_.clear(); }
 
  private:
   // Mark a brick as known; return whether it was not.
@@ -250,7 +263,9 @@ nb::tuple grow_surface(nb::tuple arguments, Input origin, double step, Input sid
     Growth growth(field, grid);
     growth.run(std::vector<int64_t>(seeds, seeds + count), workers);
     Bricks all = growth.sorted();
-    mesh = extract(grid, all, table, workers);
+    mesh = place_all(grid, all, table, workers);
+    growth.drop_values();
+    assemble_all(all, table, workers, mesh);
   }
   return give_mesh(std::move(mesh));
 }
@@ -274,7 +289,8 @@ nb::tuple extract_surface(Input origin, double step, Input sides, Input keys_of,
       all.values.push_back(values + i * BRICK_NODES);
       mark_inside(all.values.back(), all.bricks[i]);
     }
-    mesh = extract(grid, all, table, workers);
+    mesh = place_all(grid, all, table, workers);
+    assemble_all(all, table, workers, mesh);
   }
   return give_mesh(std::move(mesh));
 }

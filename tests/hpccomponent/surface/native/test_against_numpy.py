@@ -73,6 +73,9 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
     for one_in in (1, 3):
         counted = native.count_boxes(positions, origin, size, one_in)
         assert counted == spacing.count_boxes(positions, origin, size, one_in)
+        sampled = native.sample_boxes(positions, origin, size, one_in)
+        wanted = spacing.sample_boxes(positions, origin, size, one_in)
+        np.testing.assert_array_equal(sampled, wanted)
 
 
 @given(st.integers(0, 2**32), st.lists(st.integers(0, 9), min_size=1, max_size=30))

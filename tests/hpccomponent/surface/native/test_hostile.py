@@ -20,7 +20,7 @@ KERNELS = (
     "inherit_level", "inherit_quadrics", "label_components", "merge_cells",
     "parent_keys", "sample_grid", "scale_moments", "seed_bricks", "shift_moments",
     "signed_volume", "sort_points", "spread_keys", "survey_mesh", "unite_keys", "gather_points",
-    "bound_points", "integrate_normals", "sample_corners",
+    "bound_points", "sample_boxes", "integrate_normals", "sample_corners",
 )  # fmt: skip
 
 numbers = st.one_of(
