@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpccomponent.errors import CloudError, ConfigError
+from hpccomponent.errors import CloudError
 from hpcdeploy.bucket_client import sha256_of
 from hpcdeploy.job_folder import JobOrder, JobStatus
 from hpcdeploy.provider_spec import LocalSpec, SshSpec
@@ -181,8 +181,11 @@ class Bucket:
             ) from error
 
 
-def open_bucket(spec: ClusterSpec, base: Path) -> Bucket:
+def open_bucket(spec: ClusterSpec, base: Path) -> Bucket | None:
     """Return the bucket that a cluster file names in ``data.s3``.
+
+    None where it names none, and for providers that have no keys for one: one file is to work on
+    every provider, and over SSH the points arrive as well.
 
     Parameters
     ----------
@@ -192,19 +195,14 @@ def open_bucket(spec: ClusterSpec, base: Path) -> Bucket:
 
     Raises
     ------
-    ConfigError
-        The provider has no keys for a bucket.
     CloudError
-        They are not to be found.
+        The keys of its cloud are not to be found.
     """
-    from hpcdeploy.providers.ec2_client import open_client  # it imports boto3
-
     cloud = spec.provider
     if isinstance(cloud, SshSpec | LocalSpec) or spec.data.s3 is None:
-        raise ConfigError(
-            f"data.s3: provider {cloud.type} has no keys for a bucket",
-            "leave it out, or choose aws, eucalyptus or ec2",
-        )
+        return None
+    from hpcdeploy.providers.ec2_client import open_client  # it imports boto3
+
     bundle = (base / Path(cloud.ca_bundle).expanduser()).read_text() if cloud.ca_bundle else ""
     client = open_client("s3", cloud, base)
     return Bucket(client, spec.data.s3, spec.cluster, spec.limits.lease, bundle)

@@ -20,13 +20,13 @@ from hpccomponent.errors import (
     JobError,
     UsageError,
 )
+from hpcdeploy.bucket import Bucket, open_bucket
 from hpcdeploy.job_display import JobDisplay
 from hpcdeploy.job_folder import JobOrder, JobState, JobStatus
 from hpcdeploy.layout import machine_folder
 from hpcdeploy.shell import Shell
 
 if TYPE_CHECKING:
-    from hpcdeploy.bucket import Bucket
     from hpcdeploy.cluster import Cluster
 
 __all__ = ["Jobs", "open_jobs", "raise_failure"]
@@ -208,11 +208,7 @@ def open_jobs(cluster: Cluster) -> Jobs:
         It is not, or its head cannot be reached.
     """
     head = cluster.access.open(cluster.head())
-    bucket = None
-    if cluster.spec.data.s3 is not None:
-        from hpcdeploy.bucket import open_bucket
-
-        bucket = open_bucket(cluster.spec, cluster.path.absolute().parent)
+    bucket = open_bucket(cluster.spec, cluster.path.absolute().parent)
     return Jobs(head, cluster.spec.cluster, bucket)
 
 
