@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from xml.sax.saxutils import escape
 
+from cryptography.hazmat.primitives.serialization import load_ssh_public_key
+
 from cloud.instances import Instance
 from cloud.model import Model
 
@@ -210,8 +212,10 @@ class Rules:
 
     def _ImportKeyPair(self, parameters: Parameters, moto: Moto) -> Answer:  # noqa: N802
         key = base64.b64decode(parameters["PublicKeyMaterial"])
-        if not self._is_aws and not key.startswith(b"ssh-rsa "):
-            raise RefusedError("InvalidKey.Format", "only RSA keys can be imported")
+        if not self._is_aws and not (
+            key.startswith(b"ssh-rsa ") and load_ssh_public_key(key).key_size in (1024, 2048, 4096)
+        ):
+            raise RefusedError("InvalidKey.Format", "Invalid or unsupported key format")
         return moto(parameters)
 
     def _AuthorizeSecurityGroupIngress(  # noqa: N802

@@ -13,10 +13,13 @@ from botocore.exceptions import ClientError, ConnectionClosedError
 
 from cloud import FOREVER, Call, CutError, StrictCloud
 
-RSA_KEY = (
-    "ssh-rsa "
-    + base64.b64encode(b"\0\0\0\x07ssh-rsa\0\0\0\x03\1\0\1\0\0\1\1\0" + b"\xc5" * 256).decode()
-)
+
+def rsa_key(bits: int) -> bytes:
+    parts = (b"ssh-rsa", b"\1\0\1", b"\0" + b"\xc5" * (bits // 8))
+    body = b"".join(len(part).to_bytes(4, "big") + part for part in parts)
+    return b"ssh-rsa " + base64.b64encode(body)
+
+
 Connect = Callable[..., tuple[StrictCloud, Any]]
 
 
@@ -221,13 +224,13 @@ def test_only_the_clouds_own_path_answers(connect: Connect) -> None:
     client.close()
 
 
-def test_only_rsa_keys_are_imported_by_a_eucalyptus(connect: Connect) -> None:
+def test_a_eucalyptus_imports_rsa_keys_of_three_sizes(connect: Connect) -> None:
     _, client = connect("euca-5.1")
-    key = b"ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIHWkn4xXnVnDgnPSSTyTQCHvL+vJlCnQQjnUcgwYBVdC"
-    assert (
-        refusal(client.import_key_pair, KeyName="k", PublicKeyMaterial=key) == "InvalidKey.Format"
-    )
-    client.import_key_pair(KeyName="k", PublicKeyMaterial=RSA_KEY.encode())
+    ed25519 = b"ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIHWkn4xXnVnDgnPSSTyTQCHvL+vJlCnQQjnUcgwYBVdC"
+    for key in (ed25519, rsa_key(3072)):
+        code = refusal(client.import_key_pair, KeyName="k", PublicKeyMaterial=key)
+        assert code == "InvalidKey.Format"
+    client.import_key_pair(KeyName="k", PublicKeyMaterial=rsa_key(2048))
 
 
 def test_a_eucalyptus_adds_no_rule_where_one_exists(connect: Connect) -> None:

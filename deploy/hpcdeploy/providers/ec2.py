@@ -168,10 +168,11 @@ class Ec2Provider:
         Its lease, and so its user data, was another.
         """
         token = client_token(launch.cluster, launch.incarnation, launch.name, attempt_of(launch))
-        for machine in self._find("client-token", token):
-            if machine.state is not State.GONE:
-                self._tag([machine.id], launch_tags(launch))
-            return machine
+        for _ in self._calls.tries():  # the lists may lag behind
+            for machine in self._find("client-token", token):
+                if machine.state is not State.GONE:
+                    self._tag([machine.id], launch_tags(launch))
+                return machine
         raise error
 
     def _tag(self, ids: list[str], tags: dict[str, str]) -> None:

@@ -36,7 +36,7 @@ class KeyPairKeeper:
 
     def __init__(self, calls: Calls, capabilities: Capabilities) -> None:
         self._calls = calls
-        self._by_tag = capabilities.tags_on_key_pairs
+        self._by_tag = capabilities.tags_on_access
 
     def find(self, name: str) -> list[KeyPairSeen]:
         """Return those of a name, which may hold ``*``."""
@@ -53,8 +53,7 @@ class KeyPairKeeper:
         name = key_pair_name(cluster)
         parameters: dict[str, Any] = {"KeyName": name, "PublicKeyMaterial": public_key.encode()}
         if self._by_tag:
-            tags = [{"Key": CLUSTER_TAG, "Value": cluster}]
-            parameters["TagSpecifications"] = [{"ResourceType": "key-pair", "Tags": tags}]
+            parameters["TagSpecifications"] = _tags("key-pair", cluster)
         try:
             reply = self._calls.call("import_key_pair", f"import key pair {name}", **parameters)
         except CloudError as error:
@@ -95,7 +94,7 @@ class GroupKeeper:
         self, calls: Calls, capabilities: Capabilities, ssh_port: int, subnet: str
     ) -> None:
         self._calls = calls
-        self._knows_ipv6 = capabilities.ipv6
+        self._knows = capabilities
         self._ssh_port = ssh_port
         self._subnet = subnet
 
@@ -113,10 +112,12 @@ class GroupKeeper:
     def create(self, cluster: str, incarnation: str) -> GroupSeen:
         """Make a group without rules, or return the one that is there."""
         name = group_name(cluster)
-        parameters = {
+        parameters: dict[str, Any] = {
             "GroupName": name,
             "Description": group_description(cluster, incarnation),
         }
+        if self._knows.tags_on_access:
+            parameters["TagSpecifications"] = _tags("security-group", cluster)
         if self._subnet != "auto":
             parameters["VpcId"] = self._vpc()
         try:
@@ -169,7 +170,7 @@ class GroupKeeper:
 
     def _change(self, verb: str, group: GroupSeen, rule: Rule, is_done: set[str]) -> None:
         source = f"{rule[4]} to {rule[0]} {rule[1]}"
-        if ":" in rule[4] and not self._knows_ipv6:
+        if ":" in rule[4] and not self._knows.ipv6:
             raise CloudError(
                 f"security group {group.name}: this cloud knows no IPv6 network {rule[4]}",
                 "name IPv4 networks in auth.allow_from",
@@ -198,6 +199,11 @@ class GroupKeeper:
             if code_of(error) not in _NO_GROUP:
                 raise
         return True
+
+
+def _tags(kind: str, cluster: str) -> list[dict[str, Any]]:
+    # What the cloud's keys may change can so be bound to the tag: see docs/cluster.md.
+    return [{"ResourceType": kind, "Tags": [{"Key": CLUSTER_TAG, "Value": cluster}]}]
 
 
 def _permission(rule: Rule) -> dict[str, Any]:

@@ -25,7 +25,8 @@ class Capabilities:
     tags_at_launch : bool
         ``TagSpecifications`` of RunInstances. Where it is missing, machines are found by their
         group's name and known by their client token, and tagged afterwards.
-    tags_on_key_pairs : bool
+    tags_on_access : bool
+        ``TagSpecifications`` of ImportKeyPair and CreateSecurityGroup.
     spot : bool
         ``InstanceMarketOptions``.
     ends_when_shut_down : bool
@@ -42,7 +43,7 @@ class Capabilities:
 
     api_version: str | None
     tags_at_launch: bool = False
-    tags_on_key_pairs: bool = False
+    tags_on_access: bool = False
     spot: bool = False
     ends_when_shut_down: bool = False
     imds_v2: bool = False

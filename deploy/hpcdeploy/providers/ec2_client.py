@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import random
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -143,18 +143,24 @@ class Calls:
         CloudError
             `code_of` tells the cloud's own code.
         """
-        wait = FIRST_WAIT_S
-        for attempt in range(1, ATTEMPTS + 1):
+        for is_last in self.tries():
             try:
                 reply: dict[str, Any] = getattr(self._client, operation)(**parameters)
                 return reply
             except BOTO_ERRORS as error:
                 passes = is_throttled(error) or is_lost_answer(error) or code_of(error) in not_yet
-                if not passes or attempt == ATTEMPTS:
+                if not passes or is_last:
                     raise translate(error, doing, self._place) from error
+        raise AssertionError("the last try returns or raises")
+
+    def tries(self) -> Iterator[bool]:
+        """Yield as often as something is tried, waiting in between; True for the last time."""
+        wait = FIRST_WAIT_S
+        for _ in range(1, ATTEMPTS):
+            yield False
             self._sleep(wait * random.uniform(0.5, 1.0))  # noqa: S311 - spreads clients, no secret
             wait *= 2
-        raise AssertionError("the last attempt returns or raises")
+        yield True
 
     def all_of(self, operation: str, key: str, doing: str, **parameters: Any) -> list[Any]:
         """Return all entries of a list, page by page."""

@@ -50,6 +50,9 @@ _QUOTA = "ask for a higher quota, take fewer workers, or another instance type"
 _ADVICE = {
     "AddressLimitExceeded": _QUOTA,
     "AuthFailure": f"{_KEYS}, and {_CLOCK}",
+    "AuthFailure.ServiceLinkedRoleCreationNotPermitted": (
+        "let the keys iam:CreateServiceLinkedRole for spot.amazonaws.com once"
+    ),
     "Blocked": "ask the cloud's support: the account may not do this",
     "ExpiredToken": _RENEW,
     "ExpiredTokenException": _RENEW,

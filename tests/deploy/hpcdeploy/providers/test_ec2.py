@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import timedelta
 from typing import Any
@@ -78,6 +79,33 @@ def test_a_launch_asked_twice_starts_one(open_desk: OpenDesk, profile: str) -> N
     assert again.id == first.id
     assert desk.provider.observe("bunny").machines[0].lease_until == later
     assert len(desk.cloud.instances) == 1
+
+
+def test_a_launch_asked_twice_is_found_in_lists_that_lag(open_desk: OpenDesk) -> None:
+    desk = open_desk("aws", list_lag=2)
+    desk.prepare()
+    first = desk.launch()
+    assert desk.launch(user_data="#!/bin/sh\n# another\n").id == first.id
+    assert len(desk.waits) == 3  # two for the lists, one for the tags
+
+
+def test_a_token_whose_machine_is_gone_gives_no_other(open_desk: OpenDesk) -> None:
+    desk = open_desk("aws")
+    desk.prepare()
+    first = desk.launch()
+    desk.cloud.instances[0].die()
+    for user_data in ("#!/bin/sh\n", "#!/bin/sh\n# another\n"):
+        again = desk.launch(user_data=user_data)
+        assert (again.id, again.state) == (first.id, State.GONE)
+
+
+def test_machines_are_launched_at_once(open_desk: OpenDesk) -> None:
+    desk = open_desk("euca-4.0")
+    desk.prepare()
+    with ThreadPoolExecutor(8) as pool:
+        launched = list(pool.map(desk.launch, [f"worker-{n}" for n in range(1, 9)]))
+    seen = desk.provider.observe("bunny").machines
+    assert {(m.id, m.name) for m in seen} == {(m.id, m.name) for m in launched}
 
 
 @each_kind
@@ -356,3 +384,12 @@ def test_many_machines_come_in_pages(open_desk: OpenDesk) -> None:
     desk.provider._calls._client = Client()
     assert desk.provider._find("tag-key", "x") == []
     assert asked == [None, "2"]
+
+
+def test_what_amazons_policy_binds_to_a_tag_bears_it(open_desk: OpenDesk) -> None:
+    desk = open_desk("aws")
+    desk.prepare()
+    desk.launch()
+    for made in (*desk.cloud.groups, *desk.cloud.model.backend.key_pairs.values()):
+        assert made.get_tags() == [{"key": "hpcapp:cluster", "value": "bunny"}]
+    assert desk.cloud.instances[0].tags["hpcapp:cluster"] == "bunny"
