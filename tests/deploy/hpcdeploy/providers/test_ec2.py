@@ -391,5 +391,5 @@ def test_what_amazons_policy_binds_to_a_tag_bears_it(open_desk: OpenDesk) -> Non
     desk.prepare()
     desk.launch()
     for made in (*desk.cloud.groups, *desk.cloud.model.backend.key_pairs.values()):
-        assert made.get_tags() == [{"key": "hpcapp:cluster", "value": "bunny"}]
+        assert [(t["key"], t["value"]) for t in made.get_tags()] == [("hpcapp:cluster", "bunny")]
     assert desk.cloud.instances[0].tags["hpcapp:cluster"] == "bunny"
