@@ -30,7 +30,8 @@ What the front adds to moto, and what for: see `front.py`; which parameters a cl
 `parameters.py`.
 """
 
-from cloud.front import FOREVER, Call, CutError, StrictCloud
+from cloud.calls import FOREVER, Call, CutError
+from cloud.front import StrictCloud
 from cloud.instances import Instance
 
 __all__ = ["FOREVER", "Call", "CutError", "Instance", "StrictCloud"]

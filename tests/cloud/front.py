@@ -17,7 +17,6 @@ import threading
 import urllib.parse
 import uuid
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
 from socket import socket
 from types import TracebackType
 from typing import Any, Self
@@ -25,51 +24,14 @@ from typing import Any, Self
 from moto.moto_server.werkzeug_app import DomainDispatcherApplication, create_backend_app
 from werkzeug.serving import WSGIRequestHandler, make_server
 
+from cloud.calls import Call, CutError, Fault
 from cloud.instances import Instance
 from cloud.model import Model
 from cloud.parameters import PROFILES, SILENT, unknown_parameters
 from cloud.rules import RefusedError, Rules
 from cloud.signature import SECRET_KEY, key_of, signed_region, verify
 
-__all__ = ["FOREVER", "Call", "CutError", "StrictCloud"]
-
-FOREVER = -1
-
-
-class CutError(ConnectionError):
-    """Raised by a hook: the connection ends without an answer."""
-
-
-@dataclass(frozen=True)
-class Call:
-    """A request, as it was sent."""
-
-    action: str
-    parameters: dict[str, str] = field(repr=False)
-
-    @property
-    def changes(self) -> bool:
-        """Whether it is one that could change anything; a dry run is none."""
-        reads = self.action.startswith(("Describe", "Get"))
-        return not reads and self.parameters.get("DryRun") != "true"
-
-
-@dataclass
-class _Fault:
-    action: str
-    code: str
-    status: int
-    message: str
-    match: dict[str, str]
-    times: int
-    loses_answer: bool = False
-
-    def fits(self, call: Call) -> bool:
-        return (
-            self.times != 0
-            and self.action in ("*", call.action)
-            and all(call.parameters.get(name) == value for name, value in self.match.items())
-        )
+__all__ = ["StrictCloud"]
 
 
 class StrictCloud:
@@ -109,7 +71,7 @@ class StrictCloud:
         self.on_launch: Callable[[Instance], None] | None = None
         self.on_terminate: Callable[[Instance], None] | None = None
         self.no_rights: set[str] = set()
-        self._faults: list[_Fault] = []
+        self._faults: list[Fault] = []
         self._lock = threading.RLock()
         self._moto = DomainDispatcherApplication(create_backend_app)
         self.model = Model(profile)
@@ -203,11 +165,11 @@ class StrictCloud:
 
         `match` names parameters as on the wire, and their values.
         """
-        self._faults.append(_Fault(action, code, status, message, match or {}, times))
+        self._faults.append(Fault(action, code, status, message, match or {}, times))
 
     def lose(self, action: str, *, times: int = 1) -> None:
         """Do what the next calls ask for, but lose the answers."""
-        self._faults.append(_Fault(action, "", 0, "", {}, times, loses_answer=True))
+        self._faults.append(Fault(action, "", 0, "", {}, times, loses_answer=True))
 
     @property
     def instances(self) -> list[Instance]:

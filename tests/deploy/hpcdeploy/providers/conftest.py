@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from botocore.loaders import create_loader
 from cloud import StrictCloud
 from pydantic import TypeAdapter
 
@@ -25,6 +26,15 @@ RSA_KEY = (
 )
 LEASE = datetime(2030, 1, 2, 3, 4, 5, tzinfo=UTC)
 OPEN = frozenset({"192.0.2.0/24"})
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_loader() -> Iterator[None]:
+    """Read boto3's description of EC2 once: it takes longer than most tests."""
+    loader = create_loader()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("botocore.session.create_loader", lambda *_: loader)
+        yield
 
 
 @dataclass
