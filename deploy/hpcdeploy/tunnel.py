@@ -81,7 +81,7 @@ def lead_workers(shell: Shell, folder: str, endpoint: str) -> Iterator[None]:
     CloudError
         The relay does not come up.
     """
-    lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
     relay = threading.Thread(
         target=_follow_relay, args=(shell, folder, lines.put), name="relay", daemon=True
     )
@@ -103,21 +103,24 @@ def lead_workers(shell: Shell, folder: str, endpoint: str) -> Iterator[None]:
         loop.close()
 
 
-def _follow_relay(shell: Shell, folder: str, put: Callable[[str | None], None]) -> None:
+def _follow_relay(shell: Shell, folder: str, put: Callable[[str], None]) -> None:
     """Run the relay to its end."""
     python, inventory = f"{folder}/venv/bin/python", f"{folder}/inventory.json"
     command = f"exec {shlex.join([python, '-P', '-m', 'hpcdeploy.relay', inventory])} 2>&1"
+    said = "the relay ended"
     try:
-        put(json.dumps({"error": f"the relay ended ({shell.follow(command, put)})"}))
+        said = f"the relay ended ({shell.follow(command, put)})"
     except CloudError as error:
-        put(json.dumps({"error": str(error)}))
+        said = str(error)
+    finally:
+        put(json.dumps({"error": said}))  # whoever waits for the port must not wait for ever
 
 
-def _wait_for_port(lines: queue.SimpleQueue[str | None]) -> int:
+def _wait_for_port(lines: queue.SimpleQueue[str]) -> int:
     """Read what the relay says up to its port."""
     said: list[str] = []
     while True:
-        line = lines.get() or ""
+        line = lines.get()
         try:
             entries = json.loads(line)
             if "port" in entries:

@@ -1,0 +1,169 @@
+"""The verbs of jobs on a cluster of this machine: the command, loaders, runners, all real."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+OPTIONS = ("--grid", "32")
+WAITING = "waiting for the cluster's present job"
+Run = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+class Place:
+    """A folder with a cluster file, points, and the command."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        (folder / "cluster.yaml").write_text(
+            f"version: 1\ncluster: mine\nprovider: {{type: local}}\nworkers: {{count: 1}}\n"
+            f"communicator: {{port: {port}}}\n"
+        )
+        normals = np.random.default_rng(7).normal(size=(1500, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        np.savetxt(folder / "sphere.xyz", np.hstack([normals, normals]))
+        self.state = folder / "state/hpcapp/clusters/mine"
+        self.head = self.state / "nodes/head/hpcapp/mine"
+
+    def start(self, *words: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", "hpcapp", *words],
+            cwd=self.folder,
+            env={**os.environ, "XDG_STATE_HOME": str(self.folder / "state")},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def run(self, *words: str, code: int = 0) -> tuple[str, str]:
+        process = self.start(*words)
+        output, errors = process.communicate(timeout=200)
+        assert process.returncode == code, errors
+        return output, errors
+
+    def same(self, mesh: str) -> bool:
+        return (self.folder / mesh).read_bytes() == (self.folder / "local.ply").read_bytes()
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the cluster, so that jobs run and get no further."""
+        code = "import sys\nfrom hpccomponent.inventory import hold_cluster\n"
+        code += "with hold_cluster(sys.argv[1], print):\n  print(flush=True); sys.stdin.read()"
+        with subprocess.Popen(
+            [sys.executable, "-P", "-c", code, str(self.head / "inventory.json")],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        ) as holder:
+            assert holder.stdout is not None
+            holder.stdout.readline()
+            yield
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    place = Place(tmp_path_factory.mktemp("place"))
+    place.run("reconstruct", "sphere.xyz", "-o", "local.ply", *OPTIONS)
+    yield place
+    place.run("down", "cluster.yaml")
+
+
+@pytest.fixture(scope="module")
+def cluster(place: Place) -> Place:
+    place.run("up", "cluster.yaml", "-y")
+    return place
+
+
+def test_a_job_on_a_cluster_that_is_not_up_leaves_nothing(place: Place) -> None:
+    output, errors = place.run(
+        "reconstruct", "sphere.xyz", "-o", "mesh.ply", *OPTIONS, "--cluster", "cluster.yaml",
+        "--json",
+    )  # fmt: skip
+    report = json.loads(output)
+    assert (report["backend"], report["grid"], report["workers"]) == ("cluster", 32, 2)
+    assert "2 of 2 workers" in errors
+    assert place.same("mesh.ply")
+    assert not list((place.state / "nodes").iterdir())
+
+
+def test_a_job_that_fails_takes_the_cluster_down_too(place: Place) -> None:
+    (place.folder / "nothing.xyz").write_text("")
+    _, errors = place.run(
+        "reconstruct", "nothing.xyz", "-o", "none.ply", "--cluster", "cluster.yaml", code=3
+    )
+    assert errors.splitlines()[-1].startswith("hpcapp: job 1 failed: ")
+    assert not (place.folder / "none.ply").exists()
+    assert not list((place.state / "nodes").iterdir())
+
+
+def test_a_job_is_submitted_listed_attached_to_and_fetched(cluster: Place) -> None:
+    output, errors = cluster.run(
+        "submit", "cluster.yaml", "sphere.xyz", "-o", "there.ply", "--detach", "--json", "--",
+        *OPTIONS,
+    )  # fmt: skip
+    job = json.loads(output)["job"]
+    assert f"hpcapp attach cluster.yaml {job}" in errors
+    assert "stitch" not in cluster.run("attach", "cluster.yaml", job)[0]
+    output, _ = cluster.run("jobs", "cluster.yaml", "--json")
+    [status] = [line for line in map(json.loads, output.splitlines()) if line["job"] == job]
+    assert (status["state"], status["title"]) == ("done", "sphere.xyz")
+    cluster.run("fetch", "cluster.yaml", job)
+    assert cluster.same("there.ply")
+    assert "write: done" in cluster.run("logs", "cluster.yaml", job)[0]
+    assert "write: done" in cluster.run("logs", "-f", "cluster.yaml", job)[0]
+    cluster.run("submit", "cluster.yaml", "sphere.xyz", "-o", "direct.ply", "--", *OPTIONS)
+    assert cluster.same("direct.ply")
+
+
+def test_a_cluster_that_was_up_stays_up(cluster: Place) -> None:
+    cluster.run("reconstruct", "sphere.xyz", "-o", "m.ply", *OPTIONS, "--cluster", "cluster.yaml")
+    assert cluster.same("m.ply")
+    assert (cluster.head / "inventory.json").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_job_outlives_the_client(cluster: Place, number: signal.Signals) -> None:
+    with cluster.held():
+        client = cluster.start("submit", "cluster.yaml", "sphere.xyz", "-o", "m.ply")
+        assert client.stderr is not None
+        assert any(WAITING in line for line in client.stderr)
+        client.send_signal(number)
+        _, errors = client.communicate(timeout=60)
+        if number == signal.SIGINT:
+            assert client.returncode == 130
+            assert "hpcapp attach cluster.yaml" in errors
+        output, _ = cluster.run("jobs", "cluster.yaml", "--json")
+        job = json.loads(output.splitlines()[-1])
+        assert job["state"] == "running"
+        cluster.run("cancel", "cluster.yaml")
+        _, errors = cluster.run("attach", "cluster.yaml", job["job"], code=1)
+        assert f"hpcapp: job {job['job']} cancelled: cancelled" in errors
+
+
+def test_what_cannot_be_is_one_line(cluster: Place) -> None:
+    for words, code, said in (
+        (("jobs", "missing.yaml"), 2, "missing.yaml"),
+        (("fetch", "cluster.yaml", "99"), 2, "there is no job 99"),
+        (("submit", "cluster.yaml", "missing.xyz", "-o", "m.ply"), 3, "missing.xyz"),
+        (
+            ("reconstruct", "sphere.xyz", "-o", "m.ply", "--cluster", "cluster.yaml", "--workers",
+             "2"), 2, "--cluster and --workers exclude",
+        ),
+    ):  # fmt: skip
+        _, errors = cluster.run(*words, code=code)
+        assert said in errors.splitlines()[-1]
+        assert "Traceback" not in errors

@@ -1,0 +1,132 @@
+"""A master that is not on the head: real workers, a real relay, a real SSH connection."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import paramiko
+import pytest
+import zmq
+from machines.servers import USER, Machines, Server
+
+from hpcapp.cluster import open_inventory
+from hpccomponent.errors import CloudError
+from hpccomponent.inventory import hold_cluster
+from hpcdeploy.ssh import SshShell
+from hpcdeploy.ssh_connect import connect
+from hpcdeploy.ssh_target import Target
+from hpcdeploy.tunnel import lead_workers
+
+FOLDER = "hpcapp/standing"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _keep_the_thread_of_zero_copy_sends() -> None:
+    """Make pyzmq start the one thread that it keeps for the process, before leaks are counted."""
+    with zmq.Context() as context, context.socket(zmq.PAIR) as one, context.socket(zmq.PAIR) as two:
+        one.bind("inproc://warm-up")
+        two.connect("inproc://warm-up")
+        one.send(bytes(1 << 20), copy=False)
+        two.recv()
+
+
+@pytest.fixture
+def machines(tmp_path: Path) -> Iterator[Machines]:
+    with Machines.open(tmp_path) as machines:
+        yield machines
+
+
+@pytest.fixture
+def head(machines: Machines) -> Server:
+    server = machines.add()
+    python = server.home / FOLDER / "venv/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    return server
+
+
+@pytest.fixture
+def shell(head: Server, tmp_path: Path) -> Iterator[SshShell]:
+    key = paramiko.RSAKey.generate(2048)
+    key.write_private_key_file(str(tmp_path / "id"))
+    head.keys.append(f"ssh-rsa {key.get_base64()}")
+    entry = paramiko.hostkeys.HostKeyEntry.from_line(f"x {head.host_line}")
+    assert entry is not None
+    assert entry.key is not None
+    target = Target(head.address, head.port, USER, (str(tmp_path / "id"),), (entry.key,))
+    with ExitStack() as closer:
+        client = connect(target, closer)
+        with SshShell("head", client, closer.pop_all()) as shell:
+            yield shell
+
+
+def submit(executor: Any, right: float) -> Any:
+    return executor.submit("quadrature.estimate", "wave", np.zeros(1), np.array([right]))
+
+
+def test_workers_reach_a_master_elsewhere(
+    shell: SshShell, head: Server, tmp_path: Path, standing_cluster: Callable[..., Any]
+) -> None:
+    cluster = standing_cluster(head.home / FOLDER)
+    copy = tmp_path / "copy.json"
+    shell.get(f"{FOLDER}/inventory.json", copy)
+    copy.chmod(0o600)
+    lead = partial(lead_workers, shell, FOLDER)
+    results = []
+    for _ in range(2):  # one master after the other, over one connection
+        with open_inventory(copy, lead=lead) as (executor, workers):
+            assert workers == 2
+            assert executor.endpoint != cluster.endpoint
+            futures = [submit(executor, right) for right in range(20)]
+            results.append([future.result(60).tolist() for future in futures])
+            large = np.random.default_rng(7).random(300_000)
+            sums = executor.submit("quadrature.estimate", "wave", large, large + 1.0).result(60)
+            assert len(sums) >= 2
+    assert results[0] == results[1]
+    assert not any("secret" in command for command in head.commands)
+
+
+def test_a_master_elsewhere_waits_for_its_turn(
+    shell: SshShell,
+    head: Server,
+    standing_cluster: Callable[..., Any],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    cluster = standing_cluster(head.home / FOLDER, running=0)
+    with ExitStack() as held, caplog.at_level("INFO", "hpcapp"):
+        held.enter_context(hold_cluster(cluster.inventory, pytest.fail))
+
+        def free(record: logging.LogRecord) -> bool:
+            if "in use by another program" in record.getMessage():
+                held.close()
+            return True
+
+        caplog.handler.addFilter(free)
+        with lead_workers(shell, FOLDER, "tcp://127.0.0.1:9"):
+            assert "in use by another program" in caplog.text
+        caplog.handler.removeFilter(free)
+
+
+def test_a_head_without_a_relay_is_one_line(shell: SshShell, head: Server) -> None:
+    (head.home / FOLDER / "venv/bin/python").unlink()
+    with (
+        pytest.raises(CloudError, match=r"the relay ended \(127\).*not found.*hpcapp doctor"),
+        lead_workers(shell, FOLDER, "tcp://127.0.0.1:9"),
+    ):
+        pass
+
+
+def test_a_cluster_that_was_not_set_up_is_one_line(shell: SshShell) -> None:
+    with (
+        pytest.raises(CloudError, match=r"inventory\.json: cannot be read"),
+        lead_workers(shell, FOLDER, "tcp://127.0.0.1:9"),
+    ):
+        pass
