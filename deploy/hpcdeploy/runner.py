@@ -3,7 +3,7 @@
 ::
 
     user's machine ── SSH ──> start ── a session of its own ──> run ──> hpcapp VERB --cluster ...
-                        list, follow, log, cancel                │
+                        list, follow, log, cancel, end           │
                               │ read                             │ writes
                               └──────> jobs/N/ <─────────────────┘
 
@@ -255,6 +255,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("start", help="read an order from stdin, print the job's status")
     commands.add_parser("list", help="print a status a line")
+    commands.add_parser("end", help="cancel all jobs")
     for name in ("follow", "log", "cancel", "run"):
         command = commands.add_parser(name)
         command.add_argument("job")
@@ -290,6 +291,10 @@ def _answer(arguments: argparse.Namespace) -> Iterator[str]:
             yield start(folder, order).to_json()
         case "list":
             yield from (job.read_status().to_json() for job in all_jobs(folder))
+        case "end":  # the last first, so that none has its turn meanwhile
+            for job in reversed(all_jobs(folder)):
+                if job.is_alive():
+                    yield cancel(job).to_json()
         case "follow":
             follow(_find_job(folder, arguments.job))
         case "log":

@@ -73,7 +73,10 @@ class SshShell:
 
     def follow(self, command: str, on_line: Callable[[str], None]) -> int:
         """Run a command, hand over every line of its output as it comes, return its exit code."""
-        with self._channel(command, None, is_combined=True) as channel, channel.makefile() as lines:
+        with (
+            self._channel(command, None, is_combined=True) as channel,
+            channel.makefile("rb") as lines,
+        ):
             channel.shutdown_write()
             for line in lines:
                 on_line(line.decode(errors="replace").rstrip("\r\n"))

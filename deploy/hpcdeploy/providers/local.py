@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from hpccomponent.errors import CloudError
+from hpcdeploy.jobs import end_jobs
 from hpcdeploy.layout import clusters_folder, machine_folder, state_folder
 from hpcdeploy.loader_service import stop_command
 from hpcdeploy.local_shell import LocalShell
@@ -79,8 +80,10 @@ class LocalProvider:
             home = Path(machine.id)
             if not home.exists():
                 continue
+            shell = LocalShell(machine.name.node, home)
+            end_jobs(shell, machine.cluster)
             command = stop_command(machine.cluster, machine_folder(machine.cluster))
-            if LocalShell(machine.name.node, home).run(command).exit_code:
+            if shell.run(command).exit_code:
                 raise CloudError(
                     f"{machine.name.node}: its loader does not end",
                     f"see {home} and end it by hand",

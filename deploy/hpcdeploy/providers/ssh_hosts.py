@@ -18,6 +18,7 @@ from typing import Any
 from hpccomponent.errors import CloudError
 from hpcdeploy.access import Access, make_access
 from hpcdeploy.installing import write_text
+from hpcdeploy.jobs import end_jobs
 from hpcdeploy.layout import machine_folder
 from hpcdeploy.loader_service import stop_command
 from hpcdeploy.names import NodeName
@@ -181,6 +182,7 @@ class SshHosts:
         stop = stop_command(self._spec.cluster, self._folder)
         remove = f"rm -rf {shlex.quote(self._folder)} && {{ rmdir hpcapp 2>/dev/null; true; }}"
         with self._access.open(machine) as shell:
+            end_jobs(shell, self._spec.cluster)
             done = shell.run(f"{stop}cd && {remove}", timeout_s=60.0)
         if done.exit_code:
             raise CloudError(

@@ -167,3 +167,17 @@ def test_what_cannot_be_is_one_line(cluster: Place) -> None:
         _, errors = cluster.run(*words, code=code)
         assert said in errors.splitlines()[-1]
         assert "Traceback" not in errors
+
+
+def test_down_ends_the_jobs_that_run_and_wait(cluster: Place) -> None:
+    with cluster.held():
+        for _ in range(2):
+            cluster.run("submit", "cluster.yaml", "sphere.xyz", "-o", "m.ply", "--detach")
+        with cluster.start("attach", "cluster.yaml") as client:
+            output, _ = cluster.run("jobs", "cluster.yaml", "--json")
+            runners = [json.loads(line)["runner"] for line in output.splitlines()[-2:]]
+            cluster.run("down", "cluster.yaml")
+            client.communicate(timeout=60)
+    assert not list((cluster.state / "nodes").iterdir())
+    for runner in runners:
+        assert not runner or not Path(f"/proc/{runner}").exists()
