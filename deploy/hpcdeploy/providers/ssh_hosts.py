@@ -21,7 +21,7 @@ from hpcdeploy.installing import write_text
 from hpcdeploy.jobs import end_jobs
 from hpcdeploy.layout import machine_folder
 from hpcdeploy.loader_service import stop_command
-from hpcdeploy.names import NodeName
+from hpcdeploy.names import HEAD, NodeName
 from hpcdeploy.provider import (
     GroupSeen,
     KeyPairSeen,
@@ -63,7 +63,10 @@ class SshHosts:
         assert isinstance(spec.provider, SshSpec)  # noqa: S101 - by the provider's type
         self._spec = spec
         self._access: Access = make_access(spec, base, self)
-        self._hosts: dict[str, Host] = dict(zip(spec.nodes(), spec.provider.hosts, strict=False))
+        self._hosts: dict[str, Host] = {
+            f"worker-{number}" if number else HEAD: host
+            for number, host in enumerate(spec.provider.hosts)
+        }
         self._folder = machine_folder(spec.cluster)
 
     def observe(self, cluster: str | None) -> Observed:
