@@ -190,5 +190,5 @@ def _collect(channel: paramiko.Channel, errors: list[bytes]) -> None:
     try:
         while chunk := channel.recv_stderr(_CHUNK):
             errors.append(chunk)
-    except (OSError, paramiko.SSHException):
+    except (OSError, EOFError, paramiko.SSHException):
         return  # the reader of stdout learns of it too

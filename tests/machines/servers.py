@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import signal
 import threading
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
@@ -47,6 +48,7 @@ class Server:
         self.path = os.environ["PATH"]
         self.host_key = asyncssh.generate_private_key("ssh-ed25519")
         self._acceptor: asyncssh.SSHAcceptor | None = None
+        self._children: set[asyncio.subprocess.Process] = set()
         self._connections: set[asyncssh.SSHServerConnection] = set()
 
     @property
@@ -86,6 +88,9 @@ class Server:
         for connection in list(self._connections):
             connection.abort()
             await connection.wait_closed()
+        for child in list(self._children):  # with what it has started in the foreground
+            os.killpg(child.pid, signal.SIGKILL)
+            await child.wait()
 
     async def _run(self, process: asyncssh.SSHServerProcess[bytes]) -> None:
         command = process.command or "sh"
@@ -103,7 +108,11 @@ class Server:
         )
         assert child.stdin is not None
         await process.redirect(stdin=child.stdin, stdout=child.stdout, stderr=child.stderr)
+        self._children.add(child)
         code = await child.wait()
+        self._children.discard(child)
+        await process.stdout.drain()
+        await process.stderr.drain()
         await process.stdout.drain()
         if code < 0:
             process.exit_with_signal("KILL")

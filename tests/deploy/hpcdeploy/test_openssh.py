@@ -1,0 +1,107 @@
+"""The shell against a real OpenSSH server on loopback, as whoever runs the tests."""
+
+from __future__ import annotations
+
+import getpass
+import socket
+import subprocess
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import paramiko
+import pytest
+
+from hpcdeploy.ssh import SshShell
+from hpcdeploy.ssh_connect import UnknownHostKeyError, connect
+from hpcdeploy.ssh_target import Target
+
+SSHD = Path("/usr/sbin/sshd")
+CONFIG = """
+HostKey {folder}/host
+AuthorizedKeysFile {folder}/login.pub
+ListenAddress 127.0.0.1
+Port {port}
+PidFile none
+StrictModes no
+UsePAM no
+PasswordAuthentication no
+KbdInteractiveAuthentication no
+Subsystem sftp internal-sftp
+"""
+
+pytestmark = pytest.mark.skipif(not SSHD.exists(), reason="openssh-server is not installed")
+
+
+def start_sshd(folder: Path) -> tuple[subprocess.Popen[bytes], int]:
+    for name in ("host", "login"):
+        command = ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(folder / name)]
+        subprocess.run(command, check=True)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    (folder / "config").write_text(CONFIG.format(folder=folder, port=port))
+    server = subprocess.Popen([SSHD, "-D", "-e", "-f", folder / "config"], stderr=subprocess.PIPE)
+    assert server.stderr is not None
+    for line in server.stderr:
+        if b"listening" in line:
+            return server, port
+    server.wait()
+    pytest.skip("this sshd does not run here")
+
+
+@pytest.fixture
+def target(tmp_path: Path) -> Iterator[Target]:
+    if not Path("/run/sshd").is_dir() and getpass.getuser() == "root":
+        pytest.skip("/run/sshd, which sshd wants of root, is not there")
+    server, port = start_sshd(tmp_path)
+    kind, text = (tmp_path / "host.pub").read_text().split()[:2]
+    entry = paramiko.hostkeys.HostKeyEntry.from_line(f"x {kind} {text}")
+    assert entry is not None
+    assert entry.key is not None
+    yield Target("127.0.0.1", port, getpass.getuser(), (str(tmp_path / "login"),), (entry.key,))
+    server.terminate()
+    server.communicate()
+
+
+@pytest.fixture
+def shell(target: Target) -> Iterator[SshShell]:
+    with ExitStack() as closer:
+        client = connect(target, closer)
+        with SshShell("worker-1", client, closer.pop_all()) as shell:
+            yield shell
+
+
+def test_a_command_runs_with_its_streams_and_its_code(shell: SshShell) -> None:
+    done = shell.run("cat; echo err >&2; exit 3", stdin=b"in")
+    assert (done.exit_code, done.output, done.errors) == (3, "in", "err\n")
+
+
+def test_much_output_on_both_streams_blocks_nothing(shell: SshShell) -> None:
+    done = shell.run("head -c 5000000 /dev/zero; head -c 5000000 /dev/zero >&2")
+    assert (len(done.output), len(done.errors)) == (5_000_000, 5_000_000)
+
+
+@pytest.mark.parametrize(("command", "code"), [("sh -c 'kill -9 $$'", 137), ("kill -9 $$", 128)])
+def test_a_signal_is_an_exit_code(shell: SshShell, command: str, code: int) -> None:
+    assert shell.run(command).exit_code == code
+
+
+def test_a_file_goes_there_and_back(shell: SshShell, tmp_path: Path) -> None:
+    content = bytes(range(256)) * 4000
+    (tmp_path / "source").write_bytes(content)
+    (tmp_path / "there.part").write_bytes(content[:1000])
+    shell.put(tmp_path / "source", str(tmp_path / "there"))
+    shell.get(str(tmp_path / "there"), tmp_path / "back")
+    assert (tmp_path / "back").read_bytes() == content
+
+
+def test_a_detached_process_holds_nothing_up(shell: SshShell, tmp_path: Path) -> None:
+    done = shell.run(f"sleep 600 </dev/null >/dev/null 2>&1 & echo $! >{tmp_path}/pid")
+    assert done.exit_code == 0
+    assert shell.run(f"kill $(cat {tmp_path}/pid)").exit_code == 0
+
+
+def test_a_host_key_that_nobody_knows_is_refused(target: Target) -> None:
+    unknown = Target(target.address, target.port, target.user, target.key_files)
+    with ExitStack() as closer, pytest.raises(UnknownHostKeyError):
+        connect(unknown, closer)
