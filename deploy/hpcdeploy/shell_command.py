@@ -21,10 +21,9 @@ __all__ = ["exec_", "get", "put", "ssh"]
 FILE = click.Path(dir_okay=False, path_type=Path)
 WAIT_S = 30.0  # these machines have answered before
 AT_ONCE = 16
-_COMMAND = {"ignore_unknown_options": True, "allow_interspersed_args": False}
 
 
-@click.command(context_settings=_COMMAND)
+@click.command(context_settings={"allow_interspersed_args": False})
 @click.argument("file", type=FILE)
 @click.argument("node", default="head")
 @click.argument("command", nargs=-1, type=click.UNPROCESSED)
@@ -39,7 +38,7 @@ def ssh(file: Path, node: str, command: tuple[str, ...]) -> None:
     _leave(code)
 
 
-@click.command("exec", context_settings=_COMMAND)
+@click.command("exec", context_settings={"ignore_unknown_options": True})
 @click.argument("file", type=FILE)
 @click.option("--node", "nodes", multiple=True, metavar="NAME", help="Where; more than once.")
 @click.option("--all", "is_all", is_flag=True, help="On every machine.")
@@ -47,7 +46,8 @@ def ssh(file: Path, node: str, command: tuple[str, ...]) -> None:
 def exec_(file: Path, nodes: tuple[str, ...], is_all: bool, command: tuple[str, ...]) -> None:
     """Run a COMMAND on the head of the cluster file FILE, on some nodes, or on all at once.
 
-    Every line of output has its node's name before it; leaves with the largest exit code.
+    Every line of output has its node's name before it; leaves with the largest exit code. Where
+    the command has options of the names above, put -- before it.
     """
     from concurrent.futures import ThreadPoolExecutor
 
