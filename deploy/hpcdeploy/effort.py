@@ -61,7 +61,7 @@ class Effort:
         self._group: GroupSeen | None = None
         self._launched: dict[str, MachineSeen] = {}
         self._bad = set(journal.known_bad)
-        self._given_up: dict[str, str] = {}
+        self._given_up: dict[str, CloudError] = {}
         nodes = len(self._spec.nodes())
         self._replacements = 2 + nodes // 4 if self._provider.makes_machines else 0
         self._deadline = pace.now() + timedelta(seconds=pace.total_s)
@@ -84,8 +84,8 @@ class Effort:
             plan = self._plan()
             if not failed and self._is_settled(plan):
                 break
-        for node, reason in self._given_up.items():
-            self._report(f"going without {node}: {reason}")
+        for node, error in self._given_up.items():
+            self._report(f"going without {node}: {error.problem}")
 
     def _is_settled(self, plan: Plan) -> bool:
         """Tell whether all are there and nobody else: some are lost or listed only by now."""
@@ -159,7 +159,7 @@ class Effort:
             self._pace,
         )
         self._launched.update((machine.id, machine) for machine in launched)
-        self._given_up.update((shortage.node, shortage.error.problem) for shortage in short)
+        self._given_up.update((shortage.node, shortage.error) for shortage in short)
         running = [m for m in kept.values() if m.name.node not in self._given_up]
         return sorted([*running, *launched], key=node_order)
 
@@ -181,7 +181,7 @@ class Effort:
 
     def _await_running(self, awaited: list[MachineSeen]) -> tuple[list[MachineSeen], list[Failed]]:
         """Wait until machines run and have an address; tell which do not, and why."""
-        for _ in self._pace.looks(self._pace.boot_s):
+        for _ in self._pace.looks(self._spec.limits.boot):
             if all(_is_ready(machine) or machine.state not in LIVE for machine in awaited):
                 break
             seen = {machine.id: machine for machine in self._observe().machines}
@@ -199,7 +199,7 @@ class Effort:
             lines = []
         last = next((line.strip() for line in reversed(lines) if line.strip()), "")
         console = f"; its console ends with: {last[:200]}" if last else ""
-        return f"not running after {self._pace.boot_s:.0f} s{said}{console}"
+        return f"not running after {self._spec.limits.boot:.0f} s{said}{console}"
 
     def _set_up(self, running: list[MachineSeen]) -> list[Failed]:
         """Set the machines up; tell which failed, as the cloud sees them now."""
@@ -225,7 +225,8 @@ class Effort:
             self._replacements -= not is_preempted
             self._report(f"{node}: {reason}; replacing it")
         else:
-            self._given_up[node] = reason
+            advice = f"look at hpcapp doctor {self._cluster.path}, or try another image or type"
+            self._given_up[node] = CloudError(reason, advice)
 
     def _check_enough(self) -> None:
         """Fail where the nodes that are left make no cluster."""
@@ -235,8 +236,7 @@ class Effort:
             node = HEAD if HEAD in lost else min(lost)
             others = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
             raise CloudError(
-                f"{node}{others} cannot be had: {lost[node]}",
-                f"run hpcapp doctor {self._cluster.path}, or lower workers.count or workers.min",
+                f"{node}{others} cannot be had: {lost[node].problem}", lost[node].advice
             )
 
 

@@ -9,7 +9,7 @@ from datetime import datetime, timedelta
 
 from hpccomponent.errors import CapacityError, CloudError
 from hpcdeploy.journal import Journal
-from hpcdeploy.names import NodeName
+from hpcdeploy.names import HEAD, NodeName
 from hpcdeploy.pace import Pace
 from hpcdeploy.plan import LaunchNode
 from hpcdeploy.provider import Launch, MachineSeen, Provider, State
@@ -136,7 +136,7 @@ def launch_nodes(
     report: Callable[[str], None],
     pace: Pace,
 ) -> tuple[list[MachineSeen], list[Shortage]]:
-    """Start the machines of some nodes.
+    """Start the machines of some nodes; without a head, no worker is started.
 
     Returns
     -------
@@ -144,11 +144,12 @@ def launch_nodes(
     list of Shortage
         The nodes whose machine is not to be had, and why.
     """
-    if not actions:
-        return [], []
     request = _Request(spec, provider, journal, incarnation, pace, report)
-    with ThreadPoolExecutor(min(AT_ONCE, len(actions)), "launch") as pool:
-        results = list(pool.map(request.launch, actions))
+    workers = [action for action in actions if action.name.node != HEAD]
+    results = [request.launch(action) for action in actions if action.name.node == HEAD]
+    if workers and not any(isinstance(result, Shortage) for result in results):
+        with ThreadPoolExecutor(min(AT_ONCE, len(workers)), "launch") as pool:
+            results += pool.map(request.launch, workers)
     return (
         [result for result in results if not isinstance(result, Shortage)],
         [result for result in results if isinstance(result, Shortage)],

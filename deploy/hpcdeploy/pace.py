@@ -23,8 +23,8 @@ class Pace:
     ----------
     poll_s : float
         Between two looks at the cloud; it grows to five times that.
-    boot_s, end_s : float
-        Until a machine must run, and until one must be gone, with what it holds.
+    end_s : float
+        Until a machine must be gone, with all that it holds.
     settle_s : float
         After a command that was cut short: until the cloud lists what that one has asked for.
     backoff_s : tuple of float
@@ -36,7 +36,6 @@ class Pace:
     """
 
     poll_s: float = 1.0
-    boot_s: float = 600.0
     end_s: float = 600.0
     settle_s: float = 5.0
     backoff_s: tuple[float, ...] = (5.0, 20.0)

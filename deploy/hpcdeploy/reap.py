@@ -67,9 +67,10 @@ def overdue(observed: Observed, now: datetime) -> Observed:
 
 def _is_overdue(machine: MachineSeen, has_group: bool, now: datetime) -> bool:
     is_old = machine.launched is not None and machine.launched + ORPHAN_AGE < now
-    if machine.lease_until is None or not has_group:
+    if machine.lease_until is None:
         return is_old
-    return machine.lease_until + CLOCK_GRACE < now or machine.state is State.STOPPED
+    is_over = machine.lease_until + CLOCK_GRACE < now or machine.state is State.STOPPED
+    return is_over or (is_old and not has_group)
 
 
 def _is_old(group: GroupSeen, now: datetime) -> bool:

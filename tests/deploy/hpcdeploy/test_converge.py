@@ -206,7 +206,7 @@ def test_a_machine_that_never_boots_is_replaced_then_done_without(
     simulation.up(2, least=1)
     simulation.time.sleep(60)
     assert simulation.alive() == ["head", "worker-2"]
-    said = "not running after 600 s; its console ends with: worker-1: booting"
+    said = "not running after 300 s; its console ends with: worker-1: booting"
     assert any(said in line for line in simulation.lines)
 
 

@@ -1,0 +1,211 @@
+"""What goes wrong in a cloud: a smaller cluster where `min` allows it, else one clear line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from cloud import FOREVER, Instance, StrictCloud
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
+from simulated import SetUp
+
+from hpccomponent.errors import CloudError, LeftoverError
+from hpcdeploy.cluster import Cluster
+from hpcdeploy.converge import bring_up, replace_lost, take_down
+from hpcdeploy.pace import Pace
+from hpcdeploy.providers import open_provider
+from hpcdeploy.spec import read_spec
+
+PACE = Pace(poll_s=0.01, settle_s=0.01, end_s=30.0, backoff_s=(0.01,))
+PUBLIC_KEY = (
+    rsa.generate_private_key(65537, 2048)
+    .public_key()
+    .public_bytes(serialization.Encoding.OpenSSH, serialization.PublicFormat.OpenSSH)
+    .decode()
+)
+
+
+class Scene:
+    """A strict cloud with a cluster file of three workers, two of which will do."""
+
+    def __init__(self, cloud: StrictCloud, folder: Path, set_up: SetUp) -> None:
+        self.cloud, self.folder, self.set_up = cloud, folder, set_up
+        self.lines: list[str] = []
+        self.least = 2
+
+    def cluster(self, **profile: Any) -> Cluster:
+        path = self.folder / "cluster.yaml"
+        provider = self.cloud.provider_block(small=profile)
+        workers = {"count": 3, "min": self.least}
+        path.write_text(
+            json.dumps({"version": 1, "cluster": "bunny", "provider": provider, "workers": workers})
+        )
+        spec = read_spec(path)
+        access: Any = SimpleNamespace(public_key=lambda: PUBLIC_KEY)
+        return Cluster(path, spec, open_provider(spec, self.folder), access)
+
+    def up(self, **profile: Any) -> None:
+        bring_up(self.cluster(**profile), self.lines.append, pace=PACE)
+
+    def down(self) -> None:
+        take_down(self.cluster(), self.lines.append, pace=PACE)
+
+    def nodes(self) -> list[str]:
+        return sorted(
+            node
+            for node in ("head", "worker-1", "worker-2", "worker-3")
+            for instance in self.cloud.living
+            if f"-{node}-" in instance.token
+        )
+
+
+@pytest.fixture(params=["aws", "euca-4.0"])
+def scene(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Scene]:
+    with StrictCloud(request.param) as cloud:
+        for name, text in cloud.environment().items():
+            monkeypatch.setenv(name, text)
+        monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+        set_up = SetUp()
+        monkeypatch.setattr("hpcdeploy.bootstrap.set_up", set_up)
+        monkeypatch.setattr("hpcdeploy.user_data.user_data", lambda *about: "#!/bin/sh\n")
+        yield Scene(cloud, tmp_path, set_up)
+
+
+def of_node(cloud: StrictCloud, node: str) -> list[Instance]:
+    return [instance for instance in cloud.instances if f"-{node}-" in instance.token]
+
+
+def test_an_instance_that_dies_while_it_boots_is_replaced(scene: Scene) -> None:
+    def die_once(instance: Instance) -> None:
+        if instance.token.split("-")[3:6] == ["worker", "2", "1"]:
+            instance.die("Server.InternalError: it did not start")
+
+    scene.cloud.on_launch = die_once
+    scene.up()
+    assert scene.nodes() == ["head", "worker-1", "worker-2", "worker-3"]
+    assert len(of_node(scene.cloud, "worker-2")) == 2
+
+
+def test_an_instance_that_always_dies_is_done_without(scene: Scene) -> None:
+    def die(instance: Instance) -> None:
+        if "-worker-2-" in instance.token:
+            instance.die("Server.InternalError: it did not start")
+
+    scene.cloud.on_launch = die
+    scene.up()
+    assert scene.nodes() == ["head", "worker-1", "worker-3"]
+    assert scene.lines[-1].startswith("going without worker-2: it ended while it booted")
+    scene.down()
+    assert scene.cloud.left() == []
+
+
+def test_a_machine_that_refuses_ssh_or_dies_in_set_up_is_replaced(scene: Scene) -> None:
+    scene.set_up.broken_once = {"worker-1"}
+    scene.up()
+    assert scene.nodes() == ["head", "worker-1", "worker-2", "worker-3"]
+    assert len(of_node(scene.cloud, "worker-1")) == 2
+
+
+def test_a_head_that_cannot_be_set_up_fails_and_leaves_nothing(scene: Scene) -> None:
+    scene.set_up.broken_nodes = {"head"}
+    with pytest.raises(CloudError, match=r"^head cannot be had: pip is missing; look at hpcapp"):
+        scene.up()
+    assert scene.cloud.left() == []
+
+
+def test_an_exhausted_subnet_fails_with_its_reason_and_leaves_nothing(scene: Scene) -> None:
+    scene.cloud.fail("RunInstances", "InsufficientFreeAddressesInSubnet", 400, times=FOREVER)
+    with pytest.raises(CloudError, match=r"cannot be had: .*(subnet|address)"):
+        scene.up()
+    assert scene.cloud.left() == []
+
+
+def test_an_exhausted_subnet_makes_a_smaller_cluster(scene: Scene) -> None:
+    def exhaust(instance: Instance) -> None:
+        code = "InsufficientFreeAddressesInSubnet"
+        scene.cloud.fail("RunInstances", code, 400, times=FOREVER)
+
+    scene.cloud.on_launch = exhaust
+    scene.least = 0
+    scene.up()
+    assert scene.nodes() == ["head"]
+    assert sum(line.startswith("going without worker-") for line in scene.lines) == 3
+
+
+def test_capacity_of_one_type_leads_to_the_next(scene: Scene) -> None:
+    code, match = "InsufficientInstanceCapacity", {"InstanceType": "m5.large"}
+    scene.cloud.fail("RunInstances", code, 500, match=match, times=FOREVER)
+    scene.up(instance_type=["m5.large", "m5.xlarge"])
+    assert {instance.type for instance in scene.cloud.living} == {"m5.xlarge"}
+
+
+def test_throttling_and_lost_answers_are_outlasted(scene: Scene) -> None:
+    scene.cloud.fail("RunInstances", "RequestLimitExceeded", 503, times=2)
+    scene.cloud.lose("CreateSecurityGroup")
+    scene.cloud.lose("ImportKeyPair")
+    scene.up()
+    assert scene.nodes() == ["head", "worker-1", "worker-2", "worker-3"]
+    scene.down()
+    assert scene.cloud.left() == []
+
+
+def test_a_group_that_cannot_be_deleted_yet_is_waited_for(scene: Scene) -> None:
+    scene.up()
+    code = "DependencyViolation" if scene.cloud.profile == "aws" else "InvalidGroup.InUse"
+    scene.cloud.fail("DeleteSecurityGroup", code, 400, times=3)
+    scene.down()
+    assert scene.cloud.left() == []
+
+
+def test_a_group_that_can_never_be_deleted_is_named(scene: Scene) -> None:
+    scene.up()
+    code = "DependencyViolation" if scene.cloud.profile == "aws" else "InvalidGroup.InUse"
+    scene.cloud.fail("DeleteSecurityGroup", code, 400, times=FOREVER)
+    with pytest.raises(LeftoverError, match=r"still there: .*security group hpcapp-bunny"):
+        take_down(scene.cluster(), scene.lines.append, pace=replace(PACE, end_s=1.0))
+
+
+@pytest.mark.parametrize("code", ["AuthFailure", "RequestExpired", "ExpiredToken"])
+def test_wrong_or_expired_credentials_are_one_line_before_anything_is_made(
+    scene: Scene, code: str
+) -> None:
+    scene.cloud.fail("*", code, 401, times=FOREVER)
+    with pytest.raises(CloudError) as caught:
+        scene.up()
+    assert "\n" not in str(caught.value)
+    assert caught.value.advice
+    assert not [call for call in scene.cloud.calls if call.changes]
+
+
+@pytest.mark.parametrize("action", ["CreateSecurityGroup", "ImportKeyPair", "RunInstances"])
+def test_a_right_that_is_lacking_is_named_and_nothing_is_left(scene: Scene, action: str) -> None:
+    scene.cloud.no_rights = {action}
+    with pytest.raises(CloudError, match=action):
+        scene.up()
+    assert scene.cloud.left() == []
+
+
+def test_what_may_not_be_ended_is_named(scene: Scene) -> None:
+    scene.up()
+    scene.cloud.no_rights = {"TerminateInstances"}
+    with pytest.raises(LeftoverError, match=r"still there: .*head i-.*TerminateInstances.*"):
+        scene.down()
+
+
+def test_a_spot_interruption_in_mid_job_is_made_good(scene: Scene) -> None:
+    market = {"market": "spot_with_fallback"} if scene.cloud.profile == "aws" else {}
+    scene.up(**market)
+    (victim,) = of_node(scene.cloud, "worker-2")
+    victim.die("Server.SpotInstanceTermination")
+    cluster = scene.cluster(**market)
+    replace_lost(cluster, scene.lines.append, pace=PACE)
+    assert scene.nodes() == ["head", "worker-1", "worker-2", "worker-3"]
+    assert scene.set_up.calls[-1] == ("head", "worker-1", "worker-2", "worker-3")
