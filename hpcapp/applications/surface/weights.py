@@ -32,13 +32,13 @@ LEAST_MU = 0.3
 Float32Array = NDArray[np.float32]
 
 _MOST_MU = 1000.0
-_LAM_PER_NOISE = 5.0
+_LAM_PER_NOISE = 15.0
 _LEAST_LAM = 0.001
 _LEAST_COARSE_LAM = 0.1  # a quadric bends within a coarse cell: its normals hold it
 _MOST_LAM = 1.0
 
 _SAME_NOISE, _BIAS_GROWTH = 1.35, 1.2  # of residuals in cells of double the size
-_MOST_LOCAL = 4.0  # times the variance of the whole cloud, or its part
+_LEAST_LOCAL, _MOST_LOCAL = 0.5, 4.0  # times the variance of the whole cloud
 
 _FULL_COUNT = 6.0
 _FULL_INHERITED = 16.0
@@ -134,15 +134,16 @@ def localise_noise(overall: float, finer: Float32Array, coarser: Float32Array) -
     Returns
     -------
     ndarray of float32, shape (v,)
-        Variances in the same cells squared, within a factor of four of the whole cloud's.
+        Variances in the same cells squared, from half of the whole cloud's to four times as much.
 
     Notes
     -----
     Scans that do not quite match leave the same residuals in cells of any size, and they are
     noise for who averages; detail that a quadric misses leaves more in larger cells, and is taken
-    off.
+    off. Variances of few points scatter: below half of the whole cloud's, chance is likelier than
+    a better scan, and priors would be given up for nothing.
     """
-    local = np.clip(tell_noise(finer, coarser), overall / _MOST_LOCAL, overall * _MOST_LOCAL)
+    local = np.clip(tell_noise(finer, coarser), overall * _LEAST_LOCAL, overall * _MOST_LOCAL)
     result: Float32Array = local.astype(np.float32)
     return result
 

@@ -18,7 +18,7 @@ def trusted(value, far, count, inherited, crowd=0.0, depth=0):
 def test_noise_counts_in_cells_of_each_level():
     weights = weigh_levels(0.5, 4, 0.1)
     assert [w.noise for w in weights] == pytest.approx([0.04 / 4**depth for depth in range(4)])
-    assert weights[0].lam == pytest.approx(0.2)
+    assert weights[0].lam == pytest.approx(0.6)
     assert all(0.0 < w.lam <= 1.0 for w in weights)
 
 
@@ -69,11 +69,11 @@ def test_the_same_residual_in_cells_of_two_sizes_is_noise():
 
 
 def test_a_residual_that_grows_with_the_cells_is_detail():
-    assert localised(0.01, 0.03, 0.5) == pytest.approx(0.0025)
+    assert localised(0.01, 0.03, 0.5) == pytest.approx(0.005)
     assert localised(0.01, 0.03, 0.05) < 0.03
 
 
 def test_local_noise_stays_within_a_factor_of_the_whole_cloud_s():
     assert localised(0.01, 1.0, 1.0) == pytest.approx(0.04)
-    assert localised(0.01, 0.0, 0.0) == pytest.approx(0.0025)
+    assert localised(0.01, 0.0, 0.0) == pytest.approx(0.005)
     assert localised(0.0, 1.0, 1.0) == 0.0
