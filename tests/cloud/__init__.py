@@ -24,7 +24,8 @@
 - ``lag=n``: so many times a new instance is not found by its id; ``list_lag=n``: so many lists
   leave it out.
 - ``cloud.no_rights = {"RunInstances"}``: UnauthorizedOperation. Signatures are verified:
-  other keys get AuthFailure.
+  other keys are refused.
+- ``cloud.model.backend`` is moto's own, for what a test wants to be there beforehand.
 
 What the front adds to moto, and what for: see `front.py`; which parameters a cloud knows:
 `parameters.py`.

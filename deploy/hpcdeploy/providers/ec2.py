@@ -150,10 +150,10 @@ class Ec2Provider:
             if code_of(error) != "IdempotentParameterMismatch":
                 raise
             return self._launched_before(launch, error)
-        described = reply["Instances"][0]
-        if not self._knows.tags_at_launch:
-            self._tag([described["InstanceId"]], launch_tags(launch))
-        machine = as_machine(described, launch.cluster, launch.incarnation, launch.name)
+        machine = as_machine(reply["Instances"][0], launch.cluster, launch.incarnation, launch.name)
+        # A token may be remembered longer than its machine.
+        if not self._knows.tags_at_launch and machine.state is not State.GONE:
+            self._tag([machine.id], launch_tags(launch))
         return replace(machine, lease_until=launch.lease_until)
 
     def _image(self, image_id: str) -> dict[str, Any]:

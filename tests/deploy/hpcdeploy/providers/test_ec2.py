@@ -89,11 +89,13 @@ def test_a_launch_asked_twice_is_found_in_lists_that_lag(open_desk: OpenDesk) ->
     assert len(desk.waits) == 3  # two for the lists, one for the tags
 
 
-def test_a_token_whose_machine_is_gone_gives_no_other(open_desk: OpenDesk) -> None:
-    desk = open_desk("aws")
+@pytest.mark.parametrize("profile", ["aws", "euca-4.0"])
+def test_a_token_whose_machine_is_gone_gives_no_other(open_desk: OpenDesk, profile: str) -> None:
+    desk = open_desk(profile)
     desk.prepare()
     first = desk.launch()
     desk.cloud.instances[0].die()
+    desk.cloud.no_rights = {"CreateTags"}  # nothing is tagged any more
     for user_data in ("#!/bin/sh\n", "#!/bin/sh\n# another\n"):
         again = desk.launch(user_data=user_data)
         assert (again.id, again.state) == (first.id, State.GONE)
