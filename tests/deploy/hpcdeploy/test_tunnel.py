@@ -19,6 +19,7 @@ from machines.servers import USER, Machines, Server
 from hpcapp.cluster import open_inventory
 from hpccomponent.errors import CloudError
 from hpccomponent.inventory import hold_cluster
+from hpcdeploy.local_shell import LocalShell
 from hpcdeploy.ssh import SshShell
 from hpcdeploy.ssh_connect import connect
 from hpcdeploy.ssh_target import Target
@@ -43,13 +44,18 @@ def machines(tmp_path: Path) -> Iterator[Machines]:
         yield machines
 
 
-@pytest.fixture
-def head(machines: Machines) -> Server:
-    server = machines.add()
-    python = server.home / FOLDER / "venv/bin/python"
+def install(home: Path) -> None:
+    """Make the environment of a machine."""
+    python = home / FOLDER / "venv/bin/python"
     python.parent.mkdir(parents=True)
     python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
     python.chmod(0o755)
+
+
+@pytest.fixture
+def head(machines: Machines) -> Server:
+    server = machines.add()
+    install(server.home)
     return server
 
 
@@ -115,18 +121,18 @@ def test_a_master_elsewhere_waits_for_its_turn(
         caplog.handler.removeFilter(free)
 
 
-def test_a_head_without_a_relay_is_one_line(shell: SshShell, head: Server) -> None:
-    (head.home / FOLDER / "venv/bin/python").unlink()
+def test_a_head_without_a_relay_is_one_line(tmp_path: Path) -> None:
     with (
         pytest.raises(CloudError, match=r"the relay ended \(127\).*not found.*hpcapp doctor"),
-        lead_workers(shell, FOLDER, "tcp://127.0.0.1:9"),
+        lead_workers(LocalShell("head", tmp_path), FOLDER, "tcp://127.0.0.1:9"),
     ):
         pass
 
 
-def test_a_cluster_that_was_not_set_up_is_one_line(shell: SshShell) -> None:
+def test_a_cluster_that_was_not_set_up_is_one_line(tmp_path: Path) -> None:
+    install(tmp_path)
     with (
         pytest.raises(CloudError, match=r"inventory\.json: cannot be read"),
-        lead_workers(shell, FOLDER, "tcp://127.0.0.1:9"),
+        lead_workers(LocalShell("head", tmp_path), FOLDER, "tcp://127.0.0.1:9"),
     ):
         pass
