@@ -1,0 +1,92 @@
+"""`hpcapp up` killed with -9 at every API call and set-up step in turn, on the strict cloud."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import signal
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from cloud import StrictCloud
+from killing import Killer
+
+PROFILES = ["aws", "euca-4.0", "euca-5.1"]
+NODES = ["head", "worker-1", "worker-2"]
+
+
+class Scene:
+    """A strict cloud, a cluster file on it, and commands that may be killed."""
+
+    def __init__(self, cloud: StrictCloud, killer: Killer, folder: Path) -> None:
+        self.cloud, self.killer = cloud, killer
+        self.file = folder / "cluster.yaml"
+        spec = {
+            "version": 1,
+            "cluster": "bunny",
+            "provider": cloud.provider_block(),
+            "workers": {"count": 2},
+        }
+        self.file.write_text(json.dumps(spec))
+        killer.environment = {**cloud.environment(), "XDG_STATE_HOME": str(folder)}
+        cloud.hook = killer.on_call
+
+    def run(self, verb: str, kill_at: int | None = None) -> int:
+        options = ["-y"] if verb == "up" else []
+        code, self.said = self.killer.run(verb, str(self.file), *options, kill_at=kill_at)
+        return code
+
+    def nodes(self) -> list[str]:
+        """The names of all machines that cost something, by the tokens that they came by."""
+        return sorted(node for node in NODES for i in self.cloud.living if f"-{node}-" in i.token)
+
+
+@pytest.fixture
+def killer() -> Iterator[Killer]:
+    with Killer() as killer:
+        yield killer
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_up_and_down_change_what_they_must_and_no_more(
+    profile: str, killer: Killer, tmp_path: Path
+) -> None:
+    with StrictCloud(profile) as cloud:
+        scene = Scene(cloud, killer, tmp_path)
+        assert scene.run("up") == 0, scene.said
+        assert scene.nodes() == NODES
+        changes = Counter(call.action for call in cloud.calls if call.changes)
+        assert changes["RunInstances"] == 3
+        cloud.calls.clear()
+        assert scene.run("up") == 0, scene.said
+        assert not [call for call in cloud.calls if call.changes]
+        assert scene.run("down") == 0, scene.said
+        assert cloud.left() == []
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(("profile", "shift"), [("aws", 0), ("euca-4.0", 1), ("euca-5.1", 0)])
+def test_up_killed_at_every_step_leaves_no_orphan_and_no_duplicate(
+    profile: str, shift: int, killer: Killer, tmp_path: Path
+) -> None:
+    """After one step the next command is `up`, after the next `down`.
+
+    A new cloud for each: moto keeps every machine that ever was, and slows down.
+    """
+    for at in itertools.count(1):
+        with StrictCloud(profile) as cloud:
+            scene = Scene(cloud, killer, tmp_path)
+            code = scene.run("up", kill_at=at)
+            assert code in (0, -signal.SIGKILL), f"step {at}: {scene.said}"
+            step = f"killed at step {at}, {killer.steps[-1]}"
+            if (at + shift) % 2:
+                assert scene.run("up") == 0, f"{step}: {scene.said}"
+                assert scene.nodes() == NODES, step
+            assert scene.run("down") == 0, f"{step}: {scene.said}"
+            assert cloud.left() == [], step
+        if code == 0:
+            break
+    assert at > 40
