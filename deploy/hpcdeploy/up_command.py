@@ -65,12 +65,15 @@ def scale(file: Path, workers: int, yes: bool, keep: bool) -> None:
 
 def _bring_up(cluster: Cluster, yes: bool, keep: bool) -> None:
     """Show what is to be done, ask, do it."""
+    from hpcdeploy.bootstrap import check_wheels
     from hpcdeploy.converge import bring_up, look_ahead
     from hpcdeploy.cost import check_limits, describe_cost, estimate_cost
 
     actions, cost = look_ahead(cluster).actions, estimate_cost(cluster.spec)
     for line in (*(f"will {action}" for action in actions), *describe_cost(cost)):
         _say(line)
+    for problem in check_wheels(cluster.spec, cluster.path.absolute().parent) if actions else ():
+        _say(f"missing: {problem.what}; {problem.advice}")
     check_limits(cluster.spec, cost)  # before the user is asked
     if actions and not yes:
         click.confirm("Go on?", abort=True, err=True)

@@ -55,6 +55,16 @@ def test_up_shows_what_it_will_do_and_asks(cloud: MemoryProvider, file: str) -> 
     assert alive(cloud) == ["head", "worker-1", "worker-2"]
 
 
+def test_up_names_missing_wheels_before_it_asks(cloud: MemoryProvider, file: str) -> None:
+    wheels = Path(file).with_name("wheels")
+    wheels.mkdir()
+    text = Path(file).read_text() + "env: {wheelhouse: wheels}\n"
+    Path(file).write_text(text)
+    asked = run("up", file, typed="n\n")
+    assert asked.output.index("missing: ") < asked.output.index("Go on?")
+    assert "no compiled wheel for Linux in it" in asked.output
+
+
 def test_up_again_asks_nothing_where_nothing_is_to_be_done(
     cloud: MemoryProvider, file: str
 ) -> None:
