@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from hpccomponent.errors import HpcError
 from hpcdeploy.cluster import node_order
 from hpcdeploy.layout import machine_folder
+from hpcdeploy.loader_service import is_running_command
 from hpcdeploy.pace import utc_now
 from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.shell import Shell
@@ -136,10 +137,9 @@ def _ask_loaders(cluster: Cluster, machines: Iterable[MachineSeen]) -> dict[str,
 
 def _loader_version(cluster: str, shell: Shell) -> str:
     """Return the version of the loader that runs on a machine, or why none does."""
-    folder = machine_folder(cluster)
     answer = shell.run(
-        f"pgrep -u $(id -u) -f {folder}/loader.yaml >/dev/null || exit 3; "
-        f"{folder}/venv/bin/python -c "
+        f"cd {machine_folder(cluster)} || exit 4; {is_running_command(cluster)} || exit 3; "
+        "venv/bin/python -c "
         "'from importlib.metadata import version; print(version(\"hpcapp\"))'",
         timeout_s=ANSWER_S,
     )
