@@ -27,7 +27,7 @@ from typing import Any, Self
 
 from cloud import Call, Instance, StrictCloud
 
-from testbed.machine import Machine, build_image
+from testbed.machine import DISK_MB, Machine, build_image
 from testbed.metadata import MetadataService
 from testbed.network import ENDPOINT, LAPTOP, METADATA, Network, Permission
 
@@ -39,7 +39,11 @@ class Boot(Enum):
 
     WELL = auto()
     WITHOUT_SSHD = auto()
+    WITH_FULL_DISK = auto()
     NEVER = auto()  # it runs, says the cloud, but nothing ever answers
+
+
+SMALL_DISK_MB = 24
 
 
 class TestBed:
@@ -58,10 +62,12 @@ class TestBed:
     def __init__(self, folder: Path, profile: str = "aws") -> None:
         self.boots: Callable[[Instance], Boot] = lambda _: Boot.WELL
         self.hook: Callable[[Call, str], None] | None = None
+        self.on_line: Callable[[Machine, str], None] | None = None
         self.home = folder / "home"
         self.home.mkdir()
         self._image = build_image(folder / "image")
         self._machines: dict[str, Machine] = {}
+        self._hosts: list[Machine] = []
         self._lock = threading.RLock()
         with ExitStack() as stack:
             self.network = Network()
@@ -104,13 +110,29 @@ class TestBed:
         """Return the living instance that plays a node."""
         return next(i for i in self.cloud.living if f"-{node}-" in i.token)
 
+    def add_host(self, public_key: bytes) -> Machine:
+        """Switch on a machine that the cloud knows nothing of, open to all."""
+        with self._lock:
+            last = 10 + len(self._machines)
+            machine = Machine(
+                self.network, self._image, f"host-{last}", f"172.31.0.{last}",
+                f"203.0.113.{last}", public_key=public_key, on_line=self.on_line,
+            )  # fmt: skip
+            self._machines[machine.name] = machine
+            self._hosts.append(machine)
+        self.network.publish(machine.public, machine.private)
+        machine.start()
+        self._judge()
+        machine.wait_for("first boot is done")
+        return machine
+
     def machines(self) -> Iterator[Machine]:
         """Return all machines that ever were."""
         return iter(tuple(self._machines.values()))
 
     def left(self) -> list[str]:
         """Name what the cloud still has, and machines that are on for no instance of it."""
-        living = {instance.id for instance in self.cloud.living}
+        living = {i.id for i in self.cloud.living} | {host.name for host in self._hosts}
         astray = [m.name for m in self.machines() if m.is_on and m.name not in living]
         return self.cloud.left() + astray
 
@@ -162,7 +184,7 @@ class TestBed:
 
     def _launch(self, instance: Instance) -> None:
         with self._lock:
-            last = 10 + len(self._machines)
+            last, how = 10 + len(self._machines), self.boots(instance)
             machine = Machine(
                 self.network,
                 self._image,
@@ -171,18 +193,20 @@ class TestBed:
                 f"203.0.113.{last}",
                 public_key=instance.public_key.encode(),
                 user_data=instance.user_data,
-                has_sshd=self.boots(instance) is not Boot.WITHOUT_SSHD,
+                has_sshd=how is not Boot.WITHOUT_SSHD,
+                disk_mb=SMALL_DISK_MB if how is Boot.WITH_FULL_DISK else DISK_MB,
                 on_power_off=lambda _: self._shut_down(instance),
+                on_line=self.on_line,
             )
             self._machines[instance.id] = machine
         instance.place(machine.private, machine.public)
-        self._boots.submit(self._boot, instance, machine)
+        self._boots.submit(self._boot, instance, machine, how)
 
-    def _boot(self, instance: Instance, machine: Machine) -> None:
+    def _boot(self, instance: Instance, machine: Machine, how: Boot) -> None:
         with self._lock:
             if instance.state != "pending":
                 return
-            if self.boots(instance) is not Boot.NEVER:
+            if how is not Boot.NEVER:
                 self.network.publish(machine.public, machine.private)
                 machine.start()
             instance.boot()
@@ -207,12 +231,14 @@ class TestBed:
                 members.setdefault(name, []).append(instance.private_address)
         rules = [(g.name, rule) for g in self.cloud.groups for rule in g.ingress_rules]
         names = {group.id: group.name for group in self.cloud.groups}
-        self.network.permit(
+        permissions = [
             Permission(target, source, f"{rule.from_port}-{rule.to_port}")
             for name, rule in rules
             for target in members.get(name, [])
             for source in _sources(rule, names, members)
-        )
+        ]
+        hosts = [Permission(host.private, "0.0.0.0/0", "1-65535") for host in self._hosts]
+        self.network.permit(permissions + hosts)
 
 
 def _sources(rule: Any, names: dict[str, str], members: dict[str, list[str]]) -> list[str]:

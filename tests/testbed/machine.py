@@ -21,6 +21,7 @@ from testbed.network import Namespace, Network, TestBedError, command
 IMAGE = Path(__file__).parent / "image"
 LOGIN = "admin"
 LOGIN_ID = 1999
+DISK_MB = 2048
 
 
 def build_image(folder: Path) -> Path:
@@ -66,6 +67,8 @@ class Machine:
         Of its root disk, in memory; 2^20 bytes.
     on_power_off : callable, optional
         Called where it ends by itself.
+    on_line : callable, optional
+        Called with every line that it prints on its console; sshd tells of each command there.
     """
 
     network: Network
@@ -76,9 +79,10 @@ class Machine:
     public_key: bytes = b""
     user_data: bytes = b""
     metadata: dict[str, str] = field(default_factory=dict)
-    disk_mb: int = 2048
+    disk_mb: int = DISK_MB
     has_sshd: bool = True
     on_power_off: Callable[[Machine], None] | None = None
+    on_line: Callable[[Machine, str], None] | None = None
 
     def __post_init__(self) -> None:
         self._cable: Namespace | None = None
@@ -108,10 +112,12 @@ class Machine:
         """Keep what the machine prints, until its last process is gone; then tell who asked."""
         assert self._process is not None
         assert self._process.stdout is not None
-        while piece := self._process.stdout.read1(65536):
+        for line in self._process.stdout:
             with self._said:
-                self._printed += piece
+                self._printed += line
                 self._said.notify_all()
+            if self.on_line:
+                self.on_line(self, line.decode(errors="replace").rstrip())
         self._process.wait()
         if not self._is_ended_by_us and self.on_power_off:
             self.on_power_off(self)

@@ -53,7 +53,7 @@ def missing() -> str:
     """Return why no test bed can be had here; nothing where one can."""
     if os.geteuid() != 0:
         return "the test bed needs root"
-    programs = ("ip", "nft", "sudo", "unshare", "nsenter", "ssh-keygen", "/usr/sbin/sshd")
+    programs = ("ip", "nft", "sudo", "unshare", "nsenter", "ps", "ssh-keygen", "/usr/sbin/sshd")
     absent = [name for name in programs if not shutil.which(name)]
     if absent:
         return f"the test bed needs {', '.join(absent)}"

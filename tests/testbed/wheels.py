@@ -46,8 +46,28 @@ def pack(installed: Distribution, folder: Path) -> Path:
     return target
 
 
-def pack_requirements_of(name: str, folder: Path) -> None:
-    """Fill a folder with the wheels of all that a distribution requires, itself not included."""
+def pack_nothing(installed: Distribution, folder: Path) -> Path:
+    """Write a wheel by the name of an installed distribution, with nothing in it."""
+    name = canonicalize_name(installed.metadata["Name"]).replace("-", "_")
+    meta = f"{name}-{installed.version}.dist-info"
+    target = folder / f"{name}-{installed.version}-py3-none-any.whl"
+    version = f"Name: {name}\nVersion: {installed.version}\n"
+    with zipfile.ZipFile(target, "w") as wheel:
+        wheel.writestr(f"{meta}/METADATA", f"Metadata-Version: 2.1\n{version}")
+        wheel.writestr(f"{meta}/WHEEL", "Wheel-Version: 1.0\nTag: py3-none-any\n")
+        wheel.writestr(f"{meta}/RECORD", "")
+    return target
+
+
+def pack_requirements_of(name: str, folder: Path, only: Iterable[str] | None = None) -> None:
+    """Fill a folder with the wheels of all that a distribution requires, itself not included.
+
+    With `only`, all but these and what they require are empty: enough for machines that do no
+    work, and quick.
+    """
+    real = closure([name] if only is None else only)
     for required, installed in closure([name]).items():
-        if required != canonicalize_name(name):
+        if required in real and required != canonicalize_name(name):
             pack(installed, folder)
+        elif required != canonicalize_name(name):
+            pack_nothing(installed, folder)
