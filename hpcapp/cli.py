@@ -87,11 +87,13 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
 def hpcapp(debug: bool) -> None:
     """Turn oriented point clouds into watertight meshes, on one machine or on many."""
     logging.basicConfig(
-        level=logging.DEBUG if debug else logging.INFO,
+        level=logging.INFO if debug else logging.WARNING,  # of the libraries that we use
         format="%(name)s: %(message)s" if debug else "%(message)s",
         handlers=[_LogLines()],
         force=True,
     )
+    for name in ("hpcapp", "hpccomponent"):
+        logging.getLogger(name).setLevel(logging.DEBUG if debug else logging.INFO)
     logging.raiseExceptions = debug  # a log that cannot be written must not end the job
     logging.captureWarnings(True)
     logging.getLogger("py.warnings").setLevel(logging.WARNING if debug else logging.ERROR)
