@@ -172,8 +172,9 @@ class Effort:
                 assert self._group is not None  # noqa: S101 - planned only where there is one
                 self._provider.allow(self._group, ssh_from, internal_ports)
             case CreateKeyPair():
-                key = self._cluster.access.public_key()
-                self._provider.create_key_pair(self._spec.cluster, key)
+                assert self._group is not None  # noqa: S101 - planned only where there is one
+                life, key = self._group.incarnation, self._cluster.access.public_key()
+                self._provider.create_key_pair(self._spec.cluster, life, key)
             case Terminate(machines):
                 self._provider.terminate(machines)
             case Extend(machines, lease_until):

@@ -65,9 +65,13 @@ def group_name(cluster: str) -> str:
     return PREFIX + cluster
 
 
-def key_pair_name(cluster: str) -> str:
-    """Return the name of the key pair of a cluster."""
-    return PREFIX + cluster
+def key_pair_name(cluster: str, incarnation: str) -> str:
+    """Return the name of the key pair of one life of a cluster.
+
+    Not every cloud can tag a key pair: what tells ours from a user's own is that it is named
+    after the life that the description of a group of ours remembers.
+    """
+    return f"{PREFIX}{cluster}-{incarnation}"
 
 
 def draw_incarnation(now: datetime) -> str:

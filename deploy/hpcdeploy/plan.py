@@ -56,7 +56,7 @@ class Allow:
 
 @dataclass(frozen=True, slots=True)
 class CreateKeyPair:
-    """Make the cluster's public key known."""
+    """Make the cluster's public key known to the machines of this life."""
 
     def __str__(self) -> str:
         return "create the key pair"
@@ -180,7 +180,7 @@ def make_plan(
             actions.append(CreateGroup(life))
         if group is None or (group.ssh_from, group.internal_ports) != (ssh_from, ports):
             actions.append(Allow(ssh_from, ports))
-        if all(pair.cluster != spec.cluster for pair in observed.key_pairs):
+        if all((p.cluster, p.incarnation) != (spec.cluster, life) for p in observed.key_pairs):
             actions.append(CreateKeyPair())
     else:
         life = _latest_life(machines) or incarnation

@@ -80,12 +80,14 @@ class KeyPairSeen:
 
     Parameters
     ----------
-    cluster, name, fingerprint : str
+    cluster, name : str
+    incarnation : str
+        Of the cluster's life that it was made in.
     """
 
     cluster: str
     name: str
-    fingerprint: str = ""
+    incarnation: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,8 +197,8 @@ class Provider(Protocol):
         """Return all that exists of a cluster of ours, or of every one where None."""
         ...
 
-    def create_key_pair(self, cluster: str, public_key: str) -> KeyPairSeen:
-        """Make the key pair of a cluster known; the one that exists is returned as it is."""
+    def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
+        """Make the key pair of a cluster's life known, or return the one there is."""
         ...
 
     def create_group(self, cluster: str, incarnation: str) -> GroupSeen:

@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 
 from hpcdeploy.names import incarnation_began
 from hpcdeploy.pace import Pace
-from hpcdeploy.provider import GroupSeen, MachineSeen, Observed, Provider, State
+from hpcdeploy.provider import GroupSeen, KeyPairSeen, MachineSeen, Observed, Provider, State
 from hpcdeploy.removal import remove
 
 __all__ = ["overdue", "reap"]
@@ -40,7 +40,7 @@ def overdue(observed: Observed, now: datetime) -> Observed:
 
     Machines go when their lease is over, when they have shut down, and, past a certain age, when
     they have no lease or no security group. A group goes with the last of its machines, a key
-    pair with its group.
+    pair with its group, or alone past that age.
 
     Parameters
     ----------
@@ -60,8 +60,14 @@ def overdue(observed: Observed, now: datetime) -> Observed:
         if group.cluster not in occupied
         and ((group.cluster, group.incarnation) in spent or _is_old(group, now))
     )
-    used = occupied | (clusters - {group.cluster for group in groups})
-    pairs = tuple(pair for pair in observed.key_pairs if pair.cluster not in used)
+    staying = {(g.cluster, g.incarnation) for g in observed.groups if g not in groups}
+    pairs = tuple(
+        pair
+        for pair in observed.key_pairs
+        if pair.cluster not in occupied
+        and (pair.cluster, pair.incarnation) not in staying
+        and ((pair.cluster, pair.incarnation) in spent or _is_old(pair, now))
+    )
     return Observed(tuple(going), pairs, groups)
 
 
@@ -73,6 +79,6 @@ def _is_overdue(machine: MachineSeen, has_group: bool, now: datetime) -> bool:
     return is_over or (is_old and not has_group)
 
 
-def _is_old(group: GroupSeen, now: datetime) -> bool:
-    began = incarnation_began(group.incarnation)
+def _is_old(seen: GroupSeen | KeyPairSeen, now: datetime) -> bool:
+    began = incarnation_began(seen.incarnation)
     return began is None or began + ORPHAN_AGE < now

@@ -87,26 +87,24 @@ def _is_any(observed: Observed) -> bool:
 def _take_away(
     provider: Provider, left: Observed, step: Step, report: Callable[[str], None]
 ) -> None:
-    """Do what can be done now: a group goes after its machines, a key pair last."""
+    """Do what can be done now: key pairs go after machines, and the group that proves them last."""
     ending = [machine for machine in left.machines if machine.state is not State.ENDING]
     if ending:
         report(f"terminating {_names(ending)}")
         with step(f"terminate {_names(ending)}"):
             provider.terminate(ending)
     occupied = {machine.cluster for machine in left.machines}
+    for pair in left.key_pairs:
+        if pair.cluster not in occupied:
+            with step(f"delete the key pair {pair.name}"):
+                provider.delete_key_pair(pair)
+            report(f"deleted the key pair {pair.name}")
     for group in left.groups:
         if group.cluster not in occupied:
             with step(f"delete the security group {group.name}"):
                 is_deleted = provider.delete_group(group)
             if is_deleted:
                 report(f"deleted the security group {group.name}")
-            else:
-                occupied.add(group.cluster)
-    for pair in left.key_pairs:
-        if pair.cluster not in occupied:
-            with step(f"delete the key pair {pair.name}"):
-                provider.delete_key_pair(pair)
-            report(f"deleted the key pair {pair.name}")
 
 
 def _names(machines: list[MachineSeen]) -> str:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.names import CLUSTER_TAG, LEASE_TAG, PREFIX, client_token, group_name, key_pair_name
+from hpcdeploy.names import CLUSTER_TAG, LEASE_TAG, PREFIX, client_token, group_name
 from hpcdeploy.provider import GroupSeen, KeyPairSeen, Launch, MachineSeen, Observed, Problem, State
 from hpcdeploy.provider_spec import CloudSpec
 from hpcdeploy.providers.ec2_access import GroupKeeper, KeyPairKeeper
@@ -92,12 +92,11 @@ class Ec2Provider:
         else:
             condition = (f"tag:{CLUSTER_TAG}", cluster)
         machines = self._find(*condition)
+        groups = self._groups.find(name)
         return Observed(
             machines=tuple(m for m in machines if cluster in (None, m.cluster)),
-            key_pairs=tuple(
-                self._key_pairs.find(name if cluster is None else key_pair_name(cluster))
-            ),
-            groups=tuple(self._groups.find(name)),
+            key_pairs=tuple(self._key_pairs.find(cluster, groups)),
+            groups=tuple(groups),
         )
 
     def _find(self, condition: str, value: str) -> list[MachineSeen]:
@@ -117,9 +116,9 @@ class Ec2Provider:
                     found.append(machine)
         return found
 
-    def create_key_pair(self, cluster: str, public_key: str) -> KeyPairSeen:
-        """Make the key pair of a cluster known; the one that exists is returned as it is."""
-        return self._key_pairs.create(cluster, public_key)
+    def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
+        """Make the key pair of a cluster's life known, or return the one there is."""
+        return self._key_pairs.create(cluster, incarnation, public_key)
 
     def create_group(self, cluster: str, incarnation: str) -> GroupSeen:
         """Make the security group of a cluster, without rules; or return the one there is."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import ipaddress
+from collections.abc import Iterable
 from typing import Any
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.names import CLUSTER_TAG, group_name, key_pair_name
+from hpcdeploy.names import CLUSTER_TAG, PREFIX, group_name, key_pair_name
 from hpcdeploy.provider import GroupSeen, KeyPairSeen
 from hpcdeploy.providers.ec2_capabilities import Capabilities
 from hpcdeploy.providers.ec2_client import Calls
@@ -38,34 +39,39 @@ class KeyPairKeeper:
         self._calls = calls
         self._by_tag = capabilities.tags_on_access
 
-    def find(self, name: str) -> list[KeyPairSeen]:
-        """Return those of a name, which may hold ``*``."""
+    def find(self, cluster: str | None, groups: Iterable[GroupSeen]) -> list[KeyPairSeen]:
+        """Return those of a cluster, or of every one where None.
+
+        Parameters
+        ----------
+        cluster : str, optional
+        groups : iterable of GroupSeen
+            Our groups: where a cloud has no tags for key pairs, theirs alone are ours.
+        """
+        clusters = {key_pair_name(g.cluster, g.incarnation): g.cluster for g in groups}
         described = self._calls.call(
             "describe_key_pairs",
             "list the key pairs",
-            Filters=[{"Name": "key-name", "Values": [name]}],
+            Filters=[{"Name": "key-name", "Values": [f"{PREFIX}{cluster or ''}*"]}],
         )["KeyPairs"]
-        seen = (read_key_pair(pair, self._by_tag) for pair in described)
-        return [pair for pair in seen if pair is not None]
+        seen = (
+            read_key_pair(pair, None if self._by_tag else clusters.get(pair["KeyName"], ""))
+            for pair in described
+        )
+        return [pair for pair in seen if pair is not None and cluster in (None, pair.cluster)]
 
-    def create(self, cluster: str, public_key: str) -> KeyPairSeen:
-        """Import a public key, or return the pair that is there."""
-        name = key_pair_name(cluster)
+    def create(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
+        """Import a public key; a pair of this name is from an earlier try of the same life."""
+        name = key_pair_name(cluster, incarnation)
         parameters: dict[str, Any] = {"KeyName": name, "PublicKeyMaterial": public_key.encode()}
         if self._by_tag:
             parameters["TagSpecifications"] = _tags("key-pair", cluster)
         try:
-            reply = self._calls.call("import_key_pair", f"import key pair {name}", **parameters)
+            self._calls.call("import_key_pair", f"import key pair {name}", **parameters)
         except CloudError as error:
             if code_of(error) != "InvalidKeyPair.Duplicate":
                 raise
-            for pair in self.find(name):
-                return pair
-            raise CloudError(
-                f"a key pair {name} exists and is not hpcapp's",
-                "give the cluster another name, or delete the key pair",
-            ) from error
-        return KeyPairSeen(cluster, name, reply.get("KeyFingerprint", ""))
+        return KeyPairSeen(cluster, name, incarnation)
 
     def delete(self, key_pair: KeyPairSeen) -> None:
         """Delete one; one that is gone is no error."""

@@ -83,7 +83,7 @@ def launch_parameters(
         "InstanceType": launch.instance_type,
         "MinCount": 1,
         "MaxCount": 1,
-        "KeyName": key_pair_name(launch.cluster),
+        "KeyName": key_pair_name(launch.cluster, launch.incarnation),
         "SecurityGroupIds": [group_id],
         "ClientToken": client_token(
             launch.cluster, launch.incarnation, launch.name, attempt_of(launch)

@@ -2,7 +2,7 @@
 
 Ours is what bears our tags; or, where a cloud cannot tag at launch, a machine in a group with a
 name of ours whose client token is one of ours. A group is ours by its description, whatever its
-name.
+name; where a cloud cannot tag key pairs, one is ours that is named after the life of such a group.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from hpcdeploy.names import (
     NODE_TAG,
     PREFIX,
     NodeName,
+    key_pair_name,
     read_client_token,
 )
 from hpcdeploy.provider import GroupSeen, KeyPairSeen, MachineSeen, State
@@ -171,13 +172,17 @@ def ingress_rules(described: Mapping[str, Any]) -> set[Rule]:
     return rules
 
 
-def read_key_pair(described: Mapping[str, Any], by_tag: bool) -> KeyPairSeen | None:
+def read_key_pair(described: Mapping[str, Any], cluster: str | None) -> KeyPairSeen | None:
     """Return a key pair as one of ours, or None where it is none.
 
-    Where a cloud has no tags for key pairs, the name has to say it.
+    Parameters
+    ----------
+    described : mapping
+    cluster : str, optional
+        Whose it is known to be by its name, empty where nobody's; None where its tags tell.
     """
-    name = described["KeyName"]
-    cluster = name.removeprefix(PREFIX)
-    if cluster == name or (by_tag and _tags(described).get(CLUSTER_TAG) != cluster):
-        return None
-    return KeyPairSeen(cluster, name, described.get("KeyFingerprint", ""))
+    name = str(described["KeyName"])
+    if cluster is None:
+        cluster = _tags(described).get(CLUSTER_TAG, "")
+    incarnation = name.removeprefix(key_pair_name(cluster, ""))
+    return KeyPairSeen(cluster, name, incarnation) if cluster and incarnation != name else None

@@ -90,10 +90,10 @@ class LocalProvider:
                 )
             shutil.rmtree(home, ignore_errors=True)
 
-    def create_key_pair(self, cluster: str, public_key: str) -> KeyPairSeen:
+    def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
         """Do nothing: there is no login."""
         del public_key
-        return KeyPairSeen(cluster, "")
+        return KeyPairSeen(cluster, "", incarnation)
 
     def create_group(self, cluster: str, incarnation: str) -> GroupSeen:
         """Do nothing: there is no network."""

@@ -99,15 +99,17 @@ class MemoryProvider:
             ]
             return Observed(
                 tuple(seen for seen in machines if cluster in (None, seen.cluster)),
-                tuple(pair for name, pair in self._key_pairs.items() if cluster in (None, name)),
+                tuple(p for p in self._key_pairs.values() if cluster in (None, p.cluster)),
                 tuple(group for name, group in self._groups.items() if cluster in (None, name)),
             )
 
-    def create_key_pair(self, cluster: str, public_key: str) -> KeyPairSeen:
-        """Make a key pair; its fingerprint is the public key."""
+    def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
+        """Make a key pair."""
+        del public_key
         with self._called("create_key_pair"):
-            pair = KeyPairSeen(cluster, key_pair_name(cluster), public_key)
-            return self._key_pairs.setdefault(cluster, pair)
+            name = key_pair_name(cluster, incarnation)
+            pair = KeyPairSeen(cluster, name, incarnation)
+            return self._key_pairs.setdefault(name, pair)
 
     def create_group(self, cluster: str, incarnation: str) -> GroupSeen:
         """Make a group."""
@@ -167,7 +169,7 @@ class MemoryProvider:
     def delete_key_pair(self, key_pair: KeyPairSeen) -> None:
         """Delete a key pair."""
         with self._called("delete_key_pair"):
-            self._key_pairs.pop(key_pair.cluster, None)
+            self._key_pairs.pop(key_pair.name, None)
 
     def console(self, machine: MachineSeen) -> str:
         """Return one line."""

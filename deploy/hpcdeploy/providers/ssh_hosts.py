@@ -102,10 +102,10 @@ class SshHosts:
         with ThreadPoolExecutor(AT_ONCE, thread_name_prefix="hosts") as pool:
             list(pool.map(self._end, (m for m in machines if m.state is State.RUNNING)))
 
-    def create_key_pair(self, cluster: str, public_key: str) -> KeyPairSeen:
+    def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
         """Do nothing: the hosts know who may log in."""
         del public_key
-        return KeyPairSeen(cluster, "")
+        return KeyPairSeen(cluster, "", incarnation)
 
     def create_group(self, cluster: str, incarnation: str) -> GroupSeen:
         """Do nothing: the network is as it is."""

@@ -51,7 +51,9 @@ def carry_out(observed: Observed, action: Action) -> Observed:
                 ),
             )
         case CreateKeyPair():
-            return replace(observed, key_pairs=(*observed.key_pairs, KeyPairSeen(cluster, "n")))
+            life = next(g.incarnation for g in observed.groups if g.cluster == cluster)
+            pair = KeyPairSeen(cluster, "n", life)
+            return replace(observed, key_pairs=(*observed.key_pairs, pair))
         case LaunchNode(name, _, choices):
             group = next(g for g in observed.groups if g.cluster == cluster)
             machine = MachineSeen(
@@ -111,7 +113,7 @@ groups = st.builds(
 observations = st.builds(
     Observed,
     st.lists(machines, max_size=8).map(tuple),
-    st.just(()) | st.just((KeyPairSeen("bunny", "n"),)),
+    st.sampled_from([(), (KeyPairSeen("bunny", "n", "life"),)]),
     st.lists(groups, max_size=2, unique_by=lambda group: group.cluster).map(tuple),
 )
 

@@ -40,7 +40,8 @@ def machine(
     )
 
 
-PAIR = KeyPairSeen("bunny", "hpcapp-bunny")
+def pair_of(group: GroupSeen) -> KeyPairSeen:
+    return KeyPairSeen(group.cluster, f"{group.name}-{group.incarnation}", group.incarnation)
 
 
 @pytest.mark.parametrize(
@@ -85,19 +86,27 @@ def test_a_group_and_its_key_pair_go_once_nobody_can_need_them(
     age: timedelta, lease_left: timedelta | None, goes: bool
 ) -> None:
     machines = () if lease_left is None else (machine("bunny", lease_left),)
-    found = overdue(Observed(machines, (PAIR,), (group("bunny", age),)), START)
+    made = group("bunny", age)
+    found = overdue(Observed(machines, (pair_of(made),), (made,)), START)
     assert bool(found.groups) == goes
     assert bool(found.key_pairs) == goes
 
 
-def test_a_key_pair_without_a_group_is_an_orphan_at_once() -> None:
-    assert overdue(Observed((), (PAIR,)), START).key_pairs == (PAIR,)
+@pytest.mark.parametrize(("age", "goes"), [(HOUR / 2, False), (2 * HOUR, True)])
+def test_a_key_pair_without_its_group_is_an_orphan_once_it_is_old(
+    age: timedelta, goes: bool
+) -> None:
+    pair, later = pair_of(group("bunny", age)), group("bunny", timedelta(minutes=1))
+    for groups in ((), (later,)):
+        assert overdue(Observed((), (pair, pair_of(later)), groups), START).key_pairs == (
+            (pair,) if goes else ()
+        )
 
 
 def test_a_new_life_is_left_alone_though_machines_of_the_last_one_are_listed() -> None:
     gone = machine("bunny", -HOUR, State.GONE)
     young = group("bunny", timedelta(minutes=1))
-    assert overdue(Observed((gone,), (PAIR,), (young,)), START) == Observed()
+    assert overdue(Observed((gone,), (pair_of(young),), (young,)), START) == Observed()
 
 
 @pytest.fixture

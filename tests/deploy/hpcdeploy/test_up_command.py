@@ -109,9 +109,9 @@ def test_reap_says_first_and_does_then(cloud: MemoryProvider, file: str) -> None
     lease_until = START.replace(year=2020)
     old = cloud.launch(Launch("old", "life", NodeName("head"), lease_until=lease_until))
     cloud.create_group("old", "life")
-    cloud.create_key_pair("older", "k")
+    cloud.create_key_pair("older", "life", "k")
     dry = run("reap", "--dry-run", file)
-    found = f"head {old.id} (running), security group hpcapp-old, key pair hpcapp-older"
+    found = f"head {old.id} (running), security group hpcapp-old, key pair hpcapp-older-life"
     assert f"would remove {found}" in dry.output
     assert run("reap", "--dry-run", file).output == dry.output
     run("reap", file)

@@ -47,7 +47,7 @@ class Desk:
 
     def prepare(self) -> None:
         """Make what a launch needs, as `up` does."""
-        self.provider.create_key_pair("bunny", RSA_KEY)
+        self.provider.create_key_pair("bunny", "a1b2c3", RSA_KEY)
         group = self.provider.create_group("bunny", "a1b2c3")
         self.provider.allow(group, OPEN, frozenset({7070}))
 

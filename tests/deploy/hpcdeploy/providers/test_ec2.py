@@ -14,7 +14,7 @@ from cloud.parameters import PROFILES
 
 from hpccomponent.errors import CapacityError, CloudError
 from hpcdeploy.names import NodeName
-from hpcdeploy.provider import State
+from hpcdeploy.provider import Observed, State
 
 from .conftest import LEASE, OPEN, RSA_KEY, Desk, a_launch
 
@@ -143,7 +143,7 @@ def test_a_machine_whose_tags_were_never_written_is_known(
     open_desk: OpenDesk, profile: str, cluster: str
 ) -> None:
     desk = open_desk(profile)
-    desk.provider.create_key_pair(cluster, RSA_KEY)
+    desk.provider.create_key_pair(cluster, "a1b2c3", RSA_KEY)
     desk.provider.create_group(cluster, "a1b2c3")
     desk.cloud.no_rights = {"CreateTags"}
     with pytest.raises(CloudError, match="ec2:CreateTags"):
@@ -175,7 +175,7 @@ def test_clusters_do_not_see_one_another(open_desk: OpenDesk) -> None:
     for profile in ("aws", "euca-4.0"):
         desk = open_desk(profile)
         for cluster in ("bunny", "bunny-2"):
-            desk.provider.create_key_pair(cluster, RSA_KEY)
+            desk.provider.create_key_pair(cluster, "a1b2c3", RSA_KEY)
             desk.provider.create_group(cluster, "a1b2c3")
             desk.provider.launch(replace(a_launch(), cluster=cluster))
         observed = desk.provider.observe("bunny")
@@ -235,14 +235,12 @@ def test_what_others_made_is_never_touched(open_desk: OpenDesk, profile: str) ->
     desk = open_desk(profile)
     backend = desk.cloud.model.backend
     backend.create_security_group("hpcapp-bunny", "somebody's own", vpc_id=None)
-    if profile == "aws":  # elsewhere key pairs bear no mark but their name
-        backend.import_key_pair("hpcapp-bunny", RSA_KEY.encode(), {})
-        with pytest.raises(CloudError, match="key pair hpcapp-bunny exists and is not"):
-            desk.provider.create_key_pair("bunny", RSA_KEY)
+    for name in ("hpcapp-bunny", "hpcapp-bunny-a1b2c3"):
+        backend.import_key_pair(name, RSA_KEY.encode(), {})
     with pytest.raises(CloudError, match="security group hpcapp-bunny exists and is not"):
         desk.provider.create_group("bunny", "a1b2c3")
-    observed = desk.provider.observe(None)
-    assert (observed.groups, observed.key_pairs, observed.machines) == ((), (), ())
+    for cluster in ("bunny", None):
+        assert desk.provider.observe(cluster) == Observed()
 
 
 @each_kind

@@ -61,7 +61,7 @@ def test_a_fresh_machine_is_unseen_and_yet_keeps_its_group() -> None:
 def test_a_group_and_a_key_pair_are_made_once() -> None:
     cloud = MemoryProvider()
     assert cloud.create_group("bunny", "b") == cloud.create_group("bunny", "a")
-    assert cloud.create_key_pair("bunny", "k") == cloud.create_key_pair("bunny", "other")
+    assert cloud.create_key_pair("bunny", "a", "k") == cloud.create_key_pair("bunny", "a", "other")
     assert len(cloud.observe(None).groups) == 1
     assert cloud.observe("other").groups == ()
 

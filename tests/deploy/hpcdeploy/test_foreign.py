@@ -1,0 +1,112 @@
+"""What others made survives `down` and `reap` on every cloud, whatever it is called."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from cloud import StrictCloud
+from cloud.parameters import PROFILES
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
+from simulated import SetUp
+
+from hpccomponent.errors import LeftoverError
+from hpcdeploy.cluster import Cluster
+from hpcdeploy.converge import bring_up, take_down
+from hpcdeploy.names import draw_incarnation, key_pair_name
+from hpcdeploy.pace import Pace, utc_now
+from hpcdeploy.providers import open_provider
+from hpcdeploy.reap import reap
+from hpcdeploy.spec import read_spec
+
+PACE = Pace(poll_s=0.01, settle_s=0.01, end_s=30.0, backoff_s=())
+PUBLIC_KEY = (
+    rsa.generate_private_key(65537, 2048)
+    .public_key()
+    .public_bytes(serialization.Encoding.OpenSSH, serialization.PublicFormat.OpenSSH)
+    .decode()
+)
+
+
+@pytest.fixture(params=PROFILES)
+def cloud(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[StrictCloud]:
+    with StrictCloud(request.param) as cloud:
+        for name, text in cloud.environment().items():
+            monkeypatch.setenv(name, text)
+        monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+        monkeypatch.setattr("hpcdeploy.bootstrap.set_up", SetUp())
+        monkeypatch.setattr("hpcdeploy.user_data.user_data", lambda *about: "#!/bin/sh\n")
+        yield cloud
+
+
+@pytest.fixture
+def cluster(cloud: StrictCloud, tmp_path: Path) -> Cluster:
+    path = tmp_path / "cluster.yaml"
+    price = {"hourly_cost": 0.1} if cloud.profile == "generic" else {}
+    block = cloud.provider_block(small=price)
+    spec_text = {"version": 1, "cluster": "bunny", "provider": block, "workers": {"count": 0}}
+    path.write_text(json.dumps(spec_text))
+    spec = read_spec(path)
+    access: Any = SimpleNamespace(public_key=lambda: PUBLIC_KEY)
+    return Cluster(path, spec, open_provider(spec, tmp_path), access)
+
+
+def add_foreign_pairs(cloud: StrictCloud) -> list[str]:
+    """Make key pairs that are called as ours are, or nearly so."""
+    names = [
+        "hpcapp-bunny",
+        "hpcapp-bunny-laptop",
+        "hpcapp-laptop",
+        key_pair_name("bunny", draw_incarnation(utc_now() - timedelta(days=2))),
+        key_pair_name("other", draw_incarnation(utc_now() - timedelta(days=2))),
+    ]
+    for name in names:
+        cloud.model.backend.import_key_pair(name, PUBLIC_KEY.encode(), {})
+    return sorted(names)
+
+
+def ignore(line: str) -> None:
+    del line
+
+
+def test_down_takes_our_key_pair_alone(cloud: StrictCloud, cluster: Cluster) -> None:
+    foreign = add_foreign_pairs(cloud)
+    take_down(cluster, ignore, pace=PACE)
+    assert cloud.key_pairs == foreign
+    bring_up(cluster, ignore, pace=PACE)
+    assert len(cloud.key_pairs) == len(foreign) + 1
+    assert all(instance.public_key.split() == PUBLIC_KEY.split() for instance in cloud.living)
+    take_down(cluster, ignore, pace=PACE)
+    assert cloud.left() == foreign
+
+
+def test_reap_takes_our_key_pair_alone(cloud: StrictCloud, cluster: Cluster) -> None:
+    foreign = add_foreign_pairs(cloud)
+    reap(cluster.provider, ignore, PACE)
+    bring_up(cluster, ignore, pace=PACE)
+    tomorrow = replace(PACE, now=lambda: utc_now() + timedelta(days=1))
+    reap(cluster.provider, ignore, tomorrow)
+    assert cloud.left() == foreign
+
+
+@pytest.mark.parametrize("cloud", ["aws", "euca-4.0"], indirect=True)
+def test_the_group_stays_as_proof_until_the_key_pair_is_gone(
+    cloud: StrictCloud, cluster: Cluster
+) -> None:
+    bring_up(cluster, ignore, pace=PACE)
+    cloud.no_rights = {"DeleteKeyPair"}
+    with pytest.raises(LeftoverError, match="key pair hpcapp-bunny-"):
+        take_down(cluster, ignore, pace=PACE)
+    assert [group.name for group in cloud.groups] == ["hpcapp-bunny"]
+    cloud.no_rights = set()
+    take_down(cluster, ignore, pace=PACE)
+    assert cloud.left() == []
