@@ -38,7 +38,9 @@ def build_image(folder: Path) -> Path:
     shutil.copy(IMAGE / "sshd_config", folder / "etc/ssh/sshd_config")
     (folder / "etc/resolv.conf").write_text("")
     (folder / "etc/sudoers.d").mkdir()
-    (folder / "etc/sudoers.d/testbed").write_text(f"{LOGIN} ALL=(ALL) NOPASSWD:ALL\n")
+    (folder / "etc/sudoers.d/testbed").write_text(
+        f"Defaults !admin_flag\n{LOGIN} ALL=(ALL) NOPASSWD:ALL\n"
+    )
     (folder / "etc/sudoers.d/testbed").chmod(0o440)
     for name, line, mode in (
         ("passwd", f"{LOGIN}:x:{LOGIN_ID}:{LOGIN_ID}::/home/{LOGIN}:/bin/sh\n", 0o644),
@@ -112,12 +114,13 @@ class Machine:
         """Keep what the machine prints, until its last process is gone; then tell who asked."""
         assert self._process is not None
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            with self._said:
-                self._printed += line
-                self._said.notify_all()
-            if self.on_line:
-                self.on_line(self, line.decode(errors="replace").rstrip())
+        with self._process.stdout as console:
+            for line in console:
+                with self._said:
+                    self._printed += line
+                    self._said.notify_all()
+                if self.on_line:
+                    self.on_line(self, line.decode(errors="replace").rstrip())
         self._process.wait()
         if not self._is_ended_by_us and self.on_power_off:
             self.on_power_off(self)
@@ -164,11 +167,9 @@ class Machine:
         self._is_ended_by_us = True
         if self._process is not None:
             assert self._process.stdin is not None
-            assert self._process.stdout is not None
             self._process.stdin.close()
-            if threading.current_thread() is not self._reader:
+            if threading.current_thread() is not self._reader:  # `on_line` may pull the plug
                 self._reader.join()
-            self._process.stdout.close()
         if self._cable is not None:
             self._cable.close()
         self.network.forget(self.private)
