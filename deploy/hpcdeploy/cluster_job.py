@@ -7,15 +7,17 @@ replaced meanwhile.
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpccomponent.errors import CloudError, HpcError
+from hpccomponent.errors import CloudError, HpcError, OutputError
 from hpcdeploy.cluster import open_cluster
 from hpcdeploy.job_display import open_display
 from hpcdeploy.job_folder import JobStatus
@@ -26,7 +28,7 @@ from hpcdeploy.provider import State
 if TYPE_CHECKING:
     from hpcdeploy.cluster import Cluster
 
-__all__ = ["fetch", "run_on_cluster", "submit", "watch"]
+__all__ = ["check_job", "fetch", "run_on_cluster", "submit", "watch"]
 
 log = logging.getLogger("hpcapp")
 
@@ -82,6 +84,22 @@ def run_on_cluster(
                 take_down(cluster, log.info)
 
 
+def check_job(
+    cluster: Cluster, verb: str, points: Path, target: Path, options: Sequence[str]
+) -> None:
+    """Let whoever knows the verb look at a job before anything travels.
+
+    Raises
+    ------
+    UsageError
+        The options are wrong, or nothing can be written to `target`.
+    InputError
+        The points will not do.
+    """
+    for entry in entry_points(group="hpc.checks", name=verb):
+        entry.load()(cluster.path, points, target, options)
+
+
 def _bring_up_if_needed(cluster: Cluster) -> bool:
     """Make the cluster work; tell whether nothing of it was there before."""
     from hpcdeploy.converge import bring_up
@@ -113,7 +131,15 @@ def submit(jobs: Jobs, verb: str, points: Path, mesh: str, options: Sequence[str
 
 
 def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, Any]:
-    """Fetch a job's mesh, and show how it travels; return the report of its verb."""
+    """Fetch a job's mesh, and show how it travels; return the report of its verb.
+
+    Raises
+    ------
+    OutputError
+        Nothing can be written to `target`.
+    """
+    if not os.access(target.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{target}: its folder cannot be written", "choose or make another one")
     with open_display(sys.stderr) as display:
         return jobs.fetch(status, target, partial(display.show_bytes, "fetch"))
 

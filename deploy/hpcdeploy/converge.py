@@ -18,6 +18,7 @@ from hpccomponent.errors import CloudError, LeftoverError
 from hpcdeploy.cost import check_limits, estimate_cost
 from hpcdeploy.effort import Effort, Report, remove_all
 from hpcdeploy.journal import open_journal
+from hpcdeploy.layout import forget_cluster
 from hpcdeploy.names import draw_incarnation
 from hpcdeploy.pace import Pace
 from hpcdeploy.plan import Plan, make_plan
@@ -116,7 +117,7 @@ def take_down(cluster: Cluster, report: Report, *, pace: Pace | None = None) -> 
     """
     with open_journal(cluster.spec.cluster) as journal:
         remove_all(cluster, journal, report, pace or Pace())
-        journal.clear()
+        forget_cluster(cluster.spec.cluster)
 
 
 def _alive(observed: Observed) -> frozenset[str]:

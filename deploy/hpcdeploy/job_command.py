@@ -43,6 +43,7 @@ def submit(
     from hpcdeploy.jobs import open_jobs
 
     with open_cluster(file) as cluster:
+        cluster_job.check_job(cluster, VERB, points, output, options)
         opened = open_jobs(cluster)
         status = cluster_job.submit(opened, VERB, points, output.name, options)
         if detach:
@@ -104,6 +105,7 @@ def attach(file: Path, job: str | None) -> None:
         status = cluster_job.watch(cluster, opened, opened.find(job))
         raise_failure(status)
         log.info("job %s is done: hpcapp fetch %s %s brings the mesh", status.job, file, status.job)
+        log.info("%s: %s", status.mesh, opened.report(status)["summary"])
 
 
 @click.command()
@@ -143,7 +145,7 @@ def _tell_report(mesh: Path, report: dict[str, Any], as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(report))
     else:
-        log.info("%s: fetched", mesh)
+        log.info("%s: %s", mesh, report["summary"])
 
 
 def _tell(statuses: Sequence[JobStatus], as_json: bool) -> None:

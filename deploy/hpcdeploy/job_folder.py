@@ -10,7 +10,7 @@
         lock                 held by the runner, and by what it runs: the job lives
         status.json          where it stands, written by the runner alone
         log, events.jsonl    what it says, for people and for programs
-        report.json, mesh.*  what came out
+        report.json, mesh.*  what came out; beside it a link to the points
 
 The lock is the system's own word on whether a job lives: whoever holds it may be killed, and it
 is free. So a job that says "running" while its lock is free has lost its runner.
@@ -162,6 +162,13 @@ class JobFolder:
     def write_order(self, order: JobOrder) -> None:
         """Write what the job is to do, for its owner only."""
         self._write(self._order, json.dumps(asdict(order)))
+
+    def link_points(self, points: Path) -> str:
+        """Give the job its points under the name that the user calls them; return that name."""
+        order = self.read_order()
+        name = order.title if order.title != order.mesh else f"points-{order.title}"
+        (self.path / name).symlink_to(points)
+        return name
 
     def write_status(self, status: JobStatus) -> None:
         """Replace the status as a whole."""

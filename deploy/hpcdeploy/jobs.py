@@ -156,13 +156,19 @@ class Jobs:
         [answer] = self._ask("cancel", number)
         return JobStatus.from_json(answer)
 
+    def report(self, status: JobStatus) -> dict[str, Any]:
+        """Return what the verb of a finished job reported; its `summary` is for people."""
+        [answer] = self._run(f"cat {shlex.quote(self._folder)}/jobs/{status.job}/report.json")
+        report: dict[str, Any] = json.loads(answer)
+        return report
+
     def fetch(
         self,
         status: JobStatus,
         target: Path,
         on_progress: Callable[[int, int], None] | None = None,
     ) -> dict[str, Any]:
-        """Fetch a finished job's mesh; return the report of its verb.
+        """Fetch a finished job's mesh; return its report.
 
         Raises
         ------
@@ -172,8 +178,7 @@ class Jobs:
             The mesh does not come.
         """
         raise_failure(status)
-        [answer] = self._run(f"cat {shlex.quote(self._folder)}/jobs/{status.job}/report.json")
-        report: dict[str, Any] = json.loads(answer)
+        report = self.report(status)
         if self._bucket is not None and status.mesh_sha256:
             self._bucket.fetch(status, target)
         else:

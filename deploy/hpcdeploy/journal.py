@@ -107,12 +107,6 @@ class Journal:
                 return Attempt(entry["instance_type"], entry["market"], until)
         return None
 
-    def clear(self) -> None:
-        """Forget everything: the cluster is gone."""
-        self._entries.clear()
-        self._file.truncate(0)
-        os.fsync(self._file.fileno())
-
     def _write(self, entry: dict[str, Any]) -> None:
         line = json.dumps({"at": utc_now().isoformat(timespec="milliseconds"), **entry})
         with self._lock:
@@ -141,14 +135,21 @@ def open_journal(cluster: str) -> Iterator[Journal]:
             f"{path}: {error.strerror}", "set XDG_STATE_HOME to a folder that can be written"
         ) from None
     with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not _is_ours(file):
             raise CloudError(
                 f"cluster {cluster} is being changed by another hpcapp on this machine",
                 "wait for it to end, or end it",
-            ) from None
+            )
         yield Journal(file, _read(file, path))
+
+
+def _is_ours(file: IO[bytes]) -> bool:
+    """Lock the journal; tell whether it was free, and not removed by a `down` meanwhile."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return os.fstat(file.fileno()).st_nlink > 0
 
 
 def _read(file: IO[bytes], path: Path) -> list[dict[str, Any]]:

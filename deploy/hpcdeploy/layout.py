@@ -18,9 +18,10 @@ STATE is ``$XDG_STATE_HOME/hpcapp/clusters``, by default below ``~/.local/state`
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["clusters_folder", "machine_folder", "state_folder"]
+__all__ = ["clusters_folder", "forget_cluster", "machine_folder", "state_folder"]
 
 
 def machine_folder(cluster: str) -> str:
@@ -37,3 +38,13 @@ def clusters_folder() -> Path:
 def state_folder(cluster: str) -> Path:
     """Return the folder of a cluster on the user's own machine; it need not exist."""
     return clusters_folder() / cluster
+
+
+def forget_cluster(cluster: str) -> None:
+    """Remove what this machine knows of a cluster that is gone; what is not ours stays there."""
+    folder = state_folder(cluster)
+    for name in ("id", "known_hosts", "keys.json", "journal.jsonl"):
+        (folder / name).unlink(missing_ok=True)
+    for empty in (folder / "nodes", folder):
+        with suppress(OSError):
+            empty.rmdir()

@@ -18,12 +18,11 @@ import argparse
 import contextlib
 import json
 import os
-import select
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
@@ -40,12 +39,13 @@ from hpcdeploy.job_folder import (
     create_job,
     now,
 )
+from hpcdeploy.job_tail import follow, print_line
 
 __all__ = ["main"]
 
 LEAVE_S = 5.0  # for the verb to end in order after SIGTERM
 KILL_S = 10.0  # for the runner itself; longer than the verb gets
-LOOK_S = 0.1  # between two looks at files that grow
+LOOK_S = 0.1  # between two looks at a job that ends
 EXIT_CANCELLED = 130
 
 
@@ -117,14 +117,15 @@ def _run_verb(folder: Path, job: JobFolder, lock: int) -> int:
 
         fetch_points(order, points, _say)
     command = [
-        sys.executable, "-P", "-m", "hpcapp", order.verb, str(points),
-        "-o", str(job.path / order.mesh), *order.options,
+        sys.executable, "-P", "-m", "hpcapp", order.verb, "-o", order.mesh, *order.options,
         "--cluster", str(folder / "inventory.json"), "--events", str(job.events), "--json",
+        "--", job.link_points(points),
     ]  # fmt: skip
     runner = os.getpid()
     with job.report.open("wb") as report:
         process = subprocess.Popen(  # noqa: S603 - the verb and its options are the user's own
             command,
+            cwd=job.path,  # it calls its files what the user calls them
             stdin=subprocess.DEVNULL,
             stdout=report,
             pass_fds=(lock,),  # the job lives as long as it does
@@ -169,49 +170,6 @@ def _last_line(log: Path) -> str:
     return next((line for line in reversed(lines) if line.strip()), "")
 
 
-def follow(job: JobFolder) -> None:
-    """Print what the job says and how far it has come, until it has ended; last its status."""
-    tails = [_Tail(job.log, _log_line), _Tail(job.events, _event_line)]
-    listener = select.poll()
-    listener.register(sys.stdout.fileno(), 0)  # tells only that nobody listens any more
-    is_alive = True
-    while is_alive:
-        is_alive = job.is_alive()  # before the last look, which then sees everything
-        for tail in tails:
-            tail.print_news(is_last=not is_alive)
-        if is_alive and listener.poll(LOOK_S * 1000.0):
-            return
-    _print(json.dumps({"status": json.loads(job.read_status().to_json())}))
-
-
-def _log_line(line: str) -> str:
-    return json.dumps({"log": line})
-
-
-def _event_line(line: str) -> str:
-    return f'{{"event": {line}}}'
-
-
-class _Tail:
-    """A file that grows."""
-
-    def __init__(self, path: Path, envelop: Callable[[str], str]) -> None:
-        self._path = path
-        self._envelop = envelop
-        self._offset = 0
-
-    def print_news(self, *, is_last: bool) -> None:
-        """Print the lines that have come; at the end the unfinished one too."""
-        with contextlib.suppress(FileNotFoundError), self._path.open("rb") as stream:
-            stream.seek(self._offset)
-            news = stream.read()
-            if not is_last:
-                news = news[: news.rfind(b"\n") + 1]
-            self._offset += len(news)
-            for line in news.decode("utf-8", "replace").splitlines():
-                _print(self._envelop(line))
-
-
 def cancel(job: JobFolder) -> JobStatus:
     """End a job that waits or runs, and return its status when it is gone."""
     status = job.read_status()
@@ -235,11 +193,6 @@ def _say(line: str) -> None:
     with contextlib.suppress(OSError):
         sys.stderr.write(line + "\n")
         sys.stderr.flush()
-
-
-def _print(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
 
 
 def _find_job(folder: Path, number: str) -> JobFolder:
@@ -269,7 +222,7 @@ def main(words: Sequence[str] | None = None) -> int:
     arguments = _arguments(words)
     try:
         for line in _answer(arguments):
-            _print(line)
+            print_line(line)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # whoever asked is gone
     except HpcError as error:
@@ -283,7 +236,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _answer(arguments: argparse.Namespace) -> Iterator[str]:
     """Carry out a command; yield the lines of its answer."""
-    folder: Path = arguments.folder
+    folder: Path = arguments.folder.absolute()
     match arguments.command:
         case "start":
             entries = json.load(sys.stdin)

@@ -18,7 +18,7 @@ from hpccomponent.errors import UsageError
 if TYPE_CHECKING:
     from hpcapp.applications.surface.job import Settings
 
-__all__ = ["info", "reconstruct", "simulate"]
+__all__ = ["check_flags", "info", "reconstruct", "simulate"]
 
 log = logging.getLogger("hpcapp")
 
@@ -61,8 +61,14 @@ PAPER_OPTIONS = ("delta", "max_points", "cone", "patches", "norm")
 HIERARCHICAL_OPTIONS = ("clean", "smoothness", "detail")
 
 
-def _check_flags(ctx: click.Context) -> None:
-    """Raise UsageError where flags contradict each other."""
+def check_flags(ctx: click.Context) -> None:
+    """Raise UsageError where flags contradict each other.
+
+    Parameters
+    ----------
+    ctx : click.Context
+        Of `reconstruct`.
+    """
     chosen = [name for name in ("grid", "depth", "voxel_size") if ctx.params[name] is not None]
     if len(chosen) > 1:
         flags = " and ".join("--" + name.replace("_", "-") for name in chosen)
@@ -217,22 +223,20 @@ def _check_flags(ctx: click.Context) -> None:
 @click.pass_context
 def reconstruct(ctx: click.Context, /, **options: Any) -> None:
     """Reconstruct a watertight mesh from the oriented points of the file POINTS."""
-    _check_flags(ctx)
+    check_flags(ctx)
     as_json = options.pop("as_json")
     events = options.pop("events")
     cluster = options["cluster"]
     if cluster is not None and cluster.suffix != ".json":
-        report = _run_on_cluster(ctx, options)
+        from hpcapp.applications.surface.elsewhere import run_on_cluster
+
+        report = run_on_cluster(ctx)
     else:
         report = _run_here(options, events)
     if as_json:
         click.echo(json.dumps(report))
     else:
-        log.info(
-            "%s: %d vertices, %d faces, %s, %d component(s)",
-            options["output"], report["vertices"], report["faces"],
-            "watertight" if report["watertight"] else "not watertight", report["components"],
-        )  # fmt: skip
+        log.info("%s: %s", options["output"], report["summary"])
 
 
 def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
@@ -243,39 +247,6 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
     settings: Settings = Settings(**options)
     with open_progress(sys.stderr) as display, open_events(events, display) as progress:
         return run_job(settings, progress)
-
-
-def _run_on_cluster(ctx: click.Context, options: dict[str, Any]) -> dict[str, Any]:
-    """Have a cluster's head run the job with the options that were typed, and fetch the mesh."""
-    from hpcapp.applications.surface.output import open_output
-    from hpcapp.cluster_jobs import load_cluster_function
-
-    if ctx.params["events"] is not None:
-        raise UsageError(
-            "--events means nothing to a cluster file", "its jobs keep their events by themselves"
-        )
-    with open_output(options["output"], options["points"]) as target:
-        run = load_cluster_function("run")
-        report: dict[str, Any] = run(
-            options["cluster"], "reconstruct", options["points"], target, _typed_options(ctx)
-        )
-    return report
-
-
-def _typed_options(ctx: click.Context) -> list[str]:
-    """Return the options that were typed, but for those that name what is on this machine."""
-    words: list[str] = []
-    for parameter in ctx.command.params:
-        name = parameter.name or ""
-        is_typed = ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-        if not is_typed or name in ("points", "output", "cluster", "events", "as_json"):
-            continue
-        value = ctx.params[name]
-        if value is False:
-            words.append(parameter.secondary_opts[0])
-        else:
-            words += [parameter.opts[-1]] if value is True else [parameter.opts[-1], str(value)]
-    return words
 
 
 @click.command()

@@ -17,6 +17,7 @@ from hpcapp.applications.surface.method import Method
 from hpcapp.applications.surface.output import open_output
 from hpcapp.applications.surface.pipeline import Preprocess, Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
+from hpcapp.applications.surface.topology import Topology
 from hpcapp.backends import Backend, available_cores, open_executor
 from hpcapp.io import drop_unusable, read_points, write_mesh
 from hpcapp.io.usable import Dropped
@@ -225,12 +226,22 @@ def _choose_backend(settings: Settings, cloud: PointCloud) -> str:
     return "threads" if enough else "serial"
 
 
+def _summarize(topology: Topology) -> str:
+    """Say in one line what the mesh is, for people."""
+    closed = "watertight" if topology.watertight else "not watertight"
+    return (
+        f"{topology.vertices} vertices, {topology.faces} faces, {closed}, "
+        f"{topology.components} component(s)"
+    )
+
+
 def _describe(
     settings: Settings, grid: int, result: Reconstruction, backend: Backend
 ) -> dict[str, Any]:
     traffic = backend.traffic()
     topology = result.topology
     return {
+        "summary": _summarize(topology),
         "method": settings.method,
         "kernels": kernel_id(),
         "points": result.points,

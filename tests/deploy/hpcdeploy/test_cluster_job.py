@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 OPTIONS = ("--grid", "32")
+SUBMIT = ("submit", "cluster.yaml", "sphere.xyz", "-o")
 WAITING = "waiting for the cluster's present job"
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -37,6 +38,7 @@ class Place:
         np.savetxt(folder / "sphere.xyz", np.hstack([normals, normals]))
         self.state = folder / "state/hpcapp/clusters/mine"
         self.head = self.state / "nodes/head/hpcapp/mine"
+        self.summary = ""
 
     def start(self, *words: str) -> subprocess.Popen[str]:
         return subprocess.Popen(
@@ -77,7 +79,8 @@ class Place:
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
     place = Place(tmp_path_factory.mktemp("place"))
-    place.run("reconstruct", "sphere.xyz", "-o", "local.ply", *OPTIONS)
+    _, errors = place.run("reconstruct", "sphere.xyz", "-o", "local.ply", *OPTIONS)
+    place.summary = errors.splitlines()[-1].removeprefix("local.ply: ")
     yield place
     place.run("down", "cluster.yaml")
 
@@ -96,18 +99,36 @@ def test_a_job_on_a_cluster_that_is_not_up_leaves_nothing(place: Place) -> None:
     report = json.loads(output)
     assert (report["backend"], report["grid"], report["workers"]) == ("cluster", 32, 2)
     assert "2 of 2 workers" in errors
+    assert report["summary"].endswith("watertight, 1 component(s)")
     assert place.same("mesh.ply")
-    assert not list((place.state / "nodes").iterdir())
+    assert not place.state.exists()
 
 
 def test_a_job_that_fails_takes_the_cluster_down_too(place: Place) -> None:
-    (place.folder / "nothing.xyz").write_text("")
     _, errors = place.run(
-        "reconstruct", "nothing.xyz", "-o", "none.ply", "--cluster", "cluster.yaml", code=3
-    )
-    assert errors.splitlines()[-1].startswith("hpcapp: job 1 failed: ")
+        "reconstruct", "sphere.xyz", "-o", "none.ply", "--voxel-size", "1e-9", "--cluster",
+        "cluster.yaml", code=2,
+    )  # fmt: skip
+    assert errors.splitlines()[-1].startswith("hpcapp: job 1 failed: --voxel-size")
     assert not (place.folder / "none.ply").exists()
-    assert not list((place.state / "nodes").iterdir())
+    assert not place.state.exists()
+
+
+def test_points_that_will_not_do_bring_nothing_up(place: Place) -> None:
+    (place.folder / "nothing.xyz").write_text("")
+    np.savetxt(place.folder / "bare.xyz", np.eye(3).repeat(5, axis=0))
+    for points, said in (
+        ("nothing.xyz", "no points"),
+        ("bare.xyz", "has no normals"),
+        ("missing.xyz", "cannot be read"),
+    ):
+        _, errors = place.run(
+            "reconstruct", points, "-o", "none.ply", "--cluster", "cluster.yaml", code=3
+        )
+        assert errors.startswith(f"hpcapp: {points}")
+        assert said in errors
+        assert len(errors.splitlines()) == 1
+    assert not place.state.exists()
 
 
 def test_a_job_is_submitted_listed_attached_to_and_fetched(cluster: Place) -> None:
@@ -117,15 +138,24 @@ def test_a_job_is_submitted_listed_attached_to_and_fetched(cluster: Place) -> No
     )  # fmt: skip
     job = json.loads(output)["job"]
     assert f"hpcapp attach cluster.yaml {job}" in errors
-    assert "stitch" not in cluster.run("attach", "cluster.yaml", job)[0]
+    _, errors = cluster.run("attach", "cluster.yaml", job)
+    *_, hint, last = errors.splitlines()
+    assert f"hpcapp fetch cluster.yaml {job}" in hint
+    local = cluster.summary
+    assert last == f"there.ply: {local}"
     output, _ = cluster.run("jobs", "cluster.yaml", "--json")
     [status] = [line for line in map(json.loads, output.splitlines()) if line["job"] == job]
     assert (status["state"], status["title"]) == ("done", "sphere.xyz")
     cluster.run("fetch", "cluster.yaml", job)
     assert cluster.same("there.ply")
+    cluster.run("fetch", "cluster.yaml", job, "-o", "nowhere/m.ply", code=2)
+    assert not (cluster.folder / "nowhere").exists()
     assert "write: done" in cluster.run("logs", "cluster.yaml", job)[0]
     assert "write: done" in cluster.run("logs", "-f", "cluster.yaml", job)[0]
-    cluster.run("submit", "cluster.yaml", "sphere.xyz", "-o", "direct.ply", "--", *OPTIONS)
+    _, errors = cluster.run(
+        "submit", "cluster.yaml", "sphere.xyz", "-o", "direct.ply", "--", *OPTIONS
+    )
+    assert errors.splitlines()[-1] == f"direct.ply: {local}"
     assert cluster.same("direct.ply")
 
 
@@ -154,19 +184,31 @@ def test_a_job_outlives_the_client(cluster: Place, number: signal.Signals) -> No
         assert f"hpcapp: job {job['job']} cancelled: cancelled" in errors
 
 
-def test_what_cannot_be_is_one_line(cluster: Place) -> None:
+def test_what_cannot_be_is_one_line_and_no_job(cluster: Place) -> None:
+    before, _ = cluster.run("jobs", "cluster.yaml")
     for words, code, said in (
         (("jobs", "missing.yaml"), 2, "missing.yaml"),
         (("fetch", "cluster.yaml", "99"), 2, "there is no job 99"),
         (("submit", "cluster.yaml", "missing.xyz", "-o", "m.ply"), 3, "missing.xyz"),
+        ((*SUBMIT, "m.ply", "--", "--grid", "6"), 2, "'--grid': 6 is not in the range"),
+        ((*SUBMIT, "m.ply", "--", "--grd", "64"), 2, "No such option '--grd'"),
+        ((*SUBMIT, "m.ply", "--", "--workers", "2"), 2, "--cluster and --workers exclude"),
+        ((*SUBMIT, "m.ply", "--", "--delta", "0"), 2, "--delta means nothing to --method hier"),
+        ((*SUBMIT, "m.ply", "--", "-o", "x.ply"), 2, "--output is not for the job on the head"),
+        ((*SUBMIT, "m.ply", "--", "--json"), 2, "--json is not for the job on the head"),
+        ((*SUBMIT, "m.ply", "--", "more"), 2, "unexpected extra argument (more)"),
+        ((*SUBMIT, "-"), 2, "-o - names no file"),
+        ((*SUBMIT, "m.xyz"), 2, "a mesh is written to .ply"),
+        ((*SUBMIT, "nowhere/m.ply"), 2, "create the folder"),
         (
             ("reconstruct", "sphere.xyz", "-o", "m.ply", "--cluster", "cluster.yaml", "--workers",
              "2"), 2, "--cluster and --workers exclude",
         ),
     ):  # fmt: skip
         _, errors = cluster.run(*words, code=code)
-        assert said in errors.splitlines()[-1]
-        assert "Traceback" not in errors
+        [line] = errors.splitlines()
+        assert said in line
+    assert cluster.run("jobs", "cluster.yaml")[0] == before
 
 
 def test_down_ends_the_jobs_that_run_and_wait(cluster: Place) -> None:
@@ -178,6 +220,6 @@ def test_down_ends_the_jobs_that_run_and_wait(cluster: Place) -> None:
             runners = [json.loads(line)["runner"] for line in output.splitlines()[-2:]]
             cluster.run("down", "cluster.yaml")
             client.communicate(timeout=60)
-    assert not list((cluster.state / "nodes").iterdir())
+    assert not cluster.state.exists()
     for runner in runners:
         assert not runner or not Path(f"/proc/{runner}").exists()

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from hpccomponent.errors import CapacityError, CloudError, OutputError
 from hpcdeploy.journal import Attempt, Journal, open_journal
-from hpcdeploy.layout import state_folder
+from hpcdeploy.layout import forget_cluster, state_folder
 from hpcdeploy.names import NodeName
 
 UNTIL = datetime(2026, 11, 1, 14, tzinfo=UTC)
@@ -111,14 +113,33 @@ def test_a_second_command_is_refused_while_the_first_is_at_work() -> None:
         open_journal("bunny").__enter__()
 
 
-def test_a_cleared_journal_knows_nothing() -> None:
+def test_a_forgotten_cluster_leaves_no_folder() -> None:
+    folder = state_folder("bunny")
     with open_journal("bunny") as journal:
-        cut_short(journal)
         journal.note_bad("i-1", "no pip")
-        journal.clear()
-        assert journal.unfinished() == []
+        (folder / "keys.json").touch()
+        (folder / "nodes").mkdir()
+        forget_cluster("bunny")
+    assert not folder.exists()
     with open_journal("bunny") as journal:
         assert journal.known_bad == frozenset()
+        (folder / "theirs").touch()
+        forget_cluster("bunny")
+    assert list(folder.iterdir()) == [folder / "theirs"]
+
+
+def test_a_journal_that_was_removed_while_it_was_waited_for_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lock = fcntl.flock
+
+    def forget_first(file: Any, operation: int) -> None:
+        forget_cluster("bunny")
+        lock(file, operation)
+
+    monkeypatch.setattr(fcntl, "flock", forget_first)
+    with pytest.raises(CloudError, match="being changed by another hpcapp"):
+        open_journal("bunny").__enter__()
 
 
 def test_a_state_folder_that_cannot_be_made_is_named(

@@ -22,7 +22,7 @@ def test_every_option_is_explained(command: click.Command) -> None:
 
 def test_every_setting_can_be_typed() -> None:
     typed = {parameter.name for parameter in reconstruct.params}
-    assert typed == {*Settings.__dataclass_fields__, "as_json"}
+    assert typed == {*Settings.__dataclass_fields__, "as_json", "events"}
 
 
 def test_help_imports_nothing_heavy() -> None:
