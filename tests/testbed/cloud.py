@@ -55,11 +55,16 @@ class TestBed:
         Of the test; the laptop's home is in it.
     profile : str
         Of the cloud: ``aws``, ``euca-4.0`` ... ``euca-5.1``, ``generic``.
+    machine_type : type
+        `Machine`, or one that boots otherwise.
     """
 
     __test__ = False
 
-    def __init__(self, folder: Path, profile: str = "aws") -> None:
+    def __init__(
+        self, folder: Path, profile: str = "aws", machine_type: type[Machine] = Machine
+    ) -> None:
+        self._machine_type = machine_type
         self.boots: Callable[[Instance], Boot] = lambda _: Boot.WELL
         self.hook: Callable[[Call, str], None] | None = None
         self.on_line: Callable[[Machine, str], None] | None = None
@@ -114,7 +119,7 @@ class TestBed:
         """Switch on a machine that the cloud knows nothing of, open to all."""
         with self._lock:
             last = 10 + len(self._machines)
-            machine = Machine(
+            machine = self._machine_type(
                 self.network, self._image, f"host-{last}", f"172.31.0.{last}",
                 f"203.0.113.{last}", public_key=public_key, on_line=self.on_line,
             )  # fmt: skip
@@ -185,7 +190,7 @@ class TestBed:
     def _launch(self, instance: Instance) -> None:
         with self._lock:
             last, how = 10 + len(self._machines), self.boots(instance)
-            machine = Machine(
+            machine = self._machine_type(
                 self.network,
                 self._image,
                 instance.id,

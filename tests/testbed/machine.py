@@ -15,6 +15,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 from testbed.network import Namespace, Network, TestBedError, command
 
@@ -85,6 +86,7 @@ class Machine:
     has_sshd: bool = True
     on_power_off: Callable[[Machine], None] | None = None
     on_line: Callable[[Machine, str], None] | None = None
+    firmware: ClassVar[Path] = IMAGE / "boot"
 
     def __post_init__(self) -> None:
         self._cable: Namespace | None = None
@@ -100,7 +102,7 @@ class Machine:
         self.network.plug(self._cable, self.private)
         self._process = subprocess.Popen(
             [*self._cable.prefix, "unshare", "--mount", "--uts", "--ipc", "--pid", "--fork",
-             "--kill-child=KILL", "sh", str(IMAGE / "boot")],
+             "--kill-child=KILL", "sh", str(self.firmware)],
             env=os.environ | {
                 "IMAGE": str(self.image), "DISK_MB": str(self.disk_mb), "NAME": self.name,
                 "SSHD": "1" if self.has_sshd else "0",
@@ -134,6 +136,12 @@ class Machine:
         with self._said:
             if not self._said.wait_for(lambda: text in self.console(), timeout_s):
                 raise TestBedError(f"{self.name} never said {text!r}: {self.console()[-2000:]}")
+
+    def wait_for_end(self, timeout_s: float = 60.0) -> None:
+        """Wait until it has switched itself off, and the cloud knows."""
+        self._reader.join(timeout_s)
+        if self._reader.is_alive():
+            raise TestBedError(f"{self.name} does not end: {self.console()[-2000:]}")
 
     @property
     def is_on(self) -> bool:

@@ -1,0 +1,1 @@
+"""Machines whose first process is systemd."""
