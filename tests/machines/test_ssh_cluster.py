@@ -2,69 +2,22 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
 from pathlib import Path
 
-import paramiko
 import pytest
 from click.testing import CliRunner
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.bootstrap import set_up
-from hpcdeploy.cluster import Cluster, open_cluster
+from hpcdeploy.cluster import open_cluster
 from hpcdeploy.doctor_command import doctor
 from hpcdeploy.names import NodeName
 from hpcdeploy.provider import Launch, State
 from hpcdeploy.shell_command import exec_, get, put
-from machines.servers import USER, Machines, Server
+from machines.hosts import claim
+from machines.servers import Machines, Server
 
 FOLDER = "hpcapp/lab"
-
-
-@pytest.fixture
-def machines(tmp_path: Path) -> Iterator[Machines]:
-    with Machines.open(tmp_path) as machines:
-        yield machines
-
-
-@pytest.fixture
-def hosts(
-    machines: Machines, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> tuple[Server, Server]:
-    """Two hosts that the user's ssh knows."""
-    monkeypatch.setenv("HOME", str(tmp_path / "user"))
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    folder = tmp_path / "user/.ssh"
-    folder.mkdir(parents=True)
-    key = paramiko.RSAKey.generate(2048)
-    key.write_private_key_file(str(folder / "id_rsa"))
-    servers = machines.add(), machines.add()
-    for server in servers:
-        server.keys.append(f"ssh-rsa {key.get_base64()}")
-    lines = (f"[{s.address}]:{s.port} {s.host_line}\n" for s in servers)
-    (folder / "known_hosts").write_text("".join(lines))
-    return servers
-
-
-@pytest.fixture
-def file(hosts: tuple[Server, Server], tmp_path: Path) -> Path:
-    path = tmp_path / "lab.yaml"
-    hosts_of_file = [{"address": h.address, "port": h.port, "user": USER} for h in hosts]
-    spec = {
-        "version": 1,
-        "cluster": "lab",
-        "provider": {"type": "ssh", "hosts": hosts_of_file},
-        "env": {"wheelhouse": "wheels"},
-    }
-    path.write_text(json.dumps(spec))
-    (tmp_path / "wheels").mkdir()
-    return path
-
-
-def claim(cluster: Cluster) -> None:
-    for node in cluster.spec.nodes():
-        cluster.provider.launch(Launch("lab", "life", NodeName(node)))
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -13,12 +14,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from simulated import SetUp, make_cluster, make_spec
 
 from hpccomponent.errors import CloudError, InputError, JobError, UsageError
+from hpcdeploy import cluster_job
+from hpcdeploy.converge import bring_up
 from hpcdeploy.job_display import JobDisplay
 from hpcdeploy.job_folder import JobState, JobStatus
 from hpcdeploy.jobs import Jobs
 from hpcdeploy.local_shell import LocalShell
+from hpcdeploy.names import NodeName
+from hpcdeploy.providers.memory import MemoryProvider
 
 PATIENCE_S = 60.0
 OPTIONS = ("--grid", "32")
@@ -267,3 +273,37 @@ def test_an_unfinished_job_cannot_be_fetched(
     status = jobs.submit("reconstruct", points, "mesh.ply")
     with pytest.raises(JobError, match="hpcapp attach"):
         jobs.fetch(status, tmp_path / "mesh.ply")
+
+
+def test_a_worker_that_vanishes_is_replaced_while_somebody_watches(
+    jobs: Jobs,
+    points: Path,
+    held: subprocess.Popen[bytes],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr(cluster_job, "LOOK_S", 0.05)
+    set_up = SetUp()
+    monkeypatch.setattr("hpcdeploy.bootstrap.set_up", set_up)
+    monkeypatch.setattr("hpcdeploy.user_data.user_data", lambda *about: f"#!{about}")
+    cloud = MemoryProvider()
+    cluster = make_cluster(make_spec(2), cloud)
+    bring_up(cluster, lambda _: None)
+    status = jobs.submit("reconstruct", points, "mesh.ply")
+    set_up.during = lambda: jobs.cancel(status.job)
+
+    def interrupt(record: logging.LogRecord) -> bool:
+        if WAITING in record.getMessage():
+            cloud.interrupt("worker-1")
+        return True
+
+    with caplog.at_level("INFO", "hpcapp"):
+        caplog.handler.addFilter(interrupt)
+        status = cluster_job.watch(cluster, jobs, status)
+        caplog.handler.removeFilter(interrupt)
+    assert status.state is JobState.CANCELLED  # so the job was still watched when it came
+    names = {machine.name for machine in cluster.machines()}
+    assert names == {NodeName("head"), NodeName("worker-1", 2), NodeName("worker-2")}
+    assert "worker-1" in set_up.calls[-1]

@@ -1,0 +1,110 @@
+"""Jobs on a head that SSH reaches: cut connections, and a cluster that goes while a job runs."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hpccomponent.errors import CloudError
+from hpccomponent.inventory import hold_cluster
+from hpcdeploy import cluster_job
+from hpcdeploy.cluster import open_cluster
+from hpcdeploy.job_folder import JobState
+from hpcdeploy.jobs import open_jobs
+from machines.hosts import claim
+from machines.servers import Machines, Server
+
+FOLDER = "hpcapp/lab"
+WAITING = "waiting for the cluster's present job"
+
+
+@pytest.fixture
+def held(
+    file: Path, hosts: tuple[Server, Server], standing_cluster: Callable[..., Any]
+) -> Iterator[Path]:
+    """A cluster file whose head is set up, and held by another program: jobs get no further."""
+    home = hosts[0].home / FOLDER
+    python = home / "venv/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    inventory = standing_cluster(home, running=0).inventory
+    with open_cluster(file) as cluster:
+        claim(cluster)
+    normals = np.random.default_rng(7).normal(size=(1500, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    np.savetxt(file.parent / "sphere.xyz", np.hstack([normals, normals]))
+    with hold_cluster(inventory, pytest.fail):
+        yield file
+
+
+def is_running(pid: int) -> bool:
+    """Tell whether a process lives; one that only waits to be reaped does not."""
+    stat = Path(f"/proc/{pid}/stat")
+    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"
+
+
+@contextmanager
+def on_waiting(caplog: pytest.LogCaptureFixture, act: Callable[[], object]) -> Iterator[None]:
+    """Act once when a job that is watched says that it waits."""
+    is_done = False
+
+    def look(record: logging.LogRecord) -> bool:
+        nonlocal is_done
+        if WAITING in record.getMessage() and not is_done:
+            is_done = True
+            act()
+        return True
+
+    with caplog.at_level("INFO", "hpcapp"):
+        caplog.handler.addFilter(look)
+        yield
+        caplog.handler.removeFilter(look)
+    assert is_done
+
+
+def test_a_job_outlives_a_cut_connection_and_is_attached_to_again(
+    held: Path,
+    hosts: tuple[Server, Server],
+    machines: Machines,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    head = hosts[0]
+    with open_cluster(held) as cluster, on_waiting(caplog, lambda: machines.stop(head)):
+        jobs = open_jobs(cluster)
+        status = jobs.submit("reconstruct", held.parent / "sphere.xyz", "mesh.ply")
+        with pytest.raises(CloudError, match="connection was lost") as cut:
+            cluster_job.watch(cluster, jobs, status)
+    assert f"hpcapp attach {held} {status.job}" in str(cut.value)
+    assert cut.value.exit_code == 4
+    machines.start(head, head.port)
+    with open_cluster(held) as cluster:
+        jobs = open_jobs(cluster)
+        assert jobs.find(status.job).state is JobState.RUNNING
+        with on_waiting(caplog, lambda: jobs.cancel(status.job)):
+            status = cluster_job.watch(cluster, jobs, jobs.find(None))
+        assert status.state is JobState.CANCELLED
+
+
+def test_a_cluster_that_goes_ends_its_jobs_on_the_head(
+    held: Path, hosts: tuple[Server, Server], caplog: pytest.LogCaptureFixture
+) -> None:
+    def take_away() -> None:
+        with open_cluster(held) as other:
+            other.provider.terminate(other.machines())
+
+    with open_cluster(held) as cluster, on_waiting(caplog, take_away):
+        jobs = open_jobs(cluster)
+        status = jobs.submit("reconstruct", held.parent / "sphere.xyz", "mesh.ply")
+        runner = jobs.find(status.job).runner
+        status = cluster_job.watch(cluster, jobs, status)
+    assert status.state is JobState.CANCELLED
+    assert not is_running(runner)
+    assert not (hosts[0].home / "hpcapp").exists()
