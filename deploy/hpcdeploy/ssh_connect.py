@@ -15,6 +15,7 @@ __all__ = ["HostKeyError", "UnknownHostKeyError", "connect", "explain"]
 CONNECT_S = 10.0
 HANDSHAKE_S = 30.0  # a machine that boots is slow to answer
 KEEPALIVE_S = 15
+SILENCE_S = 60  # keepalives that nobody acknowledges for so long end the connection
 
 
 class UnknownHostKeyError(paramiko.SSHException):
@@ -61,12 +62,17 @@ def _open_way(
 ) -> socket.socket | paramiko.Channel:
     """Open a way to a machine: directly, or through the one before it."""
     if before is None:
-        return closer.enter_context(socket.create_connection((hop.address, hop.port), CONNECT_S))
+        way = closer.enter_context(socket.create_connection((hop.address, hop.port), CONNECT_S))
+        if hasattr(socket, "TCP_USER_TIMEOUT"):  # elsewhere a dead network shows after minutes
+            way.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, SILENCE_S * 1000)
+        return way
     transport = before.get_transport()
     if transport is None:
         raise EOFError
-    way = transport.open_channel("direct-tcpip", (hop.address, hop.port), ("127.0.0.1", 0))
-    return closer.enter_context(way)
+    start = ("127.0.0.1", 0)
+    return closer.enter_context(
+        transport.open_channel("direct-tcpip", (hop.address, hop.port), start)
+    )
 
 
 def _connect(

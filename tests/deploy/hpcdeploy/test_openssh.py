@@ -13,7 +13,7 @@ import paramiko
 import pytest
 
 from hpcdeploy.ssh import SshShell
-from hpcdeploy.ssh_connect import UnknownHostKeyError, connect
+from hpcdeploy.ssh_connect import SILENCE_S, UnknownHostKeyError, connect
 from hpcdeploy.ssh_target import Target
 
 SSHD = Path("/usr/sbin/sshd")
@@ -105,3 +105,12 @@ def test_a_host_key_that_nobody_knows_is_refused(target: Target) -> None:
     unknown = Target(target.address, target.port, target.user, target.key_files)
     with ExitStack() as closer, pytest.raises(UnknownHostKeyError):
         connect(unknown, closer)
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="of Linux")
+def test_a_network_that_is_dead_is_noticed(target: Target) -> None:
+    with ExitStack() as closer:
+        transport = connect(target, closer).get_transport()
+        assert transport is not None
+        patience = transport.sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
+        assert patience == SILENCE_S * 1000
