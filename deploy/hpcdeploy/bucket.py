@@ -1,14 +1,16 @@
 """An S3-compatible bucket between the user's machine and the head.
 
-The credentials stay here: the head gets presigned addresses that end with the lease.
+The credentials stay here: the head gets presigned addresses that end with the lease. Points stay
+in the bucket for the next job, a mesh until it is fetched; `down` takes away what is left.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import secrets
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -108,6 +110,31 @@ class Bucket:
         with self._translated():
             self._client.delete_object(Bucket=self._bucket, Key=status.mesh_key)
 
+    def clear(self) -> None:
+        """Take away all that the cluster's jobs have put there, and uploads that were cut short.
+
+        Raises
+        ------
+        CloudError
+            The bucket does not let us.
+        """
+        where = {"Bucket": self._bucket, "Prefix": f"{self._prefix}/"}
+        with self._translated():
+            try:
+                for upload in self._begun(f"{self._prefix}/"):
+                    self._abort({key: upload[key] for key in ("Key", "UploadId")})
+                pages = self._client.get_paginator("list_objects_v2").paginate(**where)
+                for key in [item["Key"] for page in pages for item in page.get("Contents", ())]:
+                    if self._is_ours(key):
+                        self._client.delete_object(Bucket=self._bucket, Key=key)
+            except self._client.exceptions.NoSuchBucket:
+                return
+
+    def _is_ours(self, key: str) -> bool:
+        """Tell whether we have given an object its name."""
+        ours = r"/(points/[0-9a-f]{64}\.|meshes/[0-9a-f]{16}-)[^/]*"
+        return re.fullmatch(re.escape(self._prefix) + ours, key) is not None
+
     def _presign(self, operation: str, key: str) -> str:
         url: str = self._client.generate_presigned_url(
             operation, Params={"Bucket": self._bucket, "Key": key}, ExpiresIn=self._valid_s
@@ -119,6 +146,8 @@ class Bucket:
 
         The object is named by its content, so that a part of the same number is the same part.
         """
+        from botocore.exceptions import ClientError
+
         size = path.stat().st_size
         listed = self._client.list_objects_v2(Bucket=self._bucket, Prefix=key)
         if any(item["Key"] == key and item["Size"] == size for item in listed.get("Contents", ())):
@@ -127,8 +156,17 @@ class Bucket:
             self._client.put_object(Bucket=self._bucket, Key=key, Body=path.read_bytes())
             on_progress(size, size)
             return
-        upload = self._find_upload(key)
-        where = {"Bucket": self._bucket, "Key": key, "UploadId": upload}
+        where = {"Key": key, "UploadId": self._find_upload(key)}
+        try:
+            self._send_parts(path, size, where, on_progress)
+        except ClientError:  # it would be refused again; what was cut short otherwise goes on
+            self._abort(where)
+            raise
+
+    def _send_parts(
+        self, path: Path, size: int, where: dict[str, str], on_progress: Progress
+    ) -> None:
+        where = {"Bucket": self._bucket, **where}
         sent = self._sent_parts(where)
         parts = []
         with path.open("rb") as stream:
@@ -145,12 +183,20 @@ class Bucket:
 
     def _find_upload(self, key: str) -> str:
         """Return the upload that an earlier attempt has begun, or a new one."""
-        begun = self._client.list_multipart_uploads(Bucket=self._bucket, Prefix=key)
-        for upload in begun.get("Uploads", ()):
-            if upload["Key"] == key:
-                return str(upload["UploadId"])
+        for upload in self._begun(key):
+            return str(upload["UploadId"])
         made = self._client.create_multipart_upload(Bucket=self._bucket, Key=key)
         return str(made["UploadId"])
+
+    def _begun(self, prefix: str) -> list[dict[str, str]]:
+        """Return our uploads that were not finished, of objects whose names begin so."""
+        begun = self._client.list_multipart_uploads(Bucket=self._bucket, Prefix=prefix)
+        return [upload for upload in begun.get("Uploads", ()) if self._is_ours(upload["Key"])]
+
+    def _abort(self, where: dict[str, str]) -> None:
+        """Give an upload up, so that its parts cost nothing."""
+        with suppress(self._client.exceptions.NoSuchUpload):
+            self._client.abort_multipart_upload(Bucket=self._bucket, **where)
 
     def _sent_parts(self, where: dict[str, str]) -> dict[int, tuple[str, int]]:
         """Return tag and length of the parts that are there, by their number."""

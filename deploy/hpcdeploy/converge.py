@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, LeftoverError
+from hpcdeploy.bucket import open_bucket
 from hpcdeploy.cost import check_limits, estimate_cost
 from hpcdeploy.effort import Effort, Report, remove_all
 from hpcdeploy.journal import open_journal
@@ -114,9 +115,15 @@ def take_down(cluster: Cluster, report: Report, *, pace: Pace | None = None) -> 
     ------
     LeftoverError
         Something is left.
+    CloudError
+        What its jobs have put into the bucket cannot be taken away.
     """
     with open_journal(cluster.spec.cluster) as journal:
         remove_all(cluster, journal, report, pace or Pace())
+        bucket = open_bucket(cluster.spec, cluster.path.absolute().parent)
+        if bucket is not None:
+            with journal.step("clear the bucket"):
+                bucket.clear()
         forget_cluster(cluster.spec.cluster)
 
 

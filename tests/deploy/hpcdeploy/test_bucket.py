@@ -4,22 +4,32 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import boto3
+import numpy as np
 import pytest
 from botocore.config import Config
+from botocore.exceptions import ClientError
 from moto.server import ThreadedMotoServer
+from simulated import make_cluster, make_spec
 
 from hpccomponent.errors import CloudError
 from hpcdeploy import bucket as bucket_module
 from hpcdeploy import bucket_client
 from hpcdeploy.bucket import Bucket
 from hpcdeploy.bucket_client import fetch_points, send_mesh, sha256_of
+from hpcdeploy.converge import take_down
+from hpcdeploy.job_display import JobDisplay
 from hpcdeploy.job_folder import JobOrder, JobState, JobStatus
+from hpcdeploy.jobs import Jobs
+from hpcdeploy.local_shell import LocalShell
+from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.spec import Data
 
 ORDER = JobOrder("reconstruct", "points/x.ply", "mesh.ply")
 
@@ -174,3 +184,75 @@ def test_a_bucket_that_cannot_be_reached_is_one_line(
     order = replace(ORDER, points_url="http://127.0.0.1:1/x")
     with pytest.raises(CloudError, match="Connection refused"):
         fetch_points(order, tmp_path / "x.ply", lambda _: None)
+
+
+def test_a_refused_upload_is_given_up(
+    bucket: Bucket, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bucket_module, "PART", 5 << 20)
+    digest = write(tmp_path / "a.ply", 6 << 20)
+    denied = {"Error": {"Code": "AccessDenied"}}
+
+    def refuse(**call: Any) -> None:
+        assert begun(client)
+        raise ClientError(denied, "UploadPart")  # type: ignore[arg-type]
+
+    monkeypatch.setattr(client, "upload_part", refuse)
+    with pytest.raises(CloudError, match=r"UploadPart was refused \(AccessDenied\)"):
+        bucket.send(tmp_path / "a.ply", digest, ORDER)
+    assert begun(client) == []
+
+
+def begun(client: Any) -> list[str]:
+    uploads = client.list_multipart_uploads(Bucket="lab").get("Uploads", ())
+    return [upload["Key"] for upload in uploads]
+
+
+def test_down_leaves_nothing_of_ours_in_the_bucket(
+    bucket: Bucket, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    monkeypatch.setattr("hpcdeploy.providers.ec2_client.open_client", lambda *_: client)
+    order = bucket.send(tmp_path / "a.ply", write(tmp_path / "a.ply", 1000), ORDER)
+    assert send_mesh(order, tmp_path / "a.ply", lambda _: None)
+    client.create_multipart_upload(Bucket="lab", Key=f"scans/bunny/points/{64 * '0'}.ply")
+    theirs = ["scans/bunny/notes.txt", "scans/bunny/points/mine.ply", "scans/bunny2/x.ply"]
+    for key in theirs:
+        client.put_object(Bucket="lab", Key=key, Body=b"stays")
+    spec = make_spec().model_copy(update={"data": Data(s3="s3://lab/scans/")})
+    take_down(make_cluster(spec, MemoryProvider()), print)
+    assert keys(client) == theirs
+    assert begun(client) == []
+    gone = spec.model_copy(update={"data": Data(s3="s3://no-such-bucket")})
+    take_down(make_cluster(gone, MemoryProvider()), print)
+
+
+def test_a_job_gets_its_points_and_gives_its_mesh_by_way_of_the_bucket(
+    bucket: Bucket, client: Any, tmp_path: Path, standing_cluster: Callable[..., Any]
+) -> None:
+    folder = tmp_path / "home/hpcapp/standing"
+    python = folder / "venv/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    standing_cluster(folder)
+    normals = np.random.default_rng(7).normal(size=(1500, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    np.savetxt(tmp_path / "sphere.xyz", np.hstack([normals, normals]))
+    jobs = Jobs(LocalShell("head", tmp_path / "home"), "standing", bucket)
+    status = jobs.submit("reconstruct", tmp_path / "sphere.xyz", "mesh.ply", ("--grid", "32"))
+    status = jobs.follow(status.job, JobDisplay())
+    assert status.state is JobState.DONE, jobs.log(status.job)
+    assert {"fetching the points from the bucket", "sending the mesh to the bucket"} < {
+        *jobs.log(status.job)
+    }
+    assert status.mesh_key in keys(client)
+    there = folder / "jobs" / status.job / "mesh.ply"
+    content = there.read_bytes()
+    there.unlink()  # so that the bucket alone has it
+    assert jobs.fetch(status, tmp_path / "mesh.ply")["watertight"]
+    assert (tmp_path / "mesh.ply").read_bytes() == content
+    [left] = keys(client)
+    assert left.endswith(f"{sha256_of(tmp_path / 'sphere.xyz')}.xyz")
+    for file in ("status.json", "log", "events.jsonl", "report.json"):
+        assert "Signature" not in (folder / "jobs" / status.job / file).read_text()
