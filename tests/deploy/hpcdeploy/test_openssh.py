@@ -4,56 +4,22 @@ from __future__ import annotations
 
 import getpass
 import socket
-import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import paramiko
 import pytest
+from machines.openssh import start_sshd
 
 from hpcdeploy.ssh import SshShell
 from hpcdeploy.ssh_connect import SILENCE_S, UnknownHostKeyError, connect
 from hpcdeploy.ssh_target import Target
 
-SSHD = Path("/usr/sbin/sshd")
-CONFIG = """
-HostKey {folder}/host
-AuthorizedKeysFile {folder}/login.pub
-ListenAddress 127.0.0.1
-Port {port}
-PidFile none
-StrictModes no
-UsePAM no
-PasswordAuthentication no
-KbdInteractiveAuthentication no
-Subsystem sftp internal-sftp
-"""
-
-pytestmark = pytest.mark.skipif(not SSHD.exists(), reason="openssh-server is not installed")
-
-
-def start_sshd(folder: Path) -> tuple[subprocess.Popen[bytes], int]:
-    for name in ("host", "login"):
-        command = ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(folder / name)]
-        subprocess.run(command, check=True)
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    (folder / "config").write_text(CONFIG.format(folder=folder, port=port))
-    server = subprocess.Popen([SSHD, "-D", "-e", "-f", folder / "config"], stderr=subprocess.PIPE)
-    assert server.stderr is not None
-    for line in server.stderr:
-        if b"listening" in line:
-            return server, port
-    server.wait()
-    pytest.skip("this sshd does not run here")
-
 
 @pytest.fixture
 def target(tmp_path: Path) -> Iterator[Target]:
-    if not Path("/run/sshd").is_dir() and getpass.getuser() == "root":
-        pytest.skip("/run/sshd, which sshd wants of root, is not there")
-    server, port = start_sshd(tmp_path)
+    server, port = start_sshd(tmp_path, tmp_path)
     kind, text = (tmp_path / "host.pub").read_text().split()[:2]
     entry = paramiko.hostkeys.HostKeyEntry.from_line(f"x {kind} {text}")
     assert entry is not None
