@@ -1,6 +1,7 @@
-"""How crowded the points are around the vertices of a level, in the cells of the next finer one.
+"""How the points lie around the vertices of a coarse level: from all around, and how crowded.
 
-Coarse quadrics are for places where the finer level is too sparse; this tells where that is.
+Coarse quadrics are for places where the finer level is too sparse, and where the surface goes on:
+this tells where that is.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from hpccomponent.surface import kernels
 from hpccomponent.surface.lattice import OCTANTS, pack_places, step_keys, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["crowd_vertices", "sum_squares"]
+__all__ = ["crowd_vertices", "sum_squares", "surrounded_vertices"]
+
+_LEAST_CELLS = 4
 
 
 def sum_squares(children: IntArray, counts: FloatArray, parents: IntArray) -> FloatArray:
@@ -62,3 +65,28 @@ def crowd_vertices(
     crowds = np.full(len(vertices), np.inf)
     np.divide(total, counts, out=crowds, where=counts > 0.0)
     return crowds - 1.0
+
+
+def surrounded_vertices(vertices: IntArray, cells: IntArray) -> NDArray[np.bool_]:
+    """Tell around which vertices the surface goes on: four or more of their cells hold points.
+
+    Parameters
+    ----------
+    vertices : ndarray of int64, shape (v,)
+        Sorted keys of corners, all corners of the cells among them.
+    cells : ndarray of int64, shape (c,)
+        Keys of the occupied cells of the same level.
+
+    Returns
+    -------
+    ndarray of bool, shape (v,)
+
+    Notes
+    -----
+    A plane along an axis that passes through one of the eight cells around a vertex passes
+    through four. Beyond the end of a scan there are two, or one.
+    """
+    occupied = np.zeros(len(vertices), np.int64)
+    for octant in OCTANTS:
+        occupied[kernels.find_keys(vertices, step_keys(cells, octant))] += 1
+    return occupied >= _LEAST_CELLS

@@ -21,7 +21,7 @@ from hpcapp.applications.surface.cell_points import (
     merge_finest,
     sort_cloud,
 )
-from hpcapp.applications.surface.crowding import sum_squares
+from hpcapp.applications.surface.crowding import sum_squares, surrounded_vertices
 from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.weights import FIELD_LEVELS, Weights, localise_noise
 from hpcapp.batches import Workforce, cut_equal, map_batches
@@ -105,7 +105,8 @@ class VertexQuadrics:
     counts : ndarray of float32, shape (v,)
         Points in the eight cells around each vertex.
     inherited : ndarray of float32, shape (v,)
-        The mean count of its parents, plus a quarter of what these inherited.
+        The mean count of its parents, 0 for those that points do not surround (see `crowding`),
+        plus a quarter of what these inherited.
     variances : ndarray of float32, shape (v, 3)
         What the fits leave over (see `hermite.residual_variances`), in cells squared: its own, the
         mean of its parents' and of theirs. Where points are few, its own is the parents'.
@@ -206,7 +207,8 @@ def _inherit_level(level: Level, above: tuple[Level, VertexQuadrics] | None) -> 
         coefficients, variances = (np.zeros((vertices, k), np.float32) for k in (BASIS, 3))
         return VertexQuadrics(coefficients, none, none.copy(), variances)
     parent_level, parents = above
-    support = parents.counts + _ANCESTORS * parents.inherited
+    surrounded = surrounded_vertices(parent_level.vertices, parent_level.cells)
+    support = parents.counts * surrounded + _ANCESTORS * parents.inherited
     values = np.column_stack((support, _FINER_UNITS * parents.variances[:, :2]))
     means, inherited = kernels.inherit_level(
         level.vertices, parent_level.vertices, parents.coefficients, values

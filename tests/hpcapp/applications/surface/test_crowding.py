@@ -1,7 +1,11 @@
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.crowding import crowd_vertices, sum_squares
+from hpcapp.applications.surface.crowding import (
+    crowd_vertices,
+    sum_squares,
+    surrounded_vertices,
+)
 from hpccomponent.surface.lattice import pack_places, spread_keys, unique_keys, unpack_keys
 
 
@@ -46,3 +50,20 @@ def test_single_points_meet_nobody():
     corners = spread_keys(cell, 0, 1)
     counts = np.ones(len(corners), np.float32)
     assert (crowd_vertices(corners, counts, cell, np.array([1.0])) == 0.0).all()
+
+
+def test_points_surround_a_vertex_where_four_of_its_cells_hold_some(level):
+    _, _, cells, vertices = level
+    places = unpack_keys(cells)
+    steps = places - unpack_keys(vertices)[:, None]
+    occupied = ((steps == 0) | (steps == -1)).all(axis=2).sum(axis=1)
+    assert 0 < (occupied >= 4).sum() < len(vertices)
+    np.testing.assert_array_equal(surrounded_vertices(vertices, cells), occupied >= 4)
+
+
+def test_a_sheet_surrounds_the_vertices_within_it_and_not_those_at_its_rim():
+    x, y = (axis.ravel() for axis in np.mgrid[:4, :4])
+    cells = unique_keys(pack_places(np.stack([x, y, np.zeros_like(x)], axis=1)))
+    vertices = spread_keys(cells, 0, 1)
+    inner = ((unpack_keys(vertices)[:, :2] % 4) > 0).all(axis=1)
+    np.testing.assert_array_equal(surrounded_vertices(vertices, cells), inner)
