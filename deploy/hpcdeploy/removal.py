@@ -53,11 +53,12 @@ def remove(
             return
         try:
             _take_away(provider, left, step, report)
-            refusals = 0
+            silent = _silent_hosts(provider, left)
+            refusals, trouble = (refusals + 1, silent) if silent else (0, trouble)
         except CloudError as error:
             refusals, trouble = refusals + 1, str(error)
-            if refusals >= TRIES:
-                break
+        if refusals >= TRIES:
+            break
     why = f" ({trouble})" if trouble else ""
     raise LeftoverError(
         f"still there: {describe(left)}{why}",
@@ -82,6 +83,13 @@ def _present(observed: Observed) -> Observed:
 
 def _is_any(observed: Observed) -> bool:
     return bool(observed.machines or observed.groups or observed.key_pairs)
+
+
+def _silent_hosts(provider: Provider, left: Observed) -> str:
+    """Say why hosts do not answer, where no other machine is left; nobody ends them for us."""
+    if provider.makes_machines or any(m.state is not State.STOPPED for m in left.machines):
+        return ""
+    return ", ".join(machine.reason for machine in left.machines)
 
 
 def _take_away(

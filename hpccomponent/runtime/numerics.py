@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import platform
+import os
 from importlib import metadata
 
 __all__ = ["KERNEL_GROUP", "numerics_id", "package_version"]
@@ -37,7 +37,7 @@ def numerics_id(build: str | None = None) -> str:
     """
     found = sorted(metadata.entry_points(group=KERNEL_GROUP), key=lambda entry: entry.name)
     kernels = "-".join(entry.load()(build) for entry in found)
-    return f"{kernels}-numpy{metadata.version('numpy')}-{platform.machine()}"
+    return f"{kernels}-numpy{metadata.version('numpy')}-{os.uname().machine}"
 
 
 def package_version() -> str:

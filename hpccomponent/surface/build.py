@@ -6,7 +6,6 @@ the extension. Nothing heavy is imported here.
 
 from __future__ import annotations
 
-import hashlib
 import os
 from functools import cache
 from importlib import import_module
@@ -104,6 +103,8 @@ def kernel_id(build: str | None = None) -> str:
     extension = load_native(build)
     if extension is not None:
         return f"native-{extension.KERNEL_HASH}"
+    import hashlib  # it loads OpenSSL, which `hpcapp --version` would feel
+
     folder = Path(__file__).parent
     sources = b"".join((folder / f"{name}.py").read_bytes() for name in _PORTABLE)
     return f"portable-{hashlib.sha256(sources).hexdigest()[:_HASH_DIGITS]}"

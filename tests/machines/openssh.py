@@ -6,11 +6,16 @@ import getpass
 import shlex
 import socket
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import paramiko
 import pytest
 
-__all__ = ["start_sshd"]
+from hpcdeploy.ssh_target import Target
+
+__all__ = ["open_sshd", "start_sshd"]
 
 SSHD, SFTP = Path("/usr/sbin/sshd"), Path("/usr/lib/openssh/sftp-server")
 CONFIG = """
@@ -65,3 +70,18 @@ def start_sshd(folder: Path, home: Path) -> tuple[subprocess.Popen[bytes], int]:
             return server, port
     server.communicate()
     pytest.skip("this sshd does not run here")
+
+
+@contextmanager
+def open_sshd(folder: Path) -> Iterator[Target]:
+    """Run a server whose keys and home are in a folder."""
+    server, port = start_sshd(folder, folder)
+    try:
+        kind, text = (folder / "host.pub").read_text().split()[:2]
+        entry = paramiko.hostkeys.HostKeyEntry.from_line(f"x {kind} {text}")
+        assert entry is not None
+        assert entry.key is not None
+        yield Target("127.0.0.1", port, getpass.getuser(), (str(folder / "login"),), (entry.key,))
+    finally:
+        server.terminate()
+        server.communicate()

@@ -7,11 +7,13 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from hpccomponent.errors import CloudError
+from hpccomponent.errors import CloudError, LeftoverError
 from hpcdeploy.bootstrap import set_up
 from hpcdeploy.cluster import open_cluster
+from hpcdeploy.converge import take_down
 from hpcdeploy.doctor_command import doctor
 from hpcdeploy.names import NodeName
+from hpcdeploy.pace import Pace
 from hpcdeploy.provider import Launch, State
 from hpcdeploy.shell_command import exec_, get, put
 from machines.hosts import claim
@@ -69,6 +71,26 @@ def test_a_host_that_vanished_counts_as_stopped_with_the_reason(
         assert "connection refused" in worker.reason
         with pytest.raises(CloudError, match="connection refused"):
             cluster.provider.launch(Launch("lab", "life", NodeName("worker-1")))
+
+
+def test_down_names_a_host_that_does_not_answer_and_leaves_the_others_clean(
+    file: Path, hosts: tuple[Server, Server], machines: Machines
+) -> None:
+    said: list[str] = []
+    pace = Pace(poll_s=0.01, end_s=600.0)
+    with open_cluster(file) as cluster:
+        claim(cluster)
+        machines.stop(hosts[1])
+        with pytest.raises(LeftoverError) as caught:
+            take_down(cluster, said.append, pace=pace)
+        assert caught.value.exit_code == 4
+        assert "worker-1" in caught.value.problem
+        assert "connection refused" in caught.value.problem
+        assert "head" not in caught.value.problem
+        assert not (hosts[0].home / "hpcapp").exists()
+        machines.start(hosts[1], hosts[1].port)
+        take_down(cluster, said.append, pace=pace)
+    assert not (hosts[1].home / "hpcapp").exists()
 
 
 def test_commands_run_on_all_and_the_worst_code_counts(

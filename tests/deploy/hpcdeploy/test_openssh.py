@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import getpass
 import socket
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-import paramiko
 import pytest
-from machines.openssh import start_sshd
+from machines.openssh import open_sshd
 
 from hpcdeploy.ssh import SshShell
 from hpcdeploy.ssh_connect import SILENCE_S, UnknownHostKeyError, connect
@@ -19,14 +17,8 @@ from hpcdeploy.ssh_target import Target
 
 @pytest.fixture
 def target(tmp_path: Path) -> Iterator[Target]:
-    server, port = start_sshd(tmp_path, tmp_path)
-    kind, text = (tmp_path / "host.pub").read_text().split()[:2]
-    entry = paramiko.hostkeys.HostKeyEntry.from_line(f"x {kind} {text}")
-    assert entry is not None
-    assert entry.key is not None
-    yield Target("127.0.0.1", port, getpass.getuser(), (str(tmp_path / "login"),), (entry.key,))
-    server.terminate()
-    server.communicate()
+    with open_sshd(tmp_path) as target:
+        yield target
 
 
 @pytest.fixture
