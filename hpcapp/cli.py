@@ -146,9 +146,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
 def _run(arguments: list[str], debug: bool) -> int:
     """Run the command; return its exit code."""
     try:
-        hpcapp.main(arguments, prog_name="hpcapp", standalone_mode=False)
-    except click.exceptions.Exit as leave:
-        return leave.exit_code
+        code = hpcapp.main(arguments, prog_name="hpcapp", standalone_mode=False)
+        return code or 0  # what a verb has left with; click catches that itself
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
         return EXIT_USAGE
@@ -178,4 +177,3 @@ def _run(arguments: list[str], debug: bool) -> int:
         _report(f"internal error: {type(error).__name__}: {error}; "
                 "please report it with the output of 'hpcapp --debug ...'")  # fmt: skip
         return EXIT_FAILED
-    return 0

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from hpcapp.cli import main
 from hpccomponent.errors import CloudError, LeftoverError
 from hpcdeploy.bootstrap import set_up
 from hpcdeploy.cluster import open_cluster
@@ -15,7 +16,7 @@ from hpcdeploy.doctor_command import doctor
 from hpcdeploy.names import NodeName
 from hpcdeploy.pace import Pace
 from hpcdeploy.provider import Launch, State
-from hpcdeploy.shell_command import exec_, get, put
+from hpcdeploy.shell_command import get, put
 from machines.hosts import claim
 from machines.servers import Machines, Server
 
@@ -94,14 +95,16 @@ def test_down_names_a_host_that_does_not_answer_and_leaves_the_others_clean(
 
 
 def test_commands_run_on_all_and_the_worst_code_counts(
-    file: Path, hosts: tuple[Server, Server]
+    file: Path, hosts: tuple[Server, Server], capfd: pytest.CaptureFixture[str]
 ) -> None:
     with open_cluster(file) as cluster:
         claim(cluster)
     (hosts[1].home / "bad").touch()
-    result = CliRunner().invoke(exec_, [str(file), "--all", "echo here; test ! -e bad || exit 7"])
-    assert result.exit_code == 7, result.output
-    assert sorted(result.output.splitlines()) == ["head: here", "worker-1: here"]
+    command = "echo here; test ! -e bad || exit 7"
+    with pytest.raises(SystemExit) as left:
+        main(["exec", str(file), "--all", command])
+    assert left.value.code == 7
+    assert sorted(capfd.readouterr().out.splitlines()) == ["head: here", "worker-1: here"]
 
 
 def test_files_go_to_the_head_and_come_back(
