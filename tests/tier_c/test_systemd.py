@@ -63,6 +63,9 @@ def test_host_is_left_as_it_was(idle_site: Site) -> None:
     site.write({"type": "ssh", "hosts": [address]}, workers={"count": 0})
     site.succeed("up", "-y")
     assert show(host, LOADER, "ActiveState") == "active"
+    assert "head: good" in site.succeed("doctor").stdout
+    done = site.hpcapp("exec", "--all", "--", "sh", "-c", "'id -un; exit 3'")
+    assert (done.returncode, done.stdout) == (3, "head: admin\n"), done.stderr
     pid = show(host, LOADER, "MainPID")
     site.end()
     assert show(host, LOADER, "LoadState") == "not-found"
