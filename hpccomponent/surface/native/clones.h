@@ -17,3 +17,11 @@
 #else
 #define HPC_INLINE inline
 #endif
+
+// Before a loop over lanes, whose turns do not touch what others write. Unrolled as a whole, before
+// it is vectorised, such a loop of a few turns would stay scalar.
+#if defined(__GNUC__) && !defined(__clang__)
+#define HPC_LANES _Pragma("GCC ivdep") _Pragma("GCC unroll 1")
+#else
+#define HPC_LANES
+#endif

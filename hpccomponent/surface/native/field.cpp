@@ -2,6 +2,8 @@
 //
 // Lanes run over x while z and y collapse, and over (y, z) while x does; what a node gets depends
 // on its own index only. All in single precision, but for where the nodes lie and the far field.
+//
+// The loops over lanes index plain pointers: through a lambda GCC no longer sees what to vectorise.
 #include "field.h"
 
 #include <algorithm>
@@ -36,17 +38,16 @@ HPC_INLINE void collapse_z(const Real* __restrict raw, const Shape& shape, const
       const Real* __restrict a = raw + (axis.below[node] * shape.y + y) * lanes;
       const Real* b = a + shape.y * lanes;
       Real* __restrict o = out + (y * NODES + node) * lanes;
+      HPC_LANES
       for (int i = 0; i < lanes; ++i) {
-        const auto A = [&](int channel) { return a[channel * from + i]; };
-        const auto B = [&](int channel) { return b[channel * from + i]; };
-        o[i] = (A(0) + t * (A(3) + t * A(6))) * v + (B(0) + s * (B(3) + s * B(6))) * w;
-        o[to + i] = (A(1) + t * A(9)) * v + (B(1) + s * B(9)) * w;
-        o[2 * to + i] = (A(2) + t * A(8)) * v + (B(2) + s * B(8)) * w;
-        o[3 * to + i] = A(4) * v + B(4) * w;
-        o[4 * to + i] = A(5) * v + B(5) * w;
-        o[5 * to + i] = A(7) * v + B(7) * w;
-        o[6 * to + i] = A(10) * v + B(10) * w;
-        o[7 * to + i] = A(11) * v + B(11) * w;
+        o[i] = (a[i] + t * (a[3 * from + i] + t * a[6 * from + i])) * v + (b[i] + s * (b[3 * from + i] + s * b[6 * from + i])) * w;
+        o[to + i] = (a[from + i] + t * a[9 * from + i]) * v + (b[from + i] + s * b[9 * from + i]) * w;
+        o[2 * to + i] = (a[2 * from + i] + t * a[8 * from + i]) * v + (b[2 * from + i] + s * b[8 * from + i]) * w;
+        o[3 * to + i] = a[4 * from + i] * v + b[4 * from + i] * w;
+        o[4 * to + i] = a[5 * from + i] * v + b[5 * from + i] * w;
+        o[5 * to + i] = a[7 * from + i] * v + b[7 * from + i] * w;
+        o[6 * to + i] = a[10 * from + i] * v + b[10 * from + i] * w;
+        o[7 * to + i] = a[11 * from + i] * v + b[11 * from + i] * w;
       }
     }
 }
@@ -61,14 +62,13 @@ HPC_INLINE void collapse_y(const Real* __restrict in, const Shape& shape, const 
     const Real* a = in + axis.below[node] * NODES * lanes;
     const Real* b = a + NODES * lanes;
     Real* __restrict o = out + node * NODES * lanes;
+    HPC_LANES
     for (int i = 0; i < NODES * lanes; ++i) {
-      const auto A = [&](int channel) { return a[channel * from + i]; };
-      const auto B = [&](int channel) { return b[channel * from + i]; };
-      o[i] = (A(0) + t * (A(2) + t * A(4))) * v + (B(0) + s * (B(2) + s * B(4))) * w;
-      o[to + i] = (A(1) + t * A(5)) * v + (B(1) + s * B(5)) * w;
-      o[2 * to + i] = A(3) * v + B(3) * w;
-      o[3 * to + i] = A(6) * v + B(6) * w;
-      o[4 * to + i] = A(7) * v + B(7) * w;
+      o[i] = (a[i] + t * (a[2 * from + i] + t * a[4 * from + i])) * v + (b[i] + s * (b[2 * from + i] + s * b[4 * from + i])) * w;
+      o[to + i] = (a[from + i] + t * a[5 * from + i]) * v + (b[from + i] + s * b[5 * from + i]) * w;
+      o[2 * to + i] = a[3 * from + i] * v + b[3 * from + i] * w;
+      o[3 * to + i] = a[6 * from + i] * v + b[6 * from + i] * w;
+      o[4 * to + i] = a[7 * from + i] * v + b[7 * from + i] * w;
     }
   }
 }
@@ -109,12 +109,11 @@ HPC_INLINE void collapse_x(const Real* in, const Shape& shape, const Axis& axis,
     bool open = false;
     for (int i = 0; i < PLANE; ++i) open |= rest[i] > 0;
     if (!open) continue;
+    HPC_LANES
     for (int i = 0; i < PLANE; ++i) {
-      const auto A = [&](int channel) { return a[channel * from + i]; };
-      const auto B = [&](int channel) { return b[channel * from + i]; };
       const Real quadric =
-          (A(0) + t * (A(1) + t * A(2))) * v + (B(0) + s * (B(1) + s * B(2))) * w;
-      const Real presence = A(3) * v + B(3) * w, trust = A(4) * v + B(4) * w;
+          (a[i] + t * (a[from + i] + t * a[2 * from + i])) * v + (b[i] + s * (b[from + i] + s * b[2 * from + i])) * w;
+      const Real presence = a[3 * from + i] * v + b[3 * from + i] * w, trust = a[4 * from + i] * v + b[4 * from + i] * w;
       const Real near = scale * quadric / (presence > 0 ? presence : 1);
       const Real left = rest[i] * (1 - trust);
       total[i] += rest[i] * trust * near;

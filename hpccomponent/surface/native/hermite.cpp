@@ -61,8 +61,6 @@ constexpr PairTable PAIRS;
 using Matrix = double[BASIS][BASIS][LANES];
 using Vector = double[BASIS][LANES];
 
-#define EACH_LANE for (int lane = 0; lane < LANES; ++lane)
-
 HPC_INLINE void fill_equations(const Block& rows, const Vector& prior, double lam,
                                const double (&mu)[LANES], Matrix& matrix, Vector& right) {
   double inverse[LANES];

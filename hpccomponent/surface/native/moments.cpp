@@ -23,8 +23,6 @@ struct Products {
 
 constexpr Products PRODUCTS;
 
-#define EACH_LANE for (int lane = 0; lane < LANES; ++lane)
-
 // One point of each lane's cell; lanes whose cell has no more points hold zeros.
 struct Points {
   double one[LANES], u[3][LANES], n[3][LANES];

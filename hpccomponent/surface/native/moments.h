@@ -9,8 +9,10 @@ namespace hpc {
 
 constexpr int MONOMIALS = 35;
 constexpr int COLUMNS = 44;
+constexpr int SOURCES = 20;  // monomials of degree 3 and less come first
 // Rows are worked on in blocks of so many, one lane each.
 constexpr int LANES = 8;
+#define EACH_LANE HPC_LANES for (int lane = 0; lane < LANES; ++lane)
 
 struct Exponent {
   int power[3];
@@ -75,14 +77,14 @@ constexpr int NORMAL_SHIFTS[9][4] = {{38, 35, 0, 2}, {39, 36, 1, 2}, {40, 37, 2,
 using Block = double[COLUMNS][LANES];
 
 HPC_INLINE void add_scaled(double* to, const double* from, const double* factor, double constant) {
-  for (int lane = 0; lane < LANES; ++lane) to[lane] += constant * factor[lane] * from[lane];
+  EACH_LANE to[lane] += constant * factor[lane] * from[lane];
 }
 
 // Add step[axis][lane] to every point of each lane's row.
 HPC_INLINE void shift_block(Block& rows, const double (&step)[3][LANES]) {
   for (int axis = 0; axis < 3; ++axis) {
     double powers[4][LANES];
-    for (int lane = 0; lane < LANES; ++lane) {
+    EACH_LANE {
       powers[0][lane] = step[axis][lane];
       for (int p = 1; p < 4; ++p) powers[p][lane] = powers[p - 1][lane] * step[axis][lane];
     }
@@ -96,23 +98,22 @@ HPC_INLINE void shift_block(Block& rows, const double (&step)[3][LANES]) {
 // Sum two blocks about the centre between them: `low` lies half a cell below it along an axis,
 // `high` half a cell above. Even powers of the shift see the sum, odd ones the difference.
 HPC_INLINE void sum_pair(const Block& low, const Block& high, int axis, Block& sum) {
-  Block difference, source;
-  for (int column = 0; column < COLUMNS; ++column)
-    for (int lane = 0; lane < LANES; ++lane) {
-      source[column][lane] = low[column][lane] + high[column][lane];
-      difference[column][lane] = high[column][lane] - low[column][lane];
-      sum[column][lane] = source[column][lane];
-    }
+  Block difference;
+  for (int column = 0; column < COLUMNS; ++column) EACH_LANE sum[column][lane] = low[column][lane] + high[column][lane];
+  // Only moments of degree 3 and less, and those of the normals alone, are shifted into others.
+  for (int column = 0; column < SOURCES; ++column)
+    EACH_LANE difference[column][lane] = high[column][lane] - low[column][lane];
+  for (int column = MONOMIALS; column < MONOMIALS + 3; ++column)
+    EACH_LANE difference[column][lane] = high[column][lane] - low[column][lane];
   constexpr double HALVES[4] = {0.5, 0.25, 0.125, 0.0625};
   for (const ShiftTerm& term : SHIFTS.terms[axis]) {
     const double factor = term.factor * HALVES[term.power - 1];
-    const double* from = term.power % 2 ? difference[term.source] : source[term.source];
-    for (int lane = 0; lane < LANES; ++lane) sum[term.column][lane] += factor * from[lane];
+    // A source is summed already, and not shifted yet.
+    const double* from = term.power % 2 ? difference[term.source] : sum[term.source];
+    EACH_LANE sum[term.column][lane] += factor * from[lane];
   }
   for (const auto& term : NORMAL_SHIFTS)
-    if (term[2] == axis)
-      for (int lane = 0; lane < LANES; ++lane)
-        sum[term[0]][lane] += (0.5 * term[3]) * difference[term[1]][lane];
+    if (term[2] == axis) EACH_LANE sum[term[0]][lane] += (0.5 * term[3]) * difference[term[1]][lane];
 }
 
 // The cells around each lane's centre: rows of moments, -1 where there is no point; octants with
@@ -126,7 +127,7 @@ HPC_INLINE bool load_octant(const double* moments, const Around& around, int oct
   for (int lane = 0; lane < LANES; ++lane) any = any || around[octant][lane] >= 0;
   if (!any) {
     for (int column = 0; column < COLUMNS; ++column)
-      for (int lane = 0; lane < LANES; ++lane) block[column][lane] = 0.0;
+      EACH_LANE block[column][lane] = 0.0;
     return false;
   }
   static_assert(LANES % 4 == 0 && COLUMNS % 4 == 0, "moved four by four");
@@ -155,7 +156,7 @@ HPC_INLINE void gather_block(const double* moments, const Around& around, Block&
         sum_pair(low, high, 2, rows[y]);
       } else {
         for (int column = 0; column < COLUMNS; ++column)
-          for (int lane = 0; lane < LANES; ++lane) rows[y][column][lane] = 0.0;
+          EACH_LANE rows[y][column][lane] = 0.0;
       }
     }
     sum_pair(rows[0], rows[1], 1, planes[x]);
