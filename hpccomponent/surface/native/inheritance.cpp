@@ -8,18 +8,23 @@ namespace {
 
 constexpr int BASIS = 10;
 
-// Add weight * 2 f((u + step) / 2) to a child's quadric.
-template <class T>
-inline void add_inherited(const T* c, const double* step, double weight, double* child) {
-  const double x = step[0], y = step[1], z = step[2];
-  const double linear = c[1] * x + c[2] * y + c[3] * z;
-  const double square = c[4] * (x * x) + c[5] * (y * y) + c[6] * (z * z);
-  const double mixed = c[7] * (x * y) + c[8] * (y * z) + c[9] * (z * x);
-  child[0] += weight * (2.0 * c[0] + linear + 0.5 * (square + mixed));
-  child[1] += weight * (c[1] + c[4] * x + 0.5 * (c[7] * y + c[9] * z));
-  child[2] += weight * (c[2] + c[5] * y + 0.5 * (c[7] * x + c[8] * z));
-  child[3] += weight * (c[3] + c[6] * z + 0.5 * (c[8] * y + c[9] * x));
-  for (int i = 4; i < BASIS; ++i) child[i] += weight * (0.5 * c[i]);
+using Quadric = double[BASIS];
+
+// Express two quadrics about the place between them, half a cell above `lower` and below `upper`
+// along an axis, and leave their mean in `lower`. Like moments (see moments.h), what an axis shifts
+// evenly is seen in the sum, the rest in the difference.
+inline void mean_pair(Quadric& lower, const Quadric& upper, int axis) {
+  // The square of the axis, and its products with the next axis and with the one after that.
+  const int next = (axis + 1) % 3, last = (axis + 2) % 3;
+  const int linear = 1 + axis, square = 4 + axis, with_next = 7 + axis, with_last = 7 + last;
+  const auto half_difference = [&](int i) { return 0.5 * (lower[i] - upper[i]); };
+  const double slope = half_difference(linear), bend = half_difference(square);
+  const double twist_next = half_difference(with_next), twist_last = half_difference(with_last);
+  for (int i = 0; i < BASIS; ++i) lower[i] = 0.5 * (lower[i] + upper[i]);
+  lower[0] += 0.5 * slope + 0.25 * lower[square];
+  lower[linear] += bend;
+  lower[1 + next] += 0.5 * twist_next;
+  lower[1 + last] += 0.5 * twist_last;
 }
 
 struct Parents {
@@ -32,8 +37,8 @@ void inherit_range(const int64_t* vertices, const Parents& parents, int64_t star
                    float* coefficients, float* inherited) {
   std::vector<double> means(parents.columns);
   std::vector<Finger> fingers(8, Finger(parents.keys, parents.count));
+  Quadric quadrics[8];
   for (int64_t row = start; row < stop; ++row) {
-    double child[BASIS] = {};
     std::fill(means.begin(), means.end(), 0.0);
     const Place place = unpack(vertices[row]);
     int odd = 0;
@@ -43,18 +48,22 @@ void inherit_range(const int64_t* vertices, const Parents& parents, int64_t star
     for (int octant = 0; octant < 8; ++octant) {
       if (octant & ~odd) continue;
       Place parent;
-      double step[3];
-      for (int axis = 0; axis < 3; ++axis) {
-        parent[axis] = (place[axis] + (octant >> axis & 1)) >> 1;
-        step[axis] = static_cast<double>(place[axis] - 2 * parent[axis]);
-      }
+      for (int axis = 0; axis < 3; ++axis) parent[axis] = (place[axis] + (octant >> axis & 1)) >> 1;
       const int64_t found = fingers[octant].find(pack(parent));
       if (found < 0) refuse("parent_keys: a vertex has no parent there");
-      add_inherited(parents.coefficients + found * BASIS, step, weight, child);
+      for (int i = 0; i < BASIS; ++i) quadrics[octant][i] = parents.coefficients[found * BASIS + i];
       const float* values = parents.values + found * parents.columns;
       for (int64_t i = 0; i < parents.columns; ++i) means[i] += weight * values[i];
     }
-    for (int i = 0; i < BASIS; ++i) coefficients[row * BASIS + i] = static_cast<float>(child[i]);
+    for (int axis = 0, left = odd; axis < 3; ++axis) {
+      if (!(odd >> axis & 1)) continue;
+      left &= ~(1 << axis);
+      for (int octant = 0; octant < 8; ++octant)
+        if (!(octant & ~left)) mean_pair(quadrics[octant], quadrics[octant | 1 << axis], axis);
+    }
+    // In cells of half the size: f((u + step) / 2) * 2.
+    for (int i = 0; i < BASIS; ++i)
+      coefficients[row * BASIS + i] = static_cast<float>((i == 0 ? 2.0 : i < 4 ? 1.0 : 0.5) * quadrics[0][i]);
     for (int64_t i = 0; i < parents.columns; ++i)
       inherited[row * parents.columns + i] = static_cast<float>(means[i]);
   }
@@ -83,26 +92,8 @@ nb::tuple inherit_level(Input vertices_of, Input keys_of, Input coefficients_of,
                         give(std::move(inherited), {rows, static_cast<size_t>(columns)}));
 }
 
-Output<double> inherit_quadrics(Input parents_of, Input steps_of) {
-  const double* parents = check<double>(parents_of, "parents", {ANY, BASIS});
-  const int64_t count = rows_of(parents_of);
-  const int64_t* steps = check<int64_t>(steps_of, "steps", {count, 3});
-  auto children = make_buffer<double>(count * BASIS);
-  for (int64_t row = 0; row < count; ++row) {
-    double* child = children.get() + row * BASIS;
-    std::fill(child, child + BASIS, 0.0);
-    double step[3];
-    for (int axis = 0; axis < 3; ++axis) step[axis] = static_cast<double>(steps[3 * row + axis]);
-    add_inherited(parents + row * BASIS, step, 1.0, child);
-  }
-  return give(std::move(children), {static_cast<size_t>(count), BASIS});
-}
-
 }  // namespace
 
-void bind_inheritance(nb::module_& module) {
-  module.def("inherit_level", &inherit_level);
-  module.def("inherit_quadrics", &inherit_quadrics);
-}
+void bind_inheritance(nb::module_& module) { module.def("inherit_level", &inherit_level); }
 
 }  // namespace hpc

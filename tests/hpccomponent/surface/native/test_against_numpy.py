@@ -136,11 +136,6 @@ def test_priors(native: ModuleType, cloud: Any) -> None:
     expected = cells.inherit_level(vertices, parents, coefficients, values)
     for mean, wanted in zip(found, expected, strict=True):
         np.testing.assert_allclose(mean, wanted, rtol=1e-6, atol=1e-7)
-    coefficients = random.normal(size=(len(parents), 10))
-    steps = random.integers(-1, 2, size=(len(parents), 3))
-    np.testing.assert_array_equal(
-        native.inherit_quadrics(coefficients, steps), hermite.inherit_quadrics(coefficients, steps)
-    )
 
 
 @pytest.mark.parametrize("smoothing", [1.0, 2.5])

@@ -17,7 +17,7 @@ KERNELS = (
     "accumulate_moments", "balance_vertices", "corner_moments", "count_boxes", "count_cells",
     "evaluate_bricks", "poll_normals", "sum_neighbours",
     "evaluate_residuals", "extract_surface", "find_keys", "fit_corners", "grow_surface",
-    "inherit_level", "inherit_quadrics", "label_components", "merge_cells",
+    "inherit_level", "label_components", "merge_cells",
     "parent_keys", "sample_grid", "scale_moments", "seed_bricks", "shift_moments",
     "signed_volume", "sort_points", "spread_keys", "survey_mesh", "unite_keys", "gather_points",
     "bound_points", "sample_boxes", "integrate_normals", "sample_corners",
