@@ -131,7 +131,7 @@ def is_sampled(boxes: IntArray, one_in: int) -> NDArray[np.bool_]:
     if one_in == 1:
         return np.ones(len(boxes), bool)
     mixed = (boxes.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(33)
-    chosen: NDArray[np.bool_] = mixed % np.uint64(one_in) == 0
+    chosen: NDArray[np.bool_] = (mixed * np.uint64(one_in)) >> np.uint64(31) == 0
     return chosen
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.cleaning import Cleaned, clean_cloud
+from hpcapp.applications.surface.cleaning import Cleaned, arrange_points, clean_cloud
 from hpcapp.applications.surface.doubts import doubt_closure, doubt_normals, doubt_resolution
 from hpcapp.applications.surface.hierarchical import MARGIN, HierarchicalMethod
 from hpcapp.applications.surface.memory import check_memory
@@ -101,6 +101,8 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
     with open_output(settings.output, settings.points) as target:
         with clock.stage("read"):
             cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
+            if settings.method != "paper":  # which cuts the cloud up by itself
+                cloud = arrange_points(cloud)
         _report_dropped(settings.points, dropped)
         cloud, cleaned = _clean(settings, cloud, clock)
         grid = _choose_grid(settings, cloud)

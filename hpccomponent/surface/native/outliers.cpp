@@ -95,55 +95,86 @@ constexpr double ALIKE = 0.5;     // cosine from which normals agree; below its 
 constexpr int LEAST = 8;          // opponents that a verdict takes
 constexpr int MAJORITY = 4;       // and as many more for each neighbour that agrees
 
-// Points in the order of their cells, with the mean of the normals around each cell.
-struct SortedPoints {
+// A cloud, and the rows of the points in each cell.
+struct CellPoints {
+  const double *position, *normal;
   const int64_t* keys;
   int64_t cells;
-  Large<int64_t> offsets, row;
-  Large<double> position, normal;
+  Large<int64_t> offsets;
+  Large<uint32_t> row;
   double reach, tolerance, drift;
 };
 
 inline double dot(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-SortedPoints sort_by_cell(const double* position, const double* normal, const int64_t* cell_of,
-                          int64_t points, const int64_t* keys, int64_t cells) {
-  SortedPoints sorted{keys, cells, {}, {}, {}, {}, 0.0, 0.0, 0.0};
-  sorted.offsets.assign(static_cast<size_t>(cells) + 1, 0);
-  for (int64_t i = 0; i < points; ++i) ++sorted.offsets[cell_of[i] + 1];
-  for (int64_t c = 0; c < cells; ++c) sorted.offsets[c + 1] += sorted.offsets[c];
-  Large<int64_t> next(sorted.offsets.begin(), sorted.offsets.end() - 1);
-  sorted.row.resize(static_cast<size_t>(points));
-  sorted.position.resize(static_cast<size_t>(3 * points));
-  sorted.normal.resize(static_cast<size_t>(3 * points));
-  for (int64_t i = 0; i < points; ++i) sorted.row[next[cell_of[i]]++] = i;
-  for (int64_t at = 0; at < points; ++at) {
-    const int64_t row = 3 * sorted.row[at], soon = 3 * sorted.row[std::min(at + AHEAD, points - 1)];
-    fetch(position + soon);
-    fetch(normal + soon);
-    for (int axis = 0; axis < 3; ++axis) {
-      sorted.position[3 * at + axis] = position[row + axis];
-      sorted.normal[3 * at + axis] = normal[row + axis];
-    }
+// The sum of the normals around a cell, and how many they are.
+struct Around {
+  double sum[3];
+  int64_t count;
+};
+
+Large<Around> sum_normals(const double* normal, const int64_t* cell_of, int64_t points, const int64_t* keys,
+                          int64_t cells, int threads) {
+  Large<Around> own(static_cast<size_t>(cells), Around{}), all(own.size());
+  for (int64_t i = 0; i < points; ++i) {
+    Around& cell = own[cell_of[i]];
+    for (int axis = 0; axis < 3; ++axis) cell.sum[axis] += normal[3 * i + axis];
+    ++cell.count;
   }
-  return sorted;
+  run_ranges(cells, threads, [&](int64_t start, int64_t stop) {
+    Neighbourhood around(keys, cells);
+    for (int64_t c = start; c < stop; ++c) {
+      Around total{};
+      const int found = around.gather(keys[c]);
+      for (int i = 0; i < found; ++i) {
+        const Around& cell = own[around.rows[i]];
+        for (int axis = 0; axis < 3; ++axis) total.sum[axis] += cell.sum[axis];
+        total.count += cell.count;
+      }
+      all[c] = total;
+    }
+  });
+  return all;
 }
 
-// Ask the points of the neighbourhood that lie on the sheet of point `at` for their normals.
-Verdict poll(const SortedPoints& sorted, const Neighbourhood& around, int found, int64_t at) {
-  const double* position = &sorted.position[3 * at];
-  const double* normal = &sorted.normal[3 * at];
+// Mark the points whose normals are at odds with the mean around their cells; return whether there are any.
+bool mark_suspects(const double* normal, const int64_t* cell_of, int64_t points, const Large<Around>& around,
+                   const uint8_t* asked, uint8_t* verdicts) {
+  bool any = false;
+  for (int64_t i = 0; i < points; ++i) {
+    const Around& mean = around[cell_of[i]];
+    const bool odd = asked[i] && !(dot(normal + 3 * i, mean.sum) > ALIKE * static_cast<double>(mean.count));
+    verdicts[i] = odd ? UNSURE : FINE;
+    any = any || odd;
+  }
+  return any;
+}
+
+void sort_rows(const int64_t* cell_of, int64_t points, CellPoints& sorted) {
+  sorted.offsets.assign(static_cast<size_t>(sorted.cells) + 1, 0);
+  for (int64_t i = 0; i < points; ++i) ++sorted.offsets[cell_of[i] + 1];
+  for (int64_t c = 0; c < sorted.cells; ++c) sorted.offsets[c + 1] += sorted.offsets[c];
+  Large<int64_t> next(sorted.offsets.begin(), sorted.offsets.end() - 1);
+  sorted.row.resize(static_cast<size_t>(points));
+  for (int64_t i = 0; i < points; ++i) sorted.row[next[cell_of[i]]++] = static_cast<uint32_t>(i);
+}
+
+// Ask the points of the neighbourhood that lie on the sheet of point `row` for their normals.
+Verdict poll(const CellPoints& sorted, const Neighbourhood& around, int found, int64_t row) {
+  const double* position = sorted.position + 3 * row;
+  const double* normal = sorted.normal + 3 * row;
   int agree = 0, oppose = 0;
   double offsets = 0.0;
   for (int cell = 0; cell < found; ++cell)
     for (int64_t i = sorted.offsets[around.rows[cell]]; i < sorted.offsets[around.rows[cell] + 1]; ++i) {
-      const double* other = &sorted.position[3 * i];
+      const int64_t at = 3 * static_cast<int64_t>(sorted.row[i]);
+      const double* other = sorted.position + at;
       const double away[3] = {other[0] - position[0], other[1] - position[1], other[2] - position[2]};
       const double offset = dot(normal, away);
       if (std::abs(offset) > sorted.tolerance) continue;
       if (dot(away, away) > sorted.reach * sorted.reach) continue;
-      if (std::abs(dot(&sorted.normal[3 * i], away)) > sorted.tolerance) continue;
-      const double cosine = dot(normal, &sorted.normal[3 * i]);
+      if (std::abs(dot(sorted.normal + at, away)) > sorted.tolerance) continue;
+      const double cosine = dot(normal, sorted.normal + at);
       agree += cosine > ALIKE;
       if (cosine < -ALIKE) ++oppose, offsets += offset;
     }
@@ -152,25 +183,16 @@ Verdict poll(const SortedPoints& sorted, const Neighbourhood& around, int found,
   return oppose > agree || agree + oppose < LEAST ? UNSURE : FINE;
 }
 
-// Judge the points of some cells; only those that are at odds with the whole neighbourhood are polled.
-void judge_cells(const SortedPoints& sorted, const double* sums, const uint8_t* asked,
-                 int64_t start, int64_t stop, uint8_t* verdicts) {
+// Judge the marked points of some cells.
+void judge_cells(const CellPoints& sorted, int64_t start, int64_t stop, uint8_t* verdicts) {
   Neighbourhood around(sorted.keys, sorted.cells);
   for (int64_t cell = start; cell < stop; ++cell) {
-    const int found = around.gather(sorted.keys[cell]);
-    double mean[3] = {0.0, 0.0, 0.0};
-    int64_t count = 0;
-    for (int i = 0; i < found; ++i) {
-      const int64_t row = around.rows[i];
-      for (int axis = 0; axis < 3; ++axis) mean[axis] += sums[3 * row + axis];
-      count += sorted.offsets[row + 1] - sorted.offsets[row];
-    }
+    int found = 0;
     for (int64_t at = sorted.offsets[cell]; at < sorted.offsets[cell + 1]; ++at) {
-      uint8_t& verdict = verdicts[sorted.row[at]];
-      verdict = FINE;
-      if (!asked[sorted.row[at]]) continue;
-      if (dot(&sorted.normal[3 * at], mean) > ALIKE * static_cast<double>(count)) continue;
-      verdict = poll(sorted, around, found, at);
+      const int64_t row = sorted.row[at];
+      if (verdicts[row] == FINE) continue;
+      if (!found) found = around.gather(sorted.keys[cell]);
+      verdicts[row] = poll(sorted, around, found, row);
     }
   }
 }
@@ -193,17 +215,13 @@ Output<uint8_t> poll_normals(Input positions, Input normals, Input cells, Input 
   {
     nb::gil_scoped_release unlocked;
     verdicts = make_buffer<uint8_t>(points);
-    SortedPoints sorted = sort_by_cell(position, normal, cell, points, keys, count);
-    sorted.reach = reach;
-    sorted.tolerance = tolerance;
-    sorted.drift = drift;
-    Large<double> sums(static_cast<size_t>(3 * count), 0.0);
-    for (int64_t c = 0; c < count; ++c)
-      for (int64_t at = sorted.offsets[c]; at < sorted.offsets[c + 1]; ++at)
-        for (int axis = 0; axis < 3; ++axis) sums[3 * c + axis] += sorted.normal[3 * at + axis];
-    run_ranges(count, workers, [&](int64_t start, int64_t stop) {
-      judge_cells(sorted, sums.data(), asked, start, stop, verdicts.get());
-    });
+    const Large<Around> around = sum_normals(normal, cell, points, keys, count, workers);
+    if (mark_suspects(normal, cell, points, around, asked, verdicts.get())) {
+      CellPoints sorted{position, normal, keys, count, {}, {}, reach, tolerance, drift};
+      sort_rows(cell, points, sorted);
+      run_ranges(count, workers,
+                 [&](int64_t start, int64_t stop) { judge_cells(sorted, start, stop, verdicts.get()); });
+    }
   }
   return give(std::move(verdicts), {static_cast<size_t>(points)});
 }

@@ -1,4 +1,5 @@
 // Points on a lattice: counting occupied boxes, sorting by cell, the bricks that hold a point.
+#include "clones.h"
 #include "families.h"
 #include "keys.h"
 
@@ -53,6 +54,37 @@ class KeyCounter {
   size_t count_ = 0;
 };
 
+void bound(const double* points, int64_t count, double* least, double* most) {
+  for (int axis = 0; axis < 3; ++axis) least[axis] = most[axis] = points[axis];
+  for (int64_t i = 1; i < count; ++i)
+    for (int axis = 0; axis < 3; ++axis) {
+      const double value = points[3 * i + axis];
+      least[axis] = value < least[axis] ? value : least[axis];
+      most[axis] = value > most[axis] ? value : most[axis];
+    }
+}
+
+struct PlaceRange {
+  Place low, high;
+};
+
+// Rank points by their cells; return false where one lies beyond the range, as only NaN does.
+HPC_CLONES bool rank_range(const double* points, int64_t count, const double* origin, double size,
+                           const PlaceRange& range, const Span& span, Ranked* ranked) {
+  bool within = true;
+  for (int64_t i = 0; i < count; ++i) {
+    Place place;
+    for (int axis = 0; axis < 3; ++axis) {
+      const double lower = std::floor((points[3 * i + axis] - origin[axis]) / size);
+      const bool inside = lower >= static_cast<double>(range.low[axis]) && lower <= static_cast<double>(range.high[axis]);
+      place[axis] = inside ? static_cast<int64_t>(lower) : range.low[axis];
+      within = within && inside;
+    }
+    ranked[i] = {span.squeeze(place), static_cast<uint32_t>(i)};
+  }
+  return within;
+}
+
 nb::tuple bound_points(Input positions) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const int64_t count = rows_of(positions);
@@ -60,16 +92,7 @@ nb::tuple bound_points(Input positions) {
   auto low = make_buffer<double>(3), high = make_buffer<double>(3);
   {
     nb::gil_scoped_release unlocked;
-    double least[3], most[3];
-    for (int axis = 0; axis < 3; ++axis) least[axis] = most[axis] = point[axis];
-    for (int64_t i = 1; i < count; ++i)
-      for (int axis = 0; axis < 3; ++axis) {
-        const double value = point[3 * i + axis];
-        least[axis] = value < least[axis] ? value : least[axis];
-        most[axis] = value > most[axis] ? value : most[axis];
-      }
-    std::copy(least, least + 3, low.get());
-    std::copy(most, most + 3, high.get());
+    bound(point, count, low.get(), high.get());
   }
   return nb::make_tuple(give(std::move(low), {3}), give(std::move(high), {3}));
 }
@@ -77,14 +100,14 @@ nb::tuple bound_points(Input positions) {
 // Return whether a box is in the sample of about one in so many, chosen by a hash.
 inline bool is_sampled(int64_t key, int64_t one_in) {
   const uint64_t mixed = static_cast<uint64_t>(key) * 0x9E3779B97F4A7C15u >> 33;
-  return mixed % static_cast<uint64_t>(one_in) == 0;
+  return mixed * static_cast<uint64_t>(one_in) >> 31 == 0;
 }
 
 nb::tuple count_boxes(Input positions, Input low, double edge, int64_t one_in) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const double* origin = check<double>(low, "low", {3});
   check_positive(edge, "edge");
-  if (one_in < 1) refuse("one_in: expected 1 or more");
+  if (one_in < 1 || one_in > UINT32_MAX) refuse("one_in: expected 1 to 2^32 - 1");
   const int64_t count = rows_of(positions);
   int64_t kept = 0, boxes = 0;
   {
@@ -105,7 +128,7 @@ Output<int64_t> sample_boxes(Input positions, Input low, double edge, int64_t on
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const double* origin = check<double>(low, "low", {3});
   check_positive(edge, "edge");
-  if (one_in < 1) refuse("one_in: expected 1 or more");
+  if (one_in < 1 || one_in > UINT32_MAX) refuse("one_in: expected 1 to 2^32 - 1");
   const int64_t count = rows_of(positions);
   Large<int64_t> rows;
   {
@@ -120,20 +143,13 @@ Output<int64_t> sample_boxes(Input positions, Input low, double edge, int64_t on
 
 Large<Ranked> rank_points(const double* points, int64_t count, const double* origin,
                           double size, Span& span) {
-  Place low{BIAS, BIAS, BIAS}, high{-BIAS, -BIAS, -BIAS};
-  for (int64_t i = 0; i < count; ++i) {
-    const Place place = cell_of(points + 3 * i, origin, size);
-    for (int axis = 0; axis < 3; ++axis) {
-      low[axis] = std::min(low[axis], place[axis]);
-      high[axis] = std::max(high[axis], place[axis]);
-    }
-  }
+  double least[3], most[3];
+  bound(points, count, least, most);
+  const Place low = cell_of(least, origin, size), high = cell_of(most, origin, size);
   span = Span(low, high);
   Large<Ranked> ranked(static_cast<size_t>(count));
-  for (int64_t i = 0; i < count; ++i) {
-    const Place place = cell_of(points + 3 * i, origin, size);
-    ranked[static_cast<size_t>(i)] = {span.squeeze(place), static_cast<uint32_t>(i)};
-  }
+  if (!rank_range(points, count, origin, size, {low, high}, span, ranked.data()))
+    refuse("positions: a point is not finite");
   radix_sort(ranked, span.bits());
   return ranked;
 }

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.cleaning import Cleaned, clean_cloud
+from hpcapp.applications.surface.cleaning import Cleaned, arrange_points, clean_cloud
 from hpcapp.applications.surface.scan_settings import ScanSettings
 from hpcapp.applications.surface.scanner import simulate_scan
 from hpcapp.applications.surface.shapes import SHAPES, diagonal_of
@@ -74,6 +75,33 @@ def test_colours_and_origin_stay_with_their_points() -> None:
     rows = [row[tuple(place)] for place in kept.positions.tolist()]
     assert rows == sorted(rows)
     np.testing.assert_array_equal(kept.colors, colors[rows])
+
+
+def test_points_are_sorted_by_block_and_keep_their_order_within() -> None:
+    random = np.random.default_rng(0)
+    positions = random.random((20_000, 3)) * (1.0, 0.1, 0.1)
+    colors = random.integers(0, 255, (len(positions), 3)).astype(np.uint8)
+    cloud = PointCloud(positions, positions + 1.0, colors, np.array([7.0, 8.0, 9.0]))
+    arranged = arrange_points(cloud)
+    row = {tuple(place): i for i, place in enumerate(positions.tolist())}
+    rows = np.array([row[tuple(place)] for place in arranged.positions.tolist()])
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    blocks = np.floor((arranged.positions - low) / ((high - low).max() / 64)).astype(int).tolist()
+    assert blocks == sorted(blocks)
+    assert sorted(rows.tolist()) == list(range(len(cloud)))
+    same = [a == b for a, b in pairwise(blocks)]
+    assert sum(same) > len(cloud) // 2
+    assert (np.diff(rows)[same] > 0).all()
+    assert arranged.normals is not None
+    assert arranged.colors is not None
+    np.testing.assert_array_equal(arranged.normals, arranged.positions + 1.0)
+    np.testing.assert_array_equal(arranged.colors, colors[rows])
+    np.testing.assert_array_equal(arranged.origin, cloud.origin)
+
+
+def test_points_of_no_extent_stay_as_they_are() -> None:
+    cloud = PointCloud(np.ones((20, 3)))
+    assert arrange_points(cloud) is cloud
 
 
 def test_threads_do_not_show() -> None:
