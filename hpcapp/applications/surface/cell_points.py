@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hpcapp.batches import Workforce, map_batches
 from hpccomponent.surface import kernels
-from hpccomponent.surface.lattice import BITS
+from hpccomponent.surface.lattice import BITS, unique_keys
 from hpccomponent.surface.point_tasks import fit_points, merge_points
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 
@@ -168,6 +168,6 @@ def _cut_slabs(cells: IntArray, parts: int) -> list[slice]:
     """
     layers = np.flatnonzero(np.diff(cells >> (2 * BITS + 1))) + 1
     wanted = np.arange(1, parts) * len(cells) // parts
-    cuts = np.unique(np.append(layers, len(cells))[np.searchsorted(layers, wanted)])
+    cuts = unique_keys(np.append(layers, len(cells))[np.searchsorted(layers, wanted)])
     bounds = [0, *cuts[cuts < len(cells)].tolist(), len(cells)]
     return [slice(a, b) for a, b in pairwise(bounds)]
