@@ -61,6 +61,26 @@ def test_missing_wheels_fail_each_machine_with_one_line(file: Path) -> None:
         assert "\n" not in failure.reason
 
 
+@pytest.mark.slow
+def test_a_full_disk_fails_its_machine_with_one_line_and_nothing_is_sent(
+    file: Path, hosts: tuple[Server, Server], wheelhouse: Path, tmp_path: Path
+) -> None:
+    (file.parent / "wheels").rmdir()
+    (file.parent / "wheels").symlink_to(wheelhouse)
+    df = tmp_path / "programs/df"
+    df.parent.mkdir()
+    df.write_text("#!/bin/sh\necho; echo tmpfs 20480 18432 2048 90% /home\n")
+    df.chmod(0o755)
+    for host in hosts:
+        host.path = f"{df.parent}:{host.path}"
+    with open_cluster(file) as cluster:
+        claim(cluster)
+        failures = set_up(cluster.spec, cluster.machines(), cluster.access, print)
+    said = "its disk has 2 MiB left, 512 are needed; set disk_gb in its profile, or make room"
+    assert {f.machine.name.node: f.reason for f in failures} == {"head": said, "worker-1": said}
+    assert not (hosts[1].home / FOLDER / "wheels").exists()
+
+
 def test_a_host_that_vanished_counts_as_stopped_with_the_reason(
     file: Path, hosts: tuple[Server, Server], machines: Machines
 ) -> None:
