@@ -15,18 +15,15 @@ FILE.yaml    the workers of a cluster that is up, by its cluster file, from anyw
 from __future__ import annotations
 
 import os
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from hpcapp.batches import Workforce
 from hpccomponent.errors import UsageError
-from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
 
 if TYPE_CHECKING:
     from hpcapp.communicator.executor import CommunicatorExecutor
@@ -36,7 +33,6 @@ __all__ = ["BACKENDS", "POLICIES", "Backend", "SerialExecutor", "Traffic", "open
 BACKENDS = ("serial", "threads", "processes", "zmq")
 POLICIES = ("equal", "pull")
 BATCHES_PER_WORKER = {"equal": 1, "pull": 4}
-EXIT_ORPHANED = 1
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -92,41 +88,6 @@ class SerialExecutor(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
-
-
-def _serve_the_master() -> None:
-    """Leave Ctrl-C to the master, and end with it even when it is killed.
-
-    A worker of a pool would wait for ever: each holds both ends of the queue of the others.
-    """
-    import multiprocessing
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    master = multiprocessing.parent_process()
-    assert master is not None  # noqa: S101 - for mypy: this runs in a pool only
-    assert master.pid is not None  # noqa: S101 - likewise
-    exit_at_end_of_pipe(int(master.sentinel), EXIT_ORPHANED)
-    die_with_parent(master.pid, signal.SIGKILL)
-
-
-def _start_workers(pool: Executor, count: int) -> None:
-    """Start all workers of a pool deaf to Ctrl-C, which is for the master.
-
-    A worker takes a while to come up, and would show a traceback if it were interrupted then;
-    it inherits what is blocked here. A thread other than the main one never hears of Ctrl-C.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        return  # they start with the tasks, then
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        for _ in range(count):
-            pool.submit(_come_up)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _come_up() -> None:
-    """Do nothing: the first task of each worker makes it start."""
 
 
 def available_cores() -> int:
@@ -204,7 +165,9 @@ def open_executor(
 def _open_pool(name: str, count: int) -> Iterator[Executor]:
     """Open an Executor of the standard library, or the serial one."""
     if name == "processes":
-        with _open_processes(count) as processes:
+        from hpcapp.process_pool import open_processes
+
+        with open_processes(count) as processes:
             yield processes
         return
     pool = (
@@ -216,59 +179,6 @@ def _open_pool(name: str, count: int) -> Iterator[Executor]:
         yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def _open_processes(count: int) -> Iterator[Executor]:
-    """Open a pool of processes whose workers end with it, and whose losses are noticed."""
-    import multiprocessing  # heavy, like the pool
-    from concurrent.futures import ProcessPoolExecutor
-
-    # Spawned, not forked: a fork copies locks that threads of this process may hold.
-    pool = ProcessPoolExecutor(
-        count,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_serve_the_master,
-    )
-    watcher = None
-    try:
-        _start_workers(pool, count)
-        watcher = threading.Thread(target=_watch_workers, args=_insides(pool), name="pool watcher")
-        watcher.start()
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        if watcher is not None and watcher.ident is not None:
-            watcher.join()
-
-
-def _insides(pool: Any) -> tuple[list[Any], Any]:
-    """Return the workers of a pool, and the end of a pipe that they write results to.
-
-    Private to the standard library, which offers no other way to learn of a lost worker.
-    """
-    results: Any = pool._result_queue
-    return list(pool._processes.values()), results._writer
-
-
-def _watch_workers(processes: list[Any], writer: Any) -> None:
-    """Break the pool when a worker dies, even one that dies while it writes a result.
-
-    The pool then waits for the rest of the result for ever: the master itself and the other
-    workers keep the pipe open. Without them the pool reads its end, and fails what waits.
-    """
-    from multiprocessing.connection import wait
-
-    running = {process.sentinel: process for process in processes}
-    while running:
-        ended = [running.pop(sentinel) for sentinel in wait(list(running))]
-        for process in ended:
-            process.join()  # its pipe closes a moment before its exit code is known
-        if any(process.exitcode for process in ended):
-            for process in running.values():
-                process.kill()
-            writer.close()
-            return
 
 
 @contextmanager

@@ -1,0 +1,112 @@
+"""A process pool of the standard library that nothing outlives, and that notices lost workers.
+
+Imported by `backends` when it is asked for: what it stands on is heavy.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing.connection import wait
+from typing import Any
+
+from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
+
+__all__ = ["open_processes"]
+
+EXIT_ORPHANED = 1
+
+
+@contextmanager
+def open_processes(count: int) -> Iterator[Executor]:
+    """Open a pool of processes whose workers end with it, and whose losses are noticed.
+
+    Parameters
+    ----------
+    count : int
+        How many processes.
+
+    Yields
+    ------
+    Executor
+    """
+    # Spawned, not forked: a fork copies locks that threads of this process may hold.
+    pool = ProcessPoolExecutor(
+        count,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_serve_the_master,
+    )
+    watcher = None
+    try:
+        _start_workers(pool, count)
+        watcher = threading.Thread(target=_watch_workers, args=_insides(pool), name="pool watcher")
+        watcher.start()
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+        if watcher is not None and watcher.ident is not None:
+            watcher.join()
+
+
+def _insides(pool: Any) -> tuple[list[Any], Any]:
+    """Return the workers of a pool, and the end of a pipe that they write results to.
+
+    Private to the standard library, which offers no other way to learn of a lost worker.
+    """
+    results: Any = pool._result_queue
+    return list(pool._processes.values()), results._writer
+
+
+def _watch_workers(processes: list[Any], writer: Any) -> None:
+    """Break the pool when a worker dies, even one that dies while it writes a result.
+
+    The pool then waits for the rest of the result for ever: the master itself and the other
+    workers keep the pipe open. Without them the pool reads its end, and fails what waits.
+    """
+    running = {process.sentinel: process for process in processes}
+    while running:
+        ended = [running.pop(sentinel) for sentinel in wait(list(running))]
+        for process in ended:
+            process.join()  # its pipe closes a moment before its exit code is known
+        if any(process.exitcode for process in ended):
+            for process in running.values():
+                process.kill()
+            writer.close()
+            return
+
+
+def _serve_the_master() -> None:
+    """Leave Ctrl-C to the master, and end with it even when it is killed.
+
+    A worker of a pool would wait for ever: each holds both ends of the queue of the others.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    master = multiprocessing.parent_process()
+    assert master is not None  # noqa: S101 - for mypy: this runs in a pool only
+    assert master.pid is not None  # noqa: S101 - likewise
+    exit_at_end_of_pipe(int(master.sentinel), EXIT_ORPHANED)
+    die_with_parent(master.pid, signal.SIGKILL)
+
+
+def _start_workers(pool: Executor, count: int) -> None:
+    """Start all workers of a pool deaf to Ctrl-C, which is for the master.
+
+    A worker takes a while to come up, and would show a traceback if it were interrupted then;
+    it inherits what is blocked here. A thread other than the main one never hears of Ctrl-C.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        return  # they start with the tasks, then
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        for _ in range(count):
+            pool.submit(_come_up)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _come_up() -> None:
+    """Do nothing: the first task of each worker makes it start."""
