@@ -244,5 +244,7 @@ def raise_failure(status: JobStatus) -> None:
         return
     if not status.state.is_over:
         raise JobError(f"job {status.job} is {status.state}", "wait for it with 'hpcapp attach'")
+    if status.state is JobState.CANCELLED:
+        raise JobError(f"job {status.job} was cancelled")
     kind = _ERRORS.get(status.exit_code or 1, JobError)
     raise kind(f"job {status.job} {status.state}: {status.reason}")

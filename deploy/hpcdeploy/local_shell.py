@@ -87,7 +87,7 @@ class LocalShell:
         self, source: str, target: Path, *, on_progress: Callable[[int, int], None] | None = None
     ) -> None:
         """Copy a file from the node."""
-        self._copy(self._home / source, target, 0o600, on_progress)
+        self._copy(self._home / source, target, None, on_progress)
 
     def forward(self, address: str, port: int) -> int:
         """Return the port: what the node reaches, this machine reaches."""
@@ -129,21 +129,24 @@ class LocalShell:
         self,
         source: Path,
         target: Path,
-        mode: int,
+        mode: int | None,
         on_progress: Callable[[int, int], None] | None,
     ) -> None:
+        """Copy a file, whole or not at all; without a mode as the user's own new files are."""
+        fresh = 0o666 if mode is None else 0o600
         beside = target.with_name(target.name + ".part")
         try:
             total = source.stat().st_size
             target.parent.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileNotFoundError):
                 beside.unlink()
-            with source.open("rb") as read, open(os.open(beside, _FRESH, 0o600), "wb") as write:
+            with source.open("rb") as read, open(os.open(beside, _FRESH, fresh), "wb") as write:
                 while chunk := read.read(_CHUNK):
                     write.write(chunk)
                     if on_progress is not None:
                         on_progress(write.tell(), total)
-            beside.chmod(mode)
+            if mode is not None:
+                beside.chmod(mode)
             os.replace(beside, target)
         except OSError as error:
             with contextlib.suppress(OSError):

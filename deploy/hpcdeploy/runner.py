@@ -86,9 +86,7 @@ def run(folder: Path, job: JobFolder, lock: int) -> None:
         job.write_status(status)
         status = _finish(job, status, _run_verb(folder, job, lock))
     except _Cancelled:
-        status = replace(
-            status, state=JobState.CANCELLED, exit_code=EXIT_CANCELLED, reason="cancelled"
-        )
+        status = replace(status, state=JobState.CANCELLED, exit_code=EXIT_CANCELLED)
     except (HpcError, OSError) as error:
         code = getattr(error, "exit_code", 1)
         status = replace(status, state=JobState.FAILED, exit_code=code, reason=str(error))

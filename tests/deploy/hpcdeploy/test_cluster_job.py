@@ -181,7 +181,7 @@ def test_a_job_outlives_the_client(cluster: Place, number: signal.Signals) -> No
         assert job["state"] == "running"
         cluster.run("cancel", "cluster.yaml")
         _, errors = cluster.run("attach", "cluster.yaml", job["job"], code=1)
-        assert f"hpcapp: job {job['job']} cancelled: cancelled" in errors
+        assert f"hpcapp: job {job['job']} was cancelled" in errors
 
 
 def test_what_cannot_be_is_one_line_and_no_job(cluster: Place) -> None:

@@ -176,7 +176,7 @@ def test_a_cancelled_job_leaves_no_process_and_no_mesh(
     seen = Seen(WAITING, lambda: jobs.cancel("1"))
     status = jobs.follow("1", seen)
     assert not list((folder / "jobs/1").glob("*mesh*"))
-    with pytest.raises(JobError, match="job 1 cancelled"):
+    with pytest.raises(JobError, match="job 1 was cancelled"):
         jobs.fetch(status, tmp_path / "mesh.ply")
     assert members(status.runner) == []
     assert jobs.cancel("1") == status  # once more does nothing

@@ -46,6 +46,8 @@ def test_files_are_copied_with_their_mode(shell: LocalShell, tmp_path: Path) -> 
     assert stat.S_IMODE((tmp_path / "home/a/target").stat().st_mode) == 0o640
     shell.get("a/target", tmp_path / "back")
     assert (tmp_path / "back").read_text() == "text"
+    (tmp_path / "new").touch()
+    assert (tmp_path / "back").stat().st_mode == (tmp_path / "new").stat().st_mode
 
 
 def test_a_file_that_is_not_there_is_named(shell: LocalShell, tmp_path: Path) -> None:
