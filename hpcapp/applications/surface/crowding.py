@@ -1,7 +1,7 @@
 """How the points lie around the vertices of a coarse level: from all around, and how crowded.
 
-Coarse quadrics are for places where the finer level is too sparse, and where the surface goes on:
-this tells where that is.
+Coarse quadrics are for places where the finer level is too sparse, and finer vertices count on
+them where the surface goes on: this tells where that is.
 """
 
 from __future__ import annotations

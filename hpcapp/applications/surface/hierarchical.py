@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.crowding import crowd_vertices, surrounded_vertices
+from hpcapp.applications.surface.crowding import crowd_vertices
 from hpcapp.applications.surface.estimates import Scale, choose_scale
 from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.pyramid import (
@@ -225,10 +225,11 @@ def assemble_field(partition: HierarchicalPartition, quadrics: list[VertexQuadri
     for depth, of_level in enumerate(quadrics):
         level = pyramid.levels[depth]
         keys = level.vertices
-        crowds = np.zeros(len(keys))
-        if depth:
-            crowds = crowd_vertices(keys, of_level.counts, level.cells, level.squares)
-            crowds[~surrounded_vertices(keys, level.cells)] = np.inf
+        crowds = (
+            crowd_vertices(keys, of_level.counts, level.cells, level.squares)
+            if depth
+            else np.zeros(len(keys))
+        )
         trust = np.empty(len(keys), np.float32)
         for start in range(0, len(keys), _TRUST_ROWS):
             rows = slice(start, start + _TRUST_ROWS)
