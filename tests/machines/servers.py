@@ -12,7 +12,7 @@ import os
 import signal
 import threading
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,6 +22,7 @@ __all__ = ["Machines", "Server"]
 
 T = TypeVar("T")
 USER = "admin"
+_CHUNK = 1 << 16
 
 
 class Server:
@@ -106,19 +107,39 @@ class Server:
             stderr=asyncio.subprocess.PIPE,
             start_new_session=True,
         )
-        assert child.stdin is not None
-        await process.redirect(stdin=child.stdin, stdout=child.stdout, stderr=child.stderr)
         self._children.add(child)
+        feeder = asyncio.create_task(_feed(child, process))
+        # All output has left before the exit is told: asyncssh's own redirection leaves that open.
+        await asyncio.gather(
+            _pump(child.stdout, process.stdout), _pump(child.stderr, process.stderr)
+        )
         code = await child.wait()
         self._children.discard(child)
-        await process.stdout.drain()
-        await process.stderr.drain()
-        await process.stdout.drain()
+        feeder.cancel()
+        await asyncio.gather(feeder, return_exceptions=True)
         if code < 0:
             process.exit_with_signal("KILL")
         else:
             process.exit(code)
         await process.wait_closed()  # it keeps coroutines that want to be awaited
+
+
+async def _pump(source: Any, target: Any) -> None:
+    """Carry what a command says to the client, for as long as there is one."""
+    while chunk := await source.read(_CHUNK):
+        with suppress(OSError, asyncssh.Error):
+            target.write(chunk)
+            await target.drain()
+
+
+async def _feed(child: asyncio.subprocess.Process, process: Any) -> None:
+    """Carry what the client says to a command."""
+    assert child.stdin is not None
+    with suppress(OSError, asyncssh.Error):
+        while chunk := await process.stdin.read(_CHUNK):
+            child.stdin.write(chunk)
+            await child.stdin.drain()
+    child.stdin.close()
 
 
 class _Login(asyncssh.SSHServer):
