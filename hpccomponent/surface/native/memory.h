@@ -20,11 +20,13 @@ constexpr size_t HUGE_PAGE = size_t{1} << 21;
 
 // Have large arrays, numpy's too, given back to the system when they are freed. By itself glibc
 // keeps arrays of up to 32 MB once one of that size was freed, in pieces, for each thread. Smaller
-// ones are used again: the first touch of fresh memory costs more than what it is filled with.
+// ones are used again, by whichever thread asks next: the first touch of fresh memory costs more
+// than what it is filled with.
 inline void give_back_large_arrays() {
 #if defined(__GLIBC__)
   mallopt(M_MMAP_THRESHOLD, 1 << 22);
   mallopt(M_TRIM_THRESHOLD, 1 << 23);
+  mallopt(M_ARENA_MAX, 1);
 #endif
 }
 
