@@ -70,9 +70,11 @@ while :; do
 done
 """
 
-# A process id may be another's by now: the time of its start tells.
+# A process id may be another's by now: the time of its start tells. One that has ended may stay as
+# a zombie (Z) for as long as nobody asks for its exit code.
 _IS_OURS = """{ read -r pid start <loader.pid &&
-    [ "$(sed 's/.*) //' "/proc/$pid/stat" | cut -d' ' -f20)" = "$start" ]; } 2>/dev/null"""
+    now=$(sed -n 's/.*) [^ZX] //p' "/proc/$pid/stat" | cut -d' ' -f19) &&
+    [ "$now" = "$start" ]; } 2>/dev/null"""
 
 _STOP = (
     """cd FOLDER 2>/dev/null || exit 0
