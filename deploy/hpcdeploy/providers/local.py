@@ -19,14 +19,13 @@ from hpcdeploy.loader_service import stop_command
 from hpcdeploy.local_shell import LocalShell
 from hpcdeploy.names import NodeName
 from hpcdeploy.provider import (
-    GroupSeen,
-    KeyPairSeen,
     Launch,
     MachineSeen,
     Observed,
     Problem,
     State,
 )
+from hpcdeploy.providers.standing import StandingMachines
 from hpcdeploy.spec import ClusterSpec
 
 __all__ = ["LocalProvider", "open_local"]
@@ -42,11 +41,10 @@ def open_local(spec: ClusterSpec, base: Path) -> LocalProvider:
     return LocalProvider()
 
 
-class LocalProvider:
+class LocalProvider(StandingMachines):
     """Folders for machines."""
 
     name = "local"
-    makes_machines = False
 
     def observe(self, cluster: str | None) -> Observed:
         """Return the nodes whose folders are there."""
@@ -89,36 +87,6 @@ class LocalProvider:
                     f"see {home} and end it by hand",
                 )
             shutil.rmtree(home, ignore_errors=True)
-
-    def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
-        """Do nothing: there is no login."""
-        del public_key
-        return KeyPairSeen(cluster, "", incarnation)
-
-    def create_group(self, cluster: str, incarnation: str) -> GroupSeen:
-        """Do nothing: there is no network."""
-        return GroupSeen(cluster, "", "", incarnation)
-
-    def allow(
-        self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
-    ) -> None:
-        """Do nothing: there is no network."""
-
-    def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
-        """Do nothing: there is no lease."""
-
-    def delete_group(self, group: GroupSeen) -> bool:
-        """Do nothing: there is none."""
-        del group
-        return True
-
-    def delete_key_pair(self, key_pair: KeyPairSeen) -> None:
-        """Do nothing: there is none."""
-
-    def console(self, machine: MachineSeen) -> str:
-        """Return nothing: there is none."""
-        del machine
-        return ""
 
     def check(self) -> list[Problem]:
         """Return nothing: this machine is there."""

@@ -23,8 +23,6 @@ from hpcdeploy.layout import machine_folder
 from hpcdeploy.loader_service import stop_command
 from hpcdeploy.names import HEAD, NodeName
 from hpcdeploy.provider import (
-    GroupSeen,
-    KeyPairSeen,
     Launch,
     MachineSeen,
     Observed,
@@ -32,6 +30,7 @@ from hpcdeploy.provider import (
     State,
 )
 from hpcdeploy.provider_spec import Host, SshSpec
+from hpcdeploy.providers.standing import StandingMachines
 from hpcdeploy.spec import ClusterSpec
 from hpcdeploy.ssh_target import host_address, host_id
 
@@ -46,7 +45,7 @@ def open_ssh_hosts(spec: ClusterSpec, base: Path) -> SshHosts:
     return SshHosts(spec, base)
 
 
-class SshHosts:
+class SshHosts(StandingMachines):
     """Hosts, and what we have put on them.
 
     Parameters
@@ -57,7 +56,6 @@ class SshHosts:
     """
 
     name = "ssh"
-    makes_machines = False
 
     def __init__(self, spec: ClusterSpec, base: Path) -> None:
         assert isinstance(spec.provider, SshSpec)  # noqa: S101 - by the provider's type
@@ -101,36 +99,6 @@ class SshHosts:
         """Stop the loaders and remove our folders; hosts that do not answer stay as they are."""
         with ThreadPoolExecutor(AT_ONCE, thread_name_prefix="hosts") as pool:
             list(pool.map(self._end, (m for m in machines if m.state is State.RUNNING)))
-
-    def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
-        """Do nothing: the hosts know who may log in."""
-        del public_key
-        return KeyPairSeen(cluster, "", incarnation)
-
-    def create_group(self, cluster: str, incarnation: str) -> GroupSeen:
-        """Do nothing: the network is as it is."""
-        return GroupSeen(cluster, "", "", incarnation)
-
-    def allow(
-        self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
-    ) -> None:
-        """Do nothing: the network is as it is."""
-
-    def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
-        """Do nothing: the hosts stay."""
-
-    def delete_group(self, group: GroupSeen) -> bool:
-        """Do nothing: there is none."""
-        del group
-        return True
-
-    def delete_key_pair(self, key_pair: KeyPairSeen) -> None:
-        """Do nothing: there is none."""
-
-    def console(self, machine: MachineSeen) -> str:
-        """Return nothing: a host's console is its owner's."""
-        del machine
-        return ""
 
     def check(self) -> list[Problem]:
         """Log in to every host."""
