@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
+from hpccomponent.surface.arrangement import choose_arrangement, snap_points
 from hpccomponent.surface.normals import mend_normals
 from hpccomponent.surface.outliers import find_outliers
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 from hpccomponent.surface.spacing import estimate_spacing
 
-__all__ = ["Cleaned", "arrange_points", "clean_cloud"]
+__all__ = ["Cleaned", "arrange_points", "clean_cloud", "drop_far"]
 
-_BLOCKS = 64  # along the longest side, in each of which the points stay in their order
 _SAMPLE = 10_000
 _CORE = (0.02, 0.98)  # quantiles of each coordinate
 _CORES = 100.0  # longest sides of the core: beyond them lie markers, not measurements
@@ -46,23 +46,56 @@ def arrange_points(cloud: PointCloud) -> PointCloud:
     Parameters
     ----------
     cloud : PointCloud
+        Finite positions; markers far away must have been dropped (see `drop_far`), for the
+        longest side decides how the rest is rounded.
+
+    Returns
+    -------
+    PointCloud
+        The same points, rounded and sorted as `arrangement` says; within a block in their order.
+
+    Notes
+    -----
+    All that follows goes through the cloud by cells. In the order of a file, which may be any,
+    each point would have to come from the far end of memory, again and again. Rounded to a
+    billionth of the longest side, points are the same in memory, on disk and on the wire.
+    """
+    low, high = bounding_box(cloud.positions)
+    if (low == high).all():
+        return cloud
+    arrangement = choose_arrangement(low, high)
+    snapped = snap_points(arrangement, cloud.positions)
+    normals = None if cloud.normals is None else cloud.normals.astype(np.float32)
+    rows = kernels.sort_points(snapped, arrangement.origin, arrangement.edge)[2]
+    return PointCloud(
+        snapped[rows],
+        None if normals is None else normals[rows].astype(np.float64),
+        None if cloud.colors is None else cloud.colors[rows],
+        cloud.origin,
+    )
+
+
+def drop_far(cloud: PointCloud) -> PointCloud:
+    """Drop points farther from the middle of a cloud than a hundred times its core.
+
+    Parameters
+    ----------
+    cloud : PointCloud
         Finite positions.
 
     Returns
     -------
     PointCloud
-        The same points, block by block; within a block in their order.
+        In their order; the input itself where none lies so far.
 
     Notes
     -----
-    All that follows goes through the cloud by cells. In the order of a file, which may be any,
-    each point would have to come from the far end of memory, again and again.
+    A scanner's marker for "no echo" may lie where no lattice of the cloud's spacing reaches.
     """
-    low, high = bounding_box(cloud.positions)
-    edge = float((high - low).max()) / _BLOCKS
-    if not edge > 0.0:
+    if not len(cloud):
         return cloud
-    return cloud.take(kernels.sort_points(cloud.positions, low, edge)[2])
+    near = _find_near(cloud.positions)
+    return cloud if near.all() else cloud.take(near)
 
 
 def clean_cloud(cloud: PointCloud, threads: int = 1) -> tuple[PointCloud, Cleaned]:
@@ -88,14 +121,11 @@ def clean_cloud(cloud: PointCloud, threads: int = 1) -> tuple[PointCloud, Cleane
 
     Notes
     -----
-    Points farther from the middle of the cloud than a hundred times its core are dropped first:
-    a scanner's marker for "no echo" may lie where no lattice of the cloud's spacing reaches.
-    See `find_outliers` and `mend_normals` for the rest.
+    See `drop_far`, `find_outliers` and `mend_normals`.
     """
     if not len(cloud):
         return cloud, Cleaned(0, 0)
-    near = _find_near(cloud.positions)
-    kept = cloud if near.all() else cloud.take(near)
+    kept = drop_far(cloud)
     spacing = estimate_spacing(kept.positions)
     strays = find_outliers(kept.positions, spacing)
     if strays.any():

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.cleaning import Cleaned, arrange_points, clean_cloud
+from hpcapp.applications.surface.cleaning import (
+    Cleaned,
+    arrange_points,
+    clean_cloud,
+    drop_far,
+)
 from hpcapp.applications.surface.doubts import doubt_closure, doubt_normals, doubt_resolution
 from hpcapp.applications.surface.hierarchical import MARGIN, HierarchicalMethod
 from hpcapp.applications.surface.memory import check_memory
@@ -101,10 +106,11 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
     with open_output(settings.output, settings.points) as target:
         with clock.stage("read"):
             cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
+            usable = len(cloud)
             if settings.method != "paper":  # which cuts the cloud up by itself
-                cloud = arrange_points(cloud)
+                cloud = arrange_points(drop_far(cloud) if settings.clean else cloud)
         _report_dropped(settings.points, dropped)
-        cloud, cleaned = _clean(settings, cloud, clock)
+        cloud, cleaned = _clean(settings, cloud, usable - len(cloud), clock)
         grid = _choose_grid(settings, cloud)
         check_memory(settings.method, grid, cloud)
         threads = available_cores() if len(cloud) >= THREADS_FROM_POINTS else 1
@@ -147,12 +153,15 @@ def _warn(settings: Settings, grid: int, cloud: PointCloud, result: Reconstructi
     return doubts
 
 
-def _clean(settings: Settings, cloud: PointCloud, clock: StageClock) -> tuple[PointCloud, Cleaned]:
+def _clean(
+    settings: Settings, cloud: PointCloud, far: int, clock: StageClock
+) -> tuple[PointCloud, Cleaned]:
     """Drop outliers and turn wrong normals round, and say so; the paper's method takes all."""
     if settings.method == "paper" or not settings.clean:
         return cloud, Cleaned(0, 0)
     with clock.stage("clean"):
         cloud, cleaned = clean_cloud(cloud)
+    cleaned = replace(cleaned, outliers=far + cleaned.outliers)
     if cleaned.outliers:
         log.warning("%s: dropped %d outliers", settings.points, cleaned.outliers)
     if cleaned.flipped:

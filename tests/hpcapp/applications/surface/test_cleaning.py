@@ -14,6 +14,7 @@ from hpcapp.applications.surface.scan_settings import ScanSettings
 from hpcapp.applications.surface.scanner import simulate_scan
 from hpcapp.applications.surface.shapes import SHAPES, diagonal_of
 from hpcapp.io import drop_unusable, read_points
+from hpccomponent.surface.arrangement import choose_arrangement, snap_points
 from hpccomponent.surface.points import PointCloud
 
 
@@ -77,16 +78,18 @@ def test_colours_and_origin_stay_with_their_points() -> None:
     np.testing.assert_array_equal(kept.colors, colors[rows])
 
 
-def test_points_are_sorted_by_block_and_keep_their_order_within() -> None:
+def test_points_are_rounded_sorted_by_block_and_keep_their_order_within() -> None:
     random = np.random.default_rng(0)
     positions = random.random((20_000, 3)) * (1.0, 0.1, 0.1)
     colors = random.integers(0, 255, (len(positions), 3)).astype(np.uint8)
     cloud = PointCloud(positions, positions + 1.0, colors, np.array([7.0, 8.0, 9.0]))
     arranged = arrange_points(cloud)
-    row = {tuple(place): i for i, place in enumerate(positions.tolist())}
+    arrangement = choose_arrangement(positions.min(axis=0), positions.max(axis=0))
+    snapped = snap_points(arrangement, positions)
+    row = {tuple(place): i for i, place in enumerate(snapped.tolist())}
     rows = np.array([row[tuple(place)] for place in arranged.positions.tolist()])
-    low, high = positions.min(axis=0), positions.max(axis=0)
-    blocks = np.floor((arranged.positions - low) / ((high - low).max() / 64)).astype(int).tolist()
+    places = arranged.positions - arrangement.origin
+    blocks = np.floor(places / arrangement.edge).astype(int).tolist()
     assert blocks == sorted(blocks)
     assert sorted(rows.tolist()) == list(range(len(cloud)))
     same = [a == b for a, b in pairwise(blocks)]
@@ -94,7 +97,7 @@ def test_points_are_sorted_by_block_and_keep_their_order_within() -> None:
     assert (np.diff(rows)[same] > 0).all()
     assert arranged.normals is not None
     assert arranged.colors is not None
-    np.testing.assert_array_equal(arranged.normals, arranged.positions + 1.0)
+    np.testing.assert_array_equal(arranged.normals, (positions[rows] + 1.0).astype(np.float32))
     np.testing.assert_array_equal(arranged.colors, colors[rows])
     np.testing.assert_array_equal(arranged.origin, cloud.origin)
 

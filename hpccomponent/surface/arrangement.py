@@ -1,0 +1,196 @@
+"""The canonical order and rounding of a cloud: the same points in memory, on disk and on the wire.
+
+::
+
+    positions ── snapped to multiples of a quantum ── sorted stably by blocks of 2^24 quanta
+
+All steps are powers of two, so that every number here is exact: a position is its block's place
+and an offset that float32 holds without rounding, 24 bytes with its normal instead of 48.
+
+Who may import it: applications, and tasks that are sent points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import frexp
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.errors import InputError
+from hpccomponent.surface import kernels
+from hpccomponent.surface.lattice import unpack_keys
+from hpccomponent.surface.points import FloatArray, IntArray
+
+__all__ = [
+    "Arrangement",
+    "PackedPoints",
+    "choose_arrangement",
+    "pack_points",
+    "snap_points",
+    "unpack_points",
+]
+
+Float32Array = NDArray[np.float32]
+
+QUANTA_BITS = 24
+"""Of an offset within a block: the significand of float32."""
+
+_BLOCKS_BITS = 6  # at most 2^6 blocks along the longest side, and more than half of that
+_ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrangement:
+    """The lattice of blocks that a cloud is sorted by.
+
+    Parameters
+    ----------
+    origin : ndarray of float64, shape (3,)
+        Corner of block (0, 0, 0): a multiple of `edge`.
+    edge : float
+        Of a block, in length units of the input: a power of two.
+    """
+
+    origin: FloatArray
+    edge: float
+
+    @property
+    def quantum(self) -> float:
+        """What all positions are multiples of, in length units of the input."""
+        return self.edge * 2.0**-QUANTA_BITS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedPoints:
+    """Arranged points in half the bytes, without loss.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (b,)
+        Sorted keys of the occupied blocks (see `lattice.pack_places`).
+    counts : ndarray of int64, shape (b,)
+        Points in each block.
+    offsets : ndarray of float32, shape (n, 3)
+        Block after block, from the block's corner, in blocks: 0 or more, below 1.
+    normals : ndarray of float32, shape (n, 3)
+    """
+
+    keys: IntArray
+    counts: IntArray
+    offsets: Float32Array
+    normals: Float32Array
+
+    def __len__(self) -> int:
+        return len(self.offsets)
+
+
+def choose_arrangement(low: FloatArray, high: FloatArray) -> Arrangement:
+    """Choose the blocks of a cloud.
+
+    Parameters
+    ----------
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around all points, in length units of the input.
+
+    Returns
+    -------
+    Arrangement
+        Its edge is the power of two in [longest side / 64, longest side / 32).
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+
+    Examples
+    --------
+    >>> choose_arrangement(np.zeros(3), np.array([1.0, 0.5, 0.2])).edge
+    0.015625
+    """
+    longest = float((high - low).max())
+    if not longest > 0.0:
+        raise InputError("all points lie at one place", "scan something with an extent")
+    fraction, exponent = frexp(longest)
+    edge = 2.0 ** (exponent - _BLOCKS_BITS - (fraction == 0.5))
+    return Arrangement(np.floor(low / edge) * edge, edge)
+
+
+def snap_points(arrangement: Arrangement, positions: FloatArray) -> FloatArray:
+    """Round positions to multiples of the quantum.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 3)
+        A copy; each coordinate moves by less than 1e-9 of the longest side.
+    """
+    snapped = np.empty_like(positions)
+    quantum = arrangement.quantum
+    for start in range(0, len(positions), _ROWS_AT_ONCE):
+        rows = slice(start, start + _ROWS_AT_ONCE)
+        part = np.divide(positions[rows], quantum, out=snapped[rows])
+        np.rint(part, out=part)
+        part *= quantum
+    snapped += 0.0  # no negative zeros: equal positions have equal bytes
+    return snapped
+
+
+def pack_points(
+    arrangement: Arrangement, positions: FloatArray, normals: FloatArray
+) -> PackedPoints:
+    """Snap points, sort them by blocks and pack them.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    positions, normals : ndarray of float64, shape (n, 3)
+        At least one point; the positions in length units of the input.
+
+    Returns
+    -------
+    PackedPoints
+        Within a block the points keep their order.
+
+    Raises
+    ------
+    InputError, ValueError
+        A point lies more than 2^20 blocks away.
+    """
+    snapped = snap_points(arrangement, positions)
+    keys, offsets, rows = kernels.sort_points(snapped, arrangement.origin, arrangement.edge)
+    packed = np.empty((2, len(rows), 3), np.float32)
+    for start in range(0, len(rows), _ROWS_AT_ONCE):
+        some = slice(start, start + _ROWS_AT_ONCE)
+        places = (snapped[rows[some]] - arrangement.origin) / arrangement.edge
+        packed[0, some] = places - np.floor(places)
+        packed[1, some] = normals[rows[some]]
+    return PackedPoints(keys, np.diff(offsets), packed[0], packed[1])
+
+
+def unpack_points(arrangement: Arrangement, packed: PackedPoints) -> tuple[FloatArray, FloatArray]:
+    """Return the points that were packed, bit for bit as `snap_points` rounded them.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    packed : PackedPoints
+
+    Returns
+    -------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input.
+    normals : ndarray of float64, shape (n, 3)
+        Those of float32.
+    """
+    corners = unpack_keys(packed.keys) * arrangement.edge + arrangement.origin
+    positions = packed.offsets.astype(np.float64)
+    positions *= arrangement.edge
+    positions += np.repeat(corners, packed.counts, axis=0)
+    return positions, packed.normals.astype(np.float64)
