@@ -1,22 +1,40 @@
 """The user's side: the command, the communicator and the master processes of applications.
 
-From Python: ``with hpcapp.open_executor("cluster.yaml") as backend: backend.executor.submit(...)``.
+From Python::
+
+    mesh = hpcapp.reconstruct(points, normals)
+    hpcapp.write_mesh("mesh.ply", mesh)
+
+    with hpcapp.open_executor("cluster.yaml") as backend:
+        backend.executor.submit(...)
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from hpcapp.applications.surface.api import reconstruct
     from hpcapp.backends import open_executor
+    from hpcapp.io import write_mesh
 
-__all__ = ["open_executor"]
+__all__ = ["open_executor", "reconstruct", "write_mesh"]
+
+_HOMES = {
+    "open_executor": "hpcapp.backends",
+    "reconstruct": "hpcapp.applications.surface.api",
+    "write_mesh": "hpcapp.io",
+}
 
 
 def __getattr__(name: str) -> Any:
-    """Import the backends when they are used: ``import hpcapp`` must stay light."""
-    if name != "open_executor":
+    """Import what is asked for when it is: ``import hpcapp`` must stay light."""
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from hpcapp.backends import open_executor
+    return getattr(import_module(_HOMES[name]), name)
 
-    return open_executor
+
+def __dir__() -> list[str]:
+    """Name the interface, for completion in notebooks."""
+    return sorted({*globals(), *__all__})

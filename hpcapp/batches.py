@@ -41,6 +41,24 @@ class Workforce:
         """Cut `rows` rows into batches for this workforce, in order and equal to within one row."""
         return cut_equal(rows, self.workers * self.batches_per_worker)
 
+    def share(self, value: Any) -> Any:
+        """Offer a large value to all workers, where the Executor can send it once for many tasks.
+
+        Parameters
+        ----------
+        value : ndarray, or tuple or dict of them
+            Must not change any more.
+
+        Returns
+        -------
+        object
+            To be passed to tasks in place of `value`, as an argument or within a tuple of one;
+            the task itself gets the value. It is the value itself where the Executor has no
+            ``share``. Keep it as long as tasks are submitted with it.
+        """
+        share = getattr(self.executor, "share", None)
+        return value if share is None else share(value)
+
 
 def cut_equal(rows: int, batches: int) -> list[slice]:
     """Cut `rows` rows into at most `batches` runs, equal to within one row, none empty.

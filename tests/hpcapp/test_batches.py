@@ -69,3 +69,14 @@ class BrokenPool(SerialExecutor):
 def test_a_broken_pool_is_a_lost_worker() -> None:
     with pytest.raises(WorkerLostError, match="died while it ran divide"):
         map_batches(Workforce(BrokenPool()), divide, [(1.0, 2.0)])
+
+
+class SharingPool(SerialExecutor):
+    def share(self, value: Any) -> tuple[str, Any]:
+        return ("shared", value)
+
+
+def test_a_value_is_shared_where_the_executor_can_and_itself_where_it_cannot() -> None:
+    value = [1.0]
+    assert Workforce(SharingPool()).share(value) == ("shared", value)
+    assert Workforce(SerialExecutor()).share(value) is value

@@ -1,0 +1,224 @@
+"""Surface reconstruction from Python: arrays in, a mesh out, by the command's own steps.
+
+::
+
+    points, normals ── check ─> PointCloud ── the job's steps ─> Mesh in the points' coordinates
+
+Users call it as ``hpcapp.reconstruct``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hpcapp.applications.surface import job
+from hpcapp.applications.surface.cleaning import arrange_points
+from hpcapp.applications.surface.memory import check_memory
+from hpcapp.applications.surface.pipeline import Reconstruction
+from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
+from hpcapp.backends import available_cores, open_executor
+from hpcapp.io import drop_unusable
+from hpcapp.io.frame import to_local
+from hpcapp.progress import Progress, SilentProgress, StageClock
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.points import FloatArray, PointCloud
+
+__all__ = ["reconstruct"]
+
+Report = Callable[[str, int, int], object]
+
+METHODS = ("hierarchical", "paper")
+
+
+def reconstruct(
+    points: ArrayLike,
+    normals: ArrayLike,
+    grid: int = job.DEFAULT_GRID,
+    *,
+    voxel_size: float | None = None,
+    method: str = "hierarchical",
+    smoothness: float = 1.0,
+    detail: float = 1.0,
+    clean: bool = True,
+    executor: str | None = None,
+    workers: int | None = None,
+    progress: Report | None = None,
+) -> Mesh:
+    """Turn oriented points into a watertight mesh, the one that ``hpcapp reconstruct`` writes.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 3)
+        Coordinates in any unit and any frame, georeferenced ones too.
+    normals : array_like, shape (n, 3)
+        Pointing out of the object, of any length but zero.
+    grid : int
+        Cells along the longest side, 16 to 4096.
+    voxel_size : float, optional
+        Edge of a cell in the unit of the points; takes the place of `grid`.
+    method : str
+        ``hierarchical`` or ``paper``.
+    smoothness : float
+        Factor on the smoothing that the noise asks for, 0.1 to 10, dimensionless.
+    detail : float
+        Factor on the finest detail that the spacing allows, 0.1 to 10, dimensionless.
+    clean : bool
+        Drop outliers and turn wrong normals round first; not with ``paper``.
+    executor : str, optional
+        Where batches run, by a name that ``--backend`` takes or the file of a cluster; by default
+        what pays for so many points.
+    workers : int, optional
+        How many tasks run at once.
+    progress : callable, optional
+        Told (stage, parts done, parts in all) as the work proceeds, in the calling thread; what it
+        raises ends the job.
+
+    Returns
+    -------
+    Mesh
+        Vertices in the coordinates of `points`, float64 (``origin`` is zero); faces anticlockwise
+        as seen from outside. What is to be doubted in it is logged as a warning.
+
+    Raises
+    ------
+    InputError
+        `points` or `normals` is not such an array, holds NaN or infinity, or shows no surface.
+    UsageError
+        Another argument is out of its range.
+    JobError
+        The work could not be finished.
+
+    Examples
+    --------
+    >>> normals = np.random.default_rng(0).normal(size=(2000, 3))
+    >>> normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    >>> mesh = reconstruct(7.0 + 2.0 * normals, normals, grid=32)
+    >>> float(np.abs(np.linalg.norm(mesh.vertices - 7.0, axis=1) - 2.0).max()) < 0.1
+    True
+    """
+    settings = job.Settings(
+        Path("points"),  # what messages call it
+        "",
+        method,
+        grid,
+        voxel_size=voxel_size,
+        backend="auto" if executor is None else executor,
+        workers=workers,
+        clean=clean,
+        smoothness=smoothness,
+        detail=detail,
+    )
+    _check_settings(settings)
+    cloud = _check_cloud(points, normals)
+    clock = StageClock(SilentProgress() if progress is None else _Calls(progress))
+    mesh = _run(settings, cloud, clock).mesh
+    return Mesh(mesh.vertices + mesh.origin, mesh.faces)
+
+
+def _run(settings: job.Settings, cloud: PointCloud, clock: StageClock) -> Reconstruction:
+    """Take a cloud through the job's steps, from its cleaning to the warnings."""
+    if settings.method != "paper":  # which cuts the cloud up by itself
+        cloud = arrange_points(cloud)
+    cloud, _ = job._clean(settings, cloud, clock)
+    grid = job._choose_grid(settings, cloud)
+    check_memory(settings.method, grid, cloud)
+    threads = available_cores() if len(cloud) >= job.THREADS_FROM_POINTS else 1
+    method = job._choose_method(settings, grid, threads)
+    with open_executor(job._choose_backend(settings, cloud), workers=settings.workers) as backend:
+        result = run_pipeline(cloud, method, backend.workforce, clock)
+    job._warn(settings, grid, cloud, result)
+    return result
+
+
+class _Calls(Progress):
+    """Calls a function with the stage and how far it has come, from none to all of its parts."""
+
+    def __init__(self, report: Report) -> None:
+        self._report = report
+        self._stage, self._done, self._total = "", 0, 1
+
+    def begin(self, stage: str) -> None:
+        """Report that nothing of `stage` is done."""
+        self._stage, self._done, self._total = stage, 0, 1
+        self._report(stage, 0, 1)
+
+    def advance(self, done: int, total: int) -> None:
+        """Report how far the stage has come."""
+        self._done, self._total = done, total
+        self._report(self._stage, done, total)
+
+    def end(self, stage: str, seconds: float) -> None:
+        """Report that all of `stage` is done."""
+        del seconds
+        if self._done < self._total:
+            self._report(stage, self._total, self._total)
+
+
+def _check_settings(settings: job.Settings) -> None:
+    """Refuse what the command would refuse."""
+    if settings.method not in METHODS:
+        raise UsageError(f"unknown method {settings.method!r}", f"choose {' or '.join(METHODS)}")
+    if not isinstance(settings.grid, int | np.integer):
+        raise UsageError(f"grid is {settings.grid!r}", "give a whole number of cells")
+    if settings.voxel_size is None:
+        _check_range("grid", settings.grid, job.MIN_GRID, job.MAX_GRID)
+    elif settings.grid != job.DEFAULT_GRID:
+        raise UsageError("grid and voxel_size exclude each other", "give one of them")
+    elif not settings.voxel_size > 0.0:
+        raise UsageError(f"voxel_size is {settings.voxel_size!r}", "give an edge longer than zero")
+    _check_range("smoothness", settings.smoothness, 0.1, 10)
+    _check_range("detail", settings.detail, 0.1, 10)
+
+
+def _check_range(name: str, value: Any, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise UsageError(f"{name} is {value!r}", f"give a number from {low:g} to {high:g}")
+
+
+def _check_cloud(points: ArrayLike, normals: ArrayLike) -> PointCloud:
+    """Return the arrays as a cloud in its local frame; InputError names the argument at fault."""
+    positions, directions = _check_rows("points", points), _check_rows("normals", normals)
+    if len(positions) != len(directions):
+        raise InputError(
+            f"points has {len(positions)} rows and normals {len(directions)}",
+            "give one normal for each point",
+        )
+    local, origin = to_local(positions)
+    cloud, dropped = drop_unusable(PointCloud(local, directions, origin=origin), "points")
+    if dropped.total:
+        raise InputError(
+            f"normals has {dropped.total} of {len(directions)} rows of length zero",
+            "leave those points out",
+        )
+    return cloud
+
+
+def _check_rows(name: str, values: ArrayLike) -> FloatArray:
+    """Return `values` as rows of three finite numbers, float64."""
+    try:
+        array = np.asarray(values)
+    except ValueError as error:  # rows of different lengths
+        raise InputError(f"{name} is no array ({error})", "give rows of three numbers") from None
+    if array.dtype.kind not in "biuf":
+        raise InputError(
+            f"{name} holds {array.dtype}, not numbers", "give rows of three numbers, for instance "
+            "a float64 array of shape (n, 3)"
+        )  # fmt: skip
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(
+            f"{name} has the shape {array.shape}, not (n, 3)", "give one row of three per point"
+        )
+    finite = np.logical_and.reduce([np.isfinite(column) for column in array.T])
+    if not finite.all():
+        raise InputError(
+            f"{name} has {int((~finite).sum())} of {len(array)} rows with NaN or infinity, first "
+            f"{name}[{int(np.argmin(finite))}]",
+            "leave those points out",
+        )
+    return np.ascontiguousarray(array, dtype=np.float64)

@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hpcapp
+from hpcapp.applications.surface.job import Settings, run_job
+from hpcapp.io import read_points, write_mesh
+from hpcapp.progress import SilentProgress
+from hpccomponent.errors import HpcError, InputError, UsageError
+from hpccomponent.surface.points import PointCloud
+
+FAR = np.array([5_400_000.0, 400_000.0, 100.0])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"grid": 32},
+        {"voxel_size": 0.08, "detail": 0.5, "smoothness": 2.0, "clean": False},
+        {"grid": 32, "method": "paper"},
+        {"grid": 32, "executor": "threads", "workers": 3},
+    ],
+)
+def test_the_mesh_has_the_bytes_of_the_commands(
+    options: dict[str, Any], sphere_file: Path, tmp_path: Path
+) -> None:
+    cloud = read_points(sphere_file)
+    assert cloud.normals is not None
+    mesh = hpcapp.reconstruct(cloud.positions, cloud.normals, **options)
+    write_mesh(tmp_path / "api.ply", mesh)
+    named = {"backend": options.get("executor", "auto")}
+    typed = {name: value for name, value in options.items() if name != "executor"} | named
+    run_job(Settings(sphere_file, str(tmp_path / "job.ply"), **typed), SilentProgress())
+    assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
+
+
+def test_a_georeferenced_cloud_comes_back_in_its_own_coordinates(
+    sphere: PointCloud, tmp_path: Path
+) -> None:
+    rows = np.hstack([sphere.positions + FAR, sphere.normals])
+    np.savetxt(tmp_path / "far.xyz", rows, fmt="%.17g")
+    mesh = hpcapp.reconstruct(rows[:, :3], rows[:, 3:], grid=32)
+    radii = np.linalg.norm(mesh.vertices - FAR, axis=1)
+    assert np.abs(radii - 1.0).max() < 0.03
+    assert not mesh.origin.any()
+    write_mesh(tmp_path / "api.ply", mesh)
+    run_job(Settings(tmp_path / "far.xyz", str(tmp_path / "job.ply"), grid=32), SilentProgress())
+    assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
+
+
+def test_lists_and_single_precision_are_arrays_too(sphere: PointCloud) -> None:
+    points, normals = sphere.positions.astype(np.float32), sphere.normals.astype(np.float32)
+    single = hpcapp.reconstruct(points, normals, grid=32)
+    listed = hpcapp.reconstruct(points.tolist(), normals.tolist(), grid=32)
+    assert single.vertices.dtype == np.float64
+    assert single.vertices.tobytes() == listed.vertices.tobytes()
+    assert single.faces.tobytes() == listed.faces.tobytes()
+
+
+def test_the_arrays_that_were_given_stay_as_they_are(sphere: PointCloud) -> None:
+    points, normals = sphere.positions + FAR, 3.0 * sphere.normals
+    before = points.copy(), normals.copy()
+    hpcapp.reconstruct(points, normals, grid=32)
+    np.testing.assert_array_equal((points, normals), before)
+
+
+def test_progress_counts_each_stage_from_none_to_all(sphere: PointCloud) -> None:
+    seen: list[tuple[str, int, int]] = []
+    hpcapp.reconstruct(
+        sphere.positions, sphere.normals, grid=32, progress=lambda *told: seen.append(told)
+    )
+    stages = list(dict.fromkeys(stage for stage, _, _ in seen))
+    assert stages[-1] == "check"
+    for stage in stages:
+        told = [(done, total) for name, done, total in seen if name == stage]
+        assert told[0] == (0, 1)
+        assert told[-1][0] == told[-1][1]
+        shares = [done / total for done, total in told]
+        assert shares == sorted(shares)
+
+
+def test_what_progress_raises_ends_the_job(sphere: PointCloud) -> None:
+    def stop(stage: str, done: int, total: int) -> None:
+        raise KeyError(stage)
+
+    with pytest.raises(KeyError, match="clean"):
+        hpcapp.reconstruct(sphere.positions, sphere.normals, grid=32, progress=stop)
+
+
+GOOD = np.random.default_rng(5).normal(size=(50, 3))
+
+
+def spoilt(row: int, value: float) -> np.ndarray[Any, Any]:
+    rows = GOOD.copy()
+    rows[row] = value
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("points", "normals", "words"),
+    [
+        (GOOD[0], GOOD, r"points has the shape \(3,\), not \(n, 3\)"),
+        (GOOD, GOOD[:, :2], r"normals has the shape \(50, 2\)"),
+        (GOOD, GOOD[:-1], "points has 50 rows and normals 49"),
+        ([[0.0, 1.0, 2.0], [3.0]], GOOD, "points is no array"),
+        (GOOD.astype(str), GOOD, "points holds <U32, not numbers"),
+        (GOOD.astype(complex), GOOD, "points holds complex128"),
+        (GOOD, None, "normals holds object"),
+        (spoilt(7, np.nan), GOOD, r"points has 1 of 50 rows with NaN or infinity, .* points\[7\]"),
+        (
+            GOOD,
+            spoilt(9, np.inf),
+            r"normals has 1 of 50 rows with NaN or infinity, .* normals\[9\]",
+        ),
+        (GOOD, spoilt(9, 0.0), "normals has 1 of 50 rows of length zero"),
+        (GOOD[:4], GOOD[:4], "points has 4 usable points"),
+        (np.zeros((0, 3)), np.zeros((0, 3)), "points holds no points"),
+        (np.ones((50, 3)), GOOD, "points: all 50 points lie in one place"),
+        (GOOD * 1e80, GOOD, "points: the largest coordinate is"),
+    ],
+)
+def test_a_wrong_array_is_named(points: Any, normals: Any, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        hpcapp.reconstruct(points, normals)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"grid": 8}, "grid is 8; give a number from 16 to 4096"),
+        ({"grid": 64.5}, "grid is 64.5; give a whole number"),
+        ({"grid": 64, "voxel_size": 0.1}, "exclude each other"),
+        ({"voxel_size": -1.0}, "longer than zero"),
+        ({"voxel_size": 1e9}, "choose one that gives 16 to 4096"),
+        ({"smoothness": 0.0}, "smoothness is 0.0"),
+        ({"detail": float("nan")}, "detail is nan"),
+        ({"method": "poisson"}, "unknown method 'poisson'"),
+        ({"executor": "cloud"}, "unknown backend 'cloud'"),
+        ({"executor": "serial", "workers": 2}, "cannot have 2 workers"),
+    ],
+)
+def test_a_wrong_option_is_named(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(UsageError, match=words) as caught:
+        hpcapp.reconstruct(GOOD, GOOD, **options)
+    assert isinstance(caught.value, HpcError)
+
+
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, hpcapp; print(dir(hpcapp)); "
+        "sys.exit(bool({'numpy', 'zmq', 'click', 'hpccomponent'} & set(sys.modules)))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert found.returncode == 0, found.stderr
+    assert "'reconstruct'" in found.stdout
+    with pytest.raises(AttributeError, match="no attribute 'reconstrukt'"):
+        getattr(hpcapp, "reconstrukt")  # noqa: B009 - mypy knows that it is not there
