@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Literal, TypeVar
 
 from hpcapp.io.obj import read_obj, write_obj
 from hpcapp.io.off import read_off, write_off
-from hpcapp.io.ply import read_ply_mesh, read_ply_points, write_ply_mesh, write_ply_points
+from hpcapp.io.ply import read_ply_mesh, write_ply_mesh, write_ply_points
+from hpcapp.io.ply_points import open_ply
+from hpcapp.io.point_source import PointSource, read_whole, translated
 from hpcapp.io.staging import check_place
 from hpcapp.io.stl import read_stl, write_stl
-from hpcapp.io.text import read_text_points, write_text_points
+from hpcapp.io.text import open_text, write_text_points
 from hpccomponent.errors import InputError, OutputError, UsageError
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import PointCloud
 
-__all__ = ["check_writable", "read_mesh", "read_points", "write_mesh", "write_points"]
+__all__ = [
+    "check_writable",
+    "open_points",
+    "read_mesh",
+    "read_points",
+    "write_mesh",
+    "write_points",
+]
 
 Chosen = TypeVar("Chosen")
 
 _TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")
-_POINT_READERS: dict[str, Callable[[Path], PointCloud]] = {
-    ".ply": read_ply_points,
-    **dict.fromkeys(_TEXT_SUFFIXES, read_text_points),
+_POINT_SOURCES: dict[str, Callable[[Path], PointSource]] = {
+    ".ply": open_ply,
+    **dict.fromkeys(_TEXT_SUFFIXES, open_text),
 }
 _POINT_WRITERS: dict[str, Callable[[Path, PointCloud], None]] = {
     ".ply": write_ply_points,
@@ -66,10 +74,33 @@ def read_points(path: str | PathLike[str]) -> PointCloud:
     UsageError
         The suffix is unknown.
     """
-    reader = _choose(_POINT_READERS, Path(path), UsageError, "a point cloud is read from")
-    with _translated(path):
+    return read_whole(open_points(path))
+
+
+def open_points(path: str | PathLike[str]) -> PointSource:
+    """Open a point cloud to read it in parts; see `read_points` for the formats.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        The suffix, in any case, chooses the format.
+
+    Returns
+    -------
+    PointSource
+        Its parts are in the file's coordinates, and hold every point of it.
+
+    Raises
+    ------
+    InputError
+        The file cannot be opened, its start is damaged, or it holds no points.
+    UsageError
+        The suffix is unknown.
+    """
+    open_ = _choose(_POINT_SOURCES, Path(path), UsageError, "a point cloud is read from")
+    with translated(Path(path)):
         _refuse_special(Path(path))
-        return reader(Path(path))
+        return open_(Path(path))
 
 
 def read_mesh(path: str | PathLike[str]) -> Mesh:
@@ -93,7 +124,7 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
         The suffix is unknown.
     """
     reader = _choose(_MESH_READERS, Path(path), UsageError, "a mesh is read from")
-    with _translated(path):
+    with translated(Path(path)):
         return reader(Path(path))
 
 
@@ -172,14 +203,3 @@ def _refuse_special(path: Path) -> None:
     """Refuse pipes and devices: a reader looks at its file twice, and would wait for ever."""
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a regular file", "write it to a file first")
-
-
-@contextmanager
-def _translated(path: str | PathLike[str]) -> Iterator[None]:
-    """Turn the system's errors of reading a file into ours."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(
-            f"{Path(path)}: cannot be read: {error.strerror or error}", "check the file's name"
-        ) from error

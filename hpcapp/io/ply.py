@@ -1,7 +1,7 @@
 """PLY files: strict in what is accepted, double precision where it is needed.
 
-The parts: `ply_header` (what the body holds), `ply_binary` and `ply_ascii` (the body), and here
-what the elements mean: ``vertex`` is a point cloud, ``vertex`` and ``face`` are a mesh.
+The parts: `ply_header` (what the body holds), `ply_binary` and `ply_ascii` (the body), and what
+the elements mean: ``vertex`` is a point cloud (`ply_points`), ``vertex`` and ``face`` are a mesh.
 """
 
 from __future__ import annotations
@@ -13,22 +13,19 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.columns import Rows
-from hpcapp.io.frame import needs_double, to_local
+from hpcapp.io.frame import needs_double
 from hpcapp.io.ply_ascii import read_ascii
 from hpcapp.io.ply_binary import read_binary
 from hpcapp.io.ply_header import read_header
+from hpcapp.io.ply_points import AXES, COLORS, NORMALS, stack, vertex_of
 from hpcapp.io.polygons import mesh_of_polygons
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import FloatArray, PointCloud
 
-__all__ = ["read_ply_mesh", "read_ply_points", "write_ply_mesh", "write_ply_points"]
+__all__ = ["read_ply_mesh", "write_ply_mesh", "write_ply_points"]
 
-_AXES = ("x", "y", "z")
-_NORMALS = ("nx", "ny", "nz")
-_COLORS = ("red", "green", "blue")
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 _ROWS_AT_ONCE = 1 << 16
 
@@ -41,43 +38,6 @@ class _Column:
     dtype: str
     values: NDArray[np.float64] | NDArray[np.uint8]
     shift: float = 0.0
-
-
-def read_ply_points(path: Path) -> PointCloud:
-    """Read the vertices of a PLY file as a point cloud.
-
-    Properties other than coordinates, normals and colours of one byte are passed over, as are
-    all elements but ``vertex``.
-
-    Parameters
-    ----------
-    path : Path
-        ascii or binary in either byte order.
-
-    Returns
-    -------
-    PointCloud
-        Normals as they are in the file, of any length.
-
-    Raises
-    ------
-    InputError
-        The file is damaged or holds no points.
-    OSError
-        The file cannot be read.
-    """
-    vertex = _vertices(_read(path, {"vertex"}), path)
-    positions, origin = to_local(_stack(vertex, _AXES))
-    present = [name for name in _NORMALS if name in vertex.scalars]
-    if present and len(present) < len(_NORMALS):
-        raise InputError(
-            f"{path}: element 'vertex' has {', '.join(present)} but not all of nx, ny, nz",
-            "export the file with whole normals, or without",
-        )
-    colors = None
-    if all(name in vertex.scalars and vertex.scalars[name].dtype == np.uint8 for name in _COLORS):
-        colors = np.stack([vertex.scalars[name] for name in _COLORS], axis=1)
-    return PointCloud(positions, _stack(vertex, _NORMALS) if present else None, colors, origin)
 
 
 def read_ply_mesh(path: Path) -> Mesh:
@@ -99,8 +59,10 @@ def read_ply_mesh(path: Path) -> Mesh:
     OSError
         The file cannot be read.
     """
-    elements = _read(path, {"vertex", "face"})
-    vertex = _vertices(elements, path)
+    header = read_header(path)
+    vertex_of(header, path)
+    read = read_binary if header.byte_order else read_ascii
+    elements = read(path, header, {"vertex", "face"})
     lists = elements["face"].lists if "face" in elements else {}
     polygons = next((lists[name] for name in _FACE_LISTS if name in lists), None)
     if polygons is None or polygons.values.dtype.kind not in "iu":
@@ -108,7 +70,7 @@ def read_ply_mesh(path: Path) -> Mesh:
             f"{path}: no element 'face' with a list vertex_indices of integers: not a mesh",
             "a point cloud can be meshed with 'hpcapp reconstruct'",
         )
-    return mesh_of_polygons(_stack(vertex, _AXES), polygons, path)
+    return mesh_of_polygons(stack(elements["vertex"], AXES), polygons, path)
 
 
 def write_ply_points(path: Path, cloud: PointCloud) -> None:
@@ -131,9 +93,9 @@ def write_ply_points(path: Path, cloud: PointCloud) -> None:
     """
     columns = _coordinate_columns(cloud.positions, cloud.origin)
     if cloud.normals is not None:
-        columns += _plain_columns(_NORMALS, "<f4", cloud.normals)
+        columns += _plain_columns(NORMALS, "<f4", cloud.normals)
     if cloud.colors is not None:
-        columns += _plain_columns(_COLORS, "u1", cloud.colors)
+        columns += _plain_columns(COLORS, "u1", cloud.colors)
     with replacing(path) as file:
         file.write(_header(_vertex_lines(columns)))
         _write_columns(file, columns)
@@ -165,37 +127,6 @@ def write_ply_mesh(path: Path, mesh: Mesh) -> None:
         file.write(faces.data)
 
 
-def _read(path: Path, wanted: set[str]) -> dict[str, Rows]:
-    header = read_header(path)
-    read = read_binary if header.byte_order else read_ascii
-    return read(path, header, wanted)
-
-
-def _vertices(elements: dict[str, Rows], path: Path) -> Rows:
-    """Return the rows of ``vertex``, which must have coordinates."""
-    if "vertex" not in elements:
-        raise InputError(f"{path}: no element 'vertex'", "export the file as a point cloud or mesh")
-    vertex = elements["vertex"]
-    missing = [name for name in _AXES if name not in vertex.scalars]
-    if missing:
-        raise InputError(
-            f"{path}: element 'vertex' has no property {', '.join(missing)}",
-            "export the file with coordinates x, y and z",
-        )
-    return vertex
-
-
-def _stack(rows: Rows, names: tuple[str, ...]) -> FloatArray:
-    """Copy scalar properties into the columns of one array, block by block for the cache."""
-    columns = [rows.scalars[name] for name in names]
-    stacked = np.empty((len(columns[0]), len(columns)))
-    for start in range(0, len(stacked), _ROWS_AT_ONCE):
-        block = slice(start, start + _ROWS_AT_ONCE)
-        for i, column in enumerate(columns):
-            stacked[block, i] = column[block]
-    return stacked
-
-
 def _plain_columns(
     names: tuple[str, ...], dtype: str, values: FloatArray | NDArray[np.uint8]
 ) -> list[_Column]:
@@ -204,7 +135,7 @@ def _plain_columns(
 
 def _coordinate_columns(local: FloatArray, origin: FloatArray) -> list[_Column]:
     dtype = "<f8" if needs_double(local, origin) else "<f4"
-    return [_Column(*column) for column in zip(_AXES, [dtype] * 3, local.T, origin, strict=True)]
+    return [_Column(*column) for column in zip(AXES, [dtype] * 3, local.T, origin, strict=True)]
 
 
 def _vertex_lines(columns: list[_Column]) -> list[str]:

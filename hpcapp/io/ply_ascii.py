@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 from collections.abc import Container, Iterator
 from itertools import islice
 from pathlib import Path
@@ -17,7 +18,7 @@ from hpcapp.io.rows import Line, line_error, numbered, parse_table, take_lines
 from hpccomponent.errors import InputError
 from hpccomponent.surface.points import FloatArray
 
-__all__ = ["read_ascii"]
+__all__ = ["read_ascii", "scan_ascii"]
 
 
 def read_ascii(path: Path, header: Header, wanted: Container[str]) -> dict[str, Rows]:
@@ -43,7 +44,26 @@ def read_ascii(path: Path, header: Header, wanted: Container[str]) -> dict[str, 
         There are fewer or more lines than the header says, or a line of a wanted element is
         not a row of it.
     """
-    found = {}
+    return dict(scan_ascii(path, header, wanted, sys.maxsize))
+
+
+def scan_ascii(
+    path: Path, header: Header, wanted: Container[str], at_once: int
+) -> Iterator[tuple[str, Rows]]:
+    """Read elements of an ascii PLY file in parts; see `read_ascii`.
+
+    Parameters
+    ----------
+    at_once : int
+        Rows in a part, at most.
+
+    Yields
+    ------
+    name : str
+        Of the element.
+    rows : Rows
+        Its next rows.
+    """
     with path.open("rb") as file, io.TextIOWrapper(file, "latin-1") as text:
         file.seek(header.body_start)
         lines = numbered(text, header.body_line)
@@ -52,24 +72,25 @@ def read_ascii(path: Path, header: Header, wanted: Container[str]) -> dict[str, 
             if element.name not in wanted:
                 for _ in taken:
                     pass
-            elif element.has_lists:
-                found[element.name] = _parse_uneven(taken, element, path)
-            else:
-                found[element.name] = _parse_even(taken, element, path)
+                continue
+            parse = _parse_uneven if element.has_lists else _parse_even
+            for first in range(0, max(element.count, 1), at_once):
+                yield element.name, parse(islice(taken, at_once), element, path, first)
         for line in islice(lines, 1):
             problem = "lines follow after the last element"
             advice = "a count in the header is too small: export the file again"
             raise line_error(path, line, problem, advice)
-    return found
 
 
-def _parse_even(lines: Iterator[Line], element: Element, path: Path) -> Rows:
+def _parse_even(lines: Iterator[Line], element: Element, path: Path, first: int) -> Rows:
     table = parse_table(lines, len(element.properties), path)
     properties = zip(table.T, element.properties, strict=True)
-    return Rows({p.name: _as_announced(column, p, element, path) for column, p in properties}, {})
+    return Rows(
+        {p.name: _as_announced(column, p, element, path, first) for column, p in properties}, {}
+    )
 
 
-def _parse_uneven(lines: Iterator[Line], element: Element, path: Path) -> Rows:
+def _parse_uneven(lines: Iterator[Line], element: Element, path: Path, first: int) -> Rows:
     """Parse rows with lists, token by token."""
     values: dict[str, list[float]] = {p.name: [] for p in element.properties}
     lengths: dict[str, list[int]] = {p.name: [] for p in element.properties}
@@ -81,7 +102,7 @@ def _parse_uneven(lines: Iterator[Line], element: Element, path: Path) -> Rows:
             raise line_error(path, line, problem, "copy or export the file again") from None
     result = Rows({}, {})
     for p in element.properties:
-        column = _as_announced(np.array(values[p.name], np.float64), p, element, path)
+        column = _as_announced(np.array(values[p.name], np.float64), p, element, path, first)
         if p.count_dtype is None:
             result.scalars[p.name] = column
         else:
@@ -111,7 +132,9 @@ def _take_row(
         raise ValueError(at)
 
 
-def _as_announced(column: FloatArray, p: Property, element: Element, path: Path) -> NDArray[Any]:
+def _as_announced(
+    column: FloatArray, p: Property, element: Element, path: Path, first: int
+) -> NDArray[Any]:
     """Return integers as the type that the header announces, if they are of it.
 
     Decimal numbers stay float64 whatever is announced: nothing is rounded that need not be.
@@ -123,7 +146,7 @@ def _as_announced(column: FloatArray, p: Property, element: Element, path: Path)
     if not fits.all():
         at = int(np.argmin(fits))
         raise InputError(
-            f"{path}: element {element.name!r}: value {at} of {p.name} is {column[at]:g}, "
+            f"{path}: element {element.name!r}: value {first + at} of {p.name} is {column[at]:g}, "
             f"not of the type {limits.dtype} that the header announces",
             "export the file again",
         )

@@ -6,8 +6,10 @@ out wherever it is; only the elements asked for are read.
 
 from __future__ import annotations
 
+import mmap
 import struct
-from collections.abc import Container
+import sys
+from collections.abc import Callable, Container, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +21,10 @@ from hpcapp.io.ply_header import Element, Header, Property
 from hpccomponent.errors import InputError
 from hpccomponent.surface.points import IntArray
 
-__all__ = ["read_binary"]
+__all__ = ["read_binary", "scan_binary", "view_binary"]
 
 _COPY_AGAIN = "copy or export the file again"
+_ROWS_AT_ONCE = 1 << 16
 
 
 def read_binary(path: Path, header: Header, wanted: Container[str]) -> dict[str, Rows]:
@@ -46,29 +49,100 @@ def read_binary(path: Path, header: Header, wanted: Container[str]) -> dict[str,
     InputError
         The body is shorter or longer than the header says, or holds an impossible list.
     """
+    return dict(scan_binary(path, header, wanted, sys.maxsize))
+
+
+def scan_binary(
+    path: Path, header: Header, wanted: Container[str], at_once: int
+) -> Iterator[tuple[str, Rows]]:
+    """Read elements of a binary PLY file in parts; see `read_binary`.
+
+    Parameters
+    ----------
+    at_once : int
+        Rows in a part, at most.
+
+    Yields
+    ------
+    name : str
+        Of the element.
+    rows : Rows
+        Its next rows; views of the file, whose memory is given back when the next are asked for.
+    """
     body = np.memmap(path, np.uint8, "r")
     at = header.body_start
-    found = {}
     for element in header.elements:
-        least = _row_bytes(element.properties) * element.count
-        if least > body.size - at:
-            raise _truncated(path, element, f"needs {least} bytes or more, {body.size - at} follow")
-        rows: NDArray[np.void] | None = _view_even(body, at, element, header.byte_order)
-        if rows is not None:
-            at += rows.nbytes
-            if element.name in wanted:
-                found[element.name] = _columns(rows, element)
+        is_wanted = element.name in wanted
+        even = _view_even(body, at, element, header.byte_order, path)
+        if even is not None:
+            for first in range(0, max(element.count, 1), at_once) if is_wanted else ():
+                part = even[first : first + at_once]
+                yield element.name, _columns(part, element)
+                _give_back(body, at + first * even.itemsize, part.nbytes)
+            at += even.nbytes
             continue
-        start = at
-        lengths, at = _walk(body, at, element, header.byte_order, path)
-        if element.name in wanted:
-            found[element.name] = _gather(body, start, element, lengths, header.byte_order)
+        step = at_once if is_wanted else _ROWS_AT_ONCE
+        for first in range(0, element.count, step):
+            start = at
+            rows = range(first, min(first + step, element.count))
+            lengths, at = _walk(body, at, element, rows, header.byte_order, path)
+            if is_wanted:
+                yield element.name, _gather(body, start, element, lengths, header.byte_order)
+            _give_back(body, start, at - start)
     if body[at : at + 3].tobytes() not in (b"", b"\n", b"\r\n"):
         raise InputError(
             f"{path}: {body.size - at} bytes follow after the last element",
             "a count in the header is too small: export the file again",
         )
-    return found
+
+
+def view_binary(path: Path, header: Header, name: str) -> Callable[[int, int], Rows] | None:
+    """Find an element whose rows are all of one length.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : Header
+        As `read_header` gave it.
+    name : str
+        Of the element, which the header has.
+
+    Returns
+    -------
+    callable or None
+        Given where to start and to stop, returns these rows, as views of the mapped file; None
+        where the rows are of different lengths.
+
+    Raises
+    ------
+    InputError
+        The body ends before the element does, or holds an impossible list.
+    """
+    body = np.memmap(path, np.uint8, "r")
+    at = header.body_start
+    for element in header.elements:
+        even = _view_even(body, at, element, header.byte_order, path)
+        if element.name == name:
+            break
+        if even is not None:
+            at += even.nbytes
+            continue
+        for first in range(0, element.count, _ROWS_AT_ONCE):
+            rows = range(first, min(first + _ROWS_AT_ONCE, element.count))
+            _, at = _walk(body, at, element, rows, header.byte_order, path)
+    if even is None:
+        return None
+    view: NDArray[np.void] = even
+    return lambda start, stop: _columns(view[start:stop], element)
+
+
+def _give_back(body: np.memmap[Any, Any], start: int, size: int) -> None:
+    """Let the system take back the memory of a part of the mapped file that has been read."""
+    mapped = body._mmap  # type: ignore[attr-defined]
+    if hasattr(mapped, "madvise") and size:
+        first = start // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
+        mapped.madvise(mmap.MADV_DONTNEED, first, start + size - first)
 
 
 def _truncated(path: Path, element: Element, problem: str) -> InputError:
@@ -102,9 +176,12 @@ def _row_dtype(element: Element, lengths: list[int], byte_order: str) -> np.dtyp
 
 
 def _view_even(
-    body: NDArray[np.uint8], at: int, element: Element, byte_order: str
+    body: np.memmap[Any, Any], at: int, element: Element, byte_order: str, path: Path
 ) -> NDArray[np.void] | None:
     """View the rows as one array if their lists are all as long as the first row's."""
+    least = _row_bytes(element.properties) * element.count
+    if least > body.size - at:
+        raise _truncated(path, element, f"needs {least} bytes or more, {body.size - at} follow")
     lengths: list[int] = []
     if element.count:
         cursor = at
@@ -126,8 +203,12 @@ def _view_even(
         return None
     rows: NDArray[np.void] = np.ndarray(element.count, dtype, body, at)
     counts = [name for name in dtype.names or () if name.startswith("n")]
-    even = all((rows[name] == n).all() for name, n in zip(counts, lengths, strict=False))
-    return rows if even else None
+    for first in range(0, element.count if counts else 0, _ROWS_AT_ONCE):
+        part = rows[first : first + _ROWS_AT_ONCE]
+        if not all((part[name] == n).all() for name, n in zip(counts, lengths, strict=True)):
+            return None
+        _give_back(body, at + first * dtype.itemsize, part.nbytes)
+    return rows
 
 
 def _columns(rows: NDArray[np.void], element: Element) -> Rows:
@@ -143,7 +224,7 @@ def _columns(rows: NDArray[np.void], element: Element) -> Rows:
 
 
 def _walk(
-    body: NDArray[np.uint8], at: int, element: Element, byte_order: str, path: Path
+    body: NDArray[np.uint8], at: int, element: Element, rows: range, byte_order: str, path: Path
 ) -> tuple[IntArray, int]:
     """Measure rows of uneven lists one by one.
 
@@ -151,7 +232,7 @@ def _walk(
     -------
     lengths : ndarray of int64, shape (rows, lists)
     end : int
-        Where the element ends, in bytes.
+        Where the rows end, in bytes.
     """
     steps = []  # for each list: bytes in front, how to read its length, bytes per value
     gap = 0
@@ -164,7 +245,7 @@ def _walk(
             gap = 0
     view = body.data
     lengths: list[int] = []
-    for row in range(element.count):
+    for row in rows:
         try:
             for before, unpack, count_size, value_size in steps:
                 at += before
@@ -178,7 +259,7 @@ def _walk(
         at += gap
         if at > body.size:
             raise _truncated(path, element, f"ends within row {row}")
-    return np.array(lengths, np.int64).reshape(element.count, len(steps)), at
+    return np.array(lengths, np.int64).reshape(len(rows), len(steps)), at
 
 
 def _gather(

@@ -9,7 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hpcapp.io.ply import read_ply_mesh, read_ply_points, write_ply_mesh, write_ply_points
+from hpcapp.io.formats import read_points
+from hpcapp.io.ply import read_ply_mesh, write_ply_mesh, write_ply_points
 from hpccomponent.errors import InputError
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import PointCloud
@@ -22,7 +23,7 @@ SQUARE = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n"
 
 def test_everything_of_a_cloud_comes_back(tmp_path: Path, cloud: PointCloud) -> None:
     write_ply_points(tmp_path / "cloud.ply", cloud)
-    again = read_ply_points(tmp_path / "cloud.ply")
+    again = read_points(tmp_path / "cloud.ply")
     assert (again.positions == cloud.positions).all()
     np.testing.assert_array_equal(again.normals, cloud.normals)
     np.testing.assert_array_equal(again.colors, cloud.colors)
@@ -41,7 +42,7 @@ def test_any_positions_come_back(tmp_path: Path, positions: np.ndarray, shift: f
     path = tmp_path / "cloud.ply"
     cloud = PointCloud(positions, origin=np.full(3, shift))
     write_ply_points(path, cloud)
-    again = read_ply_points(path)
+    again = read_points(path)
     with np.errstate(all="ignore"):
         written, read = positions + shift, again.positions + again.origin
         usable = np.isfinite(written).all(axis=1)
@@ -56,7 +57,7 @@ def test_georeferenced_millimetres_survive(tmp_path: Path) -> None:
     detail = np.random.default_rng(2).uniform(0, 100, (1000, 3)).round(3)
     utm = detail + np.array([450_000.0, 5_400_000.0, 300.0])
     write_ply_points(tmp_path / "a.ply", PointCloud(utm))
-    cloud = read_ply_points(tmp_path / "a.ply")
+    cloud = read_points(tmp_path / "a.ply")
     assert cloud.origin[1] > 5_399_999
     assert np.abs(cloud.positions).max() < 100
     write_ply_mesh(tmp_path / "b.ply", Mesh(cloud.positions, np.array([[0, 1, 2]]), cloud.origin))
@@ -79,7 +80,7 @@ def test_a_mesh_comes_back_and_serves_as_a_cloud(tmp_path: Path, tetrahedron: Me
     again = read_ply_mesh(tmp_path / "mesh.ply")
     assert (again.vertices == tetrahedron.vertices).all()
     assert (again.faces == tetrahedron.faces).all()
-    assert (read_ply_points(tmp_path / "mesh.ply").positions == tetrahedron.vertices).all()
+    assert (read_points(tmp_path / "mesh.ply").positions == tetrahedron.vertices).all()
 
 
 def test_the_same_mesh_gives_the_same_bytes(tmp_path: Path, tetrahedron: Mesh) -> None:
@@ -123,7 +124,7 @@ def test_binary_polygons_become_fans(make_ply: Make, order: str, second: tuple[i
 )
 def test_a_cloud_needs_whole_vertices(make_ply: Make, elements: str, body: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
-        read_ply_points(make_ply("ascii", elements, body))
+        read_points(make_ply("ascii", elements, body))
 
 
 @pytest.mark.parametrize(
@@ -148,4 +149,4 @@ def test_a_mesh_needs_faces_of_its_vertices(
 def test_colours_that_are_no_bytes_are_passed_over(make_ply: Make) -> None:
     colors = "property float red\nproperty float green\nproperty float blue\n"
     path = make_ply("ascii", f"element vertex 1\n{XYZ}{colors}", "1 2 3 0.5 0.5 0.5\n")
-    assert read_ply_points(path).colors is None
+    assert read_points(path).colors is None

@@ -4,7 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.io.text import read_text_points, write_text_points
+from hpcapp.io.formats import read_points
+from hpcapp.io.text import write_text_points
 from hpccomponent.errors import InputError
 from hpccomponent.surface.points import PointCloud
 
@@ -15,14 +16,14 @@ Make = Callable[..., Path]
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_separators_are_told_apart(make_file: Make, separator: str, newline: str) -> None:
     rows = [separator.join(row.split()) for row in ("1 2 3.5", "-4e0 5 6")]
-    cloud = read_text_points(make_file("a.xyz", newline.join(rows)))
+    cloud = read_points(make_file("a.xyz", newline.join(rows)))
     assert cloud.positions.tolist() == [[1, 2, 3.5], [-4, 5, 6]]
 
 
 @pytest.mark.parametrize("row", ["1 2 3", "1;2;3"])
 def test_comments_and_blank_lines_are_passed_over(make_file: Make, row: str) -> None:
     lines = ["\ufeff# by hand", "; x y z", "//X Y Z", "", f" {row} # first", "  ", f"{row} // 2nd"]
-    assert len(read_text_points(make_file("a.txt", "\n".join(lines)))) == 2
+    assert len(read_points(make_file("a.txt", "\n".join(lines)))) == 2
 
 
 @pytest.mark.parametrize(
@@ -41,7 +42,7 @@ def test_comments_and_blank_lines_are_passed_over(make_file: Make, row: str) -> 
 def test_columns_tell_what_they_are(
     make_file: Make, row: str, normal: list[float] | None, color: list[int] | None
 ) -> None:
-    cloud = read_text_points(make_file("a.xyz", f"{row}\n{row}\n"))
+    cloud = read_points(make_file("a.xyz", f"{row}\n{row}\n"))
     assert cloud.positions.tolist() == [[1, 2, 3]] * 2 or cloud.origin.tolist() == [1, 2, 3]
     assert (cloud.normals is None) == (normal is None)
     if cloud.normals is not None:
@@ -52,7 +53,7 @@ def test_columns_tell_what_they_are(
 
 
 def test_a_count_line_announces_the_points(make_file: Make) -> None:
-    cloud = read_text_points(make_file("a.pts", "2\n1 2 3 -7 10 20 30\n4 5 6 8 40 50 60\n"))
+    cloud = read_points(make_file("a.pts", "2\n1 2 3 -7 10 20 30\n4 5 6 8 40 50 60\n"))
     assert cloud.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
     np.testing.assert_array_equal(cloud.colors, [[10, 20, 30], [40, 50, 60]])
 
@@ -82,13 +83,13 @@ def test_a_count_line_announces_the_points(make_file: Make) -> None:
 def test_what_does_not_fit_is_named(make_file: Make, content: str, said: str) -> None:
     path = make_file("bad.xyz", content)
     with pytest.raises(InputError, match=said) as refusal:
-        read_text_points(path)
+        read_points(path)
     assert str(path) in str(refusal.value)
 
 
 def test_binary_junk_is_refused(make_file: Make) -> None:
     with pytest.raises(InputError):
-        read_text_points(make_file("junk.xyz", bytes(range(256)) * 40))
+        read_points(make_file("junk.xyz", bytes(range(256)) * 40))
 
 
 @pytest.mark.parametrize("with_normals", [True, False])
@@ -102,7 +103,7 @@ def test_what_is_written_comes_back(
         cloud.colors if with_colors else None,
     )
     write_text_points(tmp_path / "a.xyz", some)
-    again = read_text_points(tmp_path / "a.xyz")
+    again = read_points(tmp_path / "a.xyz")
     assert (again.positions == some.positions).all()
     np.testing.assert_array_equal(again.normals, some.normals)
     np.testing.assert_array_equal(again.colors, some.colors)
@@ -111,6 +112,6 @@ def test_what_is_written_comes_back(
 def test_georeferenced_millimetres_survive(tmp_path: Path) -> None:
     utm = np.random.default_rng(3).uniform(0, 50, (100, 3)).round(3) + 5.4e6
     write_text_points(tmp_path / "a.xyz", PointCloud(utm - 5.4e6, origin=np.full(3, 5.4e6)))
-    cloud = read_text_points(tmp_path / "a.xyz")
+    cloud = read_points(tmp_path / "a.xyz")
     assert np.abs(cloud.positions).max() < 50
     assert np.abs(cloud.positions + cloud.origin - utm).max() < 1e-6
