@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Container
+from itertools import islice
 
-from hpcapp.communicator.roster import Task
+from hpcapp.communicator.roster import Task, Worker
 
 __all__ = ["MAX_BATCH_BYTES", "MAX_BATCH_S", "MAX_TASKS", "BatchCutter"]
 
 MAX_TASKS = 64
 MAX_BATCH_BYTES = 1_000_000  # a larger task travels alone
 MAX_BATCH_S = 0.25  # expected work; a task of unknown duration travels alone
+MAX_BLOBS = 64  # in a batch of several tasks; the worker's component keeps a file open for each
+AFFINITY_WINDOW = 64  # how far from the front a task may be that suits a worker better
 
 
 class BatchCutter:
@@ -31,8 +34,13 @@ class BatchCutter:
         """Take note of how long a task of this name took; recent ones weigh more."""
         self._mean_s[name] = (self._mean_s.get(name, seconds) + seconds) / 2.0
 
-    def cut(self, source: OrderedDict[int, Task], limit: int) -> tuple[list[Task], list[Task]]:
-        """Take at most `limit` tasks off the front of `source`.
+    def cut(
+        self, source: OrderedDict[int, Task], limit: int, worker: Worker
+    ) -> tuple[list[Task], list[Task]]:
+        """Take at most `limit` tasks off the front of `source`, for `worker`.
+
+        Near the front those come first of whose blobs the worker lacks least: no worker waits
+        for a better task, and none gets a blob while it could work without.
 
         A task that was lost with a worker before travels alone, so that the one that kills its
         workers is found, and no other is blamed with it.
@@ -43,6 +51,8 @@ class BatchCutter:
             The queue; what is returned is no longer in it.
         limit : int
             How many tasks the batch may hold.
+        worker : Worker
+            Who gets them; a blob counts as long as it is not there.
 
         Returns
         -------
@@ -54,13 +64,20 @@ class BatchCutter:
         batch: list[Task] = []
         cancelled: list[Task] = []
         size, seconds = 0, 0.0
+        added: dict[bytes, int] = {}
         while source and len(batch) < limit:
-            number, task = next(iter(source.items()))
+            task = _closest(source, worker, added)
+            number = task.number
+            for blob in task.blobs:
+                if blob.key not in worker.blobs and blob.key not in added:
+                    added[blob.key] = blob.size_bytes
+                    size += blob.size_bytes
             size += task.size_bytes
             seconds += self._mean_s.get(task.name, MAX_BATCH_S)
-            if batch and (size > MAX_BATCH_BYTES or seconds > MAX_BATCH_S or task.losses):
+            is_full = size > MAX_BATCH_BYTES or seconds > MAX_BATCH_S or len(added) > MAX_BLOBS
+            if batch and (is_full or task.losses):
                 break
-            source.popitem(last=False)
+            del source[number]
             if not task.is_claimed and not self._claim(number):
                 cancelled.append(task)
                 continue
@@ -69,3 +86,20 @@ class BatchCutter:
             if task.losses:
                 break
         return batch, cancelled
+
+
+def _closest(source: OrderedDict[int, Task], worker: Worker, added: Container[bytes]) -> Task:
+    """Return the task near the front of which the fewest bytes are missing on `worker`."""
+    best, least = None, -1
+    for task in islice(source.values(), AFFINITY_WINDOW):
+        lacking = sum(
+            blob.size_bytes
+            for blob in task.blobs
+            if blob.key not in worker.blobs and blob.key not in added
+        )
+        if best is None or lacking < least:
+            best, least = task, lacking
+        if not least:
+            break
+    assert best is not None  # noqa: S101 - for mypy
+    return best

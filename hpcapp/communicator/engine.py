@@ -24,28 +24,32 @@ from hpcapp.communicator.roster import (
     Deliver,
     Dismiss,
     Fail,
+    Forgotten,
     Refuse,
     Welcome,
 )
 from hpcapp.communicator.scheduler import Scheduler
 from hpcapp.communicator.transport import Received, RouterTransport
 from hpccomponent.clock import Clock
-from hpccomponent.errors import JobError, ProtocolError
+from hpccomponent.errors import JobError, ProtocolError, UsageError
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer, join_frames, split_buffers
 from hpccomponent.protocol.messages import (
     Batch,
     Drain,
     Farewell,
+    Forget,
     Goodbye,
     Heartbeat,
     Lost,
     MasterMessage,
+    Need,
     Ping,
     Refused,
     Register,
     RegisterAgain,
     Registered,
     Results,
+    Share,
     decode_component_message,
     encode_message,
 )
@@ -133,7 +137,7 @@ class Engine:
     def submit(self, number: int, entry: Entry) -> None:
         """Take a task."""
         self.ledger.add(number, entry)
-        self.post(lambda: self.scheduler.submit(number, entry.name, entry.size_bytes))
+        self.post(lambda: self.scheduler.submit(number, entry.name, entry.size_bytes, entry.blobs))
         if self._end is not None:  # nobody would ever answer
             self.ledger.fail_all(self._end)
 
@@ -229,6 +233,8 @@ class Engine:
                 self._carry_out(
                     scheduler.batch_lost(worker, message.batch, message.reason, message.is_blamed)
                 )
+            case Need():
+                self._take_need(worker, message)
             case Goodbye():
                 self._carry_out(scheduler.goodbye(worker, message.reason))
 
@@ -243,6 +249,17 @@ class Engine:
         for action in actions:
             if isinstance(action, Deliver):
                 self.ledger.deliver(action.task, action.result, groups[action.index])
+
+    def _take_need(self, worker: bytes, message: Need) -> None:
+        # A value that was changed after it was shared is refused by every worker, for ever.
+        for number in self.ledger.find_changed(message.keys):
+            error = UsageError(
+                "a shared value was changed while tasks use it",
+                "change a copy, or share it once it is complete",
+            )
+            self.ledger.fail(number, error)
+            self._carry_out(self.scheduler.cancel(number))
+        self._carry_out(self.scheduler.need(worker, message.batch, message.keys))
 
     def _keep_time(self) -> None:
         now = self._clock.now()
@@ -286,6 +303,8 @@ class Engine:
                     self._say(action.worker, Refused(action.reason))
                 case AskRegister():
                     self._say(action.worker, RegisterAgain())
+                case Forgotten():
+                    self._say(action.worker, Forget(self.session, [action.key]))
                 case Dismiss():
                     self._say(action.worker, Drain(self.session))
 
@@ -296,8 +315,16 @@ class Engine:
         worker = self.scheduler.workers.get(action.worker)
         if worker is None:
             return True  # an earlier action found it lost; its tasks have been placed anew
+        largest = min(LARGEST_FRAME, worker.register.largest_frame)
+        for blob in action.blobs:
+            sizes = [len(buffer) for buffer in blob.buffers]
+            share = encode_message(Share(self.session, blob.key, blob.header, sizes))
+            self.counts["blobs"] += 1
+            if not self._transport.send(
+                action.worker, [share, *split_buffers(blob.buffers, largest)]
+            ):
+                return False
         calls, buffers = self.ledger.calls(action.tasks)
         self.counts["batches"] += 1
         message = encode_message(Batch(self.session, action.batch, calls))
-        largest = min(LARGEST_FRAME, worker.register.largest_frame)
         return self._transport.send(action.worker, [message, *split_buffers(buffers, largest)])

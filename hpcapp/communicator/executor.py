@@ -29,7 +29,8 @@ from hpcapp.communicator.scheduler import Scheduler
 from hpcapp.communicator.transport import RouterTransport
 from hpccomponent.clock import Clock, MonotonicClock
 from hpccomponent.errors import NoWorkersError, UsageError
-from hpccomponent.protocol.codec import encode_values
+from hpccomponent.protocol.blobs import Blob, make_blob
+from hpccomponent.protocol.codec import encode_arguments, encode_values
 from hpccomponent.protocol.connection import Connection
 from hpccomponent.protocol.keys import KeyPair, is_key, make_key_pair
 from hpccomponent.runtime.numerics import package_version
@@ -38,6 +39,7 @@ from hpccomponent.runtime.tasks import TaskRegistry
 __all__ = ["CommunicatorExecutor"]
 
 ResultT = TypeVar("ResultT")
+MAX_TASK_BLOBS = 256  # of one task: a component keeps a file open for each
 EXIT_S = 5.0  # how long the interpreter's exit waits for the communicator's thread
 
 
@@ -107,6 +109,7 @@ class CommunicatorExecutor(Executor):
         self._lock = threading.Lock()
         self._is_shut_down = False
         self._gone: str | None = None
+        self._blobs: weakref.WeakValueDictionary[bytes, Blob] = weakref.WeakValueDictionary()
         timing = timing or Timing()
         clock = clock or MonotonicClock()
 
@@ -143,13 +146,14 @@ class CommunicatorExecutor(Executor):
         return len(self._engine.scheduler.workers)
 
     def statistics(self) -> dict[str, int]:
-        """Return counts since the start: bytes, tasks, batches, losses, and what was dropped."""
+        """Return counts since the start: bytes, tasks, batches, blobs, losses, what was dropped."""
         scheduled, own = self._engine.scheduler.counts, self._engine.counts
         return {
             "bytes_sent": self._transport.bytes_sent,
             "bytes_received": self._transport.bytes_received,
             "tasks": own["tasks"],
             "batches": own["batches"],
+            "blobs": own["blobs"],
             "losses": scheduled["losses"],
             "resent": scheduled["resent"],
             "dropped": own["dropped"] + scheduled["dropped"],
@@ -212,6 +216,39 @@ class CommunicatorExecutor(Executor):
 
     # -- tasks ---------------------------------------------------------------------------------
 
+    def share(self, value: Any) -> Blob:
+        """Name a large value, so that it travels to each machine once and not with every task.
+
+        Parameters
+        ----------
+        value : Any
+            What could be an argument of a task: most often an ndarray, or a tuple or dict of
+            them. Its arrays are not copied, and must not change while tasks use them.
+
+        Returns
+        -------
+        Blob
+            Stands for the value among the arguments of `submit`, also within tuples, lists and
+            dicts; the task gets the value, read-only. Equal values are one blob. Workers let it
+            go when neither this nor an unfinished task refers to it.
+
+        Raises
+        ------
+        UsageError
+            If the value cannot travel.
+        """
+        blob = make_blob(*encode_values((value,)))
+        with self._lock:
+            known = self._blobs.get(blob.key)
+            if known is not None:
+                return known
+            self._blobs[blob.key] = blob
+        engine, key = self._engine, blob.key
+        weakref.finalize(
+            blob, lambda: engine.post(lambda: engine.scheduler.forget(key))
+        ).atexit = False
+        return blob
+
     def submit(
         self, fn: Callable[..., ResultT] | str, /, *args: Any, **kwargs: Any
     ) -> Future[ResultT]:
@@ -222,7 +259,8 @@ class CommunicatorExecutor(Executor):
         fn : callable or str
             The task's function, or its name.
         *args
-            Values (see ``docs/design.md``); arrays must not change before the future is done.
+            Values (see ``docs/design.md``), and what `share` returned; arrays must not change
+            before the future is done.
 
         Returns
         -------
@@ -241,14 +279,19 @@ class CommunicatorExecutor(Executor):
                 "pass them by position: a task is a function of values in their order",
             )
         name = self._tasks.name_of(fn)
-        header, buffers = encode_values(args)
+        header, buffers, blobs = encode_arguments(args)
+        if len(blobs) > MAX_TASK_BLOBS:
+            raise UsageError(
+                f"a task names {len(blobs)} shared values, more than {MAX_TASK_BLOBS}",
+                "share them together, as one tuple or dict",
+            )
         number = next(self._numbers)
         future: Future[ResultT] = _TaskFuture(number, self._engine)
         with self._lock:
             if self._is_shut_down:
                 raise RuntimeError("cannot schedule new futures after shutdown")
             self._engine.counts["tasks"] += 1
-            self._engine.submit(number, Entry(future, name, header, buffers))
+            self._engine.submit(number, Entry(future, name, header, buffers, blobs))
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from hpccomponent import errors
 from hpccomponent.errors import HpcError, ProtocolError, TaskError
+from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.codec import decode_values
 from hpccomponent.protocol.frames import Buffer
 from hpccomponent.protocol.messages import Call, Failure, Result
@@ -24,6 +25,7 @@ class Entry:
     name: str
     header: bytes
     buffers: list[Buffer]
+    blobs: tuple[Blob, ...] = ()
     is_claimed: bool = False
 
     @property
@@ -67,9 +69,24 @@ class Ledger:
         for number in numbers:
             entry = self._entries[number]
             sizes = [len(buffer) for buffer in entry.buffers]
-            calls.append(Call(number, entry.name, entry.header, sizes))
+            keys = [blob.key for blob in entry.blobs]
+            calls.append(Call(number, entry.name, entry.header, sizes, keys))
             buffers += entry.buffers
         return calls, buffers
+
+    def find_changed(self, keys: Iterable[bytes]) -> list[int]:
+        """Return the tasks that name one of these blobs, where its value has been changed."""
+        sought = set(keys)
+        changed: dict[bytes, bool] = {}
+        found = []
+        for number, entry in self._entries.items():
+            for blob in entry.blobs:
+                if blob.key in sought and blob.key not in changed:
+                    changed[blob.key] = not blob.is_unchanged()
+                if changed.get(blob.key):
+                    found.append(number)
+                    break
+        return found
 
     def claim(self, number: int) -> bool:
         """Mark a task as running, or let it go if its future was cancelled."""

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from dataclasses import dataclass, field
 
 from hpccomponent.errors import HpcError
+from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.messages import Register, Result
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "Deliver",
     "Dismiss",
     "Fail",
+    "Forgotten",
     "Refuse",
     "Task",
     "Welcome",
@@ -33,10 +35,15 @@ class Task:
     number: int
     name: str
     size_bytes: int
+    blobs: tuple[Blob, ...] = ()
     losses: int = 0
     is_claimed: bool = False
     worker: bytes | None = None
     batch: int = -1
+
+    def lacking_bytes(self, worker: Worker) -> int:
+        """Return the size of those of its blobs that are not known to be on `worker`."""
+        return sum(blob.size_bytes for blob in self.blobs if blob.key not in worker.blobs)
 
 
 @dataclass(slots=True, eq=False)
@@ -44,7 +51,8 @@ class Worker:
     """A registered worker, under its identity on the socket.
 
     `batches` holds what is on its way or at work, in order: batch number to the tasks that have
-    no result yet. `backlog` holds what waits for this worker and no other.
+    no result yet. `backlog` holds what waits for this worker and no other. `blobs` are the keys
+    of what has been sent to it; it may have let some go, and says so when one is needed.
     """
 
     identity: bytes
@@ -56,6 +64,7 @@ class Worker:
     is_draining: bool = False
     batches: dict[int, dict[int, None]] = field(default_factory=dict)
     backlog: OrderedDict[int, Task] = field(default_factory=OrderedDict)
+    blobs: set[bytes] = field(default_factory=set)
 
     @property
     def queued(self) -> int:
@@ -95,11 +104,20 @@ class Dismiss:
 
 @dataclass(frozen=True, slots=True)
 class Assign:
-    """Send a batch of tasks, by their numbers."""
+    """Send a batch of tasks, by their numbers, after the blobs that the worker lacks."""
 
     worker: bytes
     batch: int
     tasks: tuple[int, ...]
+    blobs: tuple[Blob, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Forgotten:
+    """Tell a worker that a blob will not be named again."""
+
+    worker: bytes
+    key: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,4 +140,4 @@ class Fail:
     error: HpcError
 
 
-Action = Welcome | Refuse | AskRegister | Dismiss | Assign | Deliver | Fail
+Action = Welcome | Refuse | AskRegister | Dismiss | Assign | Forgotten | Deliver | Fail

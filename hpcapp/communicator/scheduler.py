@@ -26,6 +26,7 @@ from hpcapp.communicator.roster import (
     Deliver,
     Dismiss,
     Fail,
+    Forgotten,
     Refuse,
     Task,
     Welcome,
@@ -33,6 +34,7 @@ from hpcapp.communicator.roster import (
 )
 from hpccomponent.clock import Clock
 from hpccomponent.errors import NoWorkersError, WorkerLostError
+from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.frames import LARGEST_FRAME
 from hpccomponent.protocol.messages import Register, Result
 
@@ -89,12 +91,15 @@ class Scheduler:
 
     # -- events of the App ---------------------------------------------------------------------
 
-    def submit(self, number: int, name: str, size_bytes: int) -> list[Action]:
+    def submit(
+        self, number: int, name: str, size_bytes: int, blobs: tuple[Blob, ...] = ()
+    ) -> list[Action]:
         """Take a new task; call `dispatch` after the last of several."""
+        task = Task(number, name, size_bytes, blobs)
         if self._gone is not None and not self.workers:
-            self.tasks[number] = Task(number, name, size_bytes)
+            self.tasks[number] = task
             return self._give_up(self._gone)
-        self.tasks[number] = self._queue[number] = Task(number, name, size_bytes)
+        self.tasks[number] = self._queue[number] = task
         if not self.workers and self._alone_since is None:
             self._alone_since = self._clock.now()
         return []
@@ -105,6 +110,15 @@ class Scheduler:
         if task is not None:
             self._withdraw(task)
         return self.dispatch()
+
+    def forget(self, key: bytes) -> list[Action]:
+        """Take the news that nobody can name a blob any more."""
+        actions: list[Action] = []
+        for worker in self.workers.values():
+            if key in worker.blobs:
+                worker.blobs.remove(key)
+                actions.append(Forgotten(worker.identity, key))
+        return actions
 
     def workers_gone(self, reason: str) -> list[Action]:
         """Take the launcher's word that no worker will come; tasks fail once none is left."""
@@ -203,6 +217,17 @@ class Scheduler:
         numbers = worker.batches.pop(batch, {})
         return self._retry(numbers, worker, reason, is_blamed) + self.dispatch()
 
+    def need(self, identity: bytes, batch: int, keys: Iterable[bytes]) -> list[Action]:
+        """Take a batch back whose blobs the worker has not got, or has let go meanwhile."""
+        worker = self.workers.get(identity)
+        if worker is None:
+            return self._stranger(identity)
+        worker.seen = self._clock.now()
+        worker.blobs.difference_update(keys)
+        self.counts["needed"] += 1
+        numbers = worker.batches.pop(batch, {})
+        return self._retry(numbers, worker, "a blob is missing", is_blamed=False) + self.dispatch()
+
     def goodbye(self, identity: bytes, reason: str) -> list[Action]:
         """Take leave of a worker that was preempted or drained: nothing is held against tasks."""
         worker = self.workers.get(identity)
@@ -246,16 +271,16 @@ class Scheduler:
                 worker.backlog[number] = task
                 worker.placed += 1
             else:
-                batch = self._cut(self._queue, min(placement.tasks, MAX_TASKS))
+                batch = self._cut(self._queue, min(placement.tasks, MAX_TASKS), worker)
                 worker.placed += len(batch)
                 actions += self._send(worker, batch)
         for worker in workers:
             while worker.backlog and len(worker.batches) < CREDIT:
-                actions += self._send(worker, self._cut(worker.backlog, MAX_TASKS))
+                actions += self._send(worker, self._cut(worker.backlog, MAX_TASKS, worker))
         return actions
 
-    def _cut(self, source: OrderedDict[int, Task], limit: int) -> list[Task]:
-        batch, cancelled = self._cutter.cut(source, limit)
+    def _cut(self, source: OrderedDict[int, Task], limit: int, worker: Worker) -> list[Task]:
+        batch, cancelled = self._cutter.cut(source, limit, worker)
         for task in cancelled:
             del self.tasks[task.number]
         return batch
@@ -268,7 +293,12 @@ class Scheduler:
         for task in batch:
             task.worker, task.batch = worker.identity, self.last_batch
             worker.batches[self.last_batch][task.number] = None
-        return [Assign(worker.identity, self.last_batch, tuple(task.number for task in batch))]
+        lacking = {
+            blob.key: blob for task in batch for blob in task.blobs if blob.key not in worker.blobs
+        }
+        worker.blobs.update(lacking)
+        numbers = tuple([task.number for task in batch])
+        return [Assign(worker.identity, self.last_batch, numbers, tuple(lacking.values()))]
 
     def _open_workers(self) -> list[Worker]:
         return [worker for worker in self.workers.values() if not worker.is_draining]

@@ -3,24 +3,27 @@
 A value is an ndarray of numbers, an int, float, bool, str, bytes or None, or a tuple, list or
 string-keyed dict of these. The header is MessagePack; what MessagePack lacks is an array whose
 first entry is a tag. Small arrays travel in the header, large ones as buffers of their own, in
-the order in which the header names them, so that no two values can share one.
+the order in which the header names them, so that no two values can share one. Among the
+arguments of a task a blob stands by its key.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from hpccomponent.errors import ProtocolError, UsageError
+from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.frames import Buffer
 
-__all__ = ["decode_values", "encode_values"]
+__all__ = ["NO_BLOBS", "decode_values", "encode_arguments", "encode_values"]
 
-TUPLE, LIST, ARRAY, SCALAR, TEXT, BYTES, BIG = range(7)
+TUPLE, LIST, ARRAY, SCALAR, TEXT, BYTES, BIG, BLOB = range(8)
 EMBEDDED_BYTES = 4096  # below this an own frame costs more than a copy into the header
 MAX_HEADER_BYTES = 4 * 1024 * 1024
 MAX_DEPTH = 50
@@ -43,9 +46,45 @@ DTYPES = frozenset(
     ]
 )
 PLAIN = (type(None), bool, float)
+NO_BLOBS: Mapping[bytes, Any] = MappingProxyType({})
 
 _encode = msgspec.msgpack.Encoder().encode
 _decode = msgspec.msgpack.Decoder(strict=True).decode
+
+
+class _Parts:
+    """What goes beside the header: large buffers, and the blobs that it names."""
+
+    __slots__ = ("blobs", "buffers")
+
+    def __init__(self) -> None:
+        self.buffers: list[Buffer] = []
+        self.blobs: dict[bytes, Blob] = {}
+
+
+class _Supply:
+    """What came beside the header."""
+
+    __slots__ = ("_blobs", "_buffers")
+
+    def __init__(self, buffers: Sequence[Buffer], blobs: Mapping[bytes, Any]) -> None:
+        self._buffers = iter(buffers)
+        self._blobs = blobs
+
+    def take(self) -> Buffer:
+        buffer = next(self._buffers, None)
+        if buffer is None:
+            raise ProtocolError("a message carries fewer buffers than its header names")
+        return buffer
+
+    def look_up(self, key: bytes) -> Any:
+        try:
+            return self._blobs[key]
+        except KeyError:
+            raise ProtocolError(f"blob {key.hex()} is not here") from None
+
+    def is_used_up(self) -> bool:
+        return next(self._buffers, None) is None
 
 
 def encode_values(values: tuple[Any, ...]) -> tuple[bytes, list[Buffer]]:
@@ -70,9 +109,36 @@ def encode_values(values: tuple[Any, ...]) -> tuple[bytes, list[Buffer]]:
         If a value is of no type that may travel, is nested too deeply (or contains itself), or
         if the header grows too large.
     """
-    buffers: list[Buffer] = []
+    parts = _Parts()
+    header = _encode_header(values, parts)
+    if parts.blobs:
+        raise UsageError(
+            "a shared value stands within another one, or within a result",
+            "pass it among the arguments of a task, by itself or in tuples, lists and dicts",
+        )
+    return header, parts.buffers
+
+
+def encode_arguments(values: tuple[Any, ...]) -> tuple[bytes, list[Buffer], tuple[Blob, ...]]:
+    """Encode the arguments of a task, among which blobs may stand.
+
+    Parameters and errors are those of `encode_values`.
+
+    Returns
+    -------
+    header, buffers : bytes, list of bytes-like
+        As `encode_values` has them.
+    blobs : tuple of Blob
+        What the header names by its key, each once.
+    """
+    parts = _Parts()
+    header = _encode_header(values, parts)
+    return header, parts.buffers, tuple(parts.blobs.values())
+
+
+def _encode_header(values: tuple[Any, ...], parts: _Parts) -> bytes:
     try:
-        header = _encode([_pack(value, buffers, 0) for value in values])
+        header = _encode([_pack(value, parts, 0) for value in values])
     except UnicodeEncodeError as error:
         raise UsageError("a str holds half a surrogate pair", "pass it as bytes") from error
     if len(header) > MAX_HEADER_BYTES:
@@ -80,10 +146,12 @@ def encode_values(values: tuple[Any, ...]) -> tuple[bytes, list[Buffer]]:
             f"the small values of one task take {len(header)} bytes, more than {MAX_HEADER_BYTES}",
             "pass long lists of numbers as one ndarray",
         )
-    return header, buffers
+    return header
 
 
-def decode_values(header: Buffer, buffers: Sequence[Buffer]) -> tuple[Any, ...]:
+def decode_values(
+    header: Buffer, buffers: Sequence[Buffer], blobs: Mapping[bytes, Any] = NO_BLOBS
+) -> tuple[Any, ...]:
     """Decode what `encode_values` made; trusts neither the header nor the buffers.
 
     Parameters
@@ -92,6 +160,8 @@ def decode_values(header: Buffer, buffers: Sequence[Buffer]) -> tuple[Any, ...]:
         The header.
     buffers : sequence of bytes-like
         The buffers, each in one piece.
+    blobs : mapping of bytes to value
+        The decoded values of blobs, by their keys.
 
     Returns
     -------
@@ -108,16 +178,16 @@ def decode_values(header: Buffer, buffers: Sequence[Buffer]) -> tuple[Any, ...]:
         packed = _decode(header)
         if type(packed) is not list:
             raise ProtocolError("a header of values is not an array")
-        supply = iter(buffers)
+        supply = _Supply(buffers, blobs)
         values = tuple([_unpack(entry, supply, 0) for entry in packed])
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
         raise ProtocolError(f"a header of values cannot be decoded: {error}") from error
-    if next(supply, None) is not None:
+    if not supply.is_used_up():
         raise ProtocolError("a message carries more buffers than its header names")
     return values
 
 
-def _pack(value: Any, buffers: list[Buffer], depth: int) -> Any:
+def _pack(value: Any, parts: _Parts, depth: int) -> Any:
     kind = type(value)
     if kind in PLAIN:
         return value
@@ -136,10 +206,10 @@ def _pack(value: Any, buffers: list[Buffer], depth: int) -> Any:
             "pass ndarrays of numbers, int, float, bool, str, bytes, None, "
             "or tuples, lists and string-keyed dicts of these",
         )
-    return packer(value, buffers, depth)
+    return packer(value, parts, depth)
 
 
-def _pack_array(value: np.ndarray[Any, Any], buffers: list[Buffer], depth: int) -> list[Any]:
+def _pack_array(value: np.ndarray[Any, Any], parts: _Parts, depth: int) -> list[Any]:
     del depth
     code = value.dtype.newbyteorder("<").str
     if code not in DTYPES:
@@ -150,46 +220,52 @@ def _pack_array(value: np.ndarray[Any, Any], buffers: list[Buffer], depth: int) 
     array = np.asarray(value, dtype=code, order="C")
     if array.nbytes <= EMBEDDED_BYTES:
         return [ARRAY, code, list(value.shape), array.tobytes()]
-    buffers.append(array.reshape(-1).view(np.uint8).data)
+    parts.buffers.append(array.reshape(-1).view(np.uint8).data)
     return [ARRAY, code, list(value.shape), None]
 
 
-def _pack_scalar(value: np.generic, buffers: list[Buffer], depth: int) -> list[Any]:
-    return [SCALAR, *_pack_array(np.asarray(value), buffers, depth)[1:]]
+def _pack_scalar(value: np.generic, parts: _Parts, depth: int) -> list[Any]:
+    return [SCALAR, *_pack_array(np.asarray(value), parts, depth)[1:]]
 
 
-def _pack_text(value: str, buffers: list[Buffer], depth: int) -> Any:
+def _pack_text(value: str, parts: _Parts, depth: int) -> Any:
     del depth
     if len(value) <= EMBEDDED_BYTES // 4:
         return value
-    buffers.append(value.encode())
+    parts.buffers.append(value.encode())
     return [TEXT]
 
 
-def _pack_bytes(value: bytes, buffers: list[Buffer], depth: int) -> Any:
+def _pack_bytes(value: bytes, parts: _Parts, depth: int) -> Any:
     del depth
     if len(value) <= EMBEDDED_BYTES:
         return value
-    buffers.append(value)
+    parts.buffers.append(value)
     return [BYTES]
 
 
-def _pack_tuple(value: tuple[Any, ...], buffers: list[Buffer], depth: int) -> list[Any]:
-    return [TUPLE, *[_pack(entry, buffers, depth + 1) for entry in value]]
+def _pack_tuple(value: tuple[Any, ...], parts: _Parts, depth: int) -> list[Any]:
+    return [TUPLE, *[_pack(entry, parts, depth + 1) for entry in value]]
 
 
-def _pack_list(value: list[Any], buffers: list[Buffer], depth: int) -> list[Any]:
-    return [LIST, *[_pack(entry, buffers, depth + 1) for entry in value]]
+def _pack_list(value: list[Any], parts: _Parts, depth: int) -> list[Any]:
+    return [LIST, *[_pack(entry, parts, depth + 1) for entry in value]]
 
 
-def _pack_dict(value: dict[Any, Any], buffers: list[Buffer], depth: int) -> dict[str, Any]:
+def _pack_dict(value: dict[Any, Any], parts: _Parts, depth: int) -> dict[str, Any]:
     for key in value:
         if type(key) is not str:
             raise UsageError(f"a dict has the key {key!r}", "only strings may be keys")
-    return {key: _pack(entry, buffers, depth + 1) for key, entry in value.items()}
+    return {key: _pack(entry, parts, depth + 1) for key, entry in value.items()}
 
 
-_PACKERS: dict[type, Callable[[Any, list[Buffer], int], Any]] = {
+def _pack_blob(value: Blob, parts: _Parts, depth: int) -> list[Any]:
+    del depth
+    parts.blobs[value.key] = value
+    return [BLOB, value.key]
+
+
+_PACKERS: dict[type, Callable[[Any, _Parts, int], Any]] = {
     np.ndarray: _pack_array,
     np.memmap: _pack_array,
     str: _pack_text,
@@ -197,10 +273,11 @@ _PACKERS: dict[type, Callable[[Any, list[Buffer], int], Any]] = {
     tuple: _pack_tuple,
     list: _pack_list,
     dict: _pack_dict,
+    Blob: _pack_blob,
 }
 
 
-def _unpack(packed: Any, supply: Any, depth: int) -> Any:
+def _unpack(packed: Any, supply: _Supply, depth: int) -> Any:
     kind = type(packed)
     if kind in PLAIN or kind is int or kind is str or kind is bytes:
         return packed
@@ -222,13 +299,15 @@ def _unpack(packed: Any, supply: Any, depth: int) -> Any:
         return array if tag == ARRAY else array[()]
     if tag == BIG and len(packed) == 2 and type(packed[1]) is bytes:
         return int.from_bytes(packed[1], "little", signed=True)
+    if tag == BLOB and len(packed) == 2 and type(packed[1]) is bytes:
+        return supply.look_up(packed[1])
     if tag in (TEXT, BYTES) and len(packed) == 1:
-        blob = bytes(_take(supply))
+        blob = bytes(supply.take())
         return blob if tag == BYTES else blob.decode()
     raise ProtocolError(f"a header holds an entry with the unknown tag {tag}")
 
 
-def _unpack_array(packed: list[Any], supply: Any) -> np.ndarray[Any, Any]:
+def _unpack_array(packed: list[Any], supply: _Supply) -> np.ndarray[Any, Any]:
     if len(packed) != 4:
         raise ProtocolError("an array is not described by dtype, shape and bytes")
     _, code, shape, blob = packed
@@ -238,7 +317,7 @@ def _unpack_array(packed: list[Any], supply: Any) -> np.ndarray[Any, Any]:
         raise ProtocolError(f"an array has the shape {shape!r}")
     if packed[0] == SCALAR and shape:
         raise ProtocolError(f"a number has the shape {shape!r}")
-    buffer = _take(supply) if blob is None else blob
+    buffer = supply.take() if blob is None else blob
     if type(buffer) not in (bytes, bytearray, memoryview):
         raise ProtocolError("the bytes of an array are not bytes")
     dtype = np.dtype(code)
@@ -257,10 +336,3 @@ def _unpack_array(packed: list[Any], supply: Any) -> np.ndarray[Any, Any]:
         array = array.astype(dtype.newbyteorder("="))
     array.flags.writeable = False
     return array
-
-
-def _take(supply: Any) -> Buffer:
-    buffer = next(supply, None)
-    if buffer is None:
-        raise ProtocolError("a message carries fewer buffers than its header names")
-    return buffer  # type: ignore[no-any-return]

@@ -7,17 +7,17 @@
       │ ────────────────────────────────────────> │
       │        Registered (session) or Refused    │
       │ <──────────────────────────────────────── │
-      │        Batch (calls; buffers in frames)   │
+      │        Share (a blob), then Batch (calls) │
       │ <──────────────────────────────────────── │
-      │ Results, Lost, Heartbeat                  │
+      │ Results, Lost, Need, Heartbeat            │
       │ ────────────────────────────────────────> │
-      │        Ping, RegisterAgain, Drain         │
+      │        Ping, RegisterAgain, Forget, Drain │
       │ <──────────────────────────────────────── │
       │ Goodbye                         Farewell  │
 
 The first frame of a wire message is one of these in MessagePack; the frames after it are the
-buffers that its calls or results announce. Every message after the handshake names the session,
-which lives as long as one master.
+buffers that it, its calls or its results announce. Every message after the handshake names the
+session, which lives as long as one master.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from typing import Annotated
 import msgspec
 
 from hpccomponent.errors import ProtocolError
+from hpccomponent.protocol.blobs import KEY_BYTES
 
 __all__ = [
     "PROTOCOL_VERSION",
@@ -36,10 +37,12 @@ __all__ = [
     "Drain",
     "Failure",
     "Farewell",
+    "Forget",
     "Goodbye",
     "Heartbeat",
     "Lost",
     "MasterMessage",
+    "Need",
     "Ping",
     "Refused",
     "Register",
@@ -47,24 +50,27 @@ __all__ = [
     "Registered",
     "Result",
     "Results",
+    "Share",
     "decode_component_message",
     "decode_master_message",
     "encode_message",
 ]
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 
 Count = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
 Line = Annotated[str, msgspec.Meta(max_length=4000)]
+Key = Annotated[bytes, msgspec.Meta(min_length=KEY_BYTES, max_length=KEY_BYTES)]
 
 
 class Register(msgspec.Struct, frozen=True, tag=True):
     """The first message of a component.
 
     Unknown fields are let pass here, and here only, so that a newer component gets a refusal
-    that names the versions, and not silence.
+    that names the versions, and not silence. `blob_bytes` is how much of the blobs that no batch
+    of it needs the component keeps, in bytes.
     """
 
     protocol: int
@@ -76,6 +82,7 @@ class Register(msgspec.Struct, frozen=True, tag=True):
     cores: Count
     memory_bytes: Count
     largest_frame: Count
+    blob_bytes: Count = 0
 
 
 class Registered(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
@@ -123,13 +130,30 @@ class Farewell(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True
     session: Name
 
 
+class Share(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """A blob, for the batches after it: its key, its encoded value, the length of its buffers."""
+
+    session: Name
+    key: Key
+    header: bytes
+    sizes: list[Count]
+
+
+class Forget(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """Blobs that nobody will name again."""
+
+    session: Name
+    keys: list[Key]
+
+
 class Call(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """One task: its number, its name, its encoded arguments, and the length of its buffers."""
+    """One task: its number, name, encoded arguments, length of its buffers, blobs it names."""
 
     task: Count
     name: Name
     header: bytes
     sizes: list[Count]
+    blobs: list[Key] = []
 
 
 class Batch(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
@@ -177,6 +201,14 @@ class Lost(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
     is_blamed: bool
 
 
+class Need(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """A batch was put back because these of its blobs are not (or no longer) here."""
+
+    session: Name
+    batch: Count
+    keys: Annotated[list[Key], msgspec.Meta(min_length=1)]
+
+
 class Heartbeat(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
     """The component lives, and has received every batch up to `last_batch` that was not lost.
 
@@ -197,8 +229,10 @@ class Goodbye(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True)
     reason: Line
 
 
-MasterMessage = Registered | Refused | RegisterAgain | Ping | Drain | Farewell | Batch
-ComponentMessage = Register | Results | Lost | Heartbeat | Goodbye
+MasterMessage = (
+    Registered | Refused | RegisterAgain | Ping | Drain | Farewell | Share | Forget | Batch
+)
+ComponentMessage = Register | Results | Lost | Need | Heartbeat | Goodbye
 
 _encoder = msgspec.msgpack.Encoder()
 _master_decoder: msgspec.msgpack.Decoder[MasterMessage] = msgspec.msgpack.Decoder(MasterMessage)

@@ -23,21 +23,27 @@ from hpccomponent.protocol.messages import (
     ComponentMessage,
     Drain,
     Farewell,
+    Forget,
     Goodbye,
     Heartbeat,
     Lost,
     MasterMessage,
+    Need,
     Ping,
     Refused,
     Register,
     RegisterAgain,
     Registered,
     Results,
+    Share,
 )
+from hpccomponent.protocol.shelf import Shelf
 
 __all__ = [
     "Action",
+    "Discard",
     "ExitCode",
+    "Keep",
     "Run",
     "Send",
     "StartWorker",
@@ -80,10 +86,26 @@ class Send:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Hand a batch to the worker process."""
+    """Hand a batch to the worker process, after those of its blobs that the worker lacks."""
 
     batch: Batch
     frames: Sequence[Buffer]
+    blobs: Sequence[bytes] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Keep:
+    """Keep a blob."""
+
+    blob: Share
+    frames: Sequence[Buffer]
+
+
+@dataclass(frozen=True, slots=True)
+class Discard:
+    """Let blobs go, in the worker process too."""
+
+    keys: Sequence[bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +123,7 @@ class Stop:
     reason: str
 
 
-Action = Send | Run | StartWorker | Stop
+Action = Send | Run | Keep | Discard | StartWorker | Stop
 
 
 @dataclass(slots=True)
@@ -109,6 +131,10 @@ class _Held:
     batch: Batch
     frames: Sequence[Buffer]
     is_running: bool = False
+
+    @property
+    def blobs(self) -> dict[bytes, None]:
+        return {key: None for call in self.batch.calls for key in call.blobs}
 
 
 class WorkerSession:
@@ -140,6 +166,7 @@ class WorkerSession:
         self._last_batch = 0
         self._crashes = 0
         self._worker_is_up = False
+        self._shelf = Shelf(register.blob_bytes)
 
     def begin(self) -> list[Action]:
         """Introduce the component, and start its worker meanwhile."""
@@ -169,11 +196,12 @@ class WorkerSession:
             self.state = State.DRAINING
             return self._leave_if_drained()
         if isinstance(message, Batch):
-            if message.batch in self._held:
-                self.dropped += 1
-                return []
-            self._held[message.batch] = _Held(message, frames)
-            return self._feed()
+            return self._take(message, frames)
+        if isinstance(message, Share):
+            return [Keep(message, frames)] if self._shelf.put(message) else []
+        if isinstance(message, Forget):
+            self._shelf.forget(message.keys)
+            return self._tidy() if not self._running() else []  # a busy worker does not listen
         if isinstance(message, Ping):
             self._last_batch = message.last_batch
         return []
@@ -192,17 +220,18 @@ class WorkerSession:
             self._held.pop(results.batch, None)
             self._crashes = 0
         self._said = now
-        actions: list[Action] = [Send(results, buffers)]
+        actions: list[Action] = [Send(results, buffers), *self._tidy()]
         return actions + self._feed() + self._leave_if_drained()
 
     def worker_died(self, reason: str) -> list[Action]:
         """Take the news that the worker process is gone: its batches are lost."""
         self._worker_is_up = False
+        self._shelf.worker_has.clear()
         if self.state is State.STOPPED:
             return []
         self._crashes += 1
         actions: list[Action] = []
-        running = [number for number, held in self._held.items() if held.is_running]
+        running = self._running()
         for number in running:
             session = self._held.pop(number).batch.session
             actions.append(Send(Lost(session, number, reason[:1000], number == running[0])))
@@ -249,15 +278,38 @@ class WorkerSession:
         if self.state is State.JOINING:
             self.state = State.WORKING
 
+    def _take(self, batch: Batch, frames: Sequence[Buffer]) -> list[Action]:
+        if batch.batch in self._held:
+            self.dropped += 1
+            return []
+        held = _Held(batch, frames)
+        missing = self._shelf.use(held.blobs)
+        if missing:
+            # Put back rather than held: should this answer get lost, the batch counts as lost too.
+            return [Send(Need(batch.session, batch.batch, missing))]
+        self._held[batch.batch] = held
+        return [*self._tidy(), *self._feed()]
+
+    def _needed(self) -> set[bytes]:
+        return {key for held in self._held.values() for key in held.blobs}
+
+    def _tidy(self) -> list[Action]:
+        """Let go of what has not been used for longest, where more is kept than announced."""
+        keys = self._shelf.evict(self._needed()) if self._shelf.is_full() else []
+        return [Discard(keys)] if keys else []
+
+    def _running(self) -> list[int]:
+        return [number for number, held in self._held.items() if held.is_running]
+
     def _feed(self) -> list[Action]:
         if not self._worker_is_up or self.state is State.STOPPED:
             return []
-        running = sum(held.is_running for held in self._held.values())
+        running = len(self._running())
         waiting = [held for held in self._held.values() if not held.is_running]
         actions: list[Action] = []
         for held in waiting[: WINDOW - running]:
             held.is_running = True
-            actions.append(Run(held.batch, held.frames))
+            actions.append(Run(held.batch, held.frames, self._shelf.hand_over(held.blobs)))
             held.frames = ()
         return actions
 

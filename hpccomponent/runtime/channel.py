@@ -21,11 +21,12 @@ import socket
 import struct
 import tempfile
 from collections.abc import Iterable, Sequence
+from contextlib import closing
 
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.frames import Buffer
 
-__all__ = ["Channel", "ChannelClosedError", "cut_payload"]
+__all__ = ["Channel", "ChannelClosedError", "MemoryFile", "cut_payload"]
 
 PREFIX = struct.Struct("=QQB")  # length of control, of all, and whether a memory file holds them
 INLINE_BYTES = 32 * 1024  # two such messages fit into any system's socket buffer: no send blocks
@@ -39,6 +40,22 @@ class ChannelClosedError(ProtocolError):
 
 def _aligned(length: int) -> int:
     return -(-length // ALIGNMENT) * ALIGNMENT
+
+
+class MemoryFile:
+    """A message in a memory file, to be sent any number of times.
+
+    Parameters are those of `Channel.send`, and so is its OSError.
+    """
+
+    def __init__(self, control: Buffer, buffers: Sequence[Sequence[Buffer]]) -> None:
+        pieces, total = _lay_out(control, buffers)
+        self.prefix = PREFIX.pack(len(control), total, True)
+        self.descriptor = _write_memory_file(pieces)
+
+    def close(self) -> None:
+        """Free the memory once nobody has it mapped."""
+        os.close(self.descriptor)
 
 
 class Channel:
@@ -79,17 +96,25 @@ class Channel:
             If there is no memory for a large message.
         """
         pieces, total = _lay_out(control, buffers)
-        is_large = total > INLINE_BYTES
-        prefix = PREFIX.pack(len(control), total, is_large)
+        if total > INLINE_BYTES:
+            with closing(MemoryFile(control, buffers)) as file:
+                self.send_file(file)
+            return
         try:
-            if not is_large:
-                self._end.sendall(b"".join([prefix, *pieces]))
-                return
-            descriptor = _write_memory_file(pieces)
-            try:
-                socket.send_fds(self._end, [prefix], [descriptor])
-            finally:
-                os.close(descriptor)
+            self._end.sendall(b"".join([PREFIX.pack(len(control), total, False), *pieces]))
+        except (BrokenPipeError, ConnectionResetError) as error:
+            raise ChannelClosedError("the other end of the channel is gone") from error
+
+    def send_file(self, file: MemoryFile) -> None:
+        """Send a message that lies in a memory file, without copying it.
+
+        Raises
+        ------
+        ChannelClosedError
+            If the other end is gone.
+        """
+        try:
+            socket.send_fds(self._end, [file.prefix], [file.descriptor])
         except (BrokenPipeError, ConnectionResetError) as error:
             raise ChannelClosedError("the other end of the channel is gone") from error
 

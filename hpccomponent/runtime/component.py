@@ -32,13 +32,16 @@ from hpccomponent.protocol.messages import (
     Batch,
     Register,
     Results,
+    Share,
     decode_component_message,
     decode_master_message,
     encode_message,
 )
 from hpccomponent.protocol.session import (
     Action,
+    Discard,
     ExitCode,
+    Keep,
     Run,
     Send,
     StartWorker,
@@ -46,6 +49,7 @@ from hpccomponent.protocol.session import (
     WorkerSession,
 )
 from hpccomponent.protocol.sockets import MONITORED_EVENTS, bound_socket, describe_event
+from hpccomponent.runtime.blob_files import BlobFiles, check_share
 from hpccomponent.runtime.channel import ChannelClosedError, cut_payload
 from hpccomponent.runtime.numerics import numerics_id, package_version
 from hpccomponent.runtime.process import WorkerProcess
@@ -55,6 +59,7 @@ __all__ = ["ComponentOptions", "run_component"]
 _log = logging.getLogger(__name__)
 
 CONNECT_AGAIN_S = 2.0
+BLOB_SHARE = 4  # a quarter of the machine's memory keeps blobs
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +112,8 @@ class _Component:
         self._worker: WorkerProcess | None = None
         self._start_at: float | None = None
         self._connect_at: float | None = None
+        self._blobs = BlobFiles()
+        stack.callback(self._blobs.close)
         stack.callback(self._end_worker)
         context = stack.enter_context(zmq.Context())
         self._socket = stack.enter_context(_open_socket(context, connection, self._register))
@@ -162,6 +169,8 @@ class _Component:
                 buffers = [frame.buffer for frame in frames[1:]]
                 if isinstance(message, Batch):
                     group_frames(buffers, _sizes(message))  # or it would fail on its way out
+                elif isinstance(message, Share):
+                    check_share(message, buffers)
             except ProtocolError as error:
                 self._session.dropped += 1
                 _log.warning("a message was dropped: %s", error)
@@ -199,6 +208,10 @@ class _Component:
                     self._send(action)
                 case Run():
                     self._run(action)
+                case Keep():
+                    self._keep(action)
+                case Discard():
+                    self._discard(action)
                 case StartWorker():
                     self._start_at = time.monotonic() + action.delay_s
                 case Stop():
@@ -217,6 +230,7 @@ class _Component:
         if self._worker is None:
             return
         try:
+            self._blobs.hand_over(action.blobs, self._worker.channel)
             pieces = group_frames(action.frames, _sizes(action.batch))
             self._worker.channel.send(encode_message(action.batch), pieces)
         except (ChannelClosedError, OSError) as error:
@@ -224,6 +238,18 @@ class _Component:
             if not isinstance(error, ChannelClosedError):
                 reason = f"a batch could not be handed to the worker process: {error}"
             self._carry_out(self._session.worker_died(reason))
+
+    def _keep(self, action: Keep) -> None:
+        try:
+            self._blobs.keep(action.blob, action.frames)
+        except OSError as error:
+            why = f"there is no room for a blob: {error}"
+            self._carry_out(self._session.terminate(why))
+
+    def _discard(self, action: Discard) -> None:
+        channel = self._worker.channel if self._worker is not None else None
+        with suppress(ChannelClosedError):  # the end of the channel is heard soon
+            self._blobs.discard(action.keys, self._session.session, channel)
 
     def _start_worker(self) -> None:
         self._worker = WorkerProcess(self._options.tasks, self._options.build)
@@ -243,6 +269,7 @@ def _sizes(batch: Batch) -> list[int]:
 
 
 def _introduce(connection: Connection, options: ComponentOptions) -> Register:
+    memory_bytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return Register(
         protocol=PROTOCOL_VERSION,
         package=package_version(),
@@ -251,8 +278,9 @@ def _introduce(connection: Connection, options: ComponentOptions) -> Register:
         build=options.build,
         numerics=numerics_id(options.build),
         cores=os.cpu_count() or 1,
-        memory_bytes=os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
+        memory_bytes=memory_bytes,
         largest_frame=LARGEST_FRAME,
+        blob_bytes=memory_bytes // BLOB_SHARE,
     )
 
 

@@ -12,17 +12,21 @@ import signal
 import socket
 import sys
 import traceback
+from collections.abc import Mapping
 from time import perf_counter
+from typing import Any
 
 from hpccomponent import errors
-from hpccomponent.protocol.codec import decode_values, encode_values
+from hpccomponent.protocol.codec import NO_BLOBS, decode_values, encode_values
 from hpccomponent.protocol.frames import Buffer
 from hpccomponent.protocol.messages import (
     Batch,
     Call,
     Failure,
+    Forget,
     Result,
     Results,
+    Share,
     decode_master_message,
     encode_message,
 )
@@ -38,7 +42,10 @@ LINE_LENGTH = 1000
 
 
 def run_call(
-    call: Call, buffers: list[memoryview], tasks: TaskRegistry
+    call: Call,
+    buffers: list[memoryview],
+    tasks: TaskRegistry,
+    blobs: Mapping[bytes, Any] = NO_BLOBS,
 ) -> tuple[Result, list[Buffer]]:
     """Run one task.
 
@@ -50,6 +57,8 @@ def run_call(
         Its buffers.
     tasks : TaskRegistry
         Where its name is looked up.
+    blobs : mapping of bytes to value
+        The values of the blobs among its arguments, by their keys.
 
     Returns
     -------
@@ -61,7 +70,7 @@ def run_call(
     start = perf_counter()
     try:
         task = tasks.resolve(call.name)
-        arguments = decode_values(call.header, buffers)
+        arguments = decode_values(call.header, buffers, blobs)
         start = perf_counter()  # not the import: the master learns from it what a task takes
         value = task(*arguments)
         seconds = perf_counter() - start
@@ -72,7 +81,13 @@ def run_call(
     return Result(call.task, seconds, header, [len(buffer) for buffer in output]), output
 
 
-def run_batch(batch: Batch, payload: memoryview, tasks: TaskRegistry, channel: Channel) -> None:
+def run_batch(
+    batch: Batch,
+    payload: memoryview,
+    tasks: TaskRegistry,
+    channel: Channel,
+    blobs: Mapping[bytes, Any] = NO_BLOBS,
+) -> None:
     """Run the tasks of a batch and send results as they become ready, cheap ones together."""
     buffers = iter(cut_payload(payload, [size for call in batch.calls for size in call.sizes]))
     ready: list[Result] = []
@@ -81,7 +96,7 @@ def run_batch(batch: Batch, payload: memoryview, tasks: TaskRegistry, channel: C
     flushed = perf_counter()
     last = batch.calls[-1]
     for call in batch.calls:
-        result, values = run_call(call, [next(buffers) for _ in call.sizes], tasks)
+        result, values = run_call(call, [next(buffers) for _ in call.sizes], tasks, blobs)
         ready.append(result)
         output += values
         size += len(result.header) + sum(result.sizes)
@@ -90,6 +105,12 @@ def run_batch(batch: Batch, payload: memoryview, tasks: TaskRegistry, channel: C
         message = Results(batch.session, batch.batch, ready, call is last)
         channel.send(encode_message(message), [[value] for value in output])
         ready, output, size, flushed = [], [], 0, perf_counter()
+
+
+def _open_blob(blob: Share, payload: memoryview) -> Any:
+    """Return the value of a blob; its arrays are views of the memory file that it came in."""
+    (value,) = decode_values(blob.header, cut_payload(payload, blob.sizes))
+    return value
 
 
 def _describe(error: BaseException) -> Failure:
@@ -118,12 +139,18 @@ def main(arguments: list[str] | None = None) -> int:
         exit_at_end_of_pipe(options.lifeline_fd, 0)
     tasks = TaskRegistry(options.task)
     channel = Channel(socket.socket(fileno=options.channel_fd))
+    blobs: dict[bytes, Any] = {}
     try:
         while True:
             control, payload = channel.receive()
-            batch = decode_master_message(control)
-            if isinstance(batch, Batch):
-                run_batch(batch, payload, tasks, channel)
+            match decode_master_message(control):
+                case Batch() as batch:
+                    run_batch(batch, payload, tasks, channel, blobs)
+                case Share() as blob:
+                    blobs[blob.key] = _open_blob(blob, payload)
+                case Forget() as forget:
+                    for key in forget.keys:
+                        blobs.pop(key, None)
             del control, payload  # or the last batch would stay mapped while this one waits
     except ChannelClosedError:
         return 0

@@ -25,6 +25,11 @@ def total(values: np.ndarray[Any, Any]) -> float:
     return float(np.add.reduce(values))
 
 
+def add_to_first(shared: tuple[np.ndarray[Any, Any], Any], number: int) -> float:
+    """Return the sum of a number and the first value of what is shared."""
+    return float(shared[0][0]) + number
+
+
 def fail(reason: str) -> None:
     """Raise."""
     raise ValueError(reason)

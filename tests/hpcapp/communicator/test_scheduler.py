@@ -5,18 +5,28 @@ from collections.abc import Callable
 import pytest
 
 from hpcapp.communicator.policy import EqualPolicy, PullPolicy
-from hpcapp.communicator.roster import Action, AskRegister, Assign, Deliver, Fail, Refuse, Welcome
+from hpcapp.communicator.roster import (
+    Action,
+    AskRegister,
+    Assign,
+    Deliver,
+    Fail,
+    Forgotten,
+    Refuse,
+    Welcome,
+)
 from hpcapp.communicator.scheduler import Scheduler
 from hpccomponent.clock import ManualClock
 from hpccomponent.errors import NoWorkersError, WorkerLostError
-from hpccomponent.protocol.messages import Register, Result
+from hpccomponent.protocol.blobs import Blob
+from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register, Result
 
 OK = 0.001  # seconds that a task takes
 
 
 def introduce(name: str = "w", **changes: object) -> Register:
     fields: dict[str, object] = {
-        "protocol": 1,
+        "protocol": PROTOCOL_VERSION,
         "package": "1",
         "worker": name,
         "incarnation": "i",
@@ -63,7 +73,7 @@ def errors(actions: list[Action]) -> list[Exception]:
 @pytest.mark.parametrize(
     ("register", "word"),
     [
-        (introduce(protocol=2), "protocol"),
+        (introduce(protocol=99), "protocol"),
         (introduce(package="2"), "hpcapp 2"),
         (introduce(numerics="other"), "last bits"),
         (introduce(largest_frame=10), "frame"),
@@ -246,3 +256,65 @@ def test_a_new_incarnation_replaces_the_old_at_once(scheduler: Scheduler) -> Non
     actions = scheduler.register(b"a/2", introduce("a", incarnation="2"))
     assert assigned(actions) == [(b"a/2", (0,))]
     assert list(scheduler.workers) == [b"a/2"]
+
+
+def blob(number: int, size_bytes: int = 1000) -> Blob:
+    return Blob(number.to_bytes(16, "little"), b"", (), size_bytes)
+
+
+def sent_blobs(actions: list[Action]) -> list[tuple[bytes, list[Blob]]]:
+    return [(a.worker, list(a.blobs)) for a in actions if isinstance(a, Assign)]
+
+
+def test_a_blob_is_sent_to_a_worker_once(scheduler: Scheduler) -> None:
+    shared = blob(1)
+    scheduler.register(b"a", introduce())
+    for number in range(20):
+        scheduler.submit(number, "t", 10, (shared,))
+    actions = scheduler.dispatch()
+    assert sent_blobs(actions) == [(b"a", [shared]), (b"a", [])]
+    while assigns := [action for action in actions if isinstance(action, Assign)]:
+        actions = [action for assign in assigns for action in finish(scheduler, assign)]
+        assert not any(blobs for _, blobs in sent_blobs(actions))
+    assert scheduler.forget(shared.key) == [Forgotten(b"a", shared.key)]
+    assert scheduler.forget(shared.key) == []
+
+
+def test_a_blob_that_is_missing_is_sent_again_with_its_batch(scheduler: Scheduler) -> None:
+    shared = blob(1)
+    scheduler.register(b"a", introduce())
+    scheduler.submit(0, "t", 10, (shared,))
+    (assign,) = scheduler.dispatch()
+    assert isinstance(assign, Assign)
+    actions = scheduler.need(b"a", assign.batch, [shared.key])
+    assert sent_blobs(actions) == [(b"a", [shared])]
+    assert scheduler.tasks[0].losses == 0
+    actions = scheduler.register(b"a2", introduce(incarnation="2"))  # a new one has nothing
+    assert sent_blobs(actions) == [(b"a2", [shared])]
+
+
+def test_workers_get_tasks_whose_blobs_they_have_and_never_wait_for_them(
+    scheduler: Scheduler,
+) -> None:
+    blobs = [blob(number) for number in range(8)]
+    for name in (b"a", b"b"):
+        scheduler.register(name, introduce(name.decode()))
+    for number in range(40):
+        scheduler.submit(number, "t", 2_000_000, (blobs[number % 8],))
+    pending = [action for action in scheduler.dispatch() if isinstance(action, Assign)]
+    transfers = 0
+    while pending:
+        assign = pending.pop(0)
+        transfers += len(assign.blobs)
+        pending += [a for a in finish(scheduler, assign) if isinstance(a, Assign)]
+        assert not scheduler._queue or all(w.queued == 2 for w in scheduler.workers.values())
+    assert transfers <= 9  # where 16 are possible
+
+
+def test_blobs_that_must_travel_count_as_bytes_of_the_batch(scheduler: Scheduler) -> None:
+    scheduler.register(b"a", introduce())
+    for number in range(200):
+        scheduler.submit(number, "t", 10, (blob(number, 400_000),))
+    first, _ = scheduler.dispatch()
+    (batch,) = assigned(finish(scheduler, first))
+    assert len(batch[1]) == 2

@@ -19,19 +19,24 @@ from hpcapp.communicator.roster import (
     Deliver,
     Dismiss,
     Fail,
+    Forgotten,
     Refuse,
     Welcome,
 )
 from hpcapp.communicator.scheduler import CREDIT, LOSS_BUDGET, Scheduler
 from hpccomponent.clock import ManualClock
 from hpccomponent.errors import NoWorkersError, WorkerLostError
+from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.messages import (
+    PROTOCOL_VERSION,
     Batch,
     Call,
     Drain,
+    Forget,
     Goodbye,
     Heartbeat,
     Lost,
+    Need,
     Ping,
     Refused,
     Register,
@@ -39,10 +44,21 @@ from hpccomponent.protocol.messages import (
     Registered,
     Result,
     Results,
+    Share,
 )
-from hpccomponent.protocol.session import Run, Send, StartWorker, State, WorkerSession
+from hpccomponent.protocol.session import (
+    Discard,
+    Keep,
+    Run,
+    Send,
+    StartWorker,
+    State,
+    WorkerSession,
+)
 
 SESSION = "simulated"
+BLOBS = [Blob(number.to_bytes(16, "little"), b"", (), 1000) for number in range(6)]
+KEPT_BYTES = 2000  # of blobs, by a component
 
 
 @dataclass(eq=False)
@@ -54,6 +70,8 @@ class Component:
     down: deque[Any] = field(default_factory=deque)
     up: deque[Any] = field(default_factory=deque)
     work: deque[tuple[Batch, int]] = field(default_factory=deque)
+    kept: set[bytes] = field(default_factory=set)
+    in_worker: set[bytes] = field(default_factory=set)
     is_frozen: bool = False
 
     def carry_out(self, actions: Sequence[Any]) -> None:
@@ -61,8 +79,17 @@ class Component:
             if isinstance(action, Send):
                 self.up.append(action.message)
             elif isinstance(action, Run):
+                assert self.kept.issuperset(action.blobs), "a blob to be handed over is not kept"
+                self.in_worker.update(action.blobs)
                 self.work.append((action.batch, 0))
+            elif isinstance(action, Keep):
+                assert action.blob.key not in self.kept
+                self.kept.add(action.blob.key)
+            elif isinstance(action, Discard):
+                self.kept.difference_update(action.keys)
+                self.in_worker.difference_update(action.keys)
             elif isinstance(action, StartWorker):
+                self.in_worker.clear()
                 self.carry_out(self.session.worker_started())
 
 
@@ -78,6 +105,7 @@ class Cluster:
         self.ended: dict[int, Any] = {}
         self.deliveries: Counter[int] = Counter()
         self.assigned: Counter[int] = Counter()
+        self.runs: Counter[int] = Counter()
         self.started = 0
 
     def claim(self, number: int) -> bool:
@@ -86,8 +114,12 @@ class Cluster:
     def submit(self, count: int) -> None:
         for _ in range(count):
             number = len(self.calls)
-            self.calls[number] = Call(number, "simulated.task", b"", [])
-            self.carry_out(self.scheduler.submit(number, "simulated.task", 1000))
+            blobs = (
+                tuple(BLOBS[i] for i in {number // 7 % 6, number // 3 % 6}) if number % 5 else ()
+            )
+            keys = [blob.key for blob in blobs]
+            self.calls[number] = Call(number, "simulated.task", b"", [], keys)
+            self.carry_out(self.scheduler.submit(number, "simulated.task", 1000, blobs))
         self.carry_out(self.scheduler.dispatch())
 
     def cancel(self, number: int) -> None:
@@ -99,7 +131,9 @@ class Cluster:
     def start_component(self, name: str | None = None) -> Component:
         self.started += 1
         name = name or f"worker-{self.started}"
-        register = Register(1, "1", name, str(self.started), "b", "n", 1, 1, 1 << 20)
+        register = Register(
+            PROTOCOL_VERSION, "1", name, str(self.started), "b", "n", 1, 1, 1 << 20, KEPT_BYTES
+        )
         session = WorkerSession(register, self.clock.now())
         component = Component(f"{name}/{self.started}".encode(), session)
         self.components.append(component)
@@ -114,8 +148,12 @@ class Cluster:
                 self.end(action.task, action.error)
             elif isinstance(action, Assign):
                 self.assigned.update(action.tasks)
+                for blob in action.blobs:
+                    self.send(action.worker, Share(SESSION, blob.key, b"", [blob.size_bytes]))
                 calls = [self.calls[number] for number in action.tasks]
                 self.send(action.worker, Batch(SESSION, action.batch, calls))
+            elif isinstance(action, Forgotten):
+                self.send(action.worker, Forget(SESSION, [action.key]))
             elif isinstance(action, Welcome):
                 self.send(action.worker, Registered(SESSION, 1.0, 60.0, 1 << 20))
             elif isinstance(action, Refuse):
@@ -161,6 +199,8 @@ class Cluster:
             self.carry_out(
                 scheduler.batch_lost(identity, message.batch, message.reason, message.is_blamed)
             )
+        elif isinstance(message, Need):
+            self.carry_out(scheduler.need(identity, message.batch, message.keys))
         elif isinstance(message, Goodbye):
             self.carry_out(scheduler.goodbye(identity, message.reason))
 
@@ -170,6 +210,8 @@ class Cluster:
             return
         batch, index = component.work.popleft()
         call = batch.calls[index]
+        self.runs[call.task] += 1
+        assert component.in_worker.issuperset(call.blobs), "a task runs without its blob"
         is_last = index + 1 == len(batch.calls)
         if not is_last:
             component.work.appendleft((batch, index + 1))
@@ -287,6 +329,17 @@ class FaultyCluster(RuleBasedStateMachine):
 
     @rule(which=which)
     @precondition(lambda self: self.cluster.components)
+    def lose_one_message(self, which: int) -> None:
+        component = self.pick(which)
+        if component.down:
+            component.down.popleft()
+
+    @rule(which=st.integers(min_value=0, max_value=len(BLOBS) - 1))
+    def forget_blob(self, which: int) -> None:
+        self.cluster.carry_out(self.cluster.scheduler.forget(BLOBS[which].key))
+
+    @rule(which=which)
+    @precondition(lambda self: self.cluster.components)
     def repeat_message(self, which: int) -> None:
         component = self.pick(which)
         if component.up:
@@ -370,7 +423,7 @@ def test_without_faults_every_task_runs_exactly_once(policy: Policy) -> None:
         for component in components:
             cluster.pump(component, 100)
             cluster.work(component)
-    assert cluster.assigned == Counter(range(300))
+    assert cluster.runs == Counter(range(300))
     assert cluster.scheduler.counts["dropped"] == 0
 
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
+import msgspec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,20 +12,25 @@ from hpccomponent.protocol.messages import (
     Call,
     Drain,
     Farewell,
+    Forget,
     Goodbye,
     Heartbeat,
     Lost,
+    Need,
     Ping,
     Refused,
     Register,
     RegisterAgain,
     Registered,
     Results,
+    Share,
 )
 from hpccomponent.protocol.session import (
     MAX_CRASHES,
     WINDOW,
+    Discard,
     ExitCode,
+    Keep,
     Run,
     Send,
     StartWorker,
@@ -47,6 +53,17 @@ def joined(worker_is_up: bool = True) -> WorkerSession:
 
 def batch(number: int, session: str = "s") -> Batch:
     return Batch(session, number, [Call(number, "t", b"", [])])
+
+
+KEY, OTHER_KEY = b"k" * 16, b"o" * 16
+
+
+def naming(number: int, *keys: bytes) -> Batch:
+    return Batch("s", number, [Call(number, "t", b"", [], list(keys))])
+
+
+def runs(actions: list[Any]) -> list[tuple[int, list[bytes]]]:
+    return [(a.batch.batch, list(a.blobs)) for a in actions if isinstance(a, Run)]
 
 
 def sent(actions: list[Any]) -> list[Any]:
@@ -161,6 +178,50 @@ def test_a_resumed_master_gets_no_batches_of_the_old_one_run() -> None:
     session.receive(Registered("new", 1.0, 10.0, 1 << 20), (), 1.0)
     actions = session.worker_results(Results("s", 0, [], True), (), 0.0)
     assert not any(isinstance(action, Run) for action in actions)
+
+
+def test_a_blob_is_kept_and_handed_over_once() -> None:
+    session = joined()
+    share = Share("s", KEY, b"", [5])
+    assert session.receive(share, (b"value",), 0.0) == [Keep(share, (b"value",))]
+    assert session.receive(share, (b"value",), 0.0) == []
+    assert runs(session.receive(naming(1, KEY), (), 0.0)) == [(1, [KEY])]
+    assert runs(session.receive(naming(2, KEY), (), 0.0)) == [(2, [])]
+    session.worker_died("it")
+    session.worker_started()
+    assert runs(session.receive(naming(3, KEY), (), 0.0)) == [(3, [KEY])]
+
+
+def test_a_batch_without_its_blob_is_put_back() -> None:
+    session = joined()
+    (need,) = sent(session.receive(naming(1, KEY, OTHER_KEY), (), 0.0))
+    assert need == Need("s", 1, [KEY, OTHER_KEY])
+    assert sent(session.tick(1.5)) == [Heartbeat("s", 0, 0, [])]
+
+
+def test_beyond_its_memory_only_what_batches_need_is_kept() -> None:
+    session = joined()  # it announced that it keeps nothing
+    for number, key in enumerate((KEY, OTHER_KEY)):
+        session.receive(Share("s", key, b"", [5]), (b"value",), 0.0)
+        assert not any(
+            isinstance(a, Discard) for a in session.receive(naming(number, key), (), 0.0)
+        )
+    for number, key in enumerate((KEY, OTHER_KEY)):
+        actions = session.worker_results(Results("s", number, [], True), (), 0.0)
+        assert Discard([key]) in actions
+    assert isinstance(sent(session.receive(naming(3, KEY), (), 0.0))[0], Need)
+
+
+def test_a_forgotten_blob_goes_when_the_worker_listens() -> None:
+    session = WorkerSession(msgspec.structs.replace(REGISTER, blob_bytes=1000), 0.0)
+    session.begin()
+    session.receive(WELCOME, (), 0.0)
+    session.worker_started()
+    session.receive(Share("s", KEY, b"", [5]), (b"value",), 0.0)
+    session.receive(naming(1), (), 0.0)
+    assert session.receive(Forget("s", [KEY]), (), 0.0) == []
+    actions = session.worker_results(Results("s", 1, [], True), (), 0.0)
+    assert Discard([KEY]) in actions
 
 
 EVENTS = st.one_of(

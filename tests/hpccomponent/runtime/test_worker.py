@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpccomponent.protocol.codec import decode_values, encode_values
+from hpccomponent.protocol.blobs import make_blob
+from hpccomponent.protocol.codec import decode_values, encode_arguments, encode_values
 from hpccomponent.protocol.messages import Batch, Call, Results, decode_component_message
 from hpccomponent.runtime.channel import Channel, cut_payload
 from hpccomponent.runtime.tasks import TaskRegistry
@@ -71,6 +72,13 @@ def test_whatever_is_raised_is_the_result(
     assert "\n" not in result.failure.problem
     assert "Traceback" in result.failure.traceback
     assert not buffers
+
+
+def test_blobs_among_the_arguments_are_looked_up() -> None:
+    blob = make_blob(*encode_values((16.0,)))
+    header, _, _ = encode_arguments((blob,))
+    result, buffers = run_call(Call(1, "root", header, [], [blob.key]), [], TASKS, {blob.key: 16.0})
+    assert decode_values(result.header, buffers) == (4.0,)
 
 
 def test_cheap_results_share_a_message(ends: Ends) -> None:
