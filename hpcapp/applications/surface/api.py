@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hpcapp.applications.surface import job
-from hpcapp.applications.surface.cleaning import arrange_points
+from hpcapp.applications.surface.cleaning import arrange_points, drop_far
 from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.pipeline import Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
@@ -123,9 +123,10 @@ def reconstruct(
 
 def _run(settings: job.Settings, cloud: PointCloud, clock: StageClock) -> Reconstruction:
     """Take a cloud through the job's steps, from its cleaning to the warnings."""
+    usable = len(cloud)
     if settings.method != "paper":  # which cuts the cloud up by itself
-        cloud = arrange_points(cloud)
-    cloud, _ = job._clean(settings, cloud, clock)
+        cloud = arrange_points(drop_far(cloud) if settings.clean else cloud)
+    cloud, _ = job._clean(settings, cloud, usable - len(cloud), clock)
     grid = job._choose_grid(settings, cloud)
     check_memory(settings.method, grid, cloud)
     threads = available_cores() if len(cloud) >= job.THREADS_FROM_POINTS else 1
