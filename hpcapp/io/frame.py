@@ -9,7 +9,7 @@ import numpy as np
 
 from hpccomponent.surface.points import FloatArray, bounding_box
 
-__all__ = ["FAR_IN_DIAGONALS", "needs_double", "to_local"]
+__all__ = ["FAR_IN_DIAGONALS", "choose_origin", "finite_bounds", "needs_double", "to_local"]
 
 FAR_IN_DIAGONALS = 10.0
 """Coordinates beyond so many diagonals of the bounding box count as georeferenced."""
@@ -38,15 +38,28 @@ def to_local(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     >>> to_local(np.array([[5.4e6, 0.0, 0.0], [5.4e6, 1.0, 0.25]]))[1]
     array([5400000.,       0.,       0.])
     """
-    low, high = _finite_bounds(positions)
+    origin = choose_origin(*finite_bounds(positions))
+    return (positions - origin if origin.any() else positions), origin
+
+
+def choose_origin(low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return what `to_local` subtracts from coordinates in a box.
+
+    Parameters
+    ----------
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around all points that are finite.
+
+    Returns
+    -------
+    ndarray of float64, shape (3,)
+    """
     with np.errstate(over="ignore"):  # a diagonal that overflows is infinite: not far from zero
         diagonal = np.linalg.norm(high - low)
     if np.abs([low, high]).max() <= FAR_IN_DIAGONALS * diagonal:
-        return positions, np.zeros(3)
-    origin = np.rint(low / 2 + high / 2) + 0.0  # + 0.0: no negative zero
-    if not origin.any():
-        return positions, origin
-    return positions - origin, origin
+        return np.zeros(3)
+    origin: FloatArray = np.rint(low / 2 + high / 2) + 0.0  # + 0.0: no negative zero
+    return origin
 
 
 def needs_double(positions: FloatArray, origin: FloatArray) -> bool:
@@ -61,7 +74,7 @@ def needs_double(positions: FloatArray, origin: FloatArray) -> bool:
     """
     if origin.any():
         return True
-    low, high = _finite_bounds(positions)
+    low, high = finite_bounds(positions)
     with np.errstate(over="ignore"):
         diagonal = np.linalg.norm(high - low)
     largest = np.abs([low, high]).max()
@@ -70,7 +83,7 @@ def needs_double(positions: FloatArray, origin: FloatArray) -> bool:
     return bool(largest > single.max or rounding > _FLOAT32_TOLERANCE * diagonal)
 
 
-def _finite_bounds(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+def finite_bounds(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Bound the rows that are finite; zeros where there are none."""
     if not len(positions):
         return np.zeros(3), np.zeros(3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,17 @@ from numpy.typing import NDArray
 from hpccomponent.errors import InputError
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
-__all__ = ["FEWEST_POINTS", "Dropped", "drop_unusable"]
+__all__ = [
+    "FEWEST_POINTS",
+    "Dropped",
+    "drop_unusable",
+    "refuse_degenerate",
+    "refuse_line",
+    "refuse_too_few",
+    "select_usable",
+]
+
+Parts = Callable[[], Iterable[FloatArray]]
 
 FEWEST_POINTS = 10
 """A quadric has ten coefficients."""
@@ -71,6 +82,36 @@ def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[P
     """
     if not len(cloud):
         raise InputError(f"{source} holds no points", "check that the right file was exported")
+    usable, dropped = select_usable(cloud, source)
+    refuse_too_few(len(usable), dropped, source)
+    low, high = bounding_box(usable.positions)
+    some = usable.positions[:: -(-len(usable) // _SAMPLE)]  # in most clouds they tell enough
+    refuse_degenerate(low, high, len(usable), source)
+    refuse_line(lambda: [some], lambda: [usable.positions], len(usable), source)
+    return usable, dropped
+
+
+def select_usable(cloud: PointCloud, source: str) -> tuple[PointCloud, Dropped]:
+    """Drop points as `drop_unusable` does, from a part of a cloud; whatever is left will do.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        As it was read.
+    source : str
+        The file it came from, for messages.
+
+    Returns
+    -------
+    usable : PointCloud
+        Its normals have unit length.
+    dropped : Dropped
+
+    Raises
+    ------
+    InputError
+        There are no normals.
+    """
     if cloud.normals is None:
         raise InputError(
             f"{source} has no normals (nx, ny, nz)",
@@ -79,14 +120,9 @@ def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[P
     # Column by column here and below: reductions along rows of three are several times slower.
     finite = np.logical_and.reduce([np.isfinite(column) for column in cloud.positions.T])
     units, directed = _normalized(cloud.normals)
-    keep = finite & directed
     dropped = Dropped(int((~finite).sum()), int((finite & ~directed).sum()))
     usable = PointCloud(cloud.positions, units, cloud.colors, cloud.origin)
-    if dropped.total:
-        usable = usable.take(keep)
-    _refuse_too_few(usable, dropped, source)
-    _refuse_degenerate(usable.positions, source)
-    return usable, dropped
+    return usable.take(finite & directed) if dropped.total else usable, dropped
 
 
 def _normalized(normals: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -108,21 +144,22 @@ def _normalize_rows(normals: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]
     return units, directed[:, 0]
 
 
-def _refuse_too_few(usable: PointCloud, dropped: Dropped, source: str) -> None:
-    if len(usable) >= FEWEST_POINTS:
+def refuse_too_few(points: int, dropped: Dropped, source: str) -> None:
+    """Refuse a cloud of fewer than `FEWEST_POINTS` usable points."""
+    if points >= FEWEST_POINTS:
         return
     without = (
         f" after dropping {dropped.non_finite_points} with NaN or infinite coordinates and "
         f"{dropped.bad_normals} with a zero or NaN normal"
     )
     raise InputError(
-        f"{source} has {len(usable) or 'no'} usable points{without if dropped.total else ''}",
+        f"{source} has {points or 'no'} usable points{without if dropped.total else ''}",
         f"a surface needs at least {FEWEST_POINTS}: check how the file was exported",
     )
 
 
-def _refuse_degenerate(positions: FloatArray, source: str) -> None:
-    low, high = bounding_box(positions)
+def refuse_degenerate(low: FloatArray, high: FloatArray, points: int, source: str) -> None:
+    """Refuse a cloud by the box around it: coordinates out of range, or one place."""
     largest = float(np.abs([low, high]).max())
     if largest > _LARGEST or 0 < largest < _SMALLEST:
         raise InputError(
@@ -131,20 +168,42 @@ def _refuse_degenerate(positions: FloatArray, source: str) -> None:
         )
     if (low == high).all():
         raise InputError(
-            f"{source}: all {len(positions)} points lie in one place",
+            f"{source}: all {points} points lie in one place",
             "check how the file was exported",
         )
-    some = positions[:: -(-len(positions) // _SAMPLE)]  # in most clouds they tell enough
-    if _is_line(some / largest) and _is_line(positions / largest):
+
+
+def refuse_line(some: Parts, every: Parts, points: int, source: str) -> None:
+    """Refuse a cloud whose points lie on one line.
+
+    Parameters
+    ----------
+    some, every : callable
+        Return iterables of positions: those of a few points, which tell enough of most clouds,
+        and all of them, which are asked for where they do not.
+    points : int
+    source : str
+        For messages.
+    """
+    if _is_line(some) and _is_line(every):
         raise InputError(
-            f"{source}: all {len(positions)} points lie on one line",
+            f"{source}: all {points} points lie on one line",
             "a surface cannot be fitted to a line: check how the file was exported",
         )
 
 
-def _is_line(positions: FloatArray) -> bool:
+def _is_line(parts: Parts) -> bool:
     """Tell whether all points lie on one line; their squares must not leave the range."""
-    centred = positions - positions.mean(axis=0)
-    centred /= np.abs(centred).max() or 1.0
-    squares = np.linalg.eigvalsh(np.einsum("ij,ik->jk", centred, centred))
-    return bool(squares[1] <= _FLATTEST**2 * squares[2])
+    boxes = [np.stack(bounding_box(part)) for part in parts() if len(part)]
+    low, high = np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]
+    scale = float(np.max(high / 2 - low / 2)) or 1.0
+    count, total, squares = 0, np.zeros(3), np.zeros((3, 3))
+    for part in parts():
+        arms = (part - low) / scale
+        count += len(arms)
+        total += arms.sum(axis=0)
+    for part in parts():
+        centred = (part - low) / scale - total / count
+        squares += np.einsum("ij,ik->jk", centred, centred)
+    least, most = np.linalg.eigvalsh(squares)[1:]
+    return bool(least <= _FLATTEST**2 * most)

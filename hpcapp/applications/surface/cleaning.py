@@ -10,16 +10,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface import kernels
-from hpccomponent.surface.arrangement import choose_arrangement, snap_points
+from hpccomponent.surface.arranged_cloud import arrange_cloud
 from hpccomponent.surface.normals import mend_normals
 from hpccomponent.surface.outliers import find_outliers
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 from hpccomponent.surface.spacing import estimate_spacing
 
-__all__ = ["Cleaned", "arrange_points", "clean_cloud", "drop_far"]
+__all__ = [
+    "Cleaned",
+    "EvenSample",
+    "Reach",
+    "arrange_points",
+    "clean_cloud",
+    "drop_far",
+    "find_reach",
+]
 
-_SAMPLE = 10_000
+_SAMPLE = 20_000
 _CORE = (0.02, 0.98)  # quantiles of each coordinate
 _CORES = 100.0  # longest sides of the core: beyond them lie markers, not measurements
 
@@ -61,18 +68,7 @@ def arrange_points(cloud: PointCloud) -> PointCloud:
     billionth of the longest side, points are the same in memory, on disk and on the wire.
     """
     low, high = bounding_box(cloud.positions)
-    if (low == high).all():
-        return cloud
-    arrangement = choose_arrangement(low, high)
-    snapped = snap_points(arrangement, cloud.positions)
-    normals = None if cloud.normals is None else cloud.normals.astype(np.float32)
-    rows = kernels.sort_points(snapped, arrangement.origin, arrangement.edge)[2]
-    return PointCloud(
-        snapped[rows],
-        None if normals is None else normals[rows].astype(np.float64),
-        None if cloud.colors is None else cloud.colors[rows],
-        cloud.origin,
-    )
+    return cloud if (low == high).all() else arrange_cloud(cloud).cloud
 
 
 def drop_far(cloud: PointCloud) -> PointCloud:
@@ -94,8 +90,81 @@ def drop_far(cloud: PointCloud) -> PointCloud:
     """
     if not len(cloud):
         return cloud
-    near = _find_near(cloud.positions)
-    return cloud if near.all() else cloud.take(near)
+    sample = EvenSample()
+    sample.add(cloud.positions)
+    reach = find_reach(sample.positions)
+    if reach.holds(*bounding_box(cloud.positions)):
+        return cloud
+    return cloud.take(reach.find_near(cloud.positions))
+
+
+class EvenSample:
+    """Every so many-th point of a cloud, of which there may be more to come.
+
+    The step is the power of two that leaves at most `_SAMPLE` points, so that it is the same
+    whether the cloud comes as a whole or in parts.
+    """
+
+    def __init__(self) -> None:
+        self._positions = np.zeros((0, 3))
+        self._step = 1
+        self._seen = 0
+
+    @property
+    def positions(self) -> FloatArray:
+        """Shape (s, 3), in length units of the input; at most `_SAMPLE`."""
+        return self._positions
+
+    def add(self, positions: FloatArray) -> None:
+        """Take the next points of the cloud, of shape (n, 3)."""
+        while self._seen + len(positions) > _SAMPLE * self._step:
+            self._positions = self._positions[::2]
+            self._step *= 2
+        taken = positions[-self._seen % self._step :: self._step]
+        self._positions = np.concatenate([self._positions, taken])
+        self._seen += len(positions)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reach:
+    """How far from the middle of a cloud points may lie.
+
+    Parameters
+    ----------
+    middle : ndarray of float64, shape (3,)
+    distance : float
+        Along each axis, in length units of the input; infinite where the core has no extent.
+    """
+
+    middle: FloatArray
+    distance: float
+
+    def holds(self, low: FloatArray, high: FloatArray) -> bool:
+        """Tell whether all of a box lies within."""
+        return bool((np.abs(np.stack([low, high]) - self.middle) <= self.distance).all())
+
+    def find_near(self, positions: FloatArray) -> NDArray[np.bool_]:
+        """Tell which points (n, 3) lie within."""
+        away: FloatArray = np.abs(positions - self.middle)
+        near: NDArray[np.bool_] = np.all(away <= self.distance, axis=1)
+        return near
+
+
+def find_reach(sample: FloatArray) -> Reach:
+    """Find how far from the middle of a cloud points may lie: a hundred times its core.
+
+    Parameters
+    ----------
+    sample : ndarray of float64, shape (s, 3)
+        See `EvenSample`; at least one point.
+
+    Returns
+    -------
+    Reach
+    """
+    low, high = np.sort(sample, axis=0)[np.rint(np.multiply(_CORE, len(sample) - 1)).astype(int)]
+    distance = _CORES * float((high - low).max())
+    return Reach(0.5 * (low + high), distance if distance > 0.0 else np.inf)
 
 
 def clean_cloud(cloud: PointCloud, threads: int = 1) -> tuple[PointCloud, Cleaned]:
@@ -137,18 +206,3 @@ def clean_cloud(cloud: PointCloud, threads: int = 1) -> tuple[PointCloud, Cleane
         if flipped:
             kept = PointCloud(kept.positions, normals, kept.colors, kept.origin)
     return kept, Cleaned(len(cloud) - len(kept), flipped)
-
-
-def _find_near(positions: FloatArray) -> NDArray[np.bool_]:
-    """Tell which points lie within reach of the core, judged by every so many-th point."""
-    sample = positions[:: len(positions) // _SAMPLE + 1]
-    low, high = np.sort(sample, axis=0)[np.rint(np.multiply(_CORE, len(sample) - 1)).astype(int)]
-    reach = _CORES * float((high - low).max())
-    if reach <= 0.0:
-        return np.ones(len(positions), np.bool_)
-    middle = 0.5 * (low + high)
-    if (np.abs(np.stack(bounding_box(positions)) - middle) <= reach).all():
-        return np.ones(len(positions), np.bool_)
-    away = np.abs(positions - middle)
-    near: NDArray[np.bool_] = (away <= reach).all(axis=1)
-    return near
