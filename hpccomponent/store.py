@@ -1,0 +1,193 @@
+"""Where values lie between the parts of a job: a folder that its machines share, or a bucket.
+
+::
+
+    open_store("/shared/job")  ──> FolderStore     a file each, mapped into memory
+    open_store("s3://lab/job") ──> S3Store         an object each (see `s3_store`)
+
+A name holds nothing or a whole value: who reads while it is written sees what was there before.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import re
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+from hpccomponent.errors import JobError, OutputError, UsageError
+from hpccomponent.stored_value import DamagedError, from_bytes, to_buffers
+
+__all__ = ["FolderStore", "Store", "check_name", "open_store"]
+
+_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*")
+
+
+class Store(Protocol):
+    """Values by name.
+
+    A name is made of letters, digits, ``.``, ``_`` and ``-``, in parts that ``/`` separates, none
+    of which begins with a dot.
+    """
+
+    def put(self, name: str, value: Any) -> None:
+        """Store a value, in place of what has that name.
+
+        Parameters
+        ----------
+        name : str
+        value : ndarray, int, float, bool, str, bytes, None, or tuple, list, dict of these
+
+        Raises
+        ------
+        UsageError
+            The name is none, or the value is of another type.
+        OutputError, CloudError
+            It cannot be written.
+        """
+
+    def get(self, name: str) -> Any:
+        """Return a value; its large arrays are read-only.
+
+        Raises
+        ------
+        JobError
+            It is not there, or not as it was stored.
+        CloudError
+            The bucket does not give it.
+        """
+
+    def has(self, name: str) -> bool:
+        """Tell whether there is a value of a name."""
+
+    def list(self, prefix: str = "") -> list[str]:
+        """Return the names that begin so, sorted."""
+
+    def delete(self, name: str) -> None:
+        """Take a value away, if it is there."""
+
+
+def open_store(place: str) -> Store:
+    """Open a store.
+
+    Parameters
+    ----------
+    place : str
+        A folder, ``folder:PATH``, or ``s3://BUCKET/PREFIX``. A folder is made where there is none;
+        a bucket is found by the usual variables (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL``, ...).
+
+    Returns
+    -------
+    Store
+
+    Raises
+    ------
+    UsageError
+        The place is of another kind.
+    OutputError
+        The folder cannot be made.
+    CloudError
+        The bucket is not there, or there are no credentials for it.
+    """
+    scheme, colon, rest = place.partition(":")
+    if scheme == "s3" and colon:
+        from hpccomponent.s3_store import open_s3_store  # it imports boto3
+
+        return open_s3_store(place)
+    if scheme == "folder" and rest:
+        return FolderStore(Path(rest))
+    if "://" in place or not place:
+        raise UsageError(f"no store is known at {place!r}", "name a folder, or s3://BUCKET/PREFIX")
+    return FolderStore(Path(place))
+
+
+def check_name(name: str) -> None:
+    """Raise UsageError where a name is none; see `Store`."""
+    if not _NAME.fullmatch(name):
+        raise UsageError(
+            f"{name!r} cannot be the name of a value",
+            "use letters, digits, '.', '_' and '-', in parts separated by '/'",
+        )
+
+
+class FolderStore:
+    """Values as files; see `Store`.
+
+    Parameters
+    ----------
+    folder : Path
+        Is made where there is none.
+
+    Raises
+    ------
+    OutputError
+        It cannot be made.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        with self._translated(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+
+    def put(self, name: str, value: Any) -> None:
+        """See `Store.put`; a value appears when all of it is written."""
+        check_name(name)
+        path = self._folder / name
+        beside = path.with_name(f".{secrets.token_hex(8)}.tmp")
+        buffers = to_buffers(value)
+        with self._translated(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                with beside.open("xb") as file:
+                    file.writelines(buffers)
+                os.replace(beside, path)
+            finally:
+                beside.unlink(missing_ok=True)
+
+    def get(self, name: str) -> Any:
+        """See `Store.get`; arrays stay in the mapped file until they are used."""
+        check_name(name)
+        path = self._folder / name
+        try:
+            with path.open("rb") as file:
+                mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except FileNotFoundError:
+            raise JobError(f"{path} is not there", "run the job again") from None
+        except (OSError, ValueError) as error:  # an empty file cannot be mapped
+            raise JobError(f"{path} cannot be read: {error}", "run the job again") from error
+        try:
+            return from_bytes(memoryview(mapped))
+        except DamagedError as error:
+            raise JobError(f"{path} {error}", "delete it, and run the job again") from error
+
+    def has(self, name: str) -> bool:
+        """See `Store.has`."""
+        check_name(name)
+        return (self._folder / name).is_file()
+
+    def list(self, prefix: str = "") -> list[str]:
+        """See `Store.list`."""
+        files = (path for path in self._folder.rglob("*") if path.is_file())
+        names = (path.relative_to(self._folder).as_posix() for path in files)
+        return sorted(n for n in names if n.startswith(prefix) and _NAME.fullmatch(n))
+
+    def delete(self, name: str) -> None:
+        """See `Store.delete`."""
+        check_name(name)
+        path = self._folder / name
+        with self._translated(path):
+            path.unlink(missing_ok=True)
+
+    @contextmanager
+    def _translated(self, path: Path) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise OutputError(
+                f"{path}: cannot be written: {error.strerror or error}",
+                f"check that {self._folder} has room and lets you write, or name another store",
+            ) from error
