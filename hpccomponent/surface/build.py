@@ -37,6 +37,7 @@ _PORTABLE = (
     "normals",
     "outliers",
     "patch_quadrics",
+    "seams",
     "spacing",
 )
 

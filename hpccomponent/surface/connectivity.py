@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["Survey", "label_components", "signed_volume", "survey_mesh"]
+__all__ = ["Survey", "join_nodes", "label_components", "signed_volume", "survey_mesh"]
 
 Labels = NDArray[np.int32]
 
@@ -79,7 +79,7 @@ def label_components(faces: IntArray, vertices: int) -> tuple[int, Labels]:
         The component of each vertex, numbered in the order of their first vertices.
     """
     first, second = faces[:, :2].T, faces[:, 1:].T
-    count, label = _join(np.concatenate(first), np.concatenate(second), vertices)
+    count, label = join_nodes(np.concatenate(first), np.concatenate(second), vertices)
     _, order = np.unique(label, return_index=True)
     rank = np.empty(count, np.int32)
     rank[np.argsort(order, kind="stable")] = np.arange(count, dtype=np.int32)
@@ -161,7 +161,7 @@ def _count_fans(faces: IntArray, edges: _Edges) -> int:
     right = np.r_[
         np.where(runs_back, second_head, second), np.where(runs_back, second, second_head)
     ]
-    return _join(left, right, len(flat))[0]
+    return join_nodes(left, right, len(flat))[0]
 
 
 def _next_corner(side: IntArray) -> IntArray:
@@ -169,7 +169,7 @@ def _next_corner(side: IntArray) -> IntArray:
     return np.where(side % 3 == 2, side - 2, side + 1)
 
 
-def _join(left: IntArray, right: IntArray, nodes: int) -> tuple[int, IntArray]:
+def join_nodes(left: IntArray, right: IntArray, nodes: int) -> tuple[int, IntArray]:
     """Return the count and labels of the components of an undirected graph."""
     from scipy.sparse import coo_array  # heavy modules: the native build does without them
     from scipy.sparse.csgraph import connected_components

@@ -13,7 +13,13 @@ from hpccomponent.surface.lattice import OCTANTS, find_keys, pack_places, step_k
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["balance_vertices", "drop_small_components", "extract_surface", "grow_surface"]
+__all__ = [
+    "balance_vertices",
+    "drop_small_components",
+    "extract_surface",
+    "find_large",
+    "grow_surface",
+]
 
 Float32Array = NDArray[np.float32]
 
@@ -22,6 +28,9 @@ _NEAREST = 0.002
 
 _SLIVER = 0.15
 """Squared edges count as if they were longer by this share of their mean."""
+
+_SMALL_SHARE = 0.002
+"""A component with fewer faces than this share of the largest one's is dropped."""
 
 
 def extract_surface(grid: Grid, places: IntArray, values: Float32Array) -> Mesh:
@@ -169,7 +178,26 @@ def _edge_numbers(
     return found
 
 
-def drop_small_components(mesh: Mesh, share: float = 0.002) -> Mesh:
+def find_large(faces: IntArray, share: float = _SMALL_SHARE) -> NDArray[np.bool_]:
+    """Tell which components of a mesh are no mere crumbs of it.
+
+    Parameters
+    ----------
+    faces : ndarray of int64, shape (c,)
+        How many each component has; 0 for a vertex that no face uses.
+    share : float
+        Of the largest component's faces; dimensionless, 0 to 1.
+
+    Returns
+    -------
+    ndarray of bool, shape (c,)
+        All, where no component with faces is small: what no face uses then stays, too.
+    """
+    is_large: NDArray[np.bool_] = faces >= max(share * float(faces.max(initial=0)), 1.0)
+    return is_large | bool(is_large[faces > 0].all())
+
+
+def drop_small_components(mesh: Mesh, share: float = _SMALL_SHARE) -> Mesh:
     """Drop components with fewer faces than a share of the largest one's.
 
     Parameters
@@ -181,7 +209,7 @@ def drop_small_components(mesh: Mesh, share: float = 0.002) -> Mesh:
     Returns
     -------
     Mesh
-        Without vertices that no face uses.
+        Without vertices that no face uses, if anything was dropped.
     """
     from hpccomponent.surface.kernels import label_components  # which knows this module
 
@@ -191,9 +219,8 @@ def drop_small_components(mesh: Mesh, share: float = 0.002) -> Mesh:
     pieces, component = label_components(mesh.faces, count)
     if pieces == 1:
         return mesh
-    sizes = np.bincount(component[mesh.faces[:, 0]])
-    kept = sizes >= share * sizes.max()
-    if kept[sizes > 0].all():
+    kept = find_large(np.bincount(component[mesh.faces[:, 0]], minlength=pieces), share)
+    if kept.all():
         return mesh
     faces = mesh.faces[kept[component[mesh.faces[:, 0]]]]
     used = np.zeros(count, np.bool_)

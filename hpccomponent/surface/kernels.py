@@ -17,6 +17,7 @@ from hpccomponent.surface.case_table import case_triangles
 from hpccomponent.surface.connectivity import Survey
 from hpccomponent.surface.field import BRICK, Field, Grid
 from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.seams import BrickSums, Seams
 
 __all__ = [
     "accumulate_moments",
@@ -28,6 +29,7 @@ __all__ = [
     "evaluate_bricks",
     "evaluate_residuals",
     "find_keys",
+    "find_seams",
     "fit_corners",
     "gather_points",
     "grow_surface",
@@ -44,6 +46,7 @@ __all__ = [
     "signed_volume",
     "sort_points",
     "spread_keys",
+    "sum_bricks",
     "sum_neighbours",
     "survey_mesh",
     "unite_keys",
@@ -52,6 +55,7 @@ __all__ = [
 _native: Any = load_native()
 
 Float32Array = NDArray[np.float32]
+Int32Array = NDArray[np.int32]
 ByteArray = NDArray[np.uint8]
 
 
@@ -429,6 +433,27 @@ def signed_volume(vertices: FloatArray, faces: IntArray, reference: FloatArray) 
 
         return connectivity.signed_volume(vertices, faces, reference)
     return float(_native.signed_volume(_floats(vertices), _integers(faces), _floats(reference)))
+
+
+def find_seams(nodes: Int32Array, vertex_of: Int32Array, is_open: NDArray[np.bool_]) -> Seams:
+    """Find the open vertices of a part; see `seams.find_seams`."""
+    from hpccomponent.surface import seams
+
+    return seams.find_seams(nodes, vertex_of, is_open)
+
+
+def sum_bricks(
+    vertices: FloatArray,
+    corners: Int32Array,
+    counts: tuple[Int32Array, Int32Array],
+    labels: Int32Array,
+    components: int,
+    reference: FloatArray,
+) -> BrickSums:
+    """Sum over what each brick holds; see `seams.sum_bricks`."""
+    from hpccomponent.surface import seams
+
+    return seams.sum_bricks(vertices, corners, counts, labels, components, reference)
 
 
 def _field_values(field: Field) -> tuple[Any, ...]:

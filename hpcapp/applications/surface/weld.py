@@ -1,0 +1,152 @@
+"""The plan of the weld: which part gives which brick, what is dropped, where everything goes.
+
+Made from the parts' summaries alone; its size grows with the bricks and the seams, not with the
+vertices. Vertices are known by their brick and their number in it, never by where they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.applications.surface.topology import Topology
+from hpcapp.applications.surface.weld_bricks import (
+    PartBricks,
+    check_foreign,
+    collect_bricks,
+    join_labels,
+    missing_bricks,
+)
+from hpcapp.applications.surface.weld_topology import Components, judge_parts
+from hpccomponent.surface.extraction import find_large
+from hpccomponent.surface.part_places import PartPlaces, starts_of
+from hpccomponent.surface.part_summary import PartSummary
+from hpccomponent.surface.points import FloatArray, IntArray
+
+__all__ = ["WeldPlan", "missing_bricks", "plan_weld"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeldPlan:
+    """How parts become one mesh; B bricks in all.
+
+    Parameters
+    ----------
+    summaries : tuple of PartSummary
+        In the order of the parts.
+    bricks : PartBricks
+    kept : ndarray of bool
+        Which of the parts' components stay, part after part.
+    vertex_starts, face_starts : ndarray of int64, shape (B + 1,)
+        Where the vertices and faces of each brick begin in the mesh, in the order of the keys.
+    box : ndarray of float64, shape (2, 3)
+        The lowest and highest coordinates of the vertices; zeros where there are none. In length
+        units of the input, in the local frame.
+    topology : Topology
+        What `check_mesh` would find on the mesh.
+    """
+
+    summaries: tuple[PartSummary, ...]
+    bricks: PartBricks
+    kept: NDArray[np.bool_]
+    vertex_starts: IntArray
+    face_starts: IntArray
+    box: FloatArray
+    topology: Topology
+
+    @property
+    def vertex_count(self) -> int:
+        """Vertices of the mesh."""
+        return int(self.vertex_starts[-1])
+
+    @property
+    def face_count(self) -> int:
+        """Faces of the mesh."""
+        return int(self.face_starts[-1])
+
+    def places(self, index: int) -> PartPlaces:
+        """Return where the vertices and faces of a part go.
+
+        Parameters
+        ----------
+        index : int
+            Of the part.
+        """
+        bricks, summary = self.bricks, self.summaries[index]
+        mine = bricks.of_part(index)
+        place = bricks.place[mine]
+        there = np.searchsorted(bricks.keys, summary.foreign_bricks)
+        copies, foreign = bricks.taken[there], summary.foreign_numbers
+        is_kept = self.kept[bricks.labels_at(copies, foreign)]
+        numbers = self.vertex_starts[there] + bricks.ranks_at(self.kept, copies, foreign)
+        return PartPlaces(
+            self.vertex_starts[place],
+            np.where(bricks.is_taken[mine], self.face_starts[place], -1),
+            np.flatnonzero(~self.kept[bricks.labels_in(index)]).astype(np.int32),
+            np.where(is_kept, numbers, -1),
+        )
+
+
+def plan_weld(summaries: Sequence[PartSummary]) -> WeldPlan:
+    """Plan the weld of all the parts of a mesh.
+
+    Parameters
+    ----------
+    summaries : sequence of PartSummary
+        At least one; of guests that no part owns the first part's copy is taken.
+
+    Returns
+    -------
+    WeldPlan
+
+    Raises
+    ------
+    JobError
+        The parts contradict one another, or a part refers to a brick that none has.
+    """
+    bricks = collect_bricks(summaries)
+    check_foreign(summaries, bricks)
+    component = join_labels(summaries, bricks)
+    entries = _collect_entries(summaries, bricks, component)
+    faces = np.bincount(entries.component, entries.faces, int(component.max(initial=-1)) + 1)
+    large = find_large(faces.astype(np.int64))
+    kept = large[component]
+    components = entries.only(large[entries.component])
+    vertex_starts, face_starts = (
+        starts_of(np.bincount(components.place, counts, len(bricks.keys)).astype(np.int32))
+        for counts in (components.vertices, components.faces)
+    )
+    box = _bound(np.concatenate([s.bounds for s in summaries])[kept])
+    topology = judge_parts(summaries, bricks, component, kept, components)
+    return WeldPlan(tuple(summaries), bricks, kept, vertex_starts, face_starts, box, topology)
+
+
+def _collect_entries(
+    summaries: Sequence[PartSummary], bricks: PartBricks, component: IntArray
+) -> Components:
+    """Put the entries of the bricks that are taken into the order of the mesh."""
+    starts = [s.entry_starts for s in summaries]
+    brick = np.repeat(np.arange(len(bricks.place)), np.concatenate([np.diff(s) for s in starts]))
+    counts = np.array([len(s.entry_labels) for s in summaries])
+    labels = np.concatenate([s.entry_labels for s in summaries])
+    labels = labels + np.repeat(bricks.label_starts[:-1], counts)
+    order = np.argsort(bricks.place[brick], kind="stable")
+    order = order[bricks.is_taken[brick[order]]]
+    return Components(
+        bricks.place[brick[order]],
+        component[labels[order]],
+        np.concatenate([s.entry_vertices for s in summaries])[order],
+        np.concatenate([s.entry_faces for s in summaries])[order],
+        np.concatenate([s.entry_sums for s in summaries])[order],
+        np.repeat(np.stack([s.reference for s in summaries]), counts, axis=0)[order],
+    )
+
+
+def _bound(bounds: FloatArray) -> FloatArray:
+    """Return the box around some boxes."""
+    if not len(bounds) or np.isinf(bounds[:, 0].min()):
+        return np.zeros((2, 3))
+    return np.stack([bounds[:, :3].min(axis=0), bounds[:, 3:].max(axis=0)])
