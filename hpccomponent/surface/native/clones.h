@@ -2,6 +2,7 @@
 //
 // Every loop that is compiled this way runs across moments, vertices or nodes, never across the
 // points of a sum, and contraction to fused operations is off: each version gives the same bits.
+// No exception may pass through such a function: GCC takes it for one that throws none.
 #pragma once
 
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__) && \

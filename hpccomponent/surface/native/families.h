@@ -10,8 +10,7 @@ namespace hpc {
 const int64_t* check_sides(const Input& bricks);
 
 // Return the points' rows in the order of their cells, stably, and the cells' squeezed keys.
-Large<Ranked> rank_points(const double* points, int64_t count, const double* origin, double size,
-                          Span& span);
+Ranking rank_points(const double* points, int64_t count, const double* origin, double size, Span& span);
 
 // Faces whose vertices are all there.
 const int64_t* check_faces(const Input& faces, int64_t vertices);

@@ -1,4 +1,5 @@
 // Priors: the mean of the parents' quadrics, expressed about their children.
+#include "clones.h"
 #include "families.h"
 #include "keys.h"
 #include "threads.h"
@@ -13,7 +14,7 @@ using Quadric = double[BASIS];
 // Express two quadrics about the place between them, half a cell above `lower` and below `upper`
 // along an axis, and leave their mean in `lower`. Like moments (see moments.h), what an axis shifts
 // evenly is seen in the sum, the rest in the difference.
-inline void mean_pair(Quadric& lower, const Quadric& upper, int axis) {
+HPC_INLINE void mean_pair(Quadric& lower, const Quadric& upper, int axis) {
   // The square of the axis, and its products with the next axis and with the one after that.
   const int next = (axis + 1) % 3, last = (axis + 2) % 3;
   const int linear = 1 + axis, square = 4 + axis, with_next = 7 + axis, with_last = 7 + last;
@@ -33,40 +34,74 @@ struct Parents {
   const float *coefficients, *values;
 };
 
-void inherit_range(const int64_t* vertices, const Parents& parents, int64_t start, int64_t stop,
-                   float* coefficients, float* inherited) {
-  std::vector<double> means(parents.columns);
-  std::vector<Finger> fingers(8, Finger(parents.keys, parents.count));
-  Quadric quadrics[8];
+// The mean of the parents at one height of a column of the lattice: two along each axis in which
+// the column's coordinate is odd.
+class Column {
+ public:
+  explicit Column(const Parents& parents)
+      : parents_(parents), fingers_(4, Finger(parents.keys, parents.count)), sums_(parents.columns) {}
+
+  // Find the mean for the column of a vertex, at a parent's height; return whether all are there.
+  bool find(const Place& vertex, int64_t height) {
+    const int odd = static_cast<int>((vertex[0] & 1) | (vertex[1] & 1) << 1);
+    Quadric others[3];
+    Quadric* quadrics[4] = {&quadric, &others[0], &others[1], &others[2]};
+    std::fill(sums_.begin(), sums_.end(), 0.0);
+    for (int corner = 0; corner < 4; ++corner) {
+      if (corner & ~odd) continue;
+      const Place parent{(vertex[0] + (corner & 1)) >> 1, (vertex[1] + (corner >> 1)) >> 1, height};
+      const int64_t found = fingers_[corner].find(pack(parent));
+      if (found < 0) return false;
+      const float* coefficients = parents_.coefficients + found * BASIS;
+      for (int i = 0; i < BASIS; ++i) (*quadrics[corner])[i] = coefficients[i];
+      const float* values = parents_.values + found * parents_.columns;
+      for (int64_t i = 0; i < parents_.columns; ++i) sums_[i] += values[i];
+    }
+    if (odd & 1) {
+      mean_pair(quadric, others[0], 0);
+      if (odd & 2) mean_pair(others[1], others[2], 0);
+    }
+    if (odd & 2) mean_pair(quadric, others[1], 1);
+    share_ = 1.0 / (1 << ((odd & 1) + (odd >> 1)));
+    return true;
+  }
+
+  double mean(int64_t value) const { return share_ * sums_[value]; }
+
+  Quadric quadric;
+
+ private:
+  const Parents& parents_;
+  std::vector<Finger> fingers_;
+  std::vector<double> sums_;
+  double share_ = 1.0;
+};
+
+// Return whether all parents are there: what is compiled several times must not throw. Of the
+// columns one is for even heights, one for odd ones: a vertex and the next have one in common.
+HPC_CLONES bool inherit_range(const int64_t* vertices, const Parents& parents, int64_t start, int64_t stop,
+                              Column (&columns)[2], float* coefficients, float* inherited) {
+  int64_t held[2] = {-1, -1};
   for (int64_t row = start; row < stop; ++row) {
-    std::fill(means.begin(), means.end(), 0.0);
     const Place place = unpack(vertices[row]);
-    int odd = 0;
-    for (int axis = 0; axis < 3; ++axis) odd |= static_cast<int>(place[axis] & 1) << axis;
-    // The two parents along an axis with an even coordinate are one.
-    const double weight = 1.0 / (1 << ((odd & 1) + (odd >> 1 & 1) + (odd >> 2)));
-    for (int octant = 0; octant < 8; ++octant) {
-      if (octant & ~odd) continue;
-      Place parent;
-      for (int axis = 0; axis < 3; ++axis) parent[axis] = (place[axis] + (octant >> axis & 1)) >> 1;
-      const int64_t found = fingers[octant].find(pack(parent));
-      if (found < 0) refuse("parent_keys: a vertex has no parent there");
-      for (int i = 0; i < BASIS; ++i) quadrics[octant][i] = parents.coefficients[found * BASIS + i];
-      const float* values = parents.values + found * parents.columns;
-      for (int64_t i = 0; i < parents.columns; ++i) means[i] += weight * values[i];
+    const int64_t heights[2] = {place[2] >> 1, (place[2] + 1) >> 1};
+    Column* ends[2];
+    for (int end = 0; end < 2; ++end) {
+      const int64_t slot = heights[end] & 1, key = (vertices[row] & ~MASK) + heights[end] + BIAS;
+      ends[end] = &columns[slot];
+      if (held[slot] != key && !ends[end]->find(place, heights[end])) return false;
+      held[slot] = key;
     }
-    for (int axis = 0, left = odd; axis < 3; ++axis) {
-      if (!(odd >> axis & 1)) continue;
-      left &= ~(1 << axis);
-      for (int octant = 0; octant < 8; ++octant)
-        if (!(octant & ~left)) mean_pair(quadrics[octant], quadrics[octant | 1 << axis], axis);
-    }
+    Quadric quadric;
+    std::copy(ends[0]->quadric, ends[0]->quadric + BASIS, quadric);
+    if (place[2] & 1) mean_pair(quadric, ends[1]->quadric, 2);
     // In cells of half the size: f((u + step) / 2) * 2.
     for (int i = 0; i < BASIS; ++i)
-      coefficients[row * BASIS + i] = static_cast<float>((i == 0 ? 2.0 : i < 4 ? 1.0 : 0.5) * quadrics[0][i]);
+      coefficients[row * BASIS + i] = static_cast<float>((i == 0 ? 2.0 : i < 4 ? 1.0 : 0.5) * quadric[i]);
     for (int64_t i = 0; i < parents.columns; ++i)
-      inherited[row * parents.columns + i] = static_cast<float>(means[i]);
+      inherited[row * parents.columns + i] = static_cast<float>(0.5 * (ends[0]->mean(i) + ends[1]->mean(i)));
   }
+  return true;
 }
 
 nb::tuple inherit_level(Input vertices_of, Input keys_of, Input coefficients_of, Input values_of,
@@ -84,7 +119,9 @@ nb::tuple inherit_level(Input vertices_of, Input keys_of, Input coefficients_of,
   {
     nb::gil_scoped_release unlocked;
     run_ranges(count, workers, [&](int64_t start, int64_t stop) {
-      inherit_range(vertices, parents, start, stop, coefficients.get(), inherited.get());
+      Column columns[2] = {Column(parents), Column(parents)};
+      if (!inherit_range(vertices, parents, start, stop, columns, coefficients.get(), inherited.get()))
+        refuse("parent_keys: a vertex has no parent there");
     });
   }
   const size_t rows = static_cast<size_t>(count);

@@ -57,12 +57,6 @@ class Finger {
   int64_t at_ = 0;
 };
 
-// A row and the key to sort it by.
-struct Ranked {
-  uint64_t key;
-  uint32_t row;
-};
-
 // Packs places within a box into as few bits as they need, in the order of their keys.
 class Span {
  public:
@@ -95,25 +89,77 @@ class Span {
   int bits_[3] = {0, 0, 0};
 };
 
-inline uint64_t rank_of(uint64_t key) { return key; }
-inline uint64_t rank_of(const Ranked& item) { return item.key; }
-
-// Sort by the lowest `bits` bits, stably, in passes of at most 11 bits.
-template <class Item>
-void radix_sort(Large<Item>& items, int bits) {
+// Sort by the `bits` bits of rank(item), stably, in passes of at most 11 bits.
+template <class Item, class Rank>
+void radix_sort(Buffer<Item>& items, int64_t count, int bits, const Rank& rank) {
   const int passes = (bits + 10) / 11;
   if (!passes) return;
   const int digit = (bits + passes - 1) / passes;
   const uint64_t mask = (uint64_t{1} << digit) - 1;
-  Large<Item> other(items.size());
+  std::vector<int64_t> starts(static_cast<size_t>(passes) << digit, 0);
+  for (int64_t i = 0; i < count; ++i) {
+    const uint64_t key = rank(items[i]);
+    for (int pass = 0; pass < passes; ++pass)
+      ++starts[static_cast<size_t>(pass) << digit | (key >> pass * digit & mask)];
+  }
+  Buffer<Item> other = make_buffer<Item>(count);
   for (int pass = 0; pass < passes; ++pass) {
-    std::vector<size_t> starts(mask + 2, 0);
-    const int shift = pass * digit;
-    for (const Item& item : items) ++starts[(rank_of(item) >> shift & mask) + 1];
-    for (size_t i = 1; i < starts.size(); ++i) starts[i] += starts[i - 1];
-    for (const Item& item : items) other[starts[rank_of(item) >> shift & mask]++] = item;
+    int64_t* next = starts.data() + (static_cast<size_t>(pass) << digit);
+    for (int64_t value = 0, before = 0; value <= static_cast<int64_t>(mask); ++value) {
+      const int64_t size = next[value];
+      next[value] = before;
+      before += size;
+    }
+    for (int64_t i = 0; i < count; ++i) other[next[rank(items[i]) >> pass * digit & mask]++] = items[i];
     items.swap(other);
   }
 }
+
+// Rows in the order of their keys; a row and its key are one number where they fit.
+class Ranking {
+ public:
+  // For keys of so many bits.
+  Ranking(int64_t count, int bits) : count_(count), bits_(bits) {
+    while ((count - 1) >> row_bits_ > 0) ++row_bits_;
+    if (bits + row_bits_ <= 64) {
+      packed_ = make_buffer<uint64_t>(count);
+    } else {
+      apart_ = make_buffer<Apart>(count);
+    }
+  }
+
+  void set(int64_t row, uint64_t key) {
+    if (packed_) {
+      packed_[row] = key << row_bits_ | static_cast<uint64_t>(row);
+    } else {
+      apart_[row] = {key, static_cast<uint32_t>(row)};
+    }
+  }
+
+  void sort() {
+    if (packed_) {
+      radix_sort(packed_, count_, bits_, [shift = row_bits_](uint64_t item) { return item >> shift; });
+    } else {
+      radix_sort(apart_, count_, bits_, [](const Apart& item) { return item.key; });
+    }
+  }
+
+  int64_t count() const { return count_; }
+  uint64_t key(int64_t i) const { return packed_ ? packed_[i] >> row_bits_ : apart_[i].key; }
+  uint32_t row(int64_t i) const {
+    return packed_ ? static_cast<uint32_t>(packed_[i] & ((uint64_t{1} << row_bits_) - 1)) : apart_[i].row;
+  }
+  bool begins(int64_t i) const { return !i || key(i) != key(i - 1); }
+
+ private:
+  struct Apart {
+    uint64_t key;
+    uint32_t row;
+  };
+  int64_t count_;
+  int bits_, row_bits_ = 0;
+  Buffer<uint64_t> packed_;
+  Buffer<Apart> apart_;
+};
 
 }  // namespace hpc

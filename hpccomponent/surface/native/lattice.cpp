@@ -5,79 +5,126 @@
 namespace hpc {
 namespace {
 
-// Return the union of sorted keys shifted by each of several steps, by merging.
-Large<int64_t> merge_shifted(const Large<int64_t>& keys, int64_t stride, int low, int high) {
-  const size_t streams = static_cast<size_t>(high - low + 1);
-  std::vector<size_t> at(streams, 0);
-  Large<int64_t> merged;
-  merged.reserve(keys.size() * 2);
-  const int64_t end = INT64_MAX;
-  std::vector<int64_t> head(streams);
-  for (size_t s = 0; s < streams; ++s)
-    head[s] = keys.empty() ? end : keys[0] + (low + static_cast<int>(s)) * stride;
-  while (true) {
-    int64_t least = end;
-    for (int64_t key : head) least = std::min(least, key);
-    if (least == end) return merged;
-    merged.push_back(least);
-    for (size_t s = 0; s < streams; ++s)
-      if (head[s] == least)
-        head[s] = ++at[s] < keys.size() ? keys[at[s]] + (low + static_cast<int>(s)) * stride : end;
+// A sorted set of keys.
+struct Keys {
+  Buffer<int64_t> at;
+  int64_t count;
+};
+
+// Return the union of sorted keys and of the same keys, each moved by a step.
+Keys add_shifted(const Keys& keys, int64_t step) {
+  Keys both{make_buffer<int64_t>(2 * keys.count), 0};
+  const int64_t* at = keys.at.get();
+  int64_t i = 0, j = 0, found = 0;
+  while (i < keys.count) {
+    const int64_t own = at[i], moved = at[j] + step;  // the keys that are moved come last
+    both.at[found++] = std::min(own, moved);
+    i += own <= moved;
+    j += moved <= own;
   }
+  for (; j < keys.count; ++j) both.at[found++] = at[j] + step;
+  both.count = found;
+  return both;
+}
+
+// Return the union of sorted keys, each moved by `low` to `high` steps.
+Keys spread_axis(Keys keys, int64_t step, int64_t low, int64_t high) {
+  for (int64_t i = 0; i < keys.count; ++i) keys.at[i] += low * step;
+  for (int64_t width = 1; width <= high - low;) {
+    const int64_t more = std::min(width, high - low + 1 - width);
+    keys = add_shifted(keys, more * step);
+    width += more;
+  }
+  return keys;
 }
 
 Output<int64_t> spread_keys(Input keys_of, int64_t low, int64_t high) {
   const int64_t* keys = check_keys(keys_of, "keys");
   if (low > high || low < -8 || high > 8) refuse("low, high: expected -8 <= low <= high <= 8");
-  Large<int64_t> spread(keys, keys + rows_of(keys_of));
+  const int64_t count = rows_of(keys_of);
+  Keys spread{make_buffer<int64_t>(count), count};
   {
     nb::gil_scoped_release unlocked;
-    for (int axis = 2; axis >= 0; --axis)
-      spread = merge_shifted(spread, STRIDES[axis], static_cast<int>(low), static_cast<int>(high));
+    std::copy(keys, keys + count, spread.at.get());
+    for (int axis = 2; axis >= 0; --axis) spread = spread_axis(std::move(spread), STRIDES[axis], low, high);
   }
-  return give(std::move(spread));
+  return give(std::move(spread.at), {static_cast<size_t>(spread.count)});
+}
+
+// Keys that share the coordinate along an axis, and all slower ones.
+struct Run {
+  int64_t slower, coordinate, start, stop;
+};
+
+std::vector<Run> find_runs(const Keys& keys, int64_t stride) {
+  std::vector<Run> runs;
+  for (int64_t i = 0; i < keys.count; ++i) {
+    const int64_t place = keys.at[i] / stride;
+    if (!runs.empty() && place == runs.back().slower + runs.back().coordinate) continue;
+    if (!runs.empty()) runs.back().stop = i;
+    runs.push_back({place & ~MASK, place & MASK, i, keys.count});
+  }
+  return runs;
+}
+
+// Append the union of what the faster coordinates of at most three runs are, after `front`.
+void unite_runs(const Keys& keys, const Run* runs, int count, int64_t stride, int64_t front, Keys& united) {
+  constexpr int64_t END = INT64_MAX;
+  int64_t at[3], head[3] = {END, END, END};
+  const auto look = [&](int run) { head[run] = at[run] < runs[run].stop ? keys.at[at[run]] & (stride - 1) : END; };
+  for (int run = 0; run < count; ++run) {
+    at[run] = runs[run].start;
+    look(run);
+  }
+  for (int64_t least; (least = std::min({head[0], head[1], head[2]})) != END;) {
+    united.at[united.count++] = front + least;
+    for (int run = 0; run < count; ++run) {
+      at[run] += head[run] == least;
+      look(run);
+    }
+  }
 }
 
 // Halve one coordinate of each place; one that is odd has two parents. Sorted, unique.
-Large<int64_t> halve_axis(const Large<int64_t>& keys, int axis) {
-  Place low{BIAS, BIAS, BIAS}, high{-BIAS, -BIAS, -BIAS};
-  for (int64_t key : keys) {
-    const Place place = unpack(key);
-    for (int a = 0; a < 3; ++a) {
-      low[a] = std::min(low[a], place[a]);
-      high[a] = std::max(high[a], place[a]);
+Keys halve_axis(const Keys& keys, int64_t stride) {
+  const std::vector<Run> runs = find_runs(keys, stride);
+  Keys halved{make_buffer<int64_t>(2 * keys.count), 0};
+  for (size_t run = 0; run < runs.size();) {
+    const int64_t slower = runs[run].slower;
+    const auto in_column = [&](size_t i) { return i < runs.size() && runs[i].slower == slower; };
+    for (int64_t half = 0; in_column(run); ++half) {
+      half = std::max(half, runs[run].coordinate / 2);
+      int count = 0;
+      while (in_column(run + count) && runs[run + count].coordinate <= 2 * half + 1) ++count;
+      unite_runs(keys, &runs[run], count, stride, (slower + half + BIAS / 2) * stride, halved);
+      while (in_column(run) && runs[run].coordinate <= 2 * half) ++run;
     }
   }
-  low[axis] >>= 1;
-  high[axis] = (high[axis] + 1) >> 1;
-  const Span span(low, high);
-  Large<uint64_t> halved;
-  halved.reserve(keys.size() + keys.size() / 2);
-  for (int64_t key : keys) {
-    Place place = unpack(key);
-    const int64_t coordinate = place[axis];
-    for (int64_t odd = 0; odd <= (coordinate & 1); ++odd) {
-      place[axis] = (coordinate + odd) >> 1;
-      const uint64_t squeezed = span.squeeze(place);
-      if (halved.empty() || halved.back() != squeezed) halved.push_back(squeezed);
+  return halved;
+}
+
+// Halve the fastest coordinate, which leaves the order as it is.
+Keys halve_fastest(const int64_t* keys, int64_t count) {
+  Keys halved{make_buffer<int64_t>(2 * count), 0};
+  for (int64_t i = 0; i < count; ++i) {
+    const int64_t slower = keys[i] & ~MASK, place = keys[i] & MASK;
+    for (int64_t half = place / 2; half <= (place + 1) / 2; ++half) {
+      const int64_t key = slower + half + BIAS / 2;
+      if (!halved.count || halved.at[halved.count - 1] != key) halved.at[halved.count++] = key;
     }
   }
-  // Halving the fastest axis leaves the order as it is.
-  if (axis < 2) radix_sort(halved, span.bits());
-  halved.erase(std::unique(halved.begin(), halved.end()), halved.end());
-  Large<int64_t> result(halved.size());
-  for (size_t i = 0; i < halved.size(); ++i) result[i] = pack(span.restore(halved[i]));
-  return result;
+  return halved;
 }
 
 Output<int64_t> parent_keys(Input keys_of) {
   const int64_t* keys = check_keys(keys_of, "keys");
-  Large<int64_t> parents(keys, keys + rows_of(keys_of));
+  Keys parents{};
   {
     nb::gil_scoped_release unlocked;
-    for (int axis = 2; axis >= 0 && !parents.empty(); --axis) parents = halve_axis(parents, axis);
+    parents = halve_fastest(keys, rows_of(keys_of));
+    for (int axis = 1; axis >= 0; --axis) parents = halve_axis(parents, STRIDES[axis]);
   }
-  return give(std::move(parents));
+  return give(std::move(parents.at), {static_cast<size_t>(parents.count)});
 }
 
 Output<int64_t> find_keys(Input keys_of, Input wanted_of) {
@@ -99,13 +146,15 @@ Output<int64_t> find_keys(Input keys_of, Input wanted_of) {
 Output<int64_t> unite_keys(Input first_of, Input second_of) {
   const int64_t* first = check_keys(first_of, "first");
   const int64_t* second = check_keys(second_of, "second");
-  Large<int64_t> both;
+  const int64_t count = rows_of(first_of), others = rows_of(second_of);
+  auto both = make_buffer<int64_t>(count + others);
+  int64_t* end;
   {
     nb::gil_scoped_release unlocked;
-    std::set_union(first, first + rows_of(first_of), second, second + rows_of(second_of),
-                   std::back_inserter(both));
+    end = std::set_union(first, first + count, second, second + others, both.get());
   }
-  return give(std::move(both));
+  const size_t size = static_cast<size_t>(end - both.get());
+  return give(std::move(both), {size});
 }
 
 }  // namespace

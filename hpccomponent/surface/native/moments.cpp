@@ -146,8 +146,8 @@ Output<double> scale_moments(Input moments_of) {
 }
 
 // Rank cells by parent, then by octant.
-Large<Ranked> rank_children(const int64_t* cells, int64_t count, Span& span) {
-  if (!count) return {};
+Ranking rank_children(const int64_t* cells, int64_t count, Span& span) {
+  if (!count) return Ranking(0, 0);
   Place low{BIAS, BIAS, BIAS}, high{-BIAS, -BIAS, -BIAS};
   for (int64_t i = 0; i < count; ++i) {
     const Place place = unpack(cells[i]);
@@ -157,13 +157,13 @@ Large<Ranked> rank_children(const int64_t* cells, int64_t count, Span& span) {
     }
   }
   span = Span(low, high);
-  Large<Ranked> order(static_cast<size_t>(count));
+  Ranking order(count, span.bits() + 3);
   for (int64_t i = 0; i < count; ++i) {
     const Place p = unpack(cells[i]);
     const uint64_t octant = (p[0] & 1) | (p[1] & 1) << 1 | (p[2] & 1) << 2;
-    order[i] = {span.squeeze({p[0] >> 1, p[1] >> 1, p[2] >> 1}) << 3 | octant, static_cast<uint32_t>(i)};
+    order.set(i, span.squeeze({p[0] >> 1, p[1] >> 1, p[2] >> 1}) << 3 | octant);
   }
-  radix_sort(order, span.bits() + 3);
+  order.sort();
   return order;
 }
 
@@ -175,13 +175,15 @@ struct Family {
 
 Large<Family> group_children(const int64_t* cells, int64_t count) {
   Span span({0, 0, 0}, {0, 0, 0});
-  const Large<Ranked> order = rank_children(cells, count, span);
+  const Ranking order = rank_children(cells, count, span);
   Large<Family> families;
-  families.reserve(order.size() / 2);
-  for (size_t i = 0; i < order.size(); ++i) {
-    if (!i || order[i].key >> 3 != order[i - 1].key >> 3)
-      families.push_back({pack(span.restore(order[i].key >> 3)), {-1, -1, -1, -1, -1, -1, -1, -1}});
-    families.back().children[order[i].key & 7] = order[i].row;
+  families.reserve(static_cast<size_t>(count / 2));
+  uint64_t last = 0;
+  for (int64_t i = 0; i < count; ++i) {
+    const uint64_t key = order.key(i) >> 3;
+    if (!i || key != last) families.push_back({pack(span.restore(key)), {-1, -1, -1, -1, -1, -1, -1, -1}});
+    last = key;
+    families.back().children[order.key(i) & 7] = order.row(i);
   }
   return families;
 }

@@ -42,15 +42,15 @@ nb::tuple count_cells(Input positions, Input origin_of, double edge) {
   {
     nb::gil_scoped_release unlocked;
     Span span({0, 0, 0}, {0, 0, 0});
-    const Large<Ranked> ranked = rank_points(point, count, origin, edge, span);
+    const Ranking ranked = rank_points(point, count, origin, edge, span);
     cell_of = make_buffer<int64_t>(count);
-    for (size_t i = 0; i < ranked.size(); ++i) {
-      if (!i || ranked[i].key != ranked[i - 1].key) {
-        cells.push_back(pack(span.restore(ranked[i].key)));
+    for (int64_t i = 0; i < count; ++i) {
+      if (ranked.begins(i)) {
+        cells.push_back(pack(span.restore(ranked.key(i))));
         counts.push_back(0);
       }
       ++counts.back();
-      cell_of[ranked[i].row] = static_cast<int64_t>(cells.size()) - 1;
+      cell_of[ranked.row(i)] = static_cast<int64_t>(cells.size()) - 1;
     }
   }
   return nb::make_tuple(give(std::move(cells)), give(std::move(counts)),

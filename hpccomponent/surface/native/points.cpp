@@ -6,16 +6,36 @@
 namespace hpc {
 namespace {
 
-// Return the cell of a point; a point that is not finite or too far out has none.
-inline Place cell_of(const double* point, const double* origin, double size) {
-  Place place;
-  for (int axis = 0; axis < 3; ++axis) {
-    const double lower = std::floor((point[axis] - origin[axis]) / size);
-    if (!(lower >= -static_cast<double>(BIAS) && lower < static_cast<double>(BIAS)))
-      refuse("positions: a point lies off the lattice (not finite, or too many cells away)");
-    place[axis] = static_cast<int64_t>(lower);
+// Points are taken in chunks of so many: their coordinates are one row of lanes, axes in turn.
+constexpr int CHUNK = 64;
+constexpr int32_t OFF = INT32_MIN;  // a coordinate that is not finite or too far out
+
+// Find the cell of each point of a chunk, axis by axis as the points have them.
+HPC_CLONES void place_chunk(const double* points, int width, const double* origin, double size, int32_t* places) {
+  double corner[3 * CHUNK];
+  for (int i = 0; i < 3 * CHUNK; ++i) corner[i] = origin[i % 3];
+  HPC_LANES
+  for (int i = 0; i < 3 * width; ++i) {
+    const double lower = std::floor((points[i] - corner[i]) / size);
+    const bool within = lower >= -static_cast<double>(BIAS) && lower < static_cast<double>(BIAS);
+    places[i] = static_cast<int32_t>(within ? lower : static_cast<double>(OFF));
   }
-  return place;
+}
+
+// Call body(i, place) with the cell of each point.
+template <class Body>
+void visit_places(const double* points, int64_t count, const double* origin, double size, const Body& body) {
+  int32_t places[3 * CHUNK];
+  for (int64_t start = 0; start < count; start += CHUNK) {
+    const int width = static_cast<int>(std::min<int64_t>(CHUNK, count - start));
+    place_chunk(points + 3 * start, width, origin, size, places);
+    for (int i = 0; i < width; ++i) {
+      const Place place{places[3 * i], places[3 * i + 1], places[3 * i + 2]};
+      if (place[0] == OFF || place[1] == OFF || place[2] == OFF)
+        refuse("positions: a point lies off the lattice (not finite, or too many cells away)");
+      body(start + i, place);
+    }
+  }
 }
 
 // A set of keys that only counts.
@@ -54,35 +74,31 @@ class KeyCounter {
   size_t count_ = 0;
 };
 
-void bound(const double* points, int64_t count, double* least, double* most) {
-  for (int axis = 0; axis < 3; ++axis) least[axis] = most[axis] = points[axis];
-  for (int64_t i = 1; i < count; ++i)
-    for (int axis = 0; axis < 3; ++axis) {
-      const double value = points[3 * i + axis];
-      least[axis] = value < least[axis] ? value : least[axis];
-      most[axis] = value > most[axis] ? value : most[axis];
+HPC_CLONES void bound(const double* points, int64_t count, double* least, double* most) {
+  constexpr int WIDTH = 24;  // whole vectors, and whole points
+  double low[WIDTH], high[WIDTH];
+  for (int i = 0; i < WIDTH; ++i) low[i] = high[i] = points[i % 3];
+  int64_t at = 0;
+  for (; at + WIDTH <= 3 * count; at += WIDTH) {
+    const double* some = points + at;
+    HPC_LANES
+    for (int i = 0; i < WIDTH; ++i) {
+      low[i] = some[i] < low[i] ? some[i] : low[i];
+      high[i] = some[i] > high[i] ? some[i] : high[i];
     }
-}
-
-struct PlaceRange {
-  Place low, high;
-};
-
-// Rank points by their cells; return false where one lies beyond the range, as only NaN does.
-HPC_CLONES bool rank_range(const double* points, int64_t count, const double* origin, double size,
-                           const PlaceRange& range, const Span& span, Ranked* ranked) {
-  bool within = true;
-  for (int64_t i = 0; i < count; ++i) {
-    Place place;
-    for (int axis = 0; axis < 3; ++axis) {
-      const double lower = std::floor((points[3 * i + axis] - origin[axis]) / size);
-      const bool inside = lower >= static_cast<double>(range.low[axis]) && lower <= static_cast<double>(range.high[axis]);
-      place[axis] = inside ? static_cast<int64_t>(lower) : range.low[axis];
-      within = within && inside;
-    }
-    ranked[i] = {span.squeeze(place), static_cast<uint32_t>(i)};
   }
-  return within;
+  for (int i = 0; at < 3 * count; ++i, ++at) {
+    low[i] = points[at] < low[i] ? points[at] : low[i];
+    high[i] = points[at] > high[i] ? points[at] : high[i];
+  }
+  for (int axis = 0; axis < 3; ++axis) {
+    least[axis] = low[axis];
+    most[axis] = high[axis];
+    for (int i = axis; i < WIDTH; i += 3) {
+      least[axis] = std::min(least[axis], low[i]);
+      most[axis] = std::max(most[axis], high[i]);
+    }
+  }
 }
 
 nb::tuple bound_points(Input positions) {
@@ -113,12 +129,12 @@ nb::tuple count_boxes(Input positions, Input low, double edge, int64_t one_in) {
   {
     nb::gil_scoped_release unlocked;
     KeyCounter counter(static_cast<size_t>(count / one_in / 4));
-    for (int64_t i = 0; i < count; ++i) {
-      const int64_t key = pack(cell_of(point + 3 * i, origin, edge));
-      if (!is_sampled(key, one_in)) continue;
+    visit_places(point, count, origin, edge, [&](int64_t, const Place& place) {
+      const int64_t key = pack(place);
+      if (!is_sampled(key, one_in)) return;
       ++kept;
       counter.add(key);
-    }
+    });
     boxes = counter.count();
   }
   return nb::make_tuple(kept, boxes);
@@ -133,24 +149,24 @@ Output<int64_t> sample_boxes(Input positions, Input low, double edge, int64_t on
   Large<int64_t> rows;
   {
     nb::gil_scoped_release unlocked;
-    for (int64_t i = 0; i < count; ++i)
-      if (is_sampled(pack(cell_of(point + 3 * i, origin, edge)), one_in)) rows.push_back(i);
+    visit_places(point, count, origin, edge, [&](int64_t i, const Place& place) {
+      if (is_sampled(pack(place), one_in)) rows.push_back(i);
+    });
   }
   return give(std::move(rows));
 }
 
 }  // namespace
 
-Large<Ranked> rank_points(const double* points, int64_t count, const double* origin,
-                          double size, Span& span) {
-  double least[3], most[3];
-  bound(points, count, least, most);
-  const Place low = cell_of(least, origin, size), high = cell_of(most, origin, size);
-  span = Span(low, high);
-  Large<Ranked> ranked(static_cast<size_t>(count));
-  if (!rank_range(points, count, origin, size, {low, high}, span, ranked.data()))
-    refuse("positions: a point is not finite");
-  radix_sort(ranked, span.bits());
+Ranking rank_points(const double* points, int64_t count, const double* origin, double size, Span& span) {
+  double corners[6];
+  bound(points, count, corners, corners + 3);
+  Place bounds[2];
+  visit_places(corners, 2, origin, size, [&](int64_t i, const Place& place) { bounds[i] = place; });
+  span = Span(bounds[0], bounds[1]);
+  Ranking ranked(count, span.bits());
+  visit_places(points, count, origin, size, [&](int64_t i, const Place& place) { ranked.set(i, span.squeeze(place)); });
+  ranked.sort();
   return ranked;
 }
 
@@ -167,22 +183,38 @@ nb::tuple sort_points(Input positions, Input origin_of, double size) {
   {
     nb::gil_scoped_release unlocked;
     Span span({0, 0, 0}, {0, 0, 0});
-    const Large<Ranked> ranked = rank_points(point, count, origin, size, span);
+    const Ranking ranked = rank_points(point, count, origin, size, span);
     int64_t runs = 0;
-    for (int64_t i = 0; i < count; ++i) runs += !i || ranked[i].key != ranked[i - 1].key;
+    for (int64_t i = 0; i < count; ++i) runs += ranked.begins(i);
     cells.reserve(runs);
     offsets.reserve(runs + 1);
     rows = make_buffer<uint32_t>(count);
     for (int64_t i = 0; i < count; ++i) {
-      rows[i] = ranked[i].row;
-      if (i && ranked[i].key == ranked[i - 1].key) continue;
-      cells.push_back(pack(span.restore(ranked[i].key)));
+      rows[i] = ranked.row(i);
+      if (!ranked.begins(i)) continue;
+      cells.push_back(pack(span.restore(ranked.key(i))));
       offsets.push_back(i);
     }
     offsets.push_back(count);
   }
   return nb::make_tuple(give(std::move(cells)), give(std::move(offsets)),
                         give(std::move(rows), {static_cast<size_t>(count)}));
+}
+
+// Express points relative to the centres of their cells, in cells.
+HPC_CLONES void centre_points(double* points, int64_t count, const double* origin, double size) {
+  constexpr int WIDTH = 24;
+  double corner[WIDTH];
+  for (int i = 0; i < WIDTH; ++i) corner[i] = origin[i % 3];
+  for (int64_t at = 0; at < 3 * count; at += WIDTH) {
+    double* some = points + at;
+    const int width = static_cast<int>(std::min<int64_t>(WIDTH, 3 * count - at));
+    HPC_LANES
+    for (int i = 0; i < width; ++i) {
+      const double place = (some[i] - corner[i]) / size;
+      some[i] = place - std::floor(place) - 0.5;
+    }
+  }
 }
 
 nb::tuple gather_points(Input positions, Input normals, Input rows_wanted, Input origin_of, double size) {
@@ -206,11 +238,11 @@ nb::tuple gather_points(Input positions, Input normals, Input rows_wanted, Input
       fetch(normal + soon);
       for (int axis = 0; axis < 3; ++axis) {
         const int64_t from = 3 * static_cast<int64_t>(rows[i]) + axis;
-        const double place = (point[from] - origin[axis]) / size;
-        local[3 * i + axis] = place - std::floor(place) - 0.5;
+        local[3 * i + axis] = point[from];
         gathered[3 * i + axis] = normal[from];
       }
     }
+    centre_points(local.get(), count, origin, size);
   }
   const size_t n = static_cast<size_t>(count);
   return nb::make_tuple(give(std::move(local), {n, 3}), give(std::move(gathered), {n, 3}));
@@ -226,12 +258,11 @@ Output<int64_t> seed_bricks(Input positions, Input origin_of, double edge, Input
   {
     nb::gil_scoped_release unlocked;
     std::vector<bool> held(static_cast<size_t>(sides[0] * sides[1] * sides[2]));
-    for (int64_t i = 0; i < count; ++i) {
-      const Place place = cell_of(point + 3 * i, origin, edge);
+    visit_places(point, count, origin, edge, [&](int64_t, const Place& place) {
       for (int axis = 0; axis < 3; ++axis)
         if (place[axis] < 0 || place[axis] >= sides[axis]) refuse("positions: a point lies off the grid");
       held[static_cast<size_t>((place[0] * sides[1] + place[1]) * sides[2] + place[2])] = true;
-    }
+    });
     int64_t at = 0;
     for (int64_t x = 0; x < sides[0]; ++x)
       for (int64_t y = 0; y < sides[1]; ++y)
