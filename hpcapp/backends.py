@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 __all__ = ["BACKENDS", "POLICIES", "Backend", "SerialExecutor", "Traffic", "open_executor"]
 
 BACKENDS = ("serial", "threads", "processes", "zmq")
-POLICIES = ("equal", "pull")
-BATCHES_PER_WORKER = {"equal": 1, "pull": 4}
+POLICIES = ("adaptive", "pull", "equal")
+BATCHES_PER_WORKER = {"adaptive": 4, "pull": 4, "equal": 1}
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -100,7 +100,7 @@ def open_executor(
     name: str,
     *,
     workers: int | None = None,
-    policy: str = "pull",
+    policy: str = "adaptive",
     extra_tasks: Sequence[str] = (),
 ) -> Iterator[Backend]:
     """Open a backend; on exit nothing of it is left running.
@@ -114,8 +114,10 @@ def open_executor(
         How many tasks run at once; as many as there are cores by default, 1 for `serial`. A
         cluster's workers are all that its file names and that come.
     policy : str
-        ``equal`` hands every worker the same number of batches, ``pull`` hands out the next
-        batch to whoever is free.
+        ``adaptive`` hands out batches by how fast each worker has shown to be, and runs those of
+        one that lags again elsewhere (with other Executors than the communicator it is
+        ``pull``); ``pull`` hands the next batch to whoever is free; ``equal`` hands every
+        worker the same number of batches.
     extra_tasks : sequence of str
         Tasks beside the installed ones, each ``NAME=module:function``.
 

@@ -19,7 +19,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from pathlib import Path
 
 from hpcapp.communicator.executor import CommunicatorExecutor
-from hpcapp.communicator.policy import EqualPolicy, PullPolicy
+from hpcapp.communicator.policy import POLICIES
 from hpccomponent.errors import ConfigError, NoWorkersError, UsageError
 from hpccomponent.inventory import Inventory, hold_cluster, read_inventory
 from hpccomponent.protocol.keys import KeyPair
@@ -29,7 +29,6 @@ __all__ = ["open_inventory"]
 
 log = logging.getLogger("hpcapp")
 
-_POLICIES = {"equal": EqualPolicy, "pull": PullPolicy}
 FIRST_WAIT_S = 60.0  # a loader that was told farewell starts its component within 2 s
 OTHERS_WAIT_S = 5.0  # then a machine that has died must not hold the job up
 WATCH_S = 2.0
@@ -39,7 +38,7 @@ WATCH_S = 2.0
 def open_inventory(
     path: Path,
     *,
-    policy: str = "pull",
+    policy: str = "adaptive",
     extra_tasks: Sequence[str] = (),
     lead: Callable[[str], AbstractContextManager[None]] | None = None,
 ) -> Iterator[tuple[CommunicatorExecutor, int]]:
@@ -50,7 +49,7 @@ def open_inventory(
     path : pathlib.Path
         The inventory.
     policy : str
-        ``pull`` or ``equal``: how batches are handed out.
+        How batches are handed out: a name in `POLICIES` of ``communicator/policy.py``.
     extra_tasks : sequence of str
         ``NAME=module:function`` of tasks that are not installed here.
     lead : callable, optional
@@ -76,7 +75,7 @@ def open_inventory(
         inventory = read_inventory(path)  # machines may have changed while this waited
         with (
             CommunicatorExecutor(
-                policy=_POLICIES[policy](),
+                policy=POLICIES[policy](),
                 bind="tcp://127.0.0.1:0" if lead else inventory.bind,
                 allowed_keys=[worker.public_key for worker in inventory.workers],
                 keys=KeyPair(inventory.server_public_key, inventory.server_secret_key),

@@ -38,7 +38,7 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 
 from hpcapp.communicator.executor import CommunicatorExecutor
-from hpcapp.communicator.policy import EqualPolicy, PullPolicy
+from hpcapp.communicator.policy import POLICIES
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.protocol.connection import write_connection
 from hpccomponent.runtime.numerics import numerics_id
@@ -47,7 +47,6 @@ __all__ = ["LocalCluster"]
 
 logger = logging.getLogger(__name__)
 
-_POLICIES = {"equal": EqualPolicy, "pull": PullPolicy}
 _RESTART = {"first_s": 0.1, "cap_s": 2.0, "give_up_after": 5}  # a user waits at the terminal
 _KEPT_LINES = 20  # of each machine's log, for the message when it does not come up
 _LEAVE_S = 4.0  # a loader kills a component that does not leave within 1 s
@@ -62,7 +61,7 @@ class LocalCluster:
     workers : int
         How many emulated machines, with one loader, component and worker each.
     policy : str
-        ``pull`` or ``equal``: how batches are handed out.
+        How batches are handed out: a name in `POLICIES` of ``communicator/policy.py``.
     extra_tasks : sequence of str
         ``NAME=module:function`` of tasks beside the installed ones; the modules must be found
         through ``PYTHONPATH`` or be installed.
@@ -87,14 +86,14 @@ class LocalCluster:
         self,
         workers: int,
         *,
-        policy: str = "pull",
+        policy: str = "adaptive",
         extra_tasks: Sequence[str] = (),
         start_timeout_s: float = 60.0,
     ) -> None:
         if workers < 1:
             raise UsageError(f"{workers} workers cannot do any work", "ask for at least 1")
-        if policy not in _POLICIES:
-            raise UsageError(f"unknown policy {policy!r}", f"choose {' or '.join(_POLICIES)}")
+        if policy not in POLICIES:
+            raise UsageError(f"unknown policy {policy!r}", f"choose {' or '.join(POLICIES)}")
         self.workers = workers
         self._policy = policy
         self._extra_tasks = list(extra_tasks)
@@ -111,7 +110,7 @@ class LocalCluster:
             folder = Path(stack.enter_context(TemporaryDirectory(prefix="hpcapp-")))
             stack.callback(self._stop_machines)
             self.executor = CommunicatorExecutor(
-                policy=_POLICIES[self._policy](),
+                policy=POLICIES[self._policy](),
                 extra_tasks=self._extra_tasks,
                 numerics=numerics_id(),  # the master computes too
             )

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Container
 from itertools import islice
 
+from hpcapp.communicator.forecast import Forecast
 from hpcapp.communicator.roster import Task, Worker
 
 __all__ = ["MAX_BATCH_BYTES", "MAX_BATCH_S", "MAX_TASKS", "BatchCutter"]
@@ -18,21 +19,19 @@ AFFINITY_WINDOW = 64  # how far from the front a task may be that suits a worker
 
 
 class BatchCutter:
-    """Takes tasks that may share a batch off a queue, and learns how long tasks take.
+    """Takes tasks that may share a batch off a queue.
 
     Parameters
     ----------
     claim : callable
         Called with a task's number right before it first leaves; False if it was cancelled.
+    forecast : Forecast
+        Says how long tasks take.
     """
 
-    def __init__(self, claim: Callable[[int], bool]) -> None:
+    def __init__(self, claim: Callable[[int], bool], forecast: Forecast) -> None:
         self._claim = claim
-        self._mean_s: dict[str, float] = {}
-
-    def learn(self, name: str, seconds: float) -> None:
-        """Take note of how long a task of this name took; recent ones weigh more."""
-        self._mean_s[name] = (self._mean_s.get(name, seconds) + seconds) / 2.0
+        self._forecast = forecast
 
     def cut(
         self, source: OrderedDict[int, Task], limit: int, worker: Worker
@@ -73,7 +72,7 @@ class BatchCutter:
                     added[blob.key] = blob.size_bytes
                     size += blob.size_bytes
             size += task.size_bytes
-            seconds += self._mean_s.get(task.name, MAX_BATCH_S)
+            seconds += self._forecast.expect(worker.identity, task)
             is_full = size > MAX_BATCH_BYTES or seconds > MAX_BATCH_S or len(added) > MAX_BLOBS
             if batch and (is_full or task.losses):
                 break

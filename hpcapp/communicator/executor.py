@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 
 from hpcapp.communicator.engine import Engine, Timing
 from hpcapp.communicator.ledger import Entry
-from hpcapp.communicator.policy import Policy, PullPolicy
+from hpcapp.communicator.policy import AdaptivePolicy, Policy
 from hpcapp.communicator.scheduler import Scheduler
 from hpcapp.communicator.transport import RouterTransport
 from hpccomponent.clock import Clock, MonotonicClock
@@ -66,7 +66,7 @@ class CommunicatorExecutor(Executor):
     Parameters
     ----------
     policy : Policy, optional
-        How tasks are spread; `PullPolicy` by default.
+        How tasks are spread; `AdaptivePolicy` by default.
     bind : str
         ZeroMQ endpoint to listen on: loopback and any free port by default.
     allowed_keys : iterable of str
@@ -115,7 +115,7 @@ class CommunicatorExecutor(Executor):
 
         def make_scheduler(claim: Callable[[int], bool]) -> Scheduler:
             return Scheduler(
-                policy or PullPolicy(),
+                policy or AdaptivePolicy(),
                 clock,
                 package_version(),
                 claim,
@@ -146,7 +146,11 @@ class CommunicatorExecutor(Executor):
         return len(self._engine.scheduler.workers)
 
     def statistics(self) -> dict[str, int]:
-        """Return counts since the start: bytes, tasks, batches, blobs, losses, what was dropped."""
+        """Return counts since the start.
+
+        Bytes, tasks, batches and blobs; lost workers, batches sent again; second answers of tasks
+        that were run twice; messages that were dropped, peers that were refused.
+        """
         scheduled, own = self._engine.scheduler.counts, self._engine.counts
         return {
             "bytes_sent": self._transport.bytes_sent,
@@ -156,6 +160,7 @@ class CommunicatorExecutor(Executor):
             "blobs": own["blobs"],
             "losses": scheduled["losses"],
             "resent": scheduled["resent"],
+            "duplicates": scheduled["duplicates"],
             "dropped": own["dropped"] + scheduled["dropped"],
             "refused": scheduled["refused"] + self._transport.troubles.total(),
         }

@@ -6,11 +6,16 @@ credit window, and puts tasks of lost workers back into the queue.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import heapq
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-__all__ = ["EqualPolicy", "Load", "Placement", "Policy", "PullPolicy"]
+__all__ = ["POLICIES", "AdaptivePolicy", "EqualPolicy", "Load", "Placement", "Policy", "PullPolicy"]
+
+DEPTH = 2  # batches that a worker holds at most, the adaptive way
+AHEAD_S = 1.0  # so long before its end the next batch may leave
 
 
 class Load(Protocol):
@@ -24,6 +29,16 @@ class Load(Protocol):
     @property
     def placed(self) -> int:
         """Return how many tasks the worker has been given since it came."""
+        ...
+
+    @property
+    def remaining_s(self) -> float:
+        """Return how long it is expected to have to do, in seconds; infinite if unknown."""
+        ...
+
+    @property
+    def next_s(self) -> float:
+        """Return how long the next task would take on it, in seconds; infinite if unknown."""
         ...
 
 
@@ -50,6 +65,11 @@ class Placement:
 class Policy(Protocol):
     """The seam: one way to spread tasks over workers."""
 
+    @property
+    def runs_again(self) -> bool:
+        """Tell whether idle workers run the tasks of one that lags a second time."""
+        ...
+
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
         """Choose the worker for the next of `waiting` tasks, or nobody for now.
 
@@ -65,6 +85,8 @@ class EqualPolicy:
     Tasks go round robin to the workers that are there when they are submitted, so wait for all
     workers first. Only what a lost worker leaves is spread anew.
     """
+
+    runs_again = False
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
         """Choose the worker that has been given the fewest tasks."""
@@ -85,6 +107,8 @@ class PullPolicy:
         Batches that a worker holds at most: one runs, the others hide the way.
     """
 
+    runs_again = False
+
     def __init__(self, depth: int = 2) -> None:
         self.depth = depth
 
@@ -94,3 +118,58 @@ class PullPolicy:
         if loads[shortest].queued >= self.depth:
             return None
         return Placement(shortest, -(-waiting // (4 * len(loads))))
+
+
+class AdaptivePolicy:
+    """Workers are given work by how fast they have shown to be.
+
+    The worker that would have the next task done first gets it, with others that share its
+    batch: a quarter of what is its share by speed. A second batch follows only when the first is
+    about to end: it hides the way, and what waits here can still go to anyone. A worker that
+    would be done with a task after the others have done all of them gets none.
+    """
+
+    runs_again = True
+
+    def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
+        """Choose the worker that has the next task done first, if any has room for it."""
+        free = [
+            i
+            for i, load in enumerate(loads)
+            if load.queued == 0 or (load.queued < DEPTH and load.remaining_s < AHEAD_S)
+        ]
+        if not free:
+            return None
+        chosen = min(free, key=lambda i: (loads[i].remaining_s + loads[i].next_s, loads[i].queued))
+        load = loads[chosen]
+        if math.isinf(load.next_s):  # nothing is known: one task each
+            idle = next((i for i in free if loads[i].queued == 0), None)
+            return None if idle is None else Placement(idle, 1)
+        others = [other for i, other in enumerate(loads) if i != chosen]
+        if load.remaining_s + load.next_s > _time_of(others, waiting):
+            return None
+        share = 1.0 / load.next_s / sum(1.0 / load.next_s for load in loads)
+        return Placement(chosen, max(1, math.ceil(waiting * share / 4.0)))
+
+
+def _time_of(loads: Sequence[Load], waiting: int) -> float:
+    """Return when these workers would be done with what they have and all that waits."""
+    if not loads:
+        return math.inf
+    if waiting > 2 * len(loads):  # many: as if they could be cut at will
+        work = sum(load.remaining_s / load.next_s for load in loads) + waiting
+        return work / sum(1.0 / load.next_s for load in loads)
+    ends = [(load.remaining_s + load.next_s, load.next_s) for load in loads]
+    heapq.heapify(ends)
+    last_s = 0.0
+    for _ in range(waiting):
+        last_s, next_s = ends[0]
+        heapq.heapreplace(ends, (last_s + next_s, next_s))
+    return last_s
+
+
+POLICIES: Mapping[str, Callable[[], Policy]] = {
+    "adaptive": AdaptivePolicy,
+    "pull": PullPolicy,
+    "equal": EqualPolicy,
+}

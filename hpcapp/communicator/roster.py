@@ -16,6 +16,7 @@ __all__ = [
     "Deliver",
     "Dismiss",
     "Fail",
+    "Flight",
     "Forgotten",
     "Refuse",
     "Task",
@@ -28,18 +29,21 @@ __all__ = [
 class Task:
     """A task that has no result yet.
 
-    `losses` counts the workers that were lost while it was (or may have been) running; a task
-    is claimed once, right before it first leaves.
+    `work` is its declared cost, in units of its own. `losses` counts the workers that were lost
+    while it was (or may have been) running; a task is claimed once, right before it first leaves.
+    `places` are the workers that hold it, with the batch: two where it is run again because the
+    first lags; the first answer counts, and then it is done.
     """
 
     number: int
     name: str
     size_bytes: int
     blobs: tuple[Blob, ...] = ()
+    work: float = 1.0
     losses: int = 0
     is_claimed: bool = False
-    worker: bytes | None = None
-    batch: int = -1
+    is_done: bool = False
+    places: dict[bytes, int] = field(default_factory=dict)
 
     def lacking_bytes(self, worker: Worker) -> int:
         """Return the size of those of its blobs that are not known to be on `worker`."""
@@ -47,12 +51,36 @@ class Task:
 
 
 @dataclass(slots=True, eq=False)
+class Flight:
+    """A batch on its way or at work: the tasks that its worker has not answered, in order.
+
+    `work` is how much that is, by the names of the tasks.
+    """
+
+    tasks: dict[int, Task]
+    work: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for task in self.tasks.values():
+            self.work[task.name] = self.work.get(task.name, 0.0) + task.work
+
+    def pop(self, number: int) -> Task | None:
+        """Take a task out, if it is here."""
+        task = self.tasks.pop(number, None)
+        if task is not None:
+            self.work[task.name] -= task.work
+        return task
+
+
+@dataclass(slots=True, eq=False)
 class Worker:
     """A registered worker, under its identity on the socket.
 
-    `batches` holds what is on its way or at work, in order: batch number to the tasks that have
-    no result yet. `backlog` holds what waits for this worker and no other. `blobs` are the keys
-    of what has been sent to it; it may have let some go, and says so when one is needed.
+    `batches` holds what is on its way or at work, in order, by the number of the batch; `since` is
+    when its present task began, as far as is known. `remaining_s` and `next_s` are what a policy
+    sees: how long it has to do, and how long the next task would take. `backlog` holds what waits
+    for this worker and no other. `blobs` are the keys of what has been sent to it; it may have let
+    some go, and says so when one is needed.
     """
 
     identity: bytes
@@ -62,7 +90,10 @@ class Worker:
     placed: int = 0
     progress: int = 0
     is_draining: bool = False
-    batches: dict[int, dict[int, None]] = field(default_factory=dict)
+    since: float = 0.0
+    remaining_s: float = 0.0
+    next_s: float = 0.0
+    batches: dict[int, Flight] = field(default_factory=dict)
     backlog: OrderedDict[int, Task] = field(default_factory=OrderedDict)
     blobs: set[bytes] = field(default_factory=set)
 

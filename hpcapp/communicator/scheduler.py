@@ -7,8 +7,9 @@
                  └──────────────────────┴──────── the worker is lost ──────┘
 
 Promises: every submitted task ends exactly once, by a result, an error, or its cancellation; a
-result that comes twice is dropped; a task that was running on too many lost workers is given up,
-and so is everything when no worker is left and none is to be expected.
+result that comes twice is dropped, and counted where the task was run twice on purpose; a task that
+was running on too many lost workers is given up, and so is everything when no worker is left and
+none is to be expected.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 from hpcapp.communicator.admission import Admission
 from hpcapp.communicator.batching import MAX_TASKS, BatchCutter
+from hpcapp.communicator.forecast import Forecast
 from hpcapp.communicator.policy import Policy
 from hpcapp.communicator.roster import (
     Action,
@@ -26,6 +28,7 @@ from hpcapp.communicator.roster import (
     Deliver,
     Dismiss,
     Fail,
+    Flight,
     Forgotten,
     Refuse,
     Task,
@@ -42,6 +45,8 @@ __all__ = ["Scheduler"]
 
 CREDIT = 2  # batches in flight per worker
 LOSS_BUDGET = 3  # workers that may be lost under one task
+LAG = 1.5  # a task that is to take so many times as long as on an idle worker is run there too,
+LAG_S = 0.25  # if that is more than so many seconds
 
 
 class Scheduler:
@@ -82,7 +87,8 @@ class Scheduler:
         self._policy = policy
         self._clock = clock
         self._admission = Admission(package, numerics)
-        self._cutter = BatchCutter(claim)
+        self._forecast = Forecast()
+        self._cutter = BatchCutter(claim, self._forecast)
         self._liveness_s = liveness_s
         self._worker_wait_s = worker_wait_s
         self._queue: OrderedDict[int, Task] = OrderedDict()
@@ -92,10 +98,15 @@ class Scheduler:
     # -- events of the App ---------------------------------------------------------------------
 
     def submit(
-        self, number: int, name: str, size_bytes: int, blobs: tuple[Blob, ...] = ()
+        self,
+        number: int,
+        name: str,
+        size_bytes: int,
+        blobs: tuple[Blob, ...] = (),
+        work: float = 1.0,
     ) -> list[Action]:
         """Take a new task; call `dispatch` after the last of several."""
-        task = Task(number, name, size_bytes, blobs)
+        task = Task(number, name, size_bytes, blobs, work)
         if self._gone is not None and not self.workers:
             self.tasks[number] = task
             return self._give_up(self._gone)
@@ -173,17 +184,20 @@ class Scheduler:
             return self._stranger(identity)
         worker.seen = self._clock.now()
         actions: list[Action] = []
+        flight = worker.batches.get(batch)
         for index, result in enumerate(results):
+            own = flight.pop(result.task) if flight is not None else None
             task = self.tasks.pop(result.task, None)
+            if own is not None and result.failure is None:
+                self._forecast.learn(identity, own, result.seconds)
             if task is None:
-                self.counts["dropped"] += 1
+                self.counts["dropped" if own is None else "duplicates"] += 1
                 continue
             self._withdraw(task)
-            self._cutter.learn(task.name, result.seconds)
             actions.append(Deliver(task.number, index, result))
+        worker.since = worker.seen
         if is_finished:
-            left = worker.batches.pop(batch, {})
-            actions += self._retry(left, worker, "it left out a result", is_blamed=True)
+            actions += self._take_back(worker, batch, "it left out a result", is_blamed=True)
         return actions + self.dispatch()
 
     def heartbeat(
@@ -203,8 +217,7 @@ class Scheduler:
         actions: list[Action] = []
         for batch in sorted(lost):
             self.counts["resent"] += 1
-            numbers = worker.batches.pop(batch)
-            actions += self._retry(numbers, worker, "a message got lost", is_blamed=False)
+            actions += self._take_back(worker, batch, "a message got lost", is_blamed=False)
         return actions + self.dispatch() if lost else actions
 
     def batch_lost(self, identity: bytes, batch: int, reason: str, is_blamed: bool) -> list[Action]:
@@ -214,8 +227,7 @@ class Scheduler:
             return self._stranger(identity)
         worker.seen = self._clock.now()
         self.counts["losses"] += is_blamed
-        numbers = worker.batches.pop(batch, {})
-        return self._retry(numbers, worker, reason, is_blamed) + self.dispatch()
+        return self._take_back(worker, batch, reason, is_blamed) + self.dispatch()
 
     def need(self, identity: bytes, batch: int, keys: Iterable[bytes]) -> list[Action]:
         """Take a batch back whose blobs the worker has not got, or has let go meanwhile."""
@@ -225,8 +237,8 @@ class Scheduler:
         worker.seen = self._clock.now()
         worker.blobs.difference_update(keys)
         self.counts["needed"] += 1
-        numbers = worker.batches.pop(batch, {})
-        return self._retry(numbers, worker, "a blob is missing", is_blamed=False) + self.dispatch()
+        actions = self._take_back(worker, batch, "a blob is missing", is_blamed=False)
+        return actions + self.dispatch()
 
     def goodbye(self, identity: bytes, reason: str) -> list[Action]:
         """Take leave of a worker that was preempted or drained: nothing is held against tasks."""
@@ -260,6 +272,10 @@ class Scheduler:
         """Place what waits, and send what the credit windows allow."""
         actions: list[Action] = []
         workers = self._open_workers()
+        if self._queue and workers:
+            name = next(iter(self._queue.values())).name
+            for worker in workers:
+                self._estimate(worker, name)
         while self._queue and workers:
             placement = self._policy.place(len(self._queue), workers)
             if placement is None:
@@ -267,17 +283,49 @@ class Scheduler:
             worker = workers[placement.worker]
             if placement.is_fixed:
                 number, task = self._queue.popitem(last=False)
-                task.worker = worker.identity
+                task.places[worker.identity] = -1
                 worker.backlog[number] = task
                 worker.placed += 1
             else:
                 batch = self._cut(self._queue, min(placement.tasks, MAX_TASKS), worker)
                 worker.placed += len(batch)
                 actions += self._send(worker, batch)
+                if self._queue:
+                    self._estimate(worker, next(iter(self._queue.values())).name)
         for worker in workers:
             while worker.backlog and len(worker.batches) < CREDIT:
                 actions += self._send(worker, self._cut(worker.backlog, MAX_TASKS, worker))
+        if self._policy.runs_again and not self._queue:
+            actions += self._run_again(workers)
         return actions
+
+    def _estimate(self, worker: Worker, name: str) -> None:
+        worker.remaining_s = self._forecast.remaining_s(worker, self._clock.now())
+        worker.next_s = self._forecast.unit_s(worker.identity, name)
+
+    def _run_again(self, workers: Sequence[Worker]) -> list[Action]:
+        """Give each idle worker the task that will be done last, if it is there much sooner."""
+        actions: list[Action] = []
+        for worker in workers:
+            if worker.batches or len(self.tasks) == 0:
+                continue
+            task = self._find_lagging(worker)
+            if task is not None:
+                worker.placed += 1
+                actions += self._send(worker, [task])
+        return actions
+
+    def _find_lagging(self, idle: Worker) -> Task | None:
+        now = self._clock.now()
+        latest, last_s = None, 0.0
+        for worker in self.workers.values():
+            for task, left_s in self._forecast.ends(worker, now):
+                # A task that was lost with a worker may be what kills them: one at a time.
+                if task.is_done or task.losses or len(task.places) > 1 or left_s <= last_s:
+                    continue
+                if left_s > LAG * self._forecast.expect(idle.identity, task) + LAG_S:
+                    latest, last_s = task, left_s
+        return latest
 
     def _cut(self, source: OrderedDict[int, Task], limit: int, worker: Worker) -> list[Task]:
         batch, cancelled = self._cutter.cut(source, limit, worker)
@@ -289,10 +337,11 @@ class Scheduler:
         if not batch:
             return []
         self.last_batch += 1
-        worker.batches[self.last_batch] = {}
+        if not worker.batches:
+            worker.since = self._clock.now()
+        worker.batches[self.last_batch] = Flight({task.number: task for task in batch})
         for task in batch:
-            task.worker, task.batch = worker.identity, self.last_batch
-            worker.batches[self.last_batch][task.number] = None
+            task.places[worker.identity] = self.last_batch
         lacking = {
             blob.key: blob for task in batch for blob in task.blobs if blob.key not in worker.blobs
         }
@@ -307,51 +356,56 @@ class Scheduler:
 
     def _lose(self, worker: Worker, reason: str, is_blamed: bool) -> list[Action]:
         del self.workers[worker.identity]
+        self._forecast.forget(worker.identity)
         self.counts["losses"] += is_blamed
         self._requeue(worker.backlog.values())
         actions: list[Action] = []
         # Batches run in order, so that only the first can have been at work.
-        for index, numbers in enumerate(worker.batches.values()):
-            actions += self._retry(numbers, worker, reason, is_blamed and index == 0)
+        for index, batch in enumerate(list(worker.batches)):
+            actions += self._take_back(worker, batch, reason, is_blamed and index == 0)
         if not self.workers:
             if self._gone is not None:
                 return actions + self._give_up(self._gone)
             self._alone_since = self._clock.now() if self.tasks else None
         return actions
 
-    def _retry(
-        self, numbers: Iterable[int], worker: Worker, reason: str, is_blamed: bool
-    ) -> list[Action]:
+    def _take_back(self, worker: Worker, batch: int, reason: str, is_blamed: bool) -> list[Action]:
+        """Put the tasks of a batch back into the queue, but for those at work elsewhere too."""
         actions: list[Action] = []
         again = []
-        for number in numbers:
-            task = self.tasks[number]
+        flight = worker.batches.pop(batch, None)
+        for task in flight.tasks.values() if flight is not None else ():
+            task.places.pop(worker.identity, None)
             task.losses += is_blamed
+            if task.is_done or task.places:
+                continue
             if task.losses < LOSS_BUDGET:
                 again.append(task)
                 continue
-            del self.tasks[number]
+            del self.tasks[task.number]
             error = WorkerLostError(
                 f"task {task.name!r} lost {task.losses} workers one after the other, the last "
                 f"({worker.register.worker}) because {reason}",
                 "look for a crash or a lack of memory in what the task does with this batch",
             )
-            actions.append(Fail(number, error))
+            actions.append(Fail(task.number, error))
         self._requeue(again)
         return actions
 
     def _requeue(self, tasks: Iterable[Task]) -> None:
         for task in reversed(list(tasks)):
-            task.worker = None
+            task.places.clear()
             self._queue[task.number] = task
             self._queue.move_to_end(task.number, last=False)
 
     def _withdraw(self, task: Task) -> None:
+        """Take a task that is over from wherever it waits; where it runs, its answer is late."""
+        task.is_done = True
         self._queue.pop(task.number, None)
-        worker = self.workers.get(task.worker) if task.worker is not None else None
-        if worker is not None:
-            worker.backlog.pop(task.number, None)
-            worker.batches.get(task.batch, {}).pop(task.number, None)
+        for identity in task.places:
+            worker = self.workers.get(identity)
+            if worker is not None:
+                worker.backlog.pop(task.number, None)
 
     def _give_up(self, reason: str) -> list[Action]:
         error = NoWorkersError(

@@ -18,7 +18,7 @@ from hpccomponent.errors import UsageError, WorkerLostError
     ("name", "workers", "policy", "words"),
     [
         ("cloud", None, "pull", "choose one of serial, threads, processes, zmq"),
-        ("threads", 2, "fair", "choose one of equal, pull"),
+        ("threads", 2, "fair", "choose one of adaptive, pull, equal"),
         ("threads", 0, "pull", "cannot have 0 workers"),
         ("serial", 2, "pull", "choose another --backend"),
     ],
@@ -47,7 +47,7 @@ def test_as_many_workers_as_cores_unless_told() -> None:
 
 
 def test_equal_batches_are_one_for_each_worker() -> None:
-    for policy, batches in (("equal", 2), ("pull", 8)):
+    for policy, batches in (("equal", 2), ("pull", 8), ("adaptive", 8)):
         with open_executor("threads", workers=2, policy=policy) as backend:
             assert len(backend.workforce.cut(100)) == batches
 

@@ -98,7 +98,7 @@ def submit_many(cluster: LocalCluster, count: int) -> list[Future[int]]:
     return [cluster.executor.submit("cluster.slow_add", i, 1) for i in range(count)]
 
 
-@pytest.mark.parametrize("policy", ["pull", "equal"])
+@pytest.mark.parametrize("policy", ["adaptive", "pull", "equal"])
 def test_work_is_done_and_nothing_is_left(policy: str) -> None:
     with LocalCluster(2, policy=policy, extra_tasks=NAMES) as cluster:
         futures = [cluster.executor.submit("cluster.add", i, 1) for i in range(20)]

@@ -131,10 +131,10 @@ def check_flags(ctx: click.Context) -> None:
 )
 @click.option(
     "--policy",
-    type=click.Choice(["pull", "equal"]),
-    default="pull",
+    type=click.Choice(["adaptive", "pull", "equal"]),
+    default="adaptive",
     show_default=True,
-    help="Batches to whoever is free, or the paper's equal batches.",
+    help="Batches by each worker's speed, to whoever is free, or the paper's equal batches.",
 )
 @click.option(
     "--cluster",

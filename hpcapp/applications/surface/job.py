@@ -67,7 +67,7 @@ class Settings:
     voxel_size: float | None = None
     backend: str = "auto"
     workers: int | None = None
-    policy: str = "pull"
+    policy: str = "adaptive"
     cluster: Path | None = None
     clean: bool = True
     smoothness: float = 1.0

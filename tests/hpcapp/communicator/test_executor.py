@@ -188,6 +188,33 @@ def test_the_batch_of_a_lost_worker_runs_elsewhere(
         assert not is_alive(worker)
 
 
+def test_the_task_of_a_worker_that_hangs_is_run_again_and_its_late_answer_dropped(
+    executor, start_component
+) -> None:
+    start_component()
+    start_component()
+    executor.wait_for_workers(2, WAIT)
+    pids: set[int] = set()
+    while len(pids) < 2:
+        futures = [executor.submit("contract.read_process") for _ in range(20)]
+        pids |= {future.result(WAIT)[0] for future in futures}
+    hung = pids.pop()
+    os.kill(hung, signal.SIGSTOP)  # its component speaks on: nothing else would notice
+    try:
+        futures = [executor.submit("contract.read_process") for _ in range(20)]
+        assert {future.result(WAIT)[0] for future in futures} == pids
+    finally:
+        os.kill(hung, signal.SIGCONT)
+    never = threading.Event()
+    for _ in range(int(WAIT * 100)):
+        if executor.statistics()["duplicates"]:
+            break
+        never.wait(0.01)
+    counts = executor.statistics()
+    assert counts["duplicates"] >= 1
+    assert counts["losses"] == counts["dropped"] == 0
+
+
 def test_a_task_that_kills_every_worker_is_given_up(executor, start_component) -> None:
     start_component()
     poison = executor.submit("contract.kill_worker")

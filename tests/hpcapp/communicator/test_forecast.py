@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from hpcapp.communicator.forecast import Forecast
+from hpcapp.communicator.roster import Flight, Task, Worker
+from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register
+
+REGISTER = Register(PROTOCOL_VERSION, "1", "w", "i", "b", "n", 1, 1, 1 << 20)
+
+
+def task(number: int = 0, work: float = 1.0, name: str = "t") -> Task:
+    return Task(number, name, 10, (), work)
+
+
+def worker_with(*tasks: Task, since: float = 0.0) -> Worker:
+    worker = Worker(b"w", REGISTER, "", 0.0, since=since)
+    worker.batches[1] = Flight({task.number: task for task in tasks})
+    return worker
+
+
+def test_each_worker_has_its_own_pace_and_a_new_one_the_mean() -> None:
+    forecast = Forecast()
+    assert math.isinf(forecast.expect(b"a", task()))
+    forecast.learn(b"a", task(work=2.0), 2.0)
+    forecast.learn(b"b", task(work=2.0), 6.0)
+    assert forecast.expect(b"a", task(work=3.0)) == 3.0
+    assert forecast.expect(b"b", task()) == 3.0
+    assert forecast.expect(b"new", task()) == 2.0
+    assert math.isinf(forecast.expect(b"a", task(name="other")))
+
+
+def test_new_figures_weigh_more_than_old_ones() -> None:
+    forecast = Forecast()
+    forecast.learn(b"a", task(), 1.0)
+    for _ in range(10):
+        forecast.learn(b"a", task(), 4.0)
+    assert forecast.expect(b"a", task()) == pytest.approx(4.0, rel=0.01)
+
+
+def test_a_lost_worker_counts_no_more_unless_nobody_else_knows() -> None:
+    forecast = Forecast()
+    forecast.learn(b"a", task(), 1.0)
+    forecast.learn(b"b", task(), 9.0)
+    forecast.forget(b"b")
+    assert forecast.expect(b"b", task()) == 1.0
+    forecast.forget(b"a")
+    assert forecast.expect(b"new", task()) == 1.0
+
+
+def test_what_takes_longer_than_expected_is_expected_to_take_as_long_again() -> None:
+    forecast = Forecast()
+    worker = worker_with(task(1), task(2, work=2.0), since=10.0)
+    assert math.isinf(forecast.remaining_s(worker, 10.0))
+    forecast.learn(b"w", task(), 1.0)
+    for now, first_s in ((10.0, 1.0), (10.75, 0.25), (13.0, 3.0)):
+        assert forecast.remaining_s(worker, now) == pytest.approx(first_s + 2.0)
+        assert [left for _, left in forecast.ends(worker, now)] == pytest.approx(
+            [first_s, first_s + 2.0]
+        )
+    assert forecast.remaining_s(worker_with(), 10.0) == 0.0
