@@ -12,6 +12,10 @@ from typing import NoReturn
 
 __all__ = ["main"]
 
+# No step calls BLAS to any extent; its threads would wake with numpy and spin for nothing. Here,
+# not in `main`: MPI's workers import this module and do no more.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 
 def _leave(signum: int, frame: FrameType | None) -> NoReturn:
     """End at once: nothing has been started yet."""
@@ -23,8 +27,6 @@ def _leave(signum: int, frame: FrameType | None) -> NoReturn:
 def main() -> NoReturn:
     """Import the command and run it."""
     signal.signal(signal.SIGINT, _leave)
-    # No step calls BLAS to any extent; its threads would wake with numpy and spin for nothing.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hpcapp.cli import main as run
 
     run()

@@ -5,11 +5,16 @@ name         what stands behind it
 ===========  =========================================================================
 serial       the calling thread
 threads      a thread pool of this process
-processes    a process pool of the standard library, spawned; a lost worker ends the job
-zmq          loaders, components and workers as real processes; lost workers are replaced
+processes    a process pool of the standard library, spawned
+zmq          loaders, components and workers as real processes on this machine
 FILE.json    the workers of a cluster, by its inventory, on the head
 FILE.yaml    the workers of a cluster that is up, by its cluster file, from anywhere
+dask=ADDR    a Dask cluster, by its scheduler's address
+mpi          the other ranks of the MPI job whose rank 0 this process is
+module:func  the Executor that a function makes
 ===========  =========================================================================
+
+``docs/backends.md`` says which to choose.
 """
 
 from __future__ import annotations
@@ -26,13 +31,26 @@ from hpcapp.batches import Workforce
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
+    from distributed import Client
+
     from hpcapp.communicator.executor import CommunicatorExecutor
 
-__all__ = ["BACKENDS", "POLICIES", "Backend", "SerialExecutor", "Traffic", "open_executor"]
+__all__ = [
+    "BACKENDS",
+    "POLICIES",
+    "Backend",
+    "SerialExecutor",
+    "Traffic",
+    "available_cores",
+    "check_backend",
+    "open_backend",
+    "open_executor",
+]
 
 BACKENDS = ("serial", "threads", "processes", "zmq")
 POLICIES = ("adaptive", "pull", "equal")
 BATCHES_PER_WORKER = {"adaptive": 4, "pull": 4, "equal": 1}
+CLUSTER_FILES = (".json", ".yaml", ".yml")
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -59,7 +77,8 @@ class Backend:
     Parameters
     ----------
     name : str
-        One of `BACKENDS`, or ``cluster``.
+        One of `BACKENDS`, ``cluster``, ``dask``, ``mpi``, ``module:function``, or the type of an
+        Executor that was handed in.
     workforce : Workforce
         The Executor, with what is needed to cut work for it.
     traffic : callable
@@ -79,6 +98,8 @@ class Backend:
 class SerialExecutor(Executor):
     """Runs each task within `submit`, in the calling thread."""
 
+    workers = 1
+
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Run `fn` now and return its finished future."""
         future: Future[T] = Future()
@@ -95,6 +116,25 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def check_backend(name: str) -> None:
+    """Find out whether a backend's name can be right, before any work is done for it.
+
+    Parameters
+    ----------
+    name : str
+        What `open_executor` takes.
+
+    Raises
+    ------
+    UsageError
+        No backend has such a name, or what it needs is not installed or not running.
+    """
+    if name not in BACKENDS and not name.endswith(CLUSTER_FILES):
+        from hpcapp.engines.names import check_engine
+
+        check_engine(name)
+
+
 @contextmanager
 def open_executor(
     name: str,
@@ -108,11 +148,11 @@ def open_executor(
     Parameters
     ----------
     name : str
-        One of `BACKENDS`, or the file of a cluster: its inventory (``.json``) or the cluster file
-        (``.yaml``).
+        One of `BACKENDS`; the file of a cluster, its inventory (``.json``) or the cluster file
+        (``.yaml``); ``dask=ADDRESS``, ``mpi``, or ``module:function``.
     workers : int, optional
-        How many tasks run at once; as many as there are cores by default, 1 for `serial`. A
-        cluster's workers are all that its file names and that come.
+        How many tasks run at once; as many as there are cores by default, 1 for `serial`. The
+        workers of a cluster, of Dask and of MPI are those that there are.
     policy : str
         ``adaptive`` hands out batches by how fast each worker has shown to be, and runs those of
         one that lags again elsewhere (with other Executors than the communicator it is
@@ -132,19 +172,24 @@ def open_executor(
     NoWorkersError
         The workers did not come up.
     """
-    is_cluster = name.endswith((".json", ".yaml", ".yml"))
-    if name not in BACKENDS and not is_cluster:
-        raise UsageError(f"unknown backend {name!r}", f"choose one of {', '.join(BACKENDS)}")
+    check_backend(name)
     if policy not in POLICIES:
         raise UsageError(f"unknown policy {policy!r}", f"choose one of {', '.join(POLICIES)}")
     per_worker = BATCHES_PER_WORKER[policy]
-    if is_cluster:
+    if name.endswith(CLUSTER_FILES):
         if workers is not None:
             raise UsageError(
-                f"a cluster's workers are those of {name}", "leave the number of workers out"
+                f"the workers of {name} are those that there are", "leave --workers out"
             )
         with _open_cluster(name, policy, extra_tasks) as (executor, count):
             yield Backend("cluster", Workforce(executor, count, per_worker), _counter(executor))
+        return
+    if name not in BACKENDS:
+        from hpcapp.engines.names import open_engine
+
+        with open_engine(name, workers) as engine:
+            kind = name.partition("=")[0]
+            yield Backend(kind, Workforce(engine, engine.workers, per_worker))
         return
     count = workers if workers is not None else (1 if name == "serial" else available_cores())
     if count < 1 or (name == "serial" and count > 1):
@@ -164,19 +209,44 @@ def open_executor(
 
 
 @contextmanager
+def open_backend(
+    executor: str | Executor | Client, *, workers: int | None = None
+) -> Iterator[Backend]:
+    """Open a backend by its name, or use an Executor or a Dask Client that is open and stays so.
+
+    Parameters
+    ----------
+    executor : str, concurrent.futures.Executor or distributed.Client
+    workers : int, optional
+        As for `open_executor`; how many an Executor has that does not tell.
+
+    Yields
+    ------
+    Backend
+    """
+    if isinstance(executor, str):
+        with open_executor(executor, workers=workers) as backend:
+            yield backend
+        return
+    from hpcapp.engines.borrowed import borrow_executor
+
+    with borrow_executor(executor, workers) as borrowed:
+        workforce = Workforce(borrowed, borrowed.workers, BATCHES_PER_WORKER["adaptive"])
+        yield Backend(type(executor).__name__, workforce)
+
+
+@contextmanager
 def _open_pool(name: str, count: int) -> Iterator[Executor]:
     """Open an Executor of the standard library, or the serial one."""
     if name == "processes":
+        from hpcapp.engines.retrying import RetryingExecutor
         from hpcapp.process_pool import open_processes
 
-        with open_processes(count) as processes:
-            yield processes
-        return
-    pool = (
-        SerialExecutor()
-        if name == "serial"
-        else ThreadPoolExecutor(count, thread_name_prefix="worker")
-    )
+        pool: Executor = RetryingExecutor(lambda: open_processes(count), count)
+    elif name == "threads":
+        pool = ThreadPoolExecutor(count, thread_name_prefix="worker")
+    else:
+        pool = SerialExecutor()
     try:
         yield pool
     finally:

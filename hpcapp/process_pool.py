@@ -6,6 +6,7 @@ Imported by `backends` when it is asked for: what it stands on is heavy.
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from multiprocessing.connection import wait
 from typing import Any
 
 from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
+from hpccomponent.runtime.process import THREAD_VARIABLES
 
 __all__ = ["open_processes"]
 
@@ -80,10 +82,11 @@ def _watch_workers(processes: list[Any], writer: Any) -> None:
 
 
 def _serve_the_master() -> None:
-    """Leave Ctrl-C to the master, and end with it even when it is killed.
+    """Leave Ctrl-C to the master, compute on one thread, and end with the master.
 
     A worker of a pool would wait for ever: each holds both ends of the queue of the others.
     """
+    os.environ.update({f"{name}_NUM_THREADS": "1" for name in THREAD_VARIABLES})
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     master = multiprocessing.parent_process()
     assert master is not None  # noqa: S101 - for mypy: this runs in a pool only

@@ -16,10 +16,10 @@ __all__ = ["quadrature"]
 )
 @click.option(
     "--backend",
-    type=click.Choice(["serial", "threads", "processes", "zmq"]),
     default="serial",
+    metavar="NAME",
     show_default=True,
-    help="Where intervals are estimated.",
+    help="Where intervals are estimated; see 'hpcapp reconstruct --help'.",
 )
 @click.option("--workers", type=click.IntRange(1, 1024), help="How many workers.")
 def quadrature(

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from importlib import import_module
 from multiprocessing import resource_tracker
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +24,92 @@ from hpccomponent.surface.points import FloatArray, PointCloud
 
 WriteCloud = Callable[..., Path]
 StartCommand = Callable[..., "subprocess.Popen[str]"]
+
+TASKS = str(Path(__file__).parents[1] / "tasks")
+
+
+@pytest.fixture(scope="module")
+def tasks() -> Iterator[Any]:
+    """The module of the tasks, importable here and in every process that is started."""
+    patch = pytest.MonkeyPatch()
+    patch.syspath_prepend(TASKS)
+    patch.setenv("PYTHONPATH", os.pathsep.join([TASKS, *_python_path()]))
+    yield import_module("contract_tasks")
+    patch.undo()
+    sys.modules.pop("contract_tasks", None)
+
+
+def _python_path() -> list[str]:
+    return [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
+
+
+def _read_address(contact: Path) -> str:
+    """Return the address in a scheduler's file, once it is there as a whole."""
+    while True:
+        with suppress(OSError, ValueError):
+            return str(json.loads(contact.read_text())["address"])
+        time.sleep(0.01)
+
+
+class StandingDask:
+    """A Dask scheduler and its workers as processes on loopback.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Gets the scheduler's file and the processes' logs.
+    workers : int
+        How many, of one thread each.
+    variables : dict
+        Environment of all of them, for instance Dask's own settings.
+    """
+
+    def __init__(self, folder: Path, workers: int = 2, variables: dict[str, str] | None = None):
+        self._folder = folder
+        self._environment = {**os.environ, **(variables or {})}
+        contact = folder / "scheduler.json"
+        protocol = "tls" if any("TLS" in name for name in variables or {}) else "tcp"
+        self.scheduler = self._start(
+            "scheduler", f"--protocol={protocol}", "--port=0", f"--scheduler-file={contact}",
+            "--no-dashboard", "--no-jupyter",
+        )  # fmt: skip
+        self.workers = [
+            self._start(
+                "worker", f"--scheduler-file={contact}", "--nthreads=1", "--no-nanny",
+                "--no-dashboard", f"--local-directory={folder}",
+            )
+            for _ in range(workers)
+        ]  # fmt: skip
+        self.address = _read_address(contact)
+
+    def _start(self, role: str, *options: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "dask", role, "--host=127.0.0.1", *options]
+        with (self._folder / f"{role}.log").open("ab") as log:
+            return subprocess.Popen(
+                command, env=self._environment, cwd=self._folder, stdout=log, stderr=log
+            )
+
+    def close(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            process.kill()  # a worker that is asked to end may look for its scheduler for minutes
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def start_dask(
+    tasks: Any, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Callable[..., Any]]:
+    """Give a function that starts a Dask cluster."""
+    pytest.importorskip("distributed", reason="Dask is not installed")
+    started: list[StandingDask] = []
+
+    def start(**settings: Any) -> StandingDask:
+        started.append(StandingDask(tmp_path_factory.mktemp("dask"), **settings))
+        return started[-1]
+
+    yield start
+    for cluster in started:
+        cluster.close()
 
 
 @pytest.fixture(scope="session")
@@ -75,3 +167,20 @@ def start_command(tmp_path: Path) -> StartCommand:
         )
 
     return start
+
+
+@pytest.fixture
+def run_mpi(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run Python with `mpi4py.futures` on so many processes, in the test's folder."""
+    if shutil.which("mpiexec") is None:
+        pytest.skip("no MPI is installed")
+    pytest.importorskip("mpi4py", reason="mpi4py is not installed")
+
+    def run(processes: int, *arguments: str) -> subprocess.CompletedProcess[str]:
+        command = ["mpiexec", "--oversubscribe", "-n", str(processes)]
+        if os.geteuid() == 0:
+            command.append("--allow-run-as-root")
+        command += [sys.executable, "-m", "mpi4py.futures", *arguments]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+
+    return run

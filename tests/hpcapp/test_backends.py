@@ -6,18 +6,25 @@ import os
 import signal
 import struct
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from hpcapp.backends import BACKENDS, SerialExecutor, available_cores, open_executor
 from hpcapp.batches import map_batches
+from hpcapp.process_pool import open_processes
 from hpccomponent.errors import UsageError, WorkerLostError
 
 
 @pytest.mark.parametrize(
     ("name", "workers", "policy", "words"),
     [
-        ("cloud", None, "pull", "choose one of serial, threads, processes, zmq"),
+        ("cloud", None, "pull", "choose one of serial, threads, processes, zmq, dask=ADDRESS"),
+        ("dask", None, "pull", "names no scheduler; write dask=tcp://HOST:PORT"),
+        ("dask=here", None, "pull", "names no scheduler"),
+        ("dask=tcp://127.0.0.1:1", 2, "pull", "leave --workers out"),
+        ("mpi", None, "pull", "start it as 'mpiexec -n 5 python -m mpi4py.futures -m hpcapp"),
         ("threads", 2, "fair", "choose one of adaptive, pull, equal"),
         ("threads", 0, "pull", "cannot have 0 workers"),
         ("serial", 2, "pull", "choose another --backend"),
@@ -58,17 +65,36 @@ def test_the_serial_executor_keeps_errors_in_their_futures() -> None:
 
 
 @pytest.mark.usefixtures("standing_helpers")
-def test_a_pool_that_loses_a_worker_says_so() -> None:
+def test_a_pool_that_has_lost_a_worker_is_opened_anew(tasks: Any, tmp_path: Path) -> None:
+    started, released = tmp_path / "started", tmp_path / "released"
     with open_executor("processes", workers=1) as backend:
-        pid = backend.executor.submit(os.getpid).result()
-        with pytest.raises(WorkerLostError, match="choose --backend zmq"):
-            map_batches(backend.workforce, os.kill, [(pid, signal.SIGKILL)])
+        dying = backend.executor.submit(tasks.announce_and_wait, str(started), str(released))
+        waiting = [backend.executor.submit(pow, 2, power) for power in range(8)]
+        tasks.wait_for_file(str(started))
+        first = int(started.read_text())
+        os.kill(first, signal.SIGKILL)
+        released.touch()
+        assert dying.result() != first
+        assert [future.result() for future in waiting] == [2**power for power in range(8)]
+
+
+@pytest.mark.usefixtures("standing_helpers")
+def test_a_task_that_kills_every_worker_is_given_up(tasks: Any) -> None:
+    with open_executor("processes", workers=1) as backend:
+        with pytest.raises(WorkerLostError, match="kill_worker was not finished: 4 workers died"):
+            map_batches(backend.workforce, tasks.kill_worker, [()])
+        assert backend.executor.submit(pow, 2, 3).result() == 8
+
+
+@pytest.mark.usefixtures("standing_helpers")
+def test_processes_compute_on_one_thread() -> None:
+    with open_executor("processes", workers=1) as backend:
+        assert backend.executor.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
 
 
 @pytest.mark.usefixtures("standing_helpers")
 def test_a_worker_that_dies_while_it_writes_its_result_is_noticed() -> None:
-    with open_executor("processes", workers=2) as backend:
-        pool = backend.executor
+    with open_processes(2) as pool:
         assert isinstance(pool, ProcessPoolExecutor)
         waiting = pool.submit(bytes, 8)
         waiting.result()

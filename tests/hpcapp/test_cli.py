@@ -74,7 +74,7 @@ FLAGS = [
     (["--smoothness", "nan"], "smoothness"),
     (["--workers", "0"], "--workers"),
     (["--backend", "serial", "--workers", "2"], "choose another --backend"),
-    (["--backend", "cloud"], "--backend"),
+    (["--backend", "cloud"], "unknown backend 'cloud'"),
     (["--policy", "fair"], "--policy"),
     (["--dept", "8"], "Did you mean"),
     (["second.ply"], "second.ply"),

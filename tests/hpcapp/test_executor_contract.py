@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
+import subprocess
 import sys
-from collections.abc import Iterator
-from concurrent.futures import Executor, as_completed
-from importlib import import_module
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,28 +14,23 @@ import numpy as np
 import pytest
 import zmq
 
-from hpcapp.backends import open_executor
+from hpcapp.backends import Backend, open_backend, open_executor
 from hpcapp.batches import Workforce, map_batches
 from hpccomponent.errors import TaskError
 
-FOLDER = str(Path(__file__).parents[1] / "tasks")
 NAMES = ("echo", "total", "fail", "append_line", "wait_for_file")
+RunMpi = Callable[..., "subprocess.CompletedProcess[str]"]
 WAIT = 60.0  # seconds, for what takes milliseconds: only a defect runs into it
 
 
-@pytest.fixture(scope="module")
-def tasks() -> Iterator[Any]:
-    """The module of the tasks, importable here and in every process that is started."""
-    patch = pytest.MonkeyPatch()
-    patch.syspath_prepend(FOLDER)
-    paths = [FOLDER, *filter(None, [os.environ.get("PYTHONPATH")])]
-    patch.setenv("PYTHONPATH", os.pathsep.join(paths))
-    yield import_module("contract_tasks")
-    patch.undo()
-    sys.modules.pop("contract_tasks", None)
+UNDER_MPI = "mpi4py.futures" in sys.orig_argv
+"""Whether this is the run that `test_mpi_keeps_the_contract_too` starts."""
+
+DASK = pytest.param("dask", marks=pytest.mark.leaks_allowed)  # it pools its connections
+HERE = ["serial", "threads", "processes", "zmq", DASK, "loky:ProcessPoolExecutor", "handed in"]
 
 
-@pytest.fixture(scope="module", params=["serial", "threads", "processes", "zmq"])
+@pytest.fixture(scope="module", params=["mpi"] if UNDER_MPI else HERE)
 def executor(
     request: pytest.FixtureRequest, tasks: Any, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Executor]:
@@ -44,9 +39,7 @@ def executor(
         two.connect("inproc://warm-up")
         one.send(bytes(1 << 20), copy=False)
         two.recv()
-    workers = 1 if request.param == "serial" else 2
-    extra = [f"contract.{name}={tasks.__name__}:{name}" for name in NAMES]
-    with open_executor(request.param, workers=workers, extra_tasks=extra) as backend:
+    with open_named(request, tasks) as backend:
         # Pools start their workers with the first tasks: let them, before leaks are counted.
         released = tmp_path_factory.mktemp("start") / "released"
         if request.param == "serial":
@@ -55,7 +48,24 @@ def executor(
         released.touch()
         for future in waiting:
             future.result(WAIT)
+        backend.executor.submit(tasks.echo, bytes(1 << 24)).result(WAIT)  # Dask's thread for them
         yield backend.executor
+
+
+@contextmanager
+def open_named(request: pytest.FixtureRequest, tasks: Any) -> Iterator[Backend]:
+    """Open the backend that is to keep the contract, with two workers where it can have them."""
+    name = request.param
+    if name == "handed in":
+        with ThreadPoolExecutor(2) as pool, open_backend(pool) as backend:
+            yield backend
+        return
+    workers = 2 if name in {"threads", "processes", "zmq"} else None
+    extra = [f"contract.{task}={tasks.__name__}:{task}" for task in NAMES]
+    if name == "dask":
+        name += "=" + request.getfixturevalue("start_dask")().address
+    with open_executor(name, workers=workers, extra_tasks=extra) as backend:
+        yield backend
 
 
 def test_results_are_bitwise_equal_in_whichever_order_they_come(
@@ -131,3 +141,10 @@ def test_after_shutdown_nothing_is_taken_and_nothing_is_left_open(tasks: Any) ->
         assert future.result(0) == 1
         with pytest.raises(RuntimeError, match="after shutdown"):
             backend.executor.submit(tasks.echo, 2)
+
+
+@pytest.mark.skipif(UNDER_MPI, reason="this is the run under MPI")
+def test_mpi_keeps_the_contract_too(tasks: Any, run_mpi: RunMpi) -> None:
+    done = run_mpi(3, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert " passed" in done.stdout

@@ -10,8 +10,9 @@ Users call it as ``hpcapp.reconstruct``.
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,13 +22,16 @@ from hpcapp.applications.surface.cleaning import arrange_points, drop_far
 from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.pipeline import Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
-from hpcapp.backends import available_cores, open_executor
+from hpcapp.backends import available_cores, open_backend
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
 from hpcapp.progress import Progress, SilentProgress, StageClock
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import FloatArray, PointCloud
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 __all__ = ["reconstruct"]
 
@@ -46,7 +50,7 @@ def reconstruct(
     smoothness: float = 1.0,
     detail: float = 1.0,
     clean: bool = True,
-    executor: str | None = None,
+    executor: str | Executor | Client | None = None,
     workers: int | None = None,
     progress: Report | None = None,
 ) -> Mesh:
@@ -70,11 +74,11 @@ def reconstruct(
         Factor on the finest detail that the spacing allows, 0.1 to 10, dimensionless.
     clean : bool
         Drop outliers and turn wrong normals round first; not with ``paper``.
-    executor : str, optional
-        Where batches run, by a name that ``--backend`` takes or the file of a cluster; by default
-        what pays for so many points.
+    executor : str, concurrent.futures.Executor or distributed.Client, optional
+        Where batches run: a name that ``--backend`` takes or the file of a cluster, or what is
+        open already and stays so; by default what pays for so many points.
     workers : int, optional
-        How many tasks run at once.
+        How many tasks run at once, where the executor leaves that open.
     progress : callable, optional
         Told (stage, parts done, parts in all) as the work proceeds, in the calling thread; what it
         raises ends the job.
@@ -108,7 +112,7 @@ def reconstruct(
         method,
         grid,
         voxel_size=voxel_size,
-        backend="auto" if executor is None else executor,
+        backend=executor if isinstance(executor, str) else "auto",
         workers=workers,
         clean=clean,
         smoothness=smoothness,
@@ -117,11 +121,16 @@ def reconstruct(
     _check_settings(settings)
     cloud = _check_cloud(points, normals)
     clock = StageClock(SilentProgress() if progress is None else _Calls(progress))
-    mesh = _run(settings, cloud, clock).mesh
+    mesh = _run(settings, cloud, executor, clock).mesh
     return Mesh(mesh.vertices + mesh.origin, mesh.faces)
 
 
-def _run(settings: job.Settings, cloud: PointCloud, clock: StageClock) -> Reconstruction:
+def _run(
+    settings: job.Settings,
+    cloud: PointCloud,
+    executor: str | Executor | Client | None,
+    clock: StageClock,
+) -> Reconstruction:
     """Take a cloud through the job's steps, from its cleaning to the warnings."""
     usable = len(cloud)
     if settings.method != "paper":  # which cuts the cloud up by itself
@@ -131,7 +140,9 @@ def _run(settings: job.Settings, cloud: PointCloud, clock: StageClock) -> Recons
     check_memory(settings.method, grid, cloud)
     threads = available_cores() if len(cloud) >= job.THREADS_FROM_POINTS else 1
     method = job._choose_method(settings, grid, threads)
-    with open_executor(job._choose_backend(settings, cloud), workers=settings.workers) as backend:
+    if executor is None:
+        executor = job._choose_backend(settings, cloud)
+    with open_backend(executor, workers=settings.workers) as backend:
         result = run_pipeline(cloud, method, backend.workforce, clock)
     job._warn(settings, grid, cloud, result)
     return result

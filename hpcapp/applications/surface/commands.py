@@ -81,6 +81,10 @@ def check_flags(ctx: click.Context) -> None:
         raise UsageError("-o - and --json both want the standard output", "give one of them")
     if ctx.params["cluster"] is not None:
         _only_without_cluster(ctx)
+    if ctx.params["backend"] != "auto":
+        from hpcapp.backends import check_backend
+
+        check_backend(ctx.params["backend"])
     if ctx.params["method"] == "paper":
         _only_for(ctx, "hierarchical", HIERARCHICAL_OPTIONS)
     else:
@@ -118,10 +122,11 @@ def check_flags(ctx: click.Context) -> None:
 )
 @click.option(
     "--backend",
-    type=click.Choice(["auto", "serial", "threads", "processes", "zmq"]),
     default="auto",
+    metavar="NAME",
     show_default=True,
-    help="Where batches run.",
+    help="Where batches run: auto, serial, threads, processes, zmq, dask=ADDRESS, mpi, or "
+    "MODULE:FUNCTION that makes an Executor.",
 )
 @click.option(
     "--workers",
