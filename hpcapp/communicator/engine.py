@@ -16,7 +16,8 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from hpcapp.communicator.ledger import Entry, Ledger
+from hpcapp.communicator.entries import Entry
+from hpcapp.communicator.ledger import Ledger
 from hpcapp.communicator.roster import (
     Action,
     AskRegister,
@@ -92,7 +93,7 @@ class Engine:
     Parameters
     ----------
     make_scheduler : callable
-        Makes the scheduler around the engine's `claim`.
+        Makes the scheduler around the engine's ledger.
     transport : RouterTransport
         Likewise; the engine closes it.
     clock : Clock
@@ -103,7 +104,7 @@ class Engine:
 
     def __init__(
         self,
-        make_scheduler: Callable[[Callable[[int], bool]], Scheduler],
+        make_scheduler: Callable[[Ledger], Scheduler],
         transport: RouterTransport,
         clock: Clock,
         timing: Timing,
@@ -112,7 +113,7 @@ class Engine:
         self.counts: Counter[str] = Counter()
         self.roster = threading.Condition()
         self.ledger = Ledger()
-        self.scheduler = make_scheduler(self.ledger.claim)
+        self.scheduler = make_scheduler(self.ledger)
         self._transport = transport
         self._clock = clock
         self._timing = timing
@@ -137,7 +138,12 @@ class Engine:
     def submit(self, number: int, entry: Entry) -> None:
         """Take a task."""
         self.ledger.add(number, entry)
-        self.post(lambda: self.scheduler.submit(number, entry.name, entry.size_bytes, entry.blobs))
+        can_split = entry.traits.split is not None
+        self.post(
+            lambda: self.scheduler.submit(
+                number, entry.name, entry.size_bytes, entry.blobs, entry.work, can_split
+            )
+        )
         if self._end is not None:  # nobody would ever answer
             self.ledger.fail_all(self._end)
 

@@ -14,32 +14,34 @@ must not change before their future is done. Result arrays are read-only.
 from __future__ import annotations
 
 import atexit
-import itertools
 import threading
+import time
 import weakref
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from types import TracebackType
 from typing import Any, TypeVar
 
 from hpcapp.communicator.engine import Engine, Timing
-from hpcapp.communicator.ledger import Entry
+from hpcapp.communicator.entries import each_traits, make_entry
+from hpcapp.communicator.ledger import Ledger
 from hpcapp.communicator.policy import AdaptivePolicy, Policy
 from hpcapp.communicator.scheduler import Scheduler
 from hpcapp.communicator.transport import RouterTransport
 from hpccomponent.clock import Clock, MonotonicClock
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.protocol.blobs import Blob, make_blob
-from hpccomponent.protocol.codec import encode_arguments, encode_values
+from hpccomponent.protocol.codec import encode_values
 from hpccomponent.protocol.connection import Connection
 from hpccomponent.protocol.keys import KeyPair, is_key, make_key_pair
 from hpccomponent.runtime.numerics import package_version
-from hpccomponent.runtime.tasks import TaskRegistry
+from hpccomponent.runtime.tasks import EACH, TaskRegistry, Traits, traits_of
 
 __all__ = ["CommunicatorExecutor"]
 
 ResultT = TypeVar("ResultT")
-MAX_TASK_BLOBS = 256  # of one task: a component keeps a file open for each
+PARTS_PER_WORKER = 16  # of a `map`: enough to level workers
+MAX_PART = 1000
 EXIT_S = 5.0  # how long the interpreter's exit waits for the communicator's thread
 
 
@@ -105,7 +107,6 @@ class CommunicatorExecutor(Executor):
         for key in allowed_keys:
             self.allow(key)
         self._keys = keys or make_key_pair()
-        self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._is_shut_down = False
         self._gone: str | None = None
@@ -113,15 +114,16 @@ class CommunicatorExecutor(Executor):
         timing = timing or Timing()
         clock = clock or MonotonicClock()
 
-        def make_scheduler(claim: Callable[[int], bool]) -> Scheduler:
+        def make_scheduler(ledger: Ledger) -> Scheduler:
             return Scheduler(
                 policy or AdaptivePolicy(),
                 clock,
                 package_version(),
-                claim,
+                ledger.claim,
                 numerics,
                 timing.liveness_s,
                 timing.worker_wait_s,
+                ledger.split,
             )
 
         self._transport = RouterTransport(
@@ -149,7 +151,8 @@ class CommunicatorExecutor(Executor):
         """Return counts since the start.
 
         Bytes, tasks, batches and blobs; lost workers, batches sent again; second answers of tasks
-        that were run twice; messages that were dropped, peers that were refused.
+        that were run twice, tasks that were split; messages that were dropped, peers that were
+        refused.
         """
         scheduled, own = self._engine.scheduler.counts, self._engine.counts
         return {
@@ -161,6 +164,7 @@ class CommunicatorExecutor(Executor):
             "losses": scheduled["losses"],
             "resent": scheduled["resent"],
             "duplicates": scheduled["duplicates"],
+            "splits": scheduled["splits"],
             "dropped": own["dropped"] + scheduled["dropped"],
             "refused": scheduled["refused"] + self._transport.troubles.total(),
         }
@@ -284,20 +288,62 @@ class CommunicatorExecutor(Executor):
                 "pass them by position: a task is a function of values in their order",
             )
         name = self._tasks.name_of(fn)
-        header, buffers, blobs = encode_arguments(args)
-        if len(blobs) > MAX_TASK_BLOBS:
-            raise UsageError(
-                f"a task names {len(blobs)} shared values, more than {MAX_TASK_BLOBS}",
-                "share them together, as one tuple or dict",
-            )
-        number = next(self._numbers)
-        future: Future[ResultT] = _TaskFuture(number, self._engine)
+        return self._submit(name, args, traits_of(fn))
+
+    def _submit(self, name: str, args: tuple[Any, ...], traits: Traits) -> Future[Any]:
+        number = self._engine.ledger.number()
+        future = _TaskFuture(number, self._engine)
+        entry = make_entry(future, name, args, traits)
         with self._lock:
             if self._is_shut_down:
                 raise RuntimeError("cannot schedule new futures after shutdown")
             self._engine.counts["tasks"] += 1
-            self._engine.submit(number, Entry(future, name, header, buffers, blobs))
+            self._engine.submit(number, entry)
         return future
+
+    def map(
+        self,
+        fn: Callable[..., ResultT] | str,
+        /,
+        *iterables: Iterable[Any],
+        timeout: float | None = None,
+        chunksize: int | None = None,
+    ) -> Iterator[ResultT]:
+        """Run a registered task for every item, many of them in one message.
+
+        Parameters
+        ----------
+        fn : callable or str
+            The task's function, or its name.
+        *iterables
+            Its arguments, as in the built-in `map`.
+        timeout : float, optional
+            How long to wait for all results, in seconds.
+        chunksize : int, optional
+            How many items travel together; by default 16 parts for each worker, of 1000 at most.
+            The last parts are split where workers are idle.
+
+        Returns
+        -------
+        iterator
+            The results, in the order of the items. An item whose task raises fails its part.
+
+        Raises
+        ------
+        UsageError
+            As `submit`, or for a `chunksize` below 1.
+        TimeoutError
+            From the iterator.
+        """
+        name, traits = EACH + self._tasks.name_of(fn), each_traits(traits_of(fn))
+        items = list(zip(*iterables, strict=False))
+        if chunksize is None:
+            chunksize = min(MAX_PART, -(-len(items) // (max(1, self.workers) * PARTS_PER_WORKER)))
+        elif chunksize < 1:
+            raise UsageError(f"a chunk of {chunksize} items", "give at least 1, or leave it out")
+        step = max(1, chunksize)
+        parts = [items[start : start + step] for start in range(0, len(items), step)]
+        return _in_order([self._submit(name, (part,), traits) for part in parts], timeout)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End as ``concurrent.futures`` documents: workers are told farewell after the last task.
@@ -336,3 +382,14 @@ class CommunicatorExecutor(Executor):
             self._is_shut_down = True
         self._engine.close(abandon=True)
         self._engine.join(EXIT_S)
+
+
+def _in_order(parts: Sequence[Future[list[ResultT]]], timeout: float | None) -> Iterator[ResultT]:
+    """Yield the results of all parts; what has not left is cancelled when nobody wants more."""
+    end = None if timeout is None else time.monotonic() + timeout
+    try:
+        for part in parts:
+            yield from part.result(None if end is None else max(0.0, end - time.monotonic()))
+    finally:
+        for part in parts:
+            part.cancel()

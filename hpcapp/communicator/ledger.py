@@ -2,56 +2,39 @@
 
 from __future__ import annotations
 
+import itertools
+import logging
 from collections.abc import Iterable
-from concurrent.futures import Future
-from dataclasses import dataclass
-from typing import Any
 
+from hpcapp.communicator.entries import Entry, split_entry
+from hpcapp.communicator.roster import Task
 from hpccomponent import errors
 from hpccomponent.errors import HpcError, ProtocolError, TaskError
-from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.codec import decode_values
 from hpccomponent.protocol.frames import Buffer
 from hpccomponent.protocol.messages import Call, Failure, Result
 
-__all__ = ["Entry", "Ledger"]
+__all__ = ["Ledger"]
 
-
-@dataclass(slots=True, eq=False)
-class Entry:
-    """A submitted task: its future, and its encoded arguments."""
-
-    future: Future[Any]
-    name: str
-    header: bytes
-    buffers: list[Buffer]
-    blobs: tuple[Blob, ...] = ()
-    is_claimed: bool = False
-
-    @property
-    def size_bytes(self) -> int:
-        """Return the length of the encoded arguments."""
-        return len(self.header) + sum([len(buffer) for buffer in self.buffers])
-
-    def claim(self) -> bool:
-        """Mark the future as running; False if it was cancelled before."""
-        if not self.is_claimed and not self.future.set_running_or_notify_cancel():
-            return False
-        self.is_claimed = True
-        return True
+_log = logging.getLogger(__name__)
 
 
 class Ledger:
     """Entries by task number; each leaves exactly once, with its future done.
 
-    `add` and `cancel_all` are for any thread, the rest for that of the engine.
+    `number`, `add` and `cancel_all` are for any thread, the rest for that of the engine.
     """
 
     def __init__(self) -> None:
         self._entries: dict[int, Entry] = {}
+        self._numbers = itertools.count(1)
 
     def __len__(self) -> int:
         return len(self._entries)
+
+    def number(self) -> int:
+        """Return a number that no task has."""
+        return next(self._numbers)
 
     def add(self, number: int, entry: Entry) -> None:
         """Take a new entry."""
@@ -94,6 +77,26 @@ class Ledger:
             return True
         del self._entries[number]
         return False
+
+    def split(self, number: int) -> list[Task]:
+        """Replace a task by others that together do the same; none if it cannot be split."""
+        entry = self._entries[number]
+        try:
+            parts = split_entry(entry)
+        except HpcError as error:
+            _log.warning("%s", error)
+            return []
+        if not parts or not entry.claim():
+            return []
+        del self._entries[number]
+        tasks = []
+        for part in parts:
+            own = self.number()
+            self._entries[own] = part
+            tasks.append(
+                Task(own, part.name, part.size_bytes, part.blobs, part.work, can_split=True)
+            )
+        return tasks
 
     def is_cancelled(self, number: int) -> bool:
         """Tell whether a task can be forgotten because its future was cancelled in time."""

@@ -125,7 +125,8 @@ class AdaptivePolicy:
 
     The worker that would have the next task done first gets it, with others that share its
     batch: a quarter of what is its share by speed. A second batch follows only when the first is
-    about to end: it hides the way, and what waits here can still go to anyone. A worker that
+    about to end: it hides the way, and what waits here can still go to anyone; towards the end,
+    when there is less than a task for each worker, none follows. A worker that
     would be done with a task after the others have done all of them gets none.
     """
 
@@ -133,10 +134,12 @@ class AdaptivePolicy:
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
         """Choose the worker that has the next task done first, if any has room for it."""
+        may_queue = waiting >= len(loads)  # the last ones go to whoever is idle first
         free = [
             i
             for i, load in enumerate(loads)
-            if load.queued == 0 or (load.queued < DEPTH and load.remaining_s < AHEAD_S)
+            if load.queued == 0
+            or (may_queue and load.queued < DEPTH and load.remaining_s < AHEAD_S)
         ]
         if not free:
             return None

@@ -29,10 +29,11 @@ __all__ = [
 class Task:
     """A task that has no result yet.
 
-    `work` is its declared cost, in units of its own. `losses` counts the workers that were lost
-    while it was (or may have been) running; a task is claimed once, right before it first leaves.
-    `places` are the workers that hold it, with the batch: two where it is run again because the
-    first lags; the first answer counts, and then it is done.
+    `work` is its declared cost, in units of its own, and `can_split` whether it declares how.
+    `losses` counts the workers that were lost while it was (or may have been) running; a task is
+    claimed once, right before it first leaves. `places` are the workers that hold it, with the
+    batch: two where it is run again because the first lags; the first answer counts, and then it is
+    done.
     """
 
     number: int
@@ -40,6 +41,7 @@ class Task:
     size_bytes: int
     blobs: tuple[Blob, ...] = ()
     work: float = 1.0
+    can_split: bool = False
     losses: int = 0
     is_claimed: bool = False
     is_done: bool = False

@@ -14,6 +14,7 @@ none is to be expected.
 
 from __future__ import annotations
 
+import math
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 
@@ -46,6 +47,7 @@ __all__ = ["Scheduler"]
 CREDIT = 2  # batches in flight per worker
 LOSS_BUDGET = 3  # workers that may be lost under one task
 LAG = 1.5  # a task that is to take so many times as long as on an idle worker is run there too,
+SPLIT_S = 0.5  # longer tasks may be split, where more workers than tasks are (soon) idle
 LAG_S = 0.25  # if that is more than so many seconds
 
 
@@ -62,6 +64,8 @@ class Scheduler:
         The release that components must have.
     claim : callable
         Called with a task's number right before it first leaves; False if it was cancelled.
+    split : callable, optional
+        Called with the number of a task that can be split; returns those that replace it, if any.
     numerics : str, optional
         Numerics id that components must have; by default that of the first one.
     liveness_s : float
@@ -79,6 +83,7 @@ class Scheduler:
         numerics: str | None = None,
         liveness_s: float = 15.0,
         worker_wait_s: float = 60.0,
+        split: Callable[[int], list[Task]] = lambda _: [],
     ) -> None:
         self.workers: dict[bytes, Worker] = {}
         self.tasks: dict[int, Task] = {}
@@ -87,6 +92,7 @@ class Scheduler:
         self._policy = policy
         self._clock = clock
         self._admission = Admission(package, numerics)
+        self._split = split
         self._forecast = Forecast()
         self._cutter = BatchCutter(claim, self._forecast)
         self._liveness_s = liveness_s
@@ -104,9 +110,10 @@ class Scheduler:
         size_bytes: int,
         blobs: tuple[Blob, ...] = (),
         work: float = 1.0,
+        can_split: bool = False,
     ) -> list[Action]:
         """Take a new task; call `dispatch` after the last of several."""
-        task = Task(number, name, size_bytes, blobs, work)
+        task = Task(number, name, size_bytes, blobs, work, can_split)
         if self._gone is not None and not self.workers:
             self.tasks[number] = task
             return self._give_up(self._gone)
@@ -272,6 +279,8 @@ class Scheduler:
         """Place what waits, and send what the credit windows allow."""
         actions: list[Action] = []
         workers = self._open_workers()
+        if self._policy.runs_again:
+            self._split_last(workers)
         if self._queue and workers:
             name = next(iter(self._queue.values())).name
             for worker in workers:
@@ -298,6 +307,28 @@ class Scheduler:
         if self._policy.runs_again and not self._queue:
             actions += self._run_again(workers)
         return actions
+
+    def _split_last(self, workers: Sequence[Worker]) -> None:
+        """Split the last tasks, the longest first, where they are too few for idle workers."""
+        if len(self._queue) >= len(workers) or not any(t.can_split for t in self._queue.values()):
+            return
+        now = self._clock.now()
+        idle = [w for w in workers if self._forecast.remaining_s(w, now) <= SPLIT_S]
+        while len(self._queue) < len(idle):
+            task, expected_s = None, SPLIT_S
+            for other in self._queue.values():
+                other_s = min(self._forecast.expect(worker.identity, other) for worker in idle)
+                if other.can_split and not other.is_claimed and expected_s <= other_s < math.inf:
+                    task, expected_s = other, other_s
+            if task is None:
+                return
+            task.can_split = False  # asked once
+            parts = {part.number: part for part in self._split(task.number)}
+            if parts:
+                self.counts["splits"] += 1
+                del self.tasks[task.number], self._queue[task.number]
+                self.tasks.update(parts)
+                self._queue.update(parts)
 
     def _estimate(self, worker: Worker, name: str) -> None:
         worker.remaining_s = self._forecast.remaining_s(worker, self._clock.now())

@@ -1,22 +1,90 @@
 """The task registry: names on the wire, functions on the worker, nothing unpickled in between.
 
 A task is an importable, module-level function of values. It is registered as an entry point of
-the group ``hpc.tasks``, or by ``NAME=module:function`` on the command line of a component.
+the group ``hpc.tasks``, or by ``NAME=module:function`` on the command line of a component. It
+may declare what it costs and how it can be split; a plain function need not.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, TypeVar
 
 from hpccomponent.errors import UsageError
 
-__all__ = ["TASK_GROUP", "TaskRegistry"]
+__all__ = ["EACH", "TASK_GROUP", "TaskRegistry", "Traits", "declare", "traits_of"]
 
 TASK_GROUP = "hpc.tasks"
+EACH = "each:"  # before a name: the task is run for each tuple of arguments in a list
 _REFERENCE = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<function>[A-Za-z_]\w*)")
+
+FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True, slots=True)
+class Traits:
+    """What a task declares beside its function; all of it runs in the master.
+
+    Parameters
+    ----------
+    cost : callable, optional
+        From the task's arguments to its work, in any unit that its other calls share; above 0.
+        By default every call is as much work.
+    split : callable, optional
+        From the task's arguments to tuples of arguments that together make the same result, or
+        None if it cannot be split.
+    join : callable, optional
+        From the list of their results to the result; with `split` only.
+
+    Notes
+    -----
+    A shared value among the arguments is seen as what ``share`` returned.
+    """
+
+    cost: Callable[..., float] | None = None
+    split: Callable[..., Sequence[tuple[Any, ...]] | None] | None = None
+    join: Callable[[list[Any]], Any] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.split is None) != (self.join is None):
+            raise UsageError(
+                "a task declares only one of split and join", "declare both, or neither"
+            )
+
+
+def declare(
+    cost: Callable[..., float] | None = None,
+    split: Callable[..., Sequence[tuple[Any, ...]] | None] | None = None,
+    join: Callable[[list[Any]], Any] | None = None,
+) -> Callable[[FunctionT], FunctionT]:
+    """Declare what a task costs, and how to split it; the function stays what it is.
+
+    Parameters are those of `Traits`.
+
+    Examples
+    --------
+    >>> @declare(cost=len)
+    ... def count_up(values):
+    ...     return [value + 1 for value in values]
+    >>> traits_of(count_up).cost([1, 2, 3])
+    3
+    """
+    traits = Traits(cost, split, join)
+
+    def mark(function: FunctionT) -> FunctionT:
+        function.task_traits = traits  # type: ignore[attr-defined]
+        return function
+
+    return mark
+
+
+def traits_of(task: Callable[..., Any] | str) -> Traits:
+    """Return what a task declares; nothing if only its name is given."""
+    traits = getattr(task, "task_traits", None)
+    return traits if isinstance(traits, Traits) else Traits()
 
 
 class TaskRegistry:
@@ -74,6 +142,8 @@ class TaskRegistry:
             If there is no task of this name, or its module cannot be imported, or holds no such
             function.
         """
+        if name.startswith(EACH):
+            return _each(self.resolve(name.removeprefix(EACH)))
         if name not in self._functions:
             reference = self._extra.get(name) or self.references().get(name)
             if reference is None:
@@ -108,6 +178,10 @@ class TaskRegistry:
                 "NAME=module:function as an extra task",
             )
         return sought if isinstance(task, str) else self._names[sought]
+
+
+def _each(function: Callable[..., Any]) -> Callable[[list[tuple[Any, ...]]], list[Any]]:
+    return lambda calls: [function(*arguments) for arguments in calls]
 
 
 def _import(name: str, reference: str) -> Callable[..., Any]:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, Policy
-from hpcapp.communicator.roster import Action, Assign, Deliver
+from hpcapp.communicator.roster import Action, Assign, Deliver, Task
 from hpcapp.communicator.scheduler import Scheduler
 from hpccomponent.clock import ManualClock
 from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register, Result
@@ -25,12 +25,13 @@ class Race:
 
     def __init__(self, policy: Policy, unit_s: Sequence[float]) -> None:
         self.clock = ManualClock()
-        self.scheduler = Scheduler(policy, self.clock, "1", lambda _: True)
+        self.scheduler = Scheduler(policy, self.clock, "1", lambda _: True, split=self.split)
         self.unit_s = {b"%d" % i: seconds for i, seconds in enumerate(unit_s)}
         self.queues: dict[bytes, deque[tuple[int, int, bool]]] = {w: deque() for w in self.unit_s}
         self.busy: set[bytes] = set()
         self.events: list[tuple[float, bytes]] = []
         self.costs: dict[int, float] = {}
+        self.can_split = False
         self.runs: Counter[int] = Counter()
         for worker in self.unit_s:
             name = worker.decode()
@@ -43,7 +44,7 @@ class Race:
         for cost in costs:
             number = len(self.costs)
             self.costs[number] = cost
-            self.carry_out(self.scheduler.submit(number, "t", 10, (), cost))
+            self.carry_out(self.scheduler.submit(number, "t", 10, (), cost, self.can_split))
         self.carry_out(self.scheduler.dispatch())
         tick = begin + TICK_S
         while self.scheduler.tasks:
@@ -57,6 +58,12 @@ class Race:
                 self.carry_out(self.scheduler.tick())
                 tick += TICK_S
         return self.clock.now() - begin
+
+    def split(self, number: int) -> list[Task]:
+        """Cut a task in two."""
+        parts = [len(self.costs), len(self.costs) + 1]
+        self.costs |= dict.fromkeys(parts, self.costs[number] / 2.0)
+        return [Task(part, "t", 10, (), self.costs[part], can_split=True) for part in parts]
 
     def finish(self, worker: bytes) -> None:
         batch, number, is_last = self.queues[worker].popleft()
@@ -118,6 +125,15 @@ def test_the_second_answer_is_counted_and_blames_nobody() -> None:
     race.run([1.0] * 30)
     assert race.scheduler.counts["duplicates"] >= 1
     assert race.scheduler.counts["dropped"] == race.scheduler.counts["losses"] == 0
+
+
+def test_the_last_tasks_are_split_where_workers_are_idle() -> None:
+    race = Race(AdaptivePolicy(), [1.0] * 8)
+    race.run([1.0] * 8)
+    assert race.run([8.0] * 9) == 16.0
+    race.can_split = True
+    assert race.run([8.0] * 9) <= 9.5
+    assert race.scheduler.counts["splits"] >= 4
 
 
 def test_declared_costs_are_believed() -> None:

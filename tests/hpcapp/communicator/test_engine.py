@@ -8,7 +8,7 @@ from concurrent.futures import Future
 from typing import Any
 
 from hpcapp.communicator.engine import Engine, Timing
-from hpcapp.communicator.ledger import Entry
+from hpcapp.communicator.entries import Entry
 from hpcapp.communicator.policy import PullPolicy
 from hpcapp.communicator.scheduler import Scheduler
 from hpccomponent.clock import ManualClock
@@ -51,7 +51,7 @@ class Wire:
 def test_a_way_that_breaks_between_two_batches_costs_no_task() -> None:
     wire, clock = Wire(b"first"), ManualClock()
     engine = Engine(
-        lambda claim: Scheduler(PullPolicy(), clock, "1", claim, None, 15.0, 60.0),
+        lambda ledger: Scheduler(PullPolicy(), clock, "1", ledger.claim, None, 15.0, 60.0),
         wire,  # type: ignore[arg-type]
         clock,
         Timing(),

@@ -6,7 +6,13 @@ from importlib.metadata import entry_points
 import pytest
 
 from hpccomponent.errors import UsageError
-from hpccomponent.runtime.tasks import TASK_GROUP, TaskRegistry
+from hpccomponent.runtime.tasks import (
+    TASK_GROUP,
+    TaskRegistry,
+    Traits,
+    declare,
+    traits_of,
+)
 
 
 def test_extra_tasks_are_found_by_name_and_by_function() -> None:
@@ -55,3 +61,23 @@ def test_what_cannot_be_resolved_says_why(entry: str, word: str) -> None:
 def test_what_is_not_registered_has_no_name(task: object) -> None:
     with pytest.raises(UsageError, match="not a registered task"):
         TaskRegistry(["a=math:sqrt"]).name_of(task)  # type: ignore[arg-type]
+
+
+def test_a_task_is_run_for_each_item_under_its_name_with_a_prefix() -> None:
+    registry = TaskRegistry(["a.root=math:sqrt"])
+    assert registry.resolve("each:a.root")([(4.0,), (9.0,)]) == [2.0, 3.0]
+
+
+def test_a_declared_task_stays_a_plain_function() -> None:
+    @declare(cost=abs)
+    def task(value: float) -> float:
+        return value + 1.0
+
+    assert task(1.0) == 2.0
+    assert traits_of(task).cost is abs
+    assert traits_of(math.sqrt) == traits_of("a.root") == Traits()
+
+
+def test_split_and_join_belong_together() -> None:
+    with pytest.raises(UsageError, match="only one of split and join"):
+        declare(split=lambda values: [(values,)])

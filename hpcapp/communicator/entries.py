@@ -1,0 +1,146 @@
+"""Submitted tasks as the communicator keeps them, and how one becomes several."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any
+
+from hpccomponent.errors import HpcError, TaskError, UsageError
+from hpccomponent.protocol.blobs import Blob
+from hpccomponent.protocol.codec import encode_arguments
+from hpccomponent.protocol.frames import Buffer
+from hpccomponent.runtime.tasks import Traits
+
+__all__ = ["Entry", "each_traits", "make_entry", "split_entry"]
+
+MAX_TASK_BLOBS = 256  # of one task: a component keeps a file open for each
+PLAIN = Traits()
+
+
+@dataclass(slots=True, eq=False)
+class Entry:
+    """A submitted task: its future, its encoded arguments, and what it declares."""
+
+    future: Future[Any]
+    name: str
+    header: bytes
+    buffers: list[Buffer]
+    blobs: tuple[Blob, ...] = ()
+    work: float = 1.0
+    arguments: tuple[Any, ...] = ()
+    traits: Traits = PLAIN
+    is_claimed: bool = False
+
+    @property
+    def size_bytes(self) -> int:
+        """Return the length of the encoded arguments."""
+        return len(self.header) + sum([len(buffer) for buffer in self.buffers])
+
+    def claim(self) -> bool:
+        """Mark the future as running; False if it was cancelled before."""
+        if not self.is_claimed and not self.future.set_running_or_notify_cancel():
+            return False
+        self.is_claimed = True
+        return True
+
+
+def make_entry(future: Future[Any], name: str, arguments: tuple[Any, ...], traits: Traits) -> Entry:
+    """Encode a task.
+
+    Raises
+    ------
+    UsageError
+        If an argument cannot travel, there are too many shared values, or the declared cost is
+        no positive number.
+    """
+    header, buffers, blobs = encode_arguments(arguments)
+    if len(blobs) > MAX_TASK_BLOBS:
+        raise UsageError(
+            f"a task names {len(blobs)} shared values, more than {MAX_TASK_BLOBS}",
+            "share them together, as one tuple or dict",
+        )
+    work = 1.0
+    if traits.cost is not None:
+        work = float(traits.cost(*arguments))
+        if not (0.0 < work < math.inf):
+            raise UsageError(
+                f"task {name!r} declares a cost of {work}", "let it return a number above 0"
+            )
+    kept = arguments if traits.split is not None else ()
+    return Entry(future, name, header, buffers, blobs, work, kept, traits)
+
+
+def each_traits(traits: Traits) -> Traits:
+    """Return what a task declares when it is run for each of a list of items."""
+    single = traits.cost
+
+    def cost(items: list[tuple[Any, ...]]) -> float:
+        return float(len(items)) if single is None else sum(single(*item) for item in items)
+
+    def split(items: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+        half = len(items) // 2
+        return [(part,) for part in (items[:half], items[half:]) if part]
+
+    return Traits(cost, split, lambda results: [value for part in results for value in part])
+
+
+def split_entry(entry: Entry) -> list[Entry]:
+    """Cut a task into others whose results are joined to its own.
+
+    Returns
+    -------
+    list of Entry
+        Empty if it cannot be split.
+
+    Raises
+    ------
+    HpcError
+        If what the task declares for it fails.
+    """
+    split, join = entry.traits.split, entry.traits.join
+    if split is None or join is None:
+        return []
+    try:
+        pieces = split(*entry.arguments)
+        if pieces is None or len(pieces) < 2:
+            return []
+        futures: list[Future[Any]] = [Future() for _ in pieces]
+        entries = [
+            make_entry(future, entry.name, tuple(piece), entry.traits)
+            for future, piece in zip(futures, pieces, strict=True)
+        ]
+    except HpcError:
+        raise
+    except Exception as error:
+        raise TaskError(f"task {entry.name!r} could not be split: {error!r}") from error
+    _join_into(entry, futures)
+    return entries
+
+
+def _join_into(entry: Entry, futures: Sequence[Future[Any]]) -> None:
+    """Have a future done by the last of others, or by the first that fails."""
+    left = len(futures)
+
+    def take(future: Future[Any]) -> None:
+        nonlocal left
+        left -= 1
+        if entry.future.done():
+            return
+        error = future.exception()
+        if error is not None:
+            entry.future.set_exception(error)
+        elif left == 0:
+            try:
+                join = entry.traits.join
+                assert join is not None  # noqa: S101 - for mypy
+                entry.future.set_result(join([future.result() for future in futures]))
+            except Exception as error:
+                entry.future.set_exception(
+                    TaskError(f"the parts of task {entry.name!r} could not be joined: {error!r}")
+                )
+
+    for future in futures:
+        future.add_done_callback(take)
