@@ -19,7 +19,7 @@ from hpccomponent.errors import NoWorkersError, UsageError
 
 try:
     import dask
-    from distributed import Client
+    from distributed import Client, Security
     from distributed.scheduler import KilledWorker
 except ImportError as error:
     raise UsageError(
@@ -92,13 +92,14 @@ def open_dask(address: str) -> Iterator[RetryingExecutor]:
     UsageError
         The certificates are missing.
     """
-    try:
-        client = Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (TypeError, ValueError) as error:  # an address without a port, TLS without certificates
+    security = Security()
+    if address.startswith("tls://") and not security.get_connection_args("client")["ssl_context"]:
         raise UsageError(
-            f"dask={address}: {error}",
-            "give tcp://HOST:PORT; tls:// also needs distributed.comm.tls in Dask's configuration",
-        ) from error
+            f"dask={address}: Dask's configuration names no certificates",
+            "set distributed.comm.tls there: ca-file, client.key and client.cert",
+        )
+    try:
+        client = Client(address, timeout=CONNECT_S, security=security, set_as_default=False)
     except OSError as error:
         raise NoWorkersError(
             f"no Dask scheduler answers at {address} ({error})",

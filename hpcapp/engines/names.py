@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import AbstractContextManager
 
 from hpcapp.backends import BACKENDS
@@ -19,7 +20,7 @@ from hpccomponent.errors import UsageError
 
 __all__ = ["check_engine", "open_engine"]
 
-DASK = "dask="
+DASK = re.compile(r"dask=((?:tcp|tls)://.+:\d+)")
 
 
 def check_engine(name: str) -> None:
@@ -28,10 +29,12 @@ def check_engine(name: str) -> None:
         check_mpi()
     elif is_factory(name):
         find_factory(name)
-    elif name.startswith(DASK) and "://" in name:
+    elif DASK.fullmatch(name):
         import hpcapp.engines.dask  # noqa: F401 - whether it can be
     elif name.partition("=")[0] == "dask":
-        raise UsageError(f"backend {name!r} names no scheduler", "write dask=tcp://HOST:PORT")
+        raise UsageError(
+            f"backend {name!r} names no scheduler", "write dask=tcp://HOST:PORT or tls://HOST:PORT"
+        )
     else:
         forms = (*BACKENDS, "dask=ADDRESS", "mpi", "MODULE:FUNCTION")
         raise UsageError(f"unknown backend {name!r}", f"choose one of {', '.join(forms)}")
@@ -56,12 +59,13 @@ def open_engine(name: str, workers: int | None) -> AbstractContextManager[Retryi
         The name, or the number of workers, cannot be had.
     """
     check_engine(name)
-    if is_factory(name):
+    scheduler = DASK.fullmatch(name)
+    if scheduler is None and name != "mpi":
         return open_factory(name, workers)
     if workers is not None:
         raise UsageError(f"the workers of {name} are those that there are", "leave --workers out")
-    if name == "mpi":
+    if scheduler is None:
         return open_mpi()
     from hpcapp.engines.dask import open_dask
 
-    return open_dask(name.removeprefix(DASK))
+    return open_dask(scheduler[1])

@@ -225,7 +225,7 @@ class RetryingExecutor(Executor):
         task.losses += self._count_losses(error)
         try:
             if self._gives_up or task.losses > self._most_losses:
-                raise self._lost(task, f"{task.losses} workers died while it ran or waited")
+                raise self._lost(task, f"{task.losses} worker(s) died while it ran or waited")
             if isinstance(error, BrokenExecutor):
                 self._reopen(engine)
             self._start(task)

@@ -22,7 +22,8 @@ from hpccomponent.errors import UsageError, WorkerLostError
     [
         ("cloud", None, "pull", "choose one of serial, threads, processes, zmq, dask=ADDRESS"),
         ("dask", None, "pull", "names no scheduler; write dask=tcp://HOST:PORT"),
-        ("dask=here", None, "pull", "names no scheduler"),
+        ("dask=tcp://here", None, "pull", "names no scheduler"),
+        ("dask=ftp://here:1", None, "pull", "names no scheduler"),
         ("dask=tcp://127.0.0.1:1", 2, "pull", "leave --workers out"),
         ("mpi", None, "pull", "start it as 'mpiexec -n 5 python -m mpi4py.futures -m hpcapp"),
         ("threads", 2, "fair", "choose one of adaptive, pull, equal"),
@@ -81,7 +82,9 @@ def test_a_pool_that_has_lost_a_worker_is_opened_anew(tasks: Any, tmp_path: Path
 @pytest.mark.usefixtures("standing_helpers")
 def test_a_task_that_kills_every_worker_is_given_up(tasks: Any) -> None:
     with open_executor("processes", workers=1) as backend:
-        with pytest.raises(WorkerLostError, match="kill_worker was not finished: 4 workers died"):
+        with pytest.raises(
+            WorkerLostError, match=r"kill_worker was not finished: 4 worker\(s\) died"
+        ):
             map_batches(backend.workforce, tasks.kill_worker, [()])
         assert backend.executor.submit(pow, 2, 3).result() == 8
 
