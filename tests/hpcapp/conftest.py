@@ -66,7 +66,8 @@ class StandingDask:
 
     def __init__(self, folder: Path, workers: int = 2, variables: dict[str, str] | None = None):
         self._folder = folder
-        self._environment = {**os.environ, **(variables or {})}
+        scratch = {"DASK_TEMPORARY_DIRECTORY": str(folder)}
+        self._environment = {**os.environ, **scratch, **(variables or {})}
         contact = folder / "scheduler.json"
         protocol = "tls" if any("TLS" in name for name in variables or {}) else "tcp"
         self.scheduler = self._start(
@@ -76,7 +77,7 @@ class StandingDask:
         self.workers = [
             self._start(
                 "worker", f"--scheduler-file={contact}", "--nthreads=1", "--no-nanny",
-                "--no-dashboard", f"--local-directory={folder}",
+                "--no-dashboard",
             )
             for _ in range(workers)
         ]  # fmt: skip

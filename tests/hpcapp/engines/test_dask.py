@@ -22,7 +22,8 @@ from cryptography.x509.oid import NameOID
 import hpcapp
 from hpcapp.backends import open_backend, open_executor
 from hpcapp.batches import map_batches
-from hpccomponent.errors import NoWorkersError, TaskError, UsageError
+from hpccomponent.errors import JobError, NoWorkersError, TaskError, UsageError
+from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.points import PointCloud
 
 dask = pytest.importorskip("dask", reason="Dask is not installed")
@@ -131,6 +132,16 @@ def test_a_mesh_survives_the_death_of_a_worker(start_dask: StartDask, sphere: Po
     assert cluster.workers[0].wait() == -signal.SIGKILL
     assert mesh.vertices.tobytes() == alone.vertices.tobytes()
     assert mesh.faces.tobytes() == alone.faces.tobytes()
+
+
+def test_a_worker_of_another_build_refuses_and_says_why(start_dask: StartDask) -> None:
+    other = "native" if kernel_id().startswith("portable") else "portable"
+    cluster = start_dask(workers=1, variables={"HPCAPP_BUILD": other})
+    with (
+        open_executor(f"dask={cluster.address}") as backend,
+        pytest.raises(JobError, match=f"computes with {other}-.*; install the same build"),
+    ):
+        map_batches(backend.workforce, pow, [(2, 3)])
 
 
 def test_a_task_that_kills_its_workers_is_counted_by_their_deaths() -> None:
