@@ -22,7 +22,7 @@ from cryptography.x509.oid import NameOID
 import hpcapp
 from hpcapp.backends import open_backend, open_executor
 from hpcapp.batches import map_batches
-from hpccomponent.errors import JobError, NoWorkersError, TaskError, UsageError
+from hpccomponent.errors import JobError, NoWorkersError, TaskError, UsageError, WorkerLostError
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.points import PointCloud
 
@@ -132,6 +132,19 @@ def test_a_mesh_survives_the_death_of_a_worker(start_dask: StartDask, sphere: Po
     assert cluster.workers[0].wait() == -signal.SIGKILL
     assert mesh.vertices.tobytes() == alone.vertices.tobytes()
     assert mesh.faces.tobytes() == alone.faces.tobytes()
+
+
+def test_the_job_fails_with_its_scheduler(
+    start_dask: StartDask, tasks: Any, tmp_path: Path
+) -> None:
+    cluster = start_dask(workers=1)
+    started, never = str(tmp_path / "started"), str(tmp_path / "never")
+    with open_executor(f"dask={cluster.address}") as backend:
+        future = backend.executor.submit(tasks.announce_and_wait, started, never)
+        tasks.wait_for_file(started)
+        cluster.scheduler.kill()
+        with pytest.raises(WorkerLostError, match="its engine gave it up; look at the logs"):
+            future.result(60)
 
 
 def test_a_worker_of_another_build_refuses_and_says_why(start_dask: StartDask) -> None:
