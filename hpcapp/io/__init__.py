@@ -12,17 +12,25 @@ from hpcapp.io.formats import (
     write_mesh,
     write_points,
 )
+from hpcapp.io.mesh_stream import MeshStream
+from hpcapp.io.ply import shared_ply
 from hpcapp.io.point_source import PointSource
+from hpcapp.io.tiles import TILES_SUFFIX, check_tiles, write_tiles
 from hpcapp.io.usable import Dropped, drop_unusable
 
 __all__ = [
+    "TILES_SUFFIX",
     "Dropped",
+    "MeshStream",
     "PointSource",
+    "check_tiles",
     "check_writable",
     "drop_unusable",
     "open_points",
     "read_mesh",
     "read_points",
+    "shared_ply",
     "write_mesh",
     "write_points",
+    "write_tiles",
 ]

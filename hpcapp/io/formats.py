@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Literal, TypeVar
 
+from hpcapp.io.mesh_stream import MeshStream
 from hpcapp.io.obj import read_obj, write_obj
 from hpcapp.io.off import read_off, write_off
 from hpcapp.io.ply import read_ply_mesh, write_ply_mesh, write_ply_points
@@ -45,7 +46,7 @@ _MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".off": read_off,
     ".stl": read_stl,
 }
-_MESH_WRITERS: dict[str, Callable[[Path, Mesh], None]] = {
+_MESH_WRITERS: dict[str, Callable[[Path, Mesh | MeshStream], None]] = {
     ".ply": write_ply_mesh,
     ".obj": write_obj,
     ".off": write_off,
@@ -148,15 +149,15 @@ def write_points(path: str | PathLike[str], cloud: PointCloud) -> None:
     )
 
 
-def write_mesh(path: str | PathLike[str], mesh: Mesh) -> None:
+def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
     """Write a mesh: .ply, .obj, .off in the input's coordinates, .stl in the local frame.
 
     Parameters
     ----------
     path : str or PathLike
         The suffix chooses the format. The file appears whole or not at all.
-    mesh : Mesh
-        The same mesh gives the same bytes.
+    mesh : Mesh or MeshStream
+        In memory, or block after block. The same mesh gives the same bytes.
 
     Raises
     ------

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.io.columns import Ragged
+from hpcapp.io.mesh_stream import MeshStream, as_stream
 from hpcapp.io.polygons import mesh_of_polygons
 from hpcapp.io.rows import Line, line_error, numbered, parse_index, parse_table, write_rows
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
 from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.points import FloatArray
 
 __all__ = ["coordinate_format", "read_obj", "write_obj"]
 
@@ -65,14 +67,14 @@ def _corners(words: list[str], vertices: int, line: Line, path: Path) -> list[in
     return [n - 1 if n > 0 else vertices + n if n < 0 else -1 for n in numbers]
 
 
-def write_obj(path: Path, mesh: Mesh) -> None:
+def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as OBJ, in the input's frame.
 
     Parameters
     ----------
     path : Path
         Appears whole or not at all.
-    mesh : Mesh
+    mesh : Mesh or MeshStream
         Its coordinates are written to the last digit if an origin was subtracted, else to the
         nine digits that tell one ``float`` from another.
 
@@ -81,12 +83,15 @@ def write_obj(path: Path, mesh: Mesh) -> None:
     OutputError
         The file cannot be written.
     """
-    row = "v " + " ".join([coordinate_format(mesh)] * 3) + "\n"
+    stream = as_stream(mesh)
+    row = "v " + " ".join([coordinate_format(stream.origin)] * 3) + "\n"
     with replacing(path) as file:
-        file.writelines(write_rows(row, mesh.vertices + mesh.origin))
-        file.writelines(write_rows("f %d %d %d\n", mesh.faces + 1))
+        for vertices in stream.vertices():
+            file.writelines(write_rows(row, vertices + stream.origin))
+        for faces in stream.faces():
+            file.writelines(write_rows("f %d %d %d\n", faces + 1))
 
 
-def coordinate_format(mesh: Mesh) -> str:
-    """Return the %-placeholder for a coordinate of a mesh in a text file."""
-    return "%.17g" if mesh.origin.any() else "%.9g"
+def coordinate_format(origin: FloatArray) -> str:
+    """Return the %-placeholder for a coordinate of a mesh with an origin in a text file."""
+    return "%.17g" if origin.any() else "%.9g"

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.io.columns import Ragged
+from hpcapp.io.mesh_stream import MeshStream, as_stream
 from hpcapp.io.obj import coordinate_format
 from hpcapp.io.polygons import mesh_of_polygons
 from hpcapp.io.rows import (
@@ -93,14 +94,14 @@ def _polygons(lines: Iterator[Line], path: Path) -> Ragged:
     return Ragged(np.array(lengths, np.int64), np.array(corners, np.int64))
 
 
-def write_off(path: Path, mesh: Mesh) -> None:
+def write_off(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as OFF, in the input's frame.
 
     Parameters
     ----------
     path : Path
         Appears whole or not at all.
-    mesh : Mesh
+    mesh : Mesh or MeshStream
         Its coordinates are written like those of an OBJ file.
 
     Raises
@@ -108,8 +109,11 @@ def write_off(path: Path, mesh: Mesh) -> None:
     OutputError
         The file cannot be written.
     """
-    row = " ".join([coordinate_format(mesh)] * 3) + "\n"
+    stream = as_stream(mesh)
+    row = " ".join([coordinate_format(stream.origin)] * 3) + "\n"
     with replacing(path) as file:
-        file.write(f"OFF\n{len(mesh.vertices)} {len(mesh.faces)} 0\n".encode("ascii"))
-        file.writelines(write_rows(row, mesh.vertices + mesh.origin))
-        file.writelines(write_rows("3 %d %d %d\n", mesh.faces))
+        file.write(f"OFF\n{stream.vertex_count} {stream.face_count} 0\n".encode("ascii"))
+        for vertices in stream.vertices():
+            file.writelines(write_rows(row, vertices + stream.origin))
+        for faces in stream.faces():
+            file.writelines(write_rows("3 %d %d %d\n", faces))

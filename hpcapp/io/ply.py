@@ -6,6 +6,8 @@ the elements mean: ``vertex`` is a point cloud (`ply_points`), ``vertex`` and ``
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.io.frame import needs_double
+from hpcapp.io.mesh_stream import MeshStream, as_stream
 from hpcapp.io.ply_ascii import read_ascii
 from hpcapp.io.ply_binary import read_binary
 from hpcapp.io.ply_header import read_header
@@ -23,8 +26,15 @@ from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import FloatArray, PointCloud
+from hpccomponent.surface.shared_ply import (
+    FACE_SIZE,
+    SharedPly,
+    face_rows,
+    vertex_rows,
+    vertex_size,
+)
 
-__all__ = ["read_ply_mesh", "write_ply_mesh", "write_ply_points"]
+__all__ = ["read_ply_mesh", "shared_ply", "write_ply_mesh", "write_ply_points"]
 
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 _ROWS_AT_ONCE = 1 << 16
@@ -101,14 +111,14 @@ def write_ply_points(path: Path, cloud: PointCloud) -> None:
         _write_columns(file, columns)
 
 
-def write_ply_mesh(path: Path, mesh: Mesh) -> None:
+def write_ply_mesh(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as binary little-endian PLY.
 
     Parameters
     ----------
     path : Path
         Appears whole or not at all.
-    mesh : Mesh
+    mesh : Mesh or MeshStream
         Vertices are written like the points of `write_ply_points`.
 
     Raises
@@ -116,15 +126,61 @@ def write_ply_mesh(path: Path, mesh: Mesh) -> None:
     OutputError
         The file cannot be written.
     """
-    columns = _coordinate_columns(mesh.vertices, mesh.origin)
-    faces = np.empty(len(mesh.faces), [("n", "u1"), ("corners", "<i4", (3,))])
-    faces["n"] = 3
-    faces["corners"] = mesh.faces
-    face_lines = [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    stream = as_stream(mesh)
+    is_double = needs_double(stream.box, stream.origin)
     with replacing(path) as file:
-        file.write(_header(_vertex_lines(columns) + face_lines))
-        _write_columns(file, columns)
-        file.write(faces.data)
+        file.write(_mesh_header((stream.vertex_count, stream.face_count), is_double))
+        for vertices in stream.vertices():
+            file.write(vertex_rows(vertices, stream.origin, is_double).data)
+        for faces in stream.faces():
+            file.write(face_rows(faces).data)
+
+
+@contextmanager
+def shared_ply(
+    path: Path, counts: tuple[int, int], origin: FloatArray, box: FloatArray
+) -> Iterator[SharedPly]:
+    """Open a mesh's PLY file for many to write: the file that `write_ply_mesh` would write.
+
+    Parameters
+    ----------
+    path : Path
+        Appears when the block ends well; else nothing is left of it.
+    counts : tuple of int
+        Vertices and faces.
+    origin, box : ndarray of float64, shape (3,) and (2, 3)
+        See `MeshStream`.
+
+    Yields
+    ------
+    SharedPly
+        Where `hpccomponent.surface.shared_ply.write_part` is to write, until the block ends.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    is_double = needs_double(box, origin)
+    header = _mesh_header(counts, is_double)
+    face_start = len(header) + counts[0] * vertex_size(is_double)
+    with replacing(path) as file:
+        file.write(header)
+        file.truncate(face_start + counts[1] * FACE_SIZE)
+        file.flush()
+        yield SharedPly(str(file.name), len(header), face_start, is_double, origin)
+
+
+def _mesh_header(counts: tuple[int, int], is_double: bool) -> bytes:
+    kind = "double" if is_double else "float"
+    return _header(
+        [
+            f"element vertex {counts[0]}",
+            *(f"property {kind} {name}" for name in AXES),
+            f"element face {counts[1]}",
+            "property list uchar int vertex_indices",
+        ]
+    )
 
 
 def _plain_columns(

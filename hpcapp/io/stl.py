@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.io.columns import Ragged
+from hpcapp.io.mesh_stream import MeshStream, as_stream
 from hpcapp.io.polygons import mesh_of_polygons
 from hpcapp.io.rows import numbered, parse_table
 from hpcapp.io.staging import replacing
@@ -83,14 +84,14 @@ def _ascii_corners(path: Path) -> FloatArray:
     return corners
 
 
-def write_stl(path: Path, mesh: Mesh) -> None:
+def write_stl(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as binary STL, in the local frame.
 
     Parameters
     ----------
     path : Path
         Appears whole or not at all.
-    mesh : Mesh
+    mesh : Mesh or MeshStream
         Single precision would ruin georeferenced coordinates: its origin is not added, but
         noted in the file's header.
 
@@ -99,17 +100,18 @@ def write_stl(path: Path, mesh: Mesh) -> None:
     OutputError
         The file cannot be written.
     """
-    triangles = np.zeros(len(mesh.faces), _TRIANGLE)
-    corners = mesh.vertices[mesh.faces]
-    triangles["corners"] = corners
-    triangles["normal"] = _unit_normals(corners)
+    stream = as_stream(mesh)
     head = "hpcapp"
-    if mesh.origin.any():
-        head += " origin " + " ".join(f"{coordinate:.0f}" for coordinate in mesh.origin)
+    if stream.origin.any():
+        head += " origin " + " ".join(f"{coordinate:.0f}" for coordinate in stream.origin)
     with replacing(path) as file:
         file.write(head.encode("ascii")[:_HEAD_BYTES].ljust(_HEAD_BYTES))
-        file.write(len(triangles).to_bytes(4, "little"))
-        file.write(triangles.data)
+        file.write(stream.face_count.to_bytes(4, "little"))
+        for corners in stream.corners():
+            triangles = np.zeros(len(corners), _TRIANGLE)
+            triangles["corners"] = corners
+            triangles["normal"] = _unit_normals(corners)
+            file.write(triangles.data)
 
 
 def _unit_normals(corners: FloatArray) -> FloatArray:

@@ -435,25 +435,35 @@ def signed_volume(vertices: FloatArray, faces: IntArray, reference: FloatArray) 
     return float(_native.signed_volume(_floats(vertices), _integers(faces), _floats(reference)))
 
 
-def find_seams(nodes: Int32Array, vertex_of: Int32Array, is_open: NDArray[np.bool_]) -> Seams:
+def find_seams(
+    faces: Int32Array, counts: tuple[int, int], vertex_of: Int32Array, is_open: NDArray[np.bool_]
+) -> Seams:
     """Find the open vertices of a part; see `seams.find_seams`."""
-    from hpccomponent.surface import seams
+    if _native is None:
+        from hpccomponent.surface import seams
 
-    return seams.find_seams(nodes, vertex_of, is_open)
+        return seams.find_seams(faces, counts, vertex_of, is_open)
+    return Seams(*_native.find_seams(faces, *counts, vertex_of, is_open))
 
 
 def sum_bricks(
     vertices: FloatArray,
-    corners: Int32Array,
+    faces: Int32Array,
     counts: tuple[Int32Array, Int32Array],
     labels: Int32Array,
     components: int,
     reference: FloatArray,
 ) -> BrickSums:
     """Sum over what each brick holds; see `seams.sum_bricks`."""
-    from hpccomponent.surface import seams
+    if _native is None:
+        from hpccomponent.surface import seams
 
-    return seams.sum_bricks(vertices, corners, counts, labels, components, reference)
+        return seams.sum_bricks(vertices, faces, counts, labels, components, reference)
+    starts, entries, bounds = _native.sum_bricks(
+        _floats(vertices), faces, *counts, labels, components, _floats(reference)
+    )
+    kinds, of_vertices, of_faces, sums = entries
+    return BrickSums(starts, kinds, of_vertices, of_faces, sums, bounds)
 
 
 def _field_values(field: Field) -> tuple[Any, ...]:

@@ -98,7 +98,7 @@ class _Nodes:
     the first v + g nodes.
     """
 
-    corners: Int32Array
+    faces: Int32Array
     vertex_of: Int32Array
     unit_of: Int32Array
     is_open: NDArray[np.bool_]
@@ -117,18 +117,18 @@ def summarize_part(part: MeshPart) -> PartSummary:
         A few per cent of the part's size: it grows with the bricks and along the seams.
     """
     own = len(part.vertices)
-    corners = np.where(part.faces < 0, own + ~part.faces, part.faces)
-    nodes = _name_nodes(part, corners)
-    seams = kernels.find_seams(nodes.corners, nodes.vertex_of, nodes.is_open)
-    reference = part.vertices.mean(axis=0) if own else np.zeros(3)
+    nodes = _name_nodes(part)
+    all_vertices = (own, len(part.foreign_bricks))
+    seams = kernels.find_seams(nodes.faces, all_vertices, nodes.vertex_of, nodes.is_open)
+    reference = part.vertices[0].copy() if own else np.zeros(3)
     counts = (part.vertex_counts, part.face_counts)
     sums = kernels.sum_bricks(
-        part.vertices, corners, counts, seams.labels, seams.components, reference
+        part.vertices, part.faces, counts, seams.labels, seams.components, reference
     )
     pieces, bare = nodes.vertex_of[seams.pieces], nodes.vertex_of[seams.bare]
-    at_seam = np.flatnonzero((part.faces < 0).any(axis=1))
-    rim = np.unique(np.concatenate([pieces, bare, corners[at_seam].reshape(-1)]))
-    rim = rim[: np.searchsorted(rim, own)]
+    at_seam = np.unique(np.flatnonzero(part.faces.reshape(-1) < 0) // 3)
+    rim = np.unique(np.concatenate([pieces, bare, part.faces[at_seam].reshape(-1)]))
+    rim = rim[np.searchsorted(rim, 0) : np.searchsorted(rim, own)]
     return PartSummary(
         part.bricks,
         part.guests,
@@ -154,7 +154,7 @@ def summarize_part(part: MeshPart) -> PartSummary:
     )
 
 
-def _name_nodes(part: MeshPart, corners: Int32Array) -> _Nodes:
+def _name_nodes(part: MeshPart) -> _Nodes:
     """Give the vertices of each guest brick's faces nodes of their own."""
     own, all_vertices = len(part.vertices), len(part.vertices) + len(part.foreign_bricks)
     is_open = np.zeros(all_vertices, np.bool_)
@@ -162,25 +162,27 @@ def _name_nodes(part: MeshPart, corners: Int32Array) -> _Nodes:
     vertex_of = np.arange(all_vertices, dtype=np.int32)
     unit_of = np.full(all_vertices, -1, np.int32)
     if not part.guests.any():
-        return _Nodes(corners, vertex_of, unit_of, is_open)
+        return _Nodes(part.faces, vertex_of, unit_of, is_open)
     brick_of = np.repeat(np.arange(len(part.bricks)), part.vertex_counts)
     in_guest = np.repeat(part.guests, part.vertex_counts)
     of_guest = np.repeat(part.guests, part.face_counts)
     units = np.repeat(np.arange(len(part.bricks)), part.face_counts)[of_guest]
     is_open[:own] = in_guest
+    corners = part.faces[of_guest]
+    corners = np.where(corners < 0, own + ~corners, corners)
     named = np.concatenate(
         [
-            (units[:, None] * all_vertices + corners[of_guest]).reshape(-1),
+            (units[:, None] * all_vertices + corners).reshape(-1),
             brick_of[in_guest] * all_vertices + np.flatnonzero(in_guest),
         ]
     )
     found, nodes = np.unique(named, return_inverse=True)
     unit, vertex = np.divmod(found, all_vertices)
-    corners = corners.copy()
-    corners[of_guest] = all_vertices + nodes[: 3 * len(units)].reshape(-1, 3)
+    faces = part.faces.copy()
+    faces[of_guest] = all_vertices + nodes[: 3 * len(units)].reshape(-1, 3)
     is_own = (vertex < own) & (np.append(brick_of, -1)[np.minimum(vertex, own)] == unit)
     return _Nodes(
-        corners,
+        faces,
         np.concatenate([vertex_of, vertex.astype(np.int32)]),
         np.concatenate([unit_of, unit.astype(np.int32)]),
         np.concatenate([is_open, ~is_own]),

@@ -74,13 +74,17 @@ class BrickSums:
     bounds: FloatArray
 
 
-def find_seams(nodes: Int32Array, vertex_of: Int32Array, is_open: NDArray[np.bool_]) -> Seams:
+def find_seams(
+    faces: Int32Array, counts: tuple[int, int], vertex_of: Int32Array, is_open: NDArray[np.bool_]
+) -> Seams:
     """Find the open vertices of a part and what lies between them.
 
     Parameters
     ----------
-    nodes : ndarray of int32, shape (f, 3)
-        The corners of the faces.
+    faces : ndarray of int32, shape (f, 3)
+        The corners: i >= 0 is a node, i < 0 the foreign vertex ~i.
+    counts : tuple of int
+        The part's own vertices, and foreign ones, which are numbered after its own; v together.
     vertex_of : ndarray of int32, shape (n,)
         The vertex of each node; node i < v is vertex i.
     is_open : ndarray of bool, shape (n,)
@@ -91,6 +95,7 @@ def find_seams(nodes: Int32Array, vertex_of: Int32Array, is_open: NDArray[np.boo
     Seams
     """
     count = len(is_open)
+    nodes = np.where(faces < 0, counts[0] + ~faces, faces)
     flat = nodes.reshape(-1).astype(np.int64)
     after, before = (np.roll(nodes, step, axis=1).reshape(-1).astype(np.int64) for step in (-1, 1))
     follower = _follow(flat * count + after, flat * count + before)
@@ -115,14 +120,13 @@ def find_seams(nodes: Int32Array, vertex_of: Int32Array, is_open: NDArray[np.boo
     ends = np.where(loose % 3 == 2, loose - 2, loose + 1)
     sides = np.stack([loose, piece[loose], piece[ends]], axis=1).astype(np.int32)
     bare = np.flatnonzero((np.bincount(flat, minlength=count) == 0) & ~is_open)
-    vertices = int(vertex_of.max(initial=-1)) + 1
-    components, labels = label_components(vertex_of[nodes].astype(np.int64), vertices)
+    components, labels = label_components(vertex_of[nodes].astype(np.int64), sum(counts))
     return Seams(components, labels, flat[heads].astype(np.int32), sides, bare.astype(np.int32))
 
 
 def sum_bricks(
     vertices: FloatArray,
-    corners: Int32Array,
+    faces: Int32Array,
     counts: tuple[Int32Array, Int32Array],
     labels: Int32Array,
     components: int,
@@ -134,8 +138,8 @@ def sum_bricks(
     ----------
     vertices : ndarray of float64, shape (v, 3)
         Brick by brick; in length units of the input.
-    corners : ndarray of int32, shape (f, 3)
-        The vertices of the faces, brick by brick; from v on they are foreign.
+    faces : ndarray of int32, shape (f, 3)
+        Brick by brick; i < 0 is a foreign vertex.
     counts : tuple of ndarray of int32, shape (b,)
         How many vertices and faces each brick has.
     labels : ndarray of int32, shape (v + g,)
@@ -150,10 +154,11 @@ def sum_bricks(
     """
     brick_of = [np.repeat(np.arange(len(each)), each) for each in counts]
     own = len(vertices)
+    heads = np.where(faces[:, 0] < 0, own + ~faces[:, 0], faces[:, 0])
     keys = np.concatenate(
         [
             brick_of[0] * components + labels[:own],
-            brick_of[1] * components + labels[corners[:, 0]],
+            brick_of[1] * components + labels[heads],
         ]
     )
     found, first, entry = np.unique(keys, return_index=True, return_inverse=True)
@@ -165,8 +170,8 @@ def sum_bricks(
     bricks = np.bincount(found // max(components, 1), minlength=len(counts[0]))
 
     local = vertices - reference
-    known = (corners < own).all(axis=1)
-    a, b, c = (local[corners[known, k]] for k in range(3))
+    known = (faces >= 0).all(axis=1)
+    a, b, c = (local[faces[known, k]] for k in range(3))
     areas = np.cross(b - a, c - a)
     volumes = (a * np.cross(b, c)).sum(axis=1)
     sums = np.zeros((len(found), 7))

@@ -6,7 +6,7 @@ vertices. Vertices are known by their brick and their number in it, never by whe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +57,44 @@ class WeldPlan:
     box: FloatArray
     topology: Topology
 
+    def givers(self, first: int, last: int) -> Iterator[tuple[int, IntArray]]:
+        """Return which part gives which of some bricks.
+
+        Parameters
+        ----------
+        first, last : int
+            The bricks, in the order of the keys.
+
+        Yields
+        ------
+        index : int
+            Of the part.
+        bricks : ndarray of int64, shape (k,)
+            Rows of the bricks in the part, sorted.
+        """
+        taken = self.bricks.taken[first:last]
+        owners = self.bricks.part_of(taken)
+        for index in np.unique(owners).tolist():
+            yield index, taken[owners == index] - self.bricks.parts[index]
+
+    def locate_foreign(
+        self, index: int, foreign: IntArray | NDArray[np.int32]
+    ) -> tuple[IntArray, IntArray]:
+        """Return where foreign vertices of a part are: the index of the part, and the row in it.
+
+        Parameters
+        ----------
+        index : int
+            Of the part that refers to them.
+        foreign : ndarray of int, shape (m,)
+        """
+        summary = self.summaries[index]
+        wanted, numbers = summary.foreign_bricks[foreign], summary.foreign_numbers[foreign]
+        copies = self.bricks.taken[np.searchsorted(self.bricks.keys, wanted)]
+        starts = starts_of(self.bricks.vertex_counts)
+        owners = self.bricks.part_of(copies)
+        return owners, starts[copies] - starts[self.bricks.parts[owners]] + numbers
+
     @property
     def vertex_count(self) -> int:
         """Vertices of the mesh."""
@@ -85,9 +123,15 @@ class WeldPlan:
         return PartPlaces(
             self.vertex_starts[place],
             np.where(bricks.is_taken[mine], self.face_starts[place], -1),
-            np.flatnonzero(~self.kept[bricks.labels_in(index)]).astype(np.int32),
+            self._dropped(index),
             np.where(is_kept, numbers, -1),
         )
+
+    def _dropped(self, index: int) -> NDArray[np.int32]:
+        starts = self.bricks.label_starts
+        if self.kept[starts[index] : starts[index + 1]].all():
+            return np.empty(0, np.int32)
+        return np.flatnonzero(~self.kept[self.bricks.labels_in(index)]).astype(np.int32)
 
 
 def plan_weld(summaries: Sequence[PartSummary]) -> WeldPlan:

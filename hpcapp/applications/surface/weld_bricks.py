@@ -68,6 +68,10 @@ class PartBricks:
         """Return the rows of the bricks of a part."""
         return slice(int(self.parts[index]), int(self.parts[index + 1]))
 
+    def part_of(self, bricks: IntArray) -> IntArray:
+        """Return the parts that bricks (rows) are of."""
+        return np.searchsorted(self.parts, bricks, side="right") - 1
+
     def labels_in(self, index: int) -> IntArray:
         """Return the label of every vertex of a part."""
         mine = self.of_part(index)

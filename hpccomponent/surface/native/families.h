@@ -26,6 +26,7 @@ void bind_poisson(nb::module_& module);
 void bind_field(nb::module_& module);
 void bind_surface(nb::module_& module);
 void bind_topology(nb::module_& module);
+void bind_seams(nb::module_& module);
 void bind_balance(nb::module_& module);
 
 }  // namespace hpc

@@ -3,42 +3,10 @@
 #include <numeric>
 
 #include "families.h"
+#include "sets.h"
 
 namespace hpc {
 namespace {
-
-// Joins numbers to sets; the lowest number of a set stands for it.
-class Sets {
- public:
-  explicit Sets(int64_t count) : parent_(static_cast<size_t>(count)) {
-    std::iota(parent_.begin(), parent_.end(), 0);
-  }
-
-  int32_t find(int32_t i) {
-    while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
-    return i;
-  }
-
-  void join(int32_t a, int32_t b) {
-    a = find(a);
-    b = find(b);
-    if (a < b) parent_[b] = a;
-    if (b < a) parent_[a] = b;
-  }
-
-  // Number the sets in the order of their lowest members; return how many there are.
-  int32_t number(int32_t* label) {
-    int32_t count = 0;
-    for (size_t i = 0; i < parent_.size(); ++i) {
-      const int32_t root = find(static_cast<int32_t>(i));
-      label[i] = root == static_cast<int32_t>(i) ? count++ : label[root];
-    }
-    return count;
-  }
-
- private:
-  std::vector<int32_t> parent_;
-};
 
 nb::tuple label_components(Input faces_of, int64_t vertices) {
   const int64_t* faces = check_faces(faces_of, vertices);

@@ -21,6 +21,7 @@ KERNELS = (
     "parent_keys", "sample_grid", "scale_moments", "seed_bricks", "shift_moments",
     "signed_volume", "sort_points", "spread_keys", "survey_mesh", "unite_keys", "gather_points",
     "bound_points", "sample_boxes", "integrate_normals", "sample_corners",
+    "find_seams", "sum_bricks",
 )  # fmt: skip
 
 numbers = st.one_of(

@@ -1,0 +1,63 @@
+"""A mesh that is written block after block, so that it need never be in memory as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpcapp.io.frame import finite_bounds
+from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.points import FloatArray, IntArray
+
+__all__ = ["MeshStream", "as_stream"]
+
+_ROWS_AT_ONCE = 1 << 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshStream:
+    """A triangle mesh whose rows come in blocks of any size, in order.
+
+    Parameters
+    ----------
+    vertex_count, face_count : int
+    origin : ndarray of float64, shape (3,)
+        To be added to the vertices for the input's own coordinates.
+    box : ndarray of float64, shape (2, 3)
+        The lowest and highest finite coordinates of the vertices; zeros where there are none.
+    vertices : callable
+        Returns an iterator over blocks of vertices, shape (n, 3), in the local frame.
+    faces : callable
+        Returns an iterator over blocks of faces, shape (n, 3).
+    corners : callable
+        Returns an iterator over blocks of the faces' corners, shape (n, 3, 3), in the local frame.
+    """
+
+    vertex_count: int
+    face_count: int
+    origin: FloatArray
+    box: FloatArray
+    vertices: Callable[[], Iterator[FloatArray]]
+    faces: Callable[[], Iterator[IntArray]]
+    corners: Callable[[], Iterator[FloatArray]]
+
+
+def as_stream(mesh: Mesh | MeshStream) -> MeshStream:
+    """Return a mesh in memory as a stream, and a stream as it is."""
+    if isinstance(mesh, MeshStream):
+        return mesh
+    return MeshStream(
+        len(mesh.vertices),
+        len(mesh.faces),
+        mesh.origin,
+        np.stack(finite_bounds(mesh.vertices)),
+        lambda: (mesh.vertices[rows] for rows in _blocks(len(mesh.vertices))),
+        lambda: (mesh.faces[rows] for rows in _blocks(len(mesh.faces))),
+        lambda: (mesh.vertices[mesh.faces[rows]] for rows in _blocks(len(mesh.faces))),
+    )
+
+
+def _blocks(rows: int) -> Iterator[slice]:
+    return (slice(start, start + _ROWS_AT_ONCE) for start in range(0, rows, _ROWS_AT_ONCE))

@@ -1,0 +1,323 @@
+// The open seams of a part of a mesh, and what its bricks hold (see seams.py).
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "families.h"
+#include "sets.h"
+
+namespace hpc {
+namespace {
+
+// The faces of a part: i >= 0 is a node, i < 0 the foreign vertex ~i, whose node is own + ~i.
+struct Faces {
+  const int32_t* corners;
+  int64_t count;
+  int32_t own;
+
+  int32_t node(int64_t corner) const {
+    const int32_t i = corners[corner];
+    return i < 0 ? own + ~i : i;
+  }
+  int32_t next(int64_t corner) const { return node(after(corner)); }
+  int32_t last(int64_t corner) const { return node(corner % 3 == 0 ? corner + 2 : corner - 1); }
+  static int64_t after(int64_t corner) { return corner % 3 == 2 ? corner - 2 : corner + 1; }
+};
+
+Faces check_nodes(const Input& faces_of, int64_t own, int64_t foreign, int64_t nodes) {
+  const int32_t* corners = check<int32_t>(faces_of, "faces", {ANY, 3});
+  const int64_t count = rows_of(faces_of);
+  if (own < 0 || foreign < 0 || own >= INT32_MAX || foreign >= INT32_MAX - own || nodes >= INT32_MAX || 3 * count >= INT32_MAX)
+    refuse("faces: too many, or too many vertices");
+  int32_t lowest = 0, highest = -1;
+  for (int64_t c = 0; c < 3 * count; ++c) {
+    lowest = std::min(lowest, corners[c]);
+    highest = std::max(highest, corners[c]);
+  }
+  if (highest >= nodes || lowest < -foreign) refuse("faces: a vertex that is not there");
+  return {corners, count, static_cast<int32_t>(own)};
+}
+
+// The two other nodes of a face as seen from one of its corners, anticlockwise.
+struct Link {
+  int32_t after, before;
+};
+
+// The corners of the faces, grouped by their nodes.
+struct Corners {
+  std::vector<int32_t> starts;
+  Buffer<Link> links;
+
+  Corners(const Faces& faces, int64_t nodes)
+      : starts(static_cast<size_t>(nodes) + 2, 0), links(make_buffer<Link>(3 * faces.count)) {
+    for (int64_t c = 0; c < 3 * faces.count; ++c) ++starts[faces.node(c) + 2];
+    std::partial_sum(starts.begin(), starts.end(), starts.begin());
+    // Filling moves every start to the next one's place.
+    for (int64_t f = 0; f < 3 * faces.count; f += 3) {
+      const int32_t a = faces.node(f), b = faces.node(f + 1), c = faces.node(f + 2);
+      links[starts[a + 1]++] = {b, c};
+      links[starts[b + 1]++] = {c, a};
+      links[starts[c + 1]++] = {a, b};
+    }
+  }
+
+  const Link* begin(int64_t node) const { return links.get() + starts[node]; }
+  int32_t count(int64_t node) const { return starts[node + 1] - starts[node]; }
+};
+
+// Tell whether the faces at a node stand around it in one ring. Of links that leave to one node the
+// last is found: were there two, the other would be left out and the ring too short. `slots` has a
+// place for each node, and may hold anything that is not negative.
+bool is_ring(const Link* links, int32_t count, int32_t self, int32_t* slots) {
+  if (!count) return false;
+  for (int32_t i = 0; i < count; ++i) slots[links[i].after] = i;
+  const int32_t start = links[0].after;
+  int32_t at = links[0].before, visited = 1;
+  for (; at != start; ++visited) {
+    const int32_t i = slots[at];
+    if (i >= count || links[i].after != at || at == self || visited == count) return false;
+    at = links[i].before;
+  }
+  return visited == count && at != self;
+}
+
+// A corner at an open node.
+struct Open {
+  int32_t node, corner;
+};
+
+struct Found {
+  Sets labels;
+  std::vector<uint8_t> closed;
+  std::vector<int32_t> pieces, sides, bare;
+};
+
+// Label the vertices, and tell which nodes are closed.
+void close_nodes(const Corners& corners, const int32_t* vertex_of, const bool* is_open, int64_t count, Found& found) {
+  std::vector<int32_t> slots(static_cast<size_t>(count), 0);
+  for (int64_t n = 0; n < count; ++n) {
+    const Link* links = corners.begin(n);
+    const int32_t degree = corners.count(n), self = vertex_of[n];
+    found.closed[n] = !is_open[n] && is_ring(links, degree, static_cast<int32_t>(n), slots.data());
+    // Each side is seen from both its ends, in a ring even twice.
+    for (int32_t i = 0; i < degree; ++i) {
+      if (links[i].after < n) found.labels.join(vertex_of[links[i].after], self);
+      if (links[i].before < n && !found.closed[n]) found.labels.join(vertex_of[links[i].before], self);
+    }
+    if (!degree && !is_open[n]) found.bare.push_back(static_cast<int32_t>(n));
+  }
+}
+
+// Join the corners at each open node across edges whose other end is closed, and list the sides
+// between open nodes.
+void join_open(const Faces& faces, Found& found) {
+  std::vector<Open> open;
+  for (int64_t c = 0; c < 3 * faces.count; ++c)
+    if (!found.closed[faces.node(c)]) open.push_back({faces.node(c), static_cast<int32_t>(c)});
+  std::sort(open.begin(), open.end(),
+            [](const Open& a, const Open& b) { return a.node != b.node ? a.node < b.node : a.corner < b.corner; });
+  const size_t count = open.size();
+  Sets joined(static_cast<int64_t>(count));
+  for (size_t i = 0, end; i < count; i = end) {
+    for (end = i; end < count && open[end].node == open[i].node;) ++end;
+    for (size_t a = i; a < end; ++a) {
+      const int32_t across = faces.last(open[a].corner);
+      if (!found.closed[across]) continue;
+      for (size_t b = i; b < end; ++b)
+        if (faces.next(open[b].corner) == across) joined.join(static_cast<int32_t>(a), static_cast<int32_t>(b));
+    }
+  }
+  std::vector<int32_t> piece(count);
+  joined.number(piece.data());
+  std::vector<std::pair<int32_t, int32_t>> piece_of;  // of each open corner
+  for (size_t i = 0; i < count; ++i) {
+    if (piece[i] == static_cast<int32_t>(found.pieces.size())) found.pieces.push_back(open[i].node);
+    piece_of.emplace_back(open[i].corner, piece[i]);
+  }
+  std::sort(piece_of.begin(), piece_of.end());
+  for (size_t i = 0; i < count; ++i) {
+    const int32_t corner = piece_of[i].first, head = static_cast<int32_t>(Faces::after(corner));
+    if (found.closed[faces.node(head)]) continue;
+    const auto at = std::lower_bound(piece_of.begin(), piece_of.end(), std::make_pair(head, INT32_MIN));
+    found.sides.insert(found.sides.end(), {corner, piece_of[i].second, at->second});
+  }
+}
+
+Output<int32_t> give_list(const std::vector<int32_t>& values, int64_t columns = 0) {
+  auto data = make_buffer<int32_t>(static_cast<int64_t>(values.size()));
+  std::copy(values.begin(), values.end(), data.get());
+  if (!columns) return give(std::move(data), {values.size()});
+  return give(std::move(data), {values.size() / static_cast<size_t>(columns), static_cast<size_t>(columns)});
+}
+
+const int32_t* check_rows(const Input& rows_of_, const char* name, std::initializer_list<int64_t> shape, int64_t limit) {
+  const int32_t* rows = check<int32_t>(rows_of_, name, shape);
+  for (size_t i = 0; i < rows_of_.size(); ++i)
+    if (rows[i] < 0 || rows[i] >= limit) refuse(std::string(name) + ": a row that is not there");
+  return rows;
+}
+
+nb::tuple find_seams(Input faces_of, int64_t own, int64_t foreign, Input vertex_of_, Input is_open_of) {
+  const bool* is_open = check<bool>(is_open_of, "is_open", {ANY});
+  const int64_t count = rows_of(is_open_of);
+  const Faces faces = check_nodes(faces_of, own, foreign, count);
+  const int64_t vertices = own + foreign;
+  if (vertices > count) refuse("is_open: too few nodes");
+  const int32_t* vertex_of = check_rows(vertex_of_, "vertex_of", {count}, vertices);
+  auto labels = make_buffer<int32_t>(vertices);
+  int64_t components = 0;
+  Found found{Sets(vertices), std::vector<uint8_t>(static_cast<size_t>(count)), {}, {}, {}};
+  {
+    nb::gil_scoped_release unlocked;
+    close_nodes(Corners(faces, count), vertex_of, is_open, count, found);
+    components = found.labels.number(labels.get());
+    join_open(faces, found);
+  }
+  return nb::make_tuple(components, give(std::move(labels), {static_cast<size_t>(vertices)}), give_list(found.pieces),
+                        give_list(found.sides, 3), give_list(found.bare));
+}
+
+struct Vector {
+  double x, y, z;
+};
+
+inline Vector operator-(const Vector& a, const Vector& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+inline Vector cross(const Vector& a, const Vector& b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+// A component in a brick.
+struct Entry {
+  int32_t label, vertices, faces;
+  double sums[7];
+};
+
+struct PartView {
+  const double* vertices;
+  Faces faces;
+  const int32_t* labels;
+  Vector reference;
+
+  Vector at(int64_t i) const {
+    const double* v = vertices + 3 * i;
+    return Vector{v[0], v[1], v[2]} - reference;
+  }
+};
+
+// The entries of one brick, in the order in which its vertices and then its faces name them.
+class BrickEntries {
+ public:
+  explicit BrickEntries(std::vector<Entry>& all) : all_(all), first_(all.size()) {}
+
+  Entry& of(int32_t label) {
+    for (size_t i = first_; i < all_.size(); ++i)
+      if (all_[i].label == label) return all_[i];
+    all_.push_back({label, 0, 0, {}});
+    return all_.back();
+  }
+
+ private:
+  std::vector<Entry>& all_;
+  size_t first_;
+};
+
+void add_vertex(const PartView& part, int64_t vertex, BrickEntries& entries, double* bounds) {
+  const int32_t label = part.labels[vertex];
+  Entry& entry = entries.of(label);
+  const Vector local = part.at(vertex);
+  ++entry.vertices;
+  entry.sums[4] += local.x;
+  entry.sums[5] += local.y;
+  entry.sums[6] += local.z;
+  for (int axis = 0; axis < 3; ++axis) {
+    const double coordinate = part.vertices[3 * vertex + axis];
+    bounds[6 * label + axis] = std::min(bounds[6 * label + axis], coordinate);
+    bounds[6 * label + 3 + axis] = std::max(bounds[6 * label + 3 + axis], coordinate);
+  }
+}
+
+void add_face(const PartView& part, int64_t index, BrickEntries& entries) {
+  const int32_t* face = part.faces.corners + 3 * index;
+  Entry& entry = entries.of(part.labels[part.faces.node(3 * index)]);
+  ++entry.faces;
+  if (face[0] < 0 || face[1] < 0 || face[2] < 0) return;
+  const Vector a = part.at(face[0]), b = part.at(face[1]), c = part.at(face[2]);
+  const Vector turn = cross(b, c), area = cross(b - a, c - a);
+  entry.sums[0] += a.x * turn.x + a.y * turn.y + a.z * turn.z;
+  entry.sums[1] += area.x;
+  entry.sums[2] += area.y;
+  entry.sums[3] += area.z;
+}
+
+int64_t sum_counts(const int32_t* counts, int64_t bricks, const char* name) {
+  int64_t total = 0;
+  for (int64_t b = 0; b < bricks; ++b) {
+    if (counts[b] < 0) refuse(std::string(name) + ": a negative count");
+    total += counts[b];
+  }
+  return total;
+}
+
+nb::tuple give_entries(const std::vector<Entry>& entries) {
+  const int64_t count = static_cast<int64_t>(entries.size());
+  auto labels = make_buffer<int32_t>(count), vertices = make_buffer<int32_t>(count), faces = make_buffer<int32_t>(count);
+  auto sums = make_buffer<double>(7 * count);
+  for (int64_t e = 0; e < count; ++e) {
+    labels[e] = entries[e].label;
+    vertices[e] = entries[e].vertices;
+    faces[e] = entries[e].faces;
+    std::copy(entries[e].sums, entries[e].sums + 7, sums.get() + 7 * e);
+  }
+  const size_t rows = entries.size();
+  return nb::make_tuple(give(std::move(labels), {rows}), give(std::move(vertices), {rows}),
+                        give(std::move(faces), {rows}), give(std::move(sums), {rows, 7}));
+}
+
+nb::tuple sum_bricks(Input vertices_of, Input faces_of, Input vertex_counts_of, Input face_counts_of, Input labels_of,
+                     int64_t components, Input reference_of) {
+  const double* vertices = check<double>(vertices_of, "vertices", {ANY, 3});
+  if (components < 0 || labels_of.ndim() != 1 || components > rows_of(labels_of)) refuse("components: expected a count");
+  const int32_t* labels = check_rows(labels_of, "labels", {ANY}, components);
+  const int64_t own = rows_of(vertices_of), all = rows_of(labels_of);
+  if (own > all) refuse("labels: too few");
+  const Faces faces = check_nodes(faces_of, own, all - own, own);
+  const int32_t* vertex_counts = check<int32_t>(vertex_counts_of, "vertex_counts", {ANY});
+  const int64_t bricks = rows_of(vertex_counts_of);
+  const int32_t* face_counts = check<int32_t>(face_counts_of, "face_counts", {bricks});
+  const double* reference = check<double>(reference_of, "reference", {3});
+  if (sum_counts(vertex_counts, bricks, "vertex_counts") != own ||
+      sum_counts(face_counts, bricks, "face_counts") != faces.count)
+    refuse("counts: they do not add up");
+  const PartView part{vertices, faces, labels, {reference[0], reference[1], reference[2]}};
+  auto starts = make_buffer<int32_t>(bricks + 1);
+  auto bounds = make_buffer<double>(6 * components);
+  std::vector<Entry> entries;
+  {
+    nb::gil_scoped_release unlocked;
+    for (int64_t i = 0; i < 6 * components; ++i) {
+      const double infinity = std::numeric_limits<double>::infinity();
+      bounds[i] = i % 6 < 3 ? infinity : -infinity;
+    }
+    int64_t vertex = 0, face = 0;
+    for (int64_t b = 0; b < bricks; ++b) {
+      starts[b] = static_cast<int32_t>(entries.size());
+      BrickEntries of_brick(entries);
+      for (const int64_t end = vertex + vertex_counts[b]; vertex < end; ++vertex)
+        add_vertex(part, vertex, of_brick, bounds.get());
+      for (const int64_t end = face + face_counts[b]; face < end; ++face)
+        add_face(part, face, of_brick);
+    }
+    starts[bricks] = static_cast<int32_t>(entries.size());
+  }
+  return nb::make_tuple(give(std::move(starts), {static_cast<size_t>(bricks) + 1}), give_entries(entries),
+                        give(std::move(bounds), {static_cast<size_t>(components), 6}));
+}
+
+}  // namespace
+
+void bind_seams(nb::module_& module) {
+  module.def("find_seams", &find_seams);
+  module.def("sum_bricks", &sum_bricks);
+}
+
+}  // namespace hpc
