@@ -205,7 +205,7 @@ def open_executor(
             yield Backend(name, workforce, _counter(cluster.executor))
         return
     with _open_pool(name, count) as pool:
-        yield Backend(name, Workforce(pool, count, per_worker))
+        yield Backend(name, Workforce(pool, count, per_worker, name in ("serial", "threads")))
 
 
 @contextmanager

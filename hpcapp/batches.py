@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, TypeVar
 
+from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import HpcError, TaskError, WorkerLostError
 
 __all__ = ["Workforce", "cut_equal", "map_batches"]
@@ -31,11 +31,14 @@ class Workforce:
     batches_per_worker : int
         Into how many batches each worker's share is cut: 1 for the paper's equal batches,
         more where fast workers may take more than slow ones.
+    in_process : bool
+        Whether tasks run in this process: then nothing is gained by handing them small parts.
     """
 
     executor: Executor
     workers: int = 1
     batches_per_worker: int = 1
+    in_process: bool = False
 
     def cut(self, rows: int) -> list[slice]:
         """Cut `rows` rows into batches for this workforce, in order and equal to within one row."""
@@ -58,22 +61,6 @@ class Workforce:
         """
         share = getattr(self.executor, "share", None)
         return value if share is None else share(value)
-
-
-def cut_equal(rows: int, batches: int) -> list[slice]:
-    """Cut `rows` rows into at most `batches` runs, equal to within one row, none empty.
-
-    Examples
-    --------
-    >>> cut_equal(5, 2)
-    [slice(0, 3, None), slice(3, 5, None)]
-    >>> cut_equal(1, 4)
-    [slice(0, 1, None)]
-    """
-    batches = max(1, min(batches, rows))
-    short, longer = divmod(rows, batches)
-    starts = [i * short + min(i, longer) for i in range(batches + 1)]
-    return [slice(a, b) for a, b in pairwise(starts) if a < b]
 
 
 def map_batches(

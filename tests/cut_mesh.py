@@ -3,10 +3,11 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from hpccomponent.surface.bricks import grow_bricks
+from hpccomponent.surface.bricks import OWN, BrickKinds, grow_bricks
 from hpccomponent.surface.extraction import extract_surface
 from hpccomponent.surface.field import BRICK, Grid
 from hpccomponent.surface.lattice import pack_places, unpack_keys
+from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.mesh_part import MeshPart
 
 GRID = Grid(np.array([-1.0, -1.0, -1.0]), 1 / 24, (6, 6, 6))
@@ -14,7 +15,6 @@ GRID = Grid(np.array([-1.0, -1.0, -1.0]), 1 / 24, (6, 6, 6))
 
 def extract_shape(shape, grid=GRID):
     """Extract an analytic shape; return the mesh, and the bricks of its vertices and faces."""
-    places = np.stack(np.meshgrid(*map(np.arange, grid.bricks), indexing="ij"), -1).reshape(-1, 3)
     nodes = np.stack(np.meshgrid(*[np.arange(BRICK + 1)] * 3, indexing="ij"), axis=-1)
 
     def evaluate(bricks):
@@ -22,8 +22,10 @@ def extract_shape(shape, grid=GRID):
         values = shape(points).astype(np.float32)
         return np.where(values == 0.0, np.float32(1e-6), values)
 
-    bricks, values = grow_bricks(evaluate, pack_places(places), grid.bricks)
-    mesh = extract_surface(grid, bricks, values)
+    every = BrickKinds(np.zeros(3, np.int64), np.full(grid.bricks, OWN, np.uint8))
+    bricks, values, *_ = grow_bricks(evaluate, every, grid.bricks)
+    found = extract_surface(grid, bricks, values)
+    mesh = Mesh(found.vertices, found.faces)
     cells = (mesh.vertices - grid.origin) / grid.step
     of_vertex = np.floor(cells + 1e-4).astype(np.int64)
     of_face = np.floor(cells[mesh.faces].mean(axis=1)).astype(np.int64)

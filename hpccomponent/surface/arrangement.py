@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import frexp
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +85,10 @@ class PackedPoints:
 
     def __len__(self) -> int:
         return len(self.offsets)
+
+    def to_values(self) -> tuple[NDArray[Any], ...]:
+        """Return the arrays, in the order of the parameters: what a task may be given."""
+        return self.keys, self.counts, self.offsets, self.normals
 
 
 def choose_arrangement(low: FloatArray, high: FloatArray) -> Arrangement:

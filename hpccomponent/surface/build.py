@@ -20,26 +20,6 @@ BUILD_VARIABLE = "HPCAPP_BUILD"
 
 _EXTENSION = "hpccomponent.surface._native"
 _HASH_DIGITS = 12
-# The modules that are the portable kernels: their sources decide its bits.
-_PORTABLE = (
-    "blending",
-    "bricks",
-    "case_table",
-    "cells",
-    "coarse_grid",
-    "connectivity",
-    "extraction",
-    "far_field",
-    "field",
-    "hermite",
-    "lattice",
-    "moments",
-    "normals",
-    "outliers",
-    "patch_quadrics",
-    "seams",
-    "spacing",
-)
 
 
 @cache
@@ -106,6 +86,6 @@ def kernel_id(build: str | None = None) -> str:
         return f"native-{extension.KERNEL_HASH}"
     import hashlib  # it loads OpenSSL, which `hpcapp --version` would feel
 
-    folder = Path(__file__).parent
-    sources = b"".join((folder / f"{name}.py").read_bytes() for name in _PORTABLE)
+    modules = sorted(Path(__file__).parent.glob("*.py"))
+    sources = b"".join(module.read_bytes() for module in modules)
     return f"portable-{hashlib.sha256(sources).hexdigest()[:_HASH_DIGITS]}"

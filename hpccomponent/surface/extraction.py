@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface.blending import NODES
-from hpccomponent.surface.bricks import grow_bricks
+from hpccomponent.surface.bricks import BrickKinds, grow_bricks
 from hpccomponent.surface.case_table import EDGES, case_triangles, triangle_counts
 from hpccomponent.surface.field import BRICK, Field, Grid, evaluate_bricks
 from hpccomponent.surface.lattice import OCTANTS, find_keys, pack_places, step_keys
@@ -14,6 +16,7 @@ from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = [
+    "BrickMesh",
     "balance_vertices",
     "drop_small_components",
     "extract_surface",
@@ -26,14 +29,48 @@ Float32Array = NDArray[np.float32]
 _NEAREST = 0.002
 """Vertices keep this share of an edge from its ends, so that no triangle has zero area."""
 
-_SLIVER = 0.15
-"""Squared edges count as if they were longer by this share of their mean."""
+_SLIVER = 0.1
+"""Squared edges count as if they were longer by this share of a squared grid step."""
+
+_ROUNDS = 4
+"""Of holding folds: what a vertex gets depends on nothing farther away than seven faces."""
 
 _SMALL_SHARE = 0.002
 """A component with fewer faces than this share of the largest one's is dropped."""
 
 
-def extract_surface(grid: Grid, places: IntArray, values: Float32Array) -> Mesh:
+@dataclass(frozen=True, slots=True, eq=False)
+class BrickMesh:
+    """The surface in some bricks.
+
+    Parameters
+    ----------
+    bricks : ndarray of int64, shape (b,)
+        Sorted keys.
+    taken : ndarray of bool, shape (b,)
+        False for the rim: its outer faces may be missing.
+    vertex_counts, face_counts : ndarray of int32, shape (b,)
+        Of each brick.
+    vertices : ndarray of float64, shape (v, 3)
+        Brick after brick, in length units of the input.
+    faces : ndarray of int64, shape (f, 3)
+        Brick after brick, rows of `vertices`, anticlockwise as seen from outside (positive).
+    exits : ndarray of int64, shape (e,)
+        See `bricks.grow_bricks`.
+    """
+
+    bricks: IntArray
+    taken: NDArray[np.bool_]
+    vertex_counts: NDArray[np.int32]
+    face_counts: NDArray[np.int32]
+    vertices: FloatArray
+    faces: IntArray
+    exits: IntArray
+
+
+def extract_surface(
+    grid: Grid, places: IntArray, values: Float32Array, taken: NDArray[np.bool_] | None = None
+) -> BrickMesh:
     """Extract the 0-level of the node values.
 
     Parameters
@@ -43,43 +80,67 @@ def extract_surface(grid: Grid, places: IntArray, values: Float32Array) -> Mesh:
         Sorted, as `grow_bricks` gives them.
     values : ndarray of float32, shape (b, 9, 9, 9)
         Negative inside, never 0.
+    taken : ndarray of bool, shape (b,), optional
+        False for bricks whose neighbours may be missing: their faces are left out there.
 
     Returns
     -------
-    Mesh
-        Closed, edge- and vertex-manifold; faces anticlockwise as seen from outside (positive).
+    BrickMesh
+        Closed where all bricks are there, edge- and vertex-manifold.
+
+    Raises
+    ------
+    ValueError
+        A brick that the surface enters from one that is taken is missing.
 
     Notes
     -----
     The vertex on an edge belongs to the brick of the edge's lower node.
     """
+    taken = np.ones(len(places), np.bool_) if taken is None else taken
     inside = values < 0.0
     numbers, vertices = _place_vertices(grid, places, values, inside)
-    faces = _assemble_faces(places, inside, numbers)
-    return Mesh(vertices, faces)
+    faces, owner = _assemble_faces(places, inside, numbers)
+    whole = np.logical_and.reduce(faces >= 0, axis=1)
+    if not (whole | ~taken[owner]).all():
+        raise ValueError("places: a brick that the surface enters is missing")
+    return BrickMesh(
+        pack_places(places),
+        taken,
+        _count_crossed(inside).astype(np.int32),
+        np.bincount(owner[whole], minlength=len(places)).astype(np.int32),
+        vertices,
+        faces[whole],
+        np.empty(0, np.int64),
+    )
 
 
-def grow_surface(field: Field, grid: Grid, seeds: IntArray) -> tuple[FloatArray, IntArray]:
-    """Extract the surface in some bricks, and in all that it reaches from them.
+def grow_surface(field: Field, grid: Grid, kinds: BrickKinds) -> BrickMesh:
+    """Extract the surface in a tile's own bricks, and in all that it reaches from them.
 
     Parameters
     ----------
     field : Field
     grid : Grid
-    seeds : ndarray of int64, shape (b,)
-        Sorted keys of bricks.
+    kinds : BrickKinds
 
     Returns
     -------
-    vertices : ndarray of float64, shape (v, 3)
-    faces : ndarray of int64, shape (f, 3)
+    BrickMesh
         See `extract_surface`.
     """
-    places, values = grow_bricks(
-        lambda bricks: evaluate_bricks(field, grid, bricks), seeds, grid.bricks
+    places, values, taken, exits = grow_bricks(
+        lambda bricks: evaluate_bricks(field, grid, bricks), kinds, grid.bricks
     )
-    mesh = extract_surface(grid, places, values)
-    return mesh.vertices, mesh.faces
+    return replace(extract_surface(grid, places, values, taken), exits=exits)
+
+
+def _count_crossed(inside: NDArray[np.bool_]) -> IntArray:
+    """Return how many vertices each brick owns."""
+    lower = (slice(None), *[slice(0, BRICK)] * 3)
+    crossed = [inside[lower] != inside[_shifted(axis)] for axis in range(3)]
+    counts: IntArray = sum(c.sum(axis=(1, 2, 3)) for c in crossed)
+    return counts
 
 
 def _place_vertices(
@@ -140,8 +201,8 @@ def _shifted(axis: int) -> tuple[slice, ...]:
 
 def _assemble_faces(
     places: IntArray, inside: NDArray[np.bool_], numbers: NDArray[np.int32]
-) -> IntArray:
-    """Look up the triangles of every cell that the surface crosses."""
+) -> tuple[IntArray, IntArray]:
+    """Look up the triangles of every cell that the surface crosses, and the brick of each."""
     cases = np.zeros((len(places), BRICK, BRICK, BRICK), np.uint8)
     for corner, octant in enumerate(OCTANTS):
         index = (slice(None), *[slice(int(o), int(o) + BRICK) for o in octant])
@@ -154,7 +215,7 @@ def _assemble_faces(
     first = np.cumsum(counts) - counts
     turn = np.arange(len(owner)) - first[owner]
     edges = case_triangles()[case[owner], turn]
-    return vertex_of_edge[owner[:, None], edges].astype(np.int64)
+    return vertex_of_edge[owner[:, None], edges].astype(np.int64), brick[owner]
 
 
 def _edge_numbers(
@@ -162,19 +223,20 @@ def _edge_numbers(
 ) -> NDArray[np.int32]:
     """Return the vertex number on each of the 12 edges of some cells, shape (m, 12).
 
-    Edges that are not crossed get numbers without a meaning; no triangle asks for them.
+    Edges that are not crossed get numbers without a meaning; no triangle asks for them. -1 stands
+    for a vertex of a brick that is not there.
     """
     keys = pack_places(places)
     missing = len(keys)
     neighbours = np.stack([find_keys(keys, step_keys(keys, o)) for o in OCTANTS], axis=1)
-    neighbours[neighbours == missing] = 0
     found = np.empty((len(brick), len(EDGES)), np.int32)
     for edge, (axis, corner) in enumerate(EDGES):
         node = cell + OCTANTS[corner]
         over = node == BRICK
         owner = neighbours[brick, over @ np.array([1, 2, 4])]
         x, y, z = np.where(over, 0, node).T
-        found[:, edge] = numbers[owner, axis, x, y, z]
+        number = numbers[np.where(owner == missing, 0, owner), axis, x, y, z]
+        found[:, edge] = np.where(owner == missing, -1, number)
     return found
 
 
@@ -229,7 +291,7 @@ def drop_small_components(mesh: Mesh, share: float = _SMALL_SHARE) -> Mesh:
     return Mesh(mesh.vertices[used], renumbered[faces], mesh.origin)
 
 
-def balance_vertices(vertices: FloatArray, faces: IntArray) -> FloatArray:
+def balance_vertices(vertices: FloatArray, faces: IntArray, step: float) -> FloatArray:
     """Move vertices off the surface that they lie on, so that the faces balance around it.
 
     Parameters
@@ -238,6 +300,8 @@ def balance_vertices(vertices: FloatArray, faces: IntArray) -> FloatArray:
         In length units of the input.
     faces : ndarray of int64, shape (f, 3)
         Anticlockwise as seen from outside.
+    step : float
+        Of the grid that the faces come from, in length units of the input.
 
     Returns
     -------
@@ -260,7 +324,7 @@ def balance_vertices(vertices: FloatArray, faces: IntArray) -> FloatArray:
     doi:10.1080/10867651.1999.10487501.
     """
     crosses = _face_crosses(vertices, faces)
-    normals = _vertex_normals(vertices, faces, crosses)
+    normals = _vertex_normals(vertices, faces, crosses, _SLIVER * step * step)
     gaps = np.zeros(len(faces))
     for p, q in ((0, 1), (1, 2), (2, 0)):
         tail, head = faces[:, p], faces[:, q]
@@ -278,12 +342,13 @@ def _face_crosses(vertices: FloatArray, faces: IntArray) -> FloatArray:
     return np.cross(b - a, c - a)
 
 
-def _vertex_normals(vertices: FloatArray, faces: IntArray, crosses: FloatArray) -> FloatArray:
+def _vertex_normals(
+    vertices: FloatArray, faces: IntArray, crosses: FloatArray, excess: float
+) -> FloatArray:
     """Return unit normals, each face counting 1 / (product of its two squared edges there)."""
     edges = [vertices[faces[:, k - 2]] - vertices[faces[:, k]] for k in range(3)]
     squares = [(edge**2).sum(axis=1) for edge in edges]
-    excess = max(_SLIVER * float(np.mean(squares)) if len(faces) else 0.0, 1e-150)
-    squares = [square + excess for square in squares]
+    squares = [square + max(excess, 1e-150) for square in squares]
     weights = np.stack([1.0 / (squares[k] * squares[k - 1]) for k in range(3)], axis=1)
     corners = faces.reshape(-1)
     sums = [
@@ -304,12 +369,13 @@ def _gather(faces: IntArray, values: FloatArray, vertices: int) -> FloatArray:
 def _hold_folds(
     vertices: FloatArray, moved: FloatArray, faces: IntArray, crosses: FloatArray
 ) -> FloatArray:
-    """Put the vertices of faces that turn over back, until none does."""
+    """Put the vertices of faces that turn over back, a few times: what is held may turn others."""
     held = np.zeros(len(vertices), np.bool_)
-    while True:
+    for _ in range(_ROUNDS):
         folded = (crosses * _face_crosses(moved, faces)).sum(axis=1) <= 0.0
         folded &= ~held[faces].all(axis=1)
         if not folded.any():
-            return moved
+            break
         held[faces[folded]] = True
         moved = np.where(held[:, None], vertices, moved)
+    return moved

@@ -8,13 +8,21 @@ distance, and it is cut off one and a half grid steps from the surface.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["FarField", "far_step", "solve_far_field"]
+__all__ = [
+    "FarField",
+    "FarFieldPart",
+    "crop_far_field",
+    "far_step",
+    "restore_far_field",
+    "solve_far_field",
+]
 
 _NODES = 128
 _PADDING = 1.5
@@ -41,6 +49,71 @@ class FarField:
     values: Float32Array
     origin: FloatArray
     step: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FarFieldPart:
+    """A box of a far field.
+
+    Parameters
+    ----------
+    values : ndarray of float32, shape (x, y, z)
+        Of the nodes in the box.
+    first : ndarray of int64, shape (3,)
+        The lowest node of the box.
+    nodes : int
+        Along each side of the whole.
+    origin, step
+        See `FarField`.
+    """
+
+    values: Float32Array
+    first: IntArray
+    nodes: int
+    origin: FloatArray
+    step: float
+
+    def to_values(self) -> tuple[Any, ...]:
+        """Return what a task may be given, in the order of the parameters."""
+        return self.values, self.first, self.nodes, self.origin, self.step
+
+
+def crop_far_field(far: FarField, low: FloatArray, high: FloatArray) -> FarFieldPart:
+    """Cut out the nodes that interpolation within a box asks for.
+
+    Parameters
+    ----------
+    far : FarField
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box, in length units of the input.
+
+    Returns
+    -------
+    FarFieldPart
+    """
+    nodes = len(far.values)
+    first = np.clip(np.floor((low - far.origin) / far.step).astype(np.int64) - 1, 0, nodes - 2)
+    end = np.clip(np.ceil((high - far.origin) / far.step).astype(np.int64) + 2, first + 2, nodes)
+    box = tuple(slice(a, b) for a, b in zip(first, end, strict=True))
+    return FarFieldPart(np.ascontiguousarray(far.values[box]), first, nodes, far.origin, far.step)
+
+
+def restore_far_field(part: FarFieldPart) -> FarField:
+    """Put a box of a far field back to its place; all around it is 0.
+
+    Parameters
+    ----------
+    part : FarFieldPart
+
+    Returns
+    -------
+    FarField
+        The same as the whole within the box that was cut out, bit for bit.
+    """
+    values = np.zeros((part.nodes,) * 3, np.float32)
+    box = tuple(slice(a, a + side) for a, side in zip(part.first, part.values.shape, strict=True))
+    values[box] = part.values
+    return FarField(values, part.origin, part.step)
 
 
 def far_step(low: FloatArray, high: FloatArray) -> float:

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.surface.bricks import BrickKinds
 from hpccomponent.surface.build import load_native
 from hpccomponent.surface.case_table import case_triangles
 from hpccomponent.surface.connectivity import Survey
+from hpccomponent.surface.extraction import BrickMesh
 from hpccomponent.surface.field import BRICK, Field, Grid
 from hpccomponent.surface.points import FloatArray, IntArray
 from hpccomponent.surface.seams import BrickSums, Seams
@@ -383,27 +385,27 @@ def evaluate_bricks(field: Field, grid: Grid, places: IntArray, threads: int = 1
     return result
 
 
-def grow_surface(
-    field: Field, grid: Grid, seeds: IntArray, threads: int = 1
-) -> tuple[FloatArray, IntArray]:
-    """Extract the surface that can be reached from some bricks; see `extraction.grow_surface`."""
+def grow_surface(field: Field, grid: Grid, kinds: BrickKinds, threads: int = 1) -> BrickMesh:
+    """Extract the surface that a tile reaches; see `extraction.grow_surface`."""
     if _native is None:
         from hpccomponent.surface import extraction
 
-        return extraction.grow_surface(field, grid, seeds)
-    result: tuple[FloatArray, IntArray] = _native.grow_surface(
-        _field_values(field), *_grid_values(grid), _integers(seeds), case_triangles(), threads
+        return extraction.grow_surface(field, grid, kinds)
+    box = (_integers(kinds.first), np.ascontiguousarray(kinds.kinds, np.uint8))
+    return BrickMesh(
+        *_native.grow_surface(
+            _field_values(field), *_grid_values(grid), *box, case_triangles(), threads
+        )
     )
-    return result
 
 
-def balance_vertices(vertices: FloatArray, faces: IntArray) -> FloatArray:
+def balance_vertices(vertices: FloatArray, faces: IntArray, step: float) -> FloatArray:
     """Move vertices so that the faces balance around the surface; see `extraction`."""
     if _native is None:
         from hpccomponent.surface import extraction
 
-        return extraction.balance_vertices(vertices, faces)
-    result: FloatArray = _native.balance_vertices(_floats(vertices), _integers(faces))
+        return extraction.balance_vertices(vertices, faces, step)
+    result: FloatArray = _native.balance_vertices(_floats(vertices), _integers(faces), step)
     return result
 
 

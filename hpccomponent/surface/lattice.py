@@ -106,7 +106,7 @@ def find_keys(keys: IntArray, wanted: IntArray) -> IntArray:
     Parameters
     ----------
     keys : ndarray of int64, shape (k,)
-        Sorted, unique, at least one.
+        Sorted, unique.
     wanted : ndarray of int64, shape (...)
 
     Returns
@@ -115,6 +115,8 @@ def find_keys(keys: IntArray, wanted: IntArray) -> IntArray:
         The row in `keys`, and k where a key is missing.
     """
     rows = np.searchsorted(keys, wanted)
+    if not len(keys):
+        return rows
     found = keys[np.minimum(rows, len(keys) - 1)] == wanted
     return np.where(found, rows, len(keys))
 

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.surface.bricks import OWN, BrickKinds
+from hpccomponent.surface.extraction import BrickMesh
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["Int32Array", "MeshPart"]
+__all__ = ["Int32Array", "MeshPart", "cut_part"]
 
 Int32Array = NDArray[np.int32]
 
@@ -65,3 +67,46 @@ class MeshPart:
     def from_values(cls, values: tuple[Any, ...]) -> MeshPart:
         """Return the part that `to_values` took apart."""
         return cls(*values)
+
+    @classmethod
+    def empty(cls) -> MeshPart:
+        """Return a part without bricks."""
+        none = np.empty(0, np.int32)
+        keys = np.empty(0, np.int64)
+        places, corners = np.empty((0, 3)), np.empty((0, 3), np.int32)
+        return cls(keys, np.empty(0, np.bool_), none, none, places, corners, keys, none)
+
+
+def cut_part(mesh: BrickMesh, kinds: BrickKinds | None = None) -> MeshPart:
+    """Cut the rim off the surface of a tile; what its faces use of it is named.
+
+    Parameters
+    ----------
+    mesh : BrickMesh
+    kinds : BrickKinds, optional
+        All bricks that hold points are the tile's own where it is left out.
+
+    Returns
+    -------
+    MeshPart
+    """
+    taken = mesh.taken
+    bricks = mesh.bricks[taken]
+    guests = np.zeros(len(bricks), np.bool_) if kinds is None else kinds.at(bricks) != OWN
+    is_inner = np.repeat(taken, mesh.vertex_counts)
+    faces = mesh.faces[np.repeat(taken, mesh.face_counts)].astype(np.int32)
+    rows = np.cumsum(is_inner, dtype=np.int32) - np.int32(1)
+    outer = np.unique(faces[~is_inner[faces]]) if not is_inner.all() else np.empty(0, np.int32)
+    rows[outer] = ~np.arange(len(outer), dtype=np.int32)
+    starts = np.cumsum(mesh.vertex_counts, dtype=np.int64) - mesh.vertex_counts
+    owners = np.searchsorted(starts + mesh.vertex_counts, outer, side="right")
+    return MeshPart(
+        bricks,
+        guests,
+        mesh.vertex_counts[taken],
+        mesh.face_counts[taken],
+        mesh.vertices[is_inner],
+        rows[faces],
+        mesh.bricks[owners],
+        (outer - starts[owners]).astype(np.int32),
+    )

@@ -121,7 +121,7 @@ def reconstruct(
     _check_settings(settings)
     cloud = _check_cloud(points, normals)
     clock = StageClock(SilentProgress() if progress is None else _Calls(progress))
-    mesh = _run(settings, cloud, executor, clock).mesh
+    mesh = _run(settings, cloud, executor, clock).surface.mesh()
     return Mesh(mesh.vertices + mesh.origin, mesh.faces)
 
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hpcapp.applications.surface.surface import Surface
 from hpccomponent.surface import kernels
 from hpccomponent.surface.lattice import pack_places
-from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
 __all__ = ["doubt_closure", "doubt_normals", "doubt_resolution"]
@@ -105,14 +105,14 @@ def doubt_resolution(cloud: PointCloud, step: float) -> list[str]:
     ]
 
 
-def doubt_closure(cloud: PointCloud, mesh: Mesh, step: float) -> list[str]:
+def doubt_closure(cloud: PointCloud, surface: Surface, step: float) -> list[str]:
     """Doubt a mesh that leaves the box of its points: it is closed where nothing was scanned.
 
     Parameters
     ----------
     cloud : PointCloud
-        Finite positions, in the frame of the mesh.
-    mesh : Mesh
+        Finite positions, in the frame of the surface.
+    surface : Surface
         With vertices.
     step : float
         Edge of a cell, in length units of the input.
@@ -122,10 +122,7 @@ def doubt_closure(cloud: PointCloud, mesh: Mesh, step: float) -> list[str]:
     list of str
     """
     low, high = bounding_box(cloud.positions)
-    outside = np.zeros(len(mesh.vertices), np.bool_)
-    for axis, column in enumerate(mesh.vertices.T):
-        outside |= (column < low[axis] - 2.0 * step) | (column > high[axis] + 2.0 * step)
-    share = float(outside.mean())
+    share = surface.share_outside(low - 2.0 * step, high + 2.0 * step)
     if share <= OUTSIDE:
         return []
     return [

@@ -6,12 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpcapp.applications.surface.pyramid import Level, VertexQuadrics, build_pyramid, fit_levels
-from hpcapp.applications.surface.weights import LEAST_MU, Weights, tell_noise
-from hpcapp.batches import Workforce
 from hpccomponent.surface import kernels
-from hpccomponent.surface.points import PointCloud, bounding_box
+from hpccomponent.surface.points import IntArray, PointCloud, bounding_box
+from hpccomponent.surface.pyramid import (
+    Level,
+    VertexQuadrics,
+    build_pyramid,
+    count_levels,
+    fit_levels,
+)
 from hpccomponent.surface.spacing import estimate_spacing
+from hpccomponent.surface.weights import LEAST_MU, Weights, tell_noise
 
 __all__ = ["Scale", "choose_scale", "estimate_noise"]
 
@@ -41,7 +46,7 @@ class Scale:
     cell_size: float
 
 
-def estimate_noise(cloud: PointCloud, spacing: float, workforce: Workforce) -> float:
+def estimate_noise(cloud: PointCloud, spacing: float, threads: int = 1) -> float:
     """Estimate the noise of the positions along the normals.
 
     Parameters
@@ -50,7 +55,8 @@ def estimate_noise(cloud: PointCloud, spacing: float, workforce: Workforce) -> f
         With normals.
     spacing : float
         In length units of the input.
-    workforce : Workforce
+    threads : int
+        The result does not depend on it.
 
     Returns
     -------
@@ -68,12 +74,12 @@ def estimate_noise(cloud: PointCloud, spacing: float, workforce: Workforce) -> f
     """
     sample = _sample_cloud(cloud, spacing)
     cell_size = _PROBE_SPACINGS * spacing
-    finer, coarser = _probe_variances(sample, cell_size, workforce)
+    finer, coarser = _probe_variances(sample, cell_size, threads)
     for _ in range(_PROBE_ROUNDS):
         if finer <= (_PROBE_SHARE * cell_size) ** 2:
             break
         cell_size *= 2.0
-        finer, coarser = _probe_variances(sample, cell_size, workforce)
+        finer, coarser = _probe_variances(sample, cell_size, threads)
     noise = tell_noise(np.array(finer), np.array(coarser))
     return _TO_MEDIAN * float(np.sqrt(noise))
 
@@ -88,41 +94,44 @@ def _sample_cloud(cloud: PointCloud, spacing: float) -> PointCloud:
     return cloud.take(chosen) if len(chosen) > _SAMPLED_POINTS // 4 else cloud
 
 
-def _probe_variances(
-    cloud: PointCloud, cell_size: float, workforce: Workforce
-) -> tuple[float, float]:
+def _probe_variances(cloud: PointCloud, cell_size: float, threads: int) -> tuple[float, float]:
     """Return the lower quartiles of the residual variances in cells of a size and of its double.
 
     In length units of the input squared; 0 where no vertex has enough points.
     """
-    pyramid = build_pyramid(cloud, cell_size, workforce)
+    low, high = bounding_box(cloud.positions)
+    height = count_levels(float((high - low).max()), cell_size)
+    pyramid = build_pyramid(cloud, low, cell_size, height, threads)
     levels = list(pyramid.levels[:2])  # a fit drops the moments of its level
     weights = [Weights(_PROBE_LAM, 0.0, LEAST_MU, LEAST_MU)] * len(pyramid.levels)
-    quadrics = fit_levels(pyramid, weights, workforce)
+    quadrics, _ = fit_levels(pyramid, weights, None, threads)
     variances = [
-        cell_size**2 * 4.0**depth * _lower_quartile(level, fitted, points)
-        for depth, (level, fitted, points) in enumerate(
-            zip(levels, quadrics, _PROBE_POINTS, strict=False)
+        cell_size**2 * 4.0**depth * _lower_quartile(level, vertices, fitted, points)
+        for depth, (level, vertices, fitted, points) in enumerate(
+            zip(levels, pyramid.vertices, quadrics, _PROBE_POINTS, strict=False)
         )
     ]
     return variances[0], variances[-1] or variances[0]
 
 
-def _lower_quartile(level: Level, quadrics: VertexQuadrics, points: int) -> float:
+def _lower_quartile(
+    level: Level, vertices: IntArray, quadrics: VertexQuadrics, points: int
+) -> float:
     """Return that of RSS / (n - 10), in cells squared, over the vertices with enough points."""
     in_cells = level.points.sum(slice(0, len(level.cells)))
-    moments = kernels.corner_moments(level.touched, level.cells, in_cells)
+    touched = kernels.spread_keys(level.cells, 0, 1)
+    moments = kernels.corner_moments(touched, level.cells, in_cells)
     rich = moments[:, 0] >= points
     if not rich.any():
         return 0.0
-    rows = kernels.find_keys(level.vertices, level.touched[rich])
+    rows = kernels.find_keys(vertices, touched[rich])
     residuals = kernels.evaluate_residuals(moments[rich], quadrics.coefficients[rows])
     variances = np.sort(residuals / (moments[rich, 0] - _FREE))
     return float(variances[int(_QUANTILE * (len(variances) - 1))])
 
 
 def choose_scale(
-    cloud: PointCloud, step: float, smoothness: float, detail: float, workforce: Workforce
+    cloud: PointCloud, step: float, smoothness: float, detail: float, threads: int = 1
 ) -> Scale:
     """Choose the cell size.
 
@@ -137,7 +146,8 @@ def choose_scale(
         Multiplies the noise, dimensionless.
     detail : float
         Divides the cell size, dimensionless.
-    workforce : Workforce
+    threads : int
+        The result does not depend on it.
 
     Returns
     -------
@@ -149,7 +159,7 @@ def choose_scale(
         All points are the same.
     """
     spacing = estimate_spacing(cloud.positions)
-    noise = estimate_noise(cloud, spacing, workforce)
+    noise = estimate_noise(cloud, spacing, threads)
     wanted = max(1.5 * spacing, 6.0 * noise * smoothness) / detail
     cell_size = max(wanted, step)
     return Scale(spacing, noise, cell_size)

@@ -1,4 +1,10 @@
-"""The default method: hierarchical Hermite quadrics, blended by a partition of unity."""
+"""The default method: hierarchical Hermite quadrics, blended by a partition of unity.
+
+::
+
+    scale ─> tiles ─> coarse sums of each tile ─> coarse quadrics, far field ─> surface in each tile
+                      (workers)                   (master)                      (workers)   ─> weld
+"""
 
 from __future__ import annotations
 
@@ -7,26 +13,22 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.crowding import crowd_vertices
+from hpcapp.applications.surface.coarse import Coarse, far_level, fit_coarse, solve_far
 from hpcapp.applications.surface.estimates import Scale, choose_scale
 from hpcapp.applications.surface.method import Advance
-from hpcapp.applications.surface.pyramid import (
-    Level,
-    Pyramid,
-    VertexQuadrics,
-    build_pyramid,
-    fit_levels,
-)
-from hpcapp.applications.surface.weights import Weights, trust_vertices, weigh_levels
-from hpcapp.batches import Workforce
+from hpcapp.applications.surface.regions import mesh_regions
+from hpcapp.applications.surface.surface import PartSurface
+from hpcapp.applications.surface.tiles import Tiling
+from hpcapp.batches import Workforce, map_batches
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface import kernels
-from hpccomponent.surface.extraction import drop_small_components
-from hpccomponent.surface.far_field import FarField, far_step, solve_far_field
-from hpccomponent.surface.field import BRICK, Field, FieldLevel, Grid
-from hpccomponent.surface.lattice import unpack_keys
-from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, bounding_box
+from hpccomponent.surface.arrangement import choose_arrangement
+from hpccomponent.surface.field import BRICK, Grid
+from hpccomponent.surface.mesh_part import MeshPart, cut_part
+from hpccomponent.surface.part_summary import summarize_part
+from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.pyramid import build_pyramid, count_levels
+from hpccomponent.surface.region import Plan, mesh_whole, sample_cells, sum_tile
+from hpccomponent.surface.weights import weigh_levels
 
 __all__ = ["MARGIN", "HierarchicalMethod", "HierarchicalPartition", "plan_grid"]
 
@@ -34,31 +36,30 @@ MARGIN = 4
 """Cells of the grid that stay free on each side of the cloud."""
 
 _LEAST_GRID = 16
-_FAR_CELLS = 0.5  # steps of the far field, which samples no smaller cells than these
-_TRUST_ROWS = 1 << 16
+_TILE_POINTS = 1_500_000
+"""Of a tile where nothing else asks for smaller ones: what it takes stays below half a gigabyte."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class HierarchicalPartition:
-    """A cloud cut into cells.
+    """A cloud cut into tiles.
 
     Parameters
     ----------
     cloud : PointCloud
-    grid : Grid
     scale : Scale
-    weights : list of Weights
-        Of the fits of each level, finest first.
-    pyramid : Pyramid
-    far : FarField
+    plan : Plan
+    tiling : Tiling or None
+        None where the cloud is one tile, and made into a mesh here.
+    patches : int
+        Finest cells with points, once they are counted.
     """
 
     cloud: PointCloud
-    grid: Grid
     scale: Scale
-    weights: list[Weights]
-    pyramid: Pyramid
-    far: FarField
+    plan: Plan
+    tiling: Tiling | None
+    patches: int = 0
 
 
 class HierarchicalMethod:
@@ -103,12 +104,12 @@ class HierarchicalMethod:
         self.threads = threads
 
     def partition(self, cloud: PointCloud, workforce: Workforce) -> HierarchicalPartition:
-        """Find spacing, noise and cell size, and sum the moments of the points in each cell.
+        """Find spacing, noise and cell size, and cut the cloud into tiles.
 
         Parameters
         ----------
         cloud : PointCloud
-            With normals.
+            With normals, arranged (see `cleaning.arrange_points`).
         workforce : Workforce
 
         Returns
@@ -123,57 +124,89 @@ class HierarchicalMethod:
         if cloud.normals is None or not len(cloud):
             raise InputError("the cloud has no points with normals", "give oriented points")
         grid = plan_grid(cloud.positions, self.grid)
-        scale = choose_scale(cloud, grid.step, self.smoothness, self.detail, workforce)
-        pyramid = build_pyramid(cloud, scale.cell_size, workforce)
-        noise = scale.noise * self.smoothness
-        weights = weigh_levels(scale.cell_size, len(pyramid.levels), noise)
-        far = _solve_far_field(grid, pyramid, self.threads)
-        return HierarchicalPartition(cloud, grid, scale, weights, pyramid, far)
+        scale = choose_scale(cloud, grid.step, self.smoothness, self.detail, self.threads)
+        low, high = bounding_box(cloud.positions)
+        height = count_levels(float((high - low).max()), scale.cell_size)
+        far = far_level(grid, scale.cell_size, height)
+        count = _count_tiles(len(cloud), height, workforce)
+        coarse = max(1, min(far, height - 1)) if count else height
+        blocks = choose_arrangement(low, high)
+        plan = Plan(
+            low, scale.cell_size, height, coarse, scale.noise * self.smoothness,
+            grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far,
+        )  # fmt: skip
+        tiling = Tiling(cloud, plan, count) if count else None
+        return HierarchicalPartition(cloud, scale, plan, tiling)
 
     def fit(
         self, partition: HierarchicalPartition, workforce: Workforce, advance: Advance
-    ) -> list[VertexQuadrics]:
-        """Fit a quadric to every vertex of the lattices, coarse to fine, on the workers."""
-        return fit_levels(partition.pyramid, partition.weights, workforce, advance)
+    ) -> Coarse | None:
+        """Fit the coarse quadrics; nothing where the cloud is one tile."""
+        tiling, plan = partition.tiling, partition.plan
+        if tiling is None:
+            return None
+        values = plan.to_values()
+        batches = [(values, tiling.core(i).to_values()) for i in range(len(tiling))]
+        sums = map_batches(workforce, sum_tile, batches, advance)
+        partition.patches = sum(part[-1] for part in sums)
+        return fit_coarse(plan, sums, self.threads)
 
     def extract(
-        self, partition: HierarchicalPartition, quadrics: list[VertexQuadrics], advance: Advance
-    ) -> Mesh:
-        """Blend the quadrics over the far field and extract the surface, brick by brick.
-
-        The list is empty afterwards: what it held is most of the memory.
+        self,
+        partition: HierarchicalPartition,
+        quadrics: Coarse | None,
+        workforce: Workforce,
+        advance: Advance,
+    ) -> PartSurface:
+        """Fit the fine quadrics and extract the surface, tile by tile on the workers.
 
         Raises
         ------
         InputError
             No node lies inside: the normals contradict one another.
         """
-        grid = partition.grid
-        field = assemble_field(partition, quadrics)
-        quadrics.clear()  # all that is left of them is in the field
-        seeds = kernels.seed_bricks(grid, partition.cloud.positions)
-        vertices, faces = kernels.grow_surface(field, grid, seeds, self.threads)
-        del field
-        mesh = drop_small_components(Mesh(vertices, faces))
-        advance(len(seeds), len(seeds))
-        if not len(mesh.faces):
+        origin = partition.cloud.origin
+        if partition.tiling is None:
+            part = self._mesh_whole(partition)
+            surface = PartSurface([part], [summarize_part(part)], origin)
+        else:
+            assert quadrics is not None  # noqa: S101 - tiles have coarse quadrics
+            surface = mesh_regions(partition.tiling, quadrics, workforce, advance, origin)
+        if not surface.plan.face_count:
             raise InputError(
                 "no part of the cloud encloses a volume",
                 "check that the normals point out of the object, and try a finer --grid",
             )
-        balanced = kernels.balance_vertices(mesh.vertices, mesh.faces)
-        return Mesh(balanced, mesh.faces, partition.cloud.origin)
+        return surface
+
+    def _mesh_whole(self, partition: HierarchicalPartition) -> MeshPart:
+        """Make a mesh of a cloud that is one tile."""
+        plan, cloud = partition.plan, partition.cloud
+        pyramid = build_pyramid(cloud, plan.origin, plan.cell_size, plan.height, self.threads)
+        partition.patches = len(pyramid.levels[0].cells)
+        far = solve_far(plan, *sample_cells(pyramid.levels[plan.far]), self.threads)
+        return cut_part(mesh_whole(plan, pyramid, far, cloud.positions, self.threads))
 
     def facts(self, partition: HierarchicalPartition) -> dict[str, Any]:
-        """Return the estimates, and how many quadrics the finest level has."""
+        """Return the estimates, and how many cells of the finest level hold points."""
+        plan = partition.plan
         return {
-            "patches": len(partition.pyramid.levels[0].touched),
+            "patches": partition.patches,
             "spacing": partition.scale.spacing,
             "noise": partition.scale.noise,
-            "cell_size": partition.scale.cell_size,
-            "lam": partition.weights[0].lam,
-            "levels": len(partition.pyramid.levels),
+            "cell_size": plan.cell_size,
+            "lam": weigh_levels(plan.cell_size, plan.height, plan.noise)[0].lam,
+            "levels": plan.height,
+            "tiles": 1 if partition.tiling is None else len(partition.tiling),
         }
+
+
+def _count_tiles(points: int, height: int, workforce: Workforce) -> int:
+    """Return into how many tiles a cloud is cut; 0 where it is made into a mesh right here."""
+    needed = -(-points // _TILE_POINTS)
+    if height == 1 or (workforce.in_process and needed == 1):
+        return 0
+    return max(needed, workforce.workers * workforce.batches_per_worker)
 
 
 def plan_grid(positions: FloatArray, cells: int) -> Grid:
@@ -205,71 +238,3 @@ def plan_grid(positions: FloatArray, cells: int) -> Grid:
     x, y, z = (int(bricks) for bricks in np.ceil(sides / BRICK))
     half = 0.5 * BRICK * step * np.array([x, y, z])
     return Grid(0.5 * (low + high) - half, step, (x, y, z))
-
-
-def assemble_field(partition: HierarchicalPartition, quadrics: list[VertexQuadrics]) -> Field:
-    """Put the quadrics of some levels, their trust and the far field together.
-
-    Parameters
-    ----------
-    partition : HierarchicalPartition
-    quadrics : list of VertexQuadrics
-        Of the finest levels, finest first.
-
-    Returns
-    -------
-    Field
-    """
-    pyramid = partition.pyramid
-    levels = []
-    for depth, of_level in enumerate(quadrics):
-        level = pyramid.levels[depth]
-        keys = level.vertices
-        crowds = (
-            crowd_vertices(keys, of_level.counts, level.cells, level.squares)
-            if depth
-            else np.zeros(len(keys))
-        )
-        trust = np.empty(len(keys), np.float32)
-        for start in range(0, len(keys), _TRUST_ROWS):
-            rows = slice(start, start + _TRUST_ROWS)
-            far = _sample_far_field(partition, keys[rows], depth)
-            values, counts = of_level.coefficients[rows, 0], of_level.counts[rows]
-            inherited = of_level.inherited[rows]
-            trust[rows] = trust_vertices(values, far, counts, inherited, crowds[rows], depth)
-        levels.append(FieldLevel(keys, of_level.coefficients, trust))
-    return Field(pyramid.origin, pyramid.cell_size, tuple(levels), partition.far)
-
-
-def _sample_far_field(partition: HierarchicalPartition, keys: IntArray, depth: int) -> FloatArray:
-    """Return the far field, in its own steps, at some vertices of a level."""
-    pyramid, far = partition.pyramid, partition.far
-    origin = (pyramid.origin - far.origin) / far.step
-    spacing = pyramid.cell_size * 2.0**depth / far.step
-    return kernels.sample_corners(far.values, keys, origin, spacing) / far.step
-
-
-def _solve_far_field(grid: Grid, pyramid: Pyramid, threads: int) -> FarField:
-    """Solve for the far field of the cells of one level: centroids and mean normals.
-
-    Each cell counts once: its area, not its points, is what a scan's uneven density leaves
-    alone. So its cells must not be so small that most of them are empty where points are few.
-    """
-    low, high = grid.origin, grid.origin + grid.step * BRICK * np.array(grid.bricks)
-    level, size = _find_level(pyramid, _FAR_CELLS * far_step(low, high))
-    moments = level.points.sum(slice(0, len(level.cells)))
-    places = unpack_keys(level.cells) + 0.5 + moments[:, 1:4] / moments[:, :1]
-    centroids = pyramid.origin + size * places
-    normals = moments[:, 35:38] / moments[:, :1]
-    del moments
-    return solve_far_field(centroids, normals, (low, high), size, threads)
-
-
-def _find_level(pyramid: Pyramid, least: float) -> tuple[Level, float]:
-    """Return the finest level whose cells are not smaller than `least`, and their size."""
-    size = pyramid.cell_size
-    for level in pyramid.levels[:-1]:
-        if size >= least:
-            return level, size
-        size *= 2.0
-    return pyramid.levels[-1], size

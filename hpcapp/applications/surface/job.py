@@ -24,7 +24,7 @@ from hpcapp.applications.surface.pipeline import Preprocess, Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
 from hpcapp.applications.surface.topology import Topology
 from hpcapp.backends import Backend, available_cores, open_executor
-from hpcapp.io import drop_unusable, read_points, write_mesh
+from hpcapp.io import drop_unusable, read_points
 from hpcapp.io.usable import Dropped
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import UsageError
@@ -128,7 +128,7 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
             report = _describe(settings, grid, result, backend)
         report["warnings"] = _warn(settings, grid, cloud, result)
         with clock.stage("write"):
-            write_mesh(target, result.mesh)
+            result.surface.write(target)
     report["dropped"] = {
         "non_finite_points": dropped.non_finite_points,
         "bad_normals": dropped.bad_normals,
@@ -147,7 +147,7 @@ def _warn(settings: Settings, grid: int, cloud: PointCloud, result: Reconstructi
     if not doubts:
         doubts = doubt_normals(cloud)
         if settings.method != "paper":  # which leaves sheets in its boxes wherever a patch ends
-            doubts += doubt_closure(cloud, result.mesh, step)
+            doubts += doubt_closure(cloud, result.surface, step)
     for doubt in doubts:
         log.warning("warning: %s", doubt)
     return doubts

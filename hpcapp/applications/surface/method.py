@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
+from hpcapp.applications.surface.surface import Surface
 from hpcapp.batches import Workforce
-from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import PointCloud
 
 __all__ = ["Advance", "Method"]
@@ -29,7 +29,9 @@ class Method(Protocol[PartitionT, QuadricsT]):
         """Fit one quadric to each part, on the workers."""
         ...
 
-    def extract(self, partition: PartitionT, quadrics: QuadricsT, advance: Advance) -> Mesh:
+    def extract(
+        self, partition: PartitionT, quadrics: QuadricsT, workforce: Workforce, advance: Advance
+    ) -> Surface:
         """Blend the quadrics and extract the 0-level iso-surface."""
         ...
 

@@ -32,9 +32,9 @@ from hpcapp.applications.surface.kdtree import (
 )
 from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.split_rule import SplitRule
+from hpcapp.applications.surface.surface import WholeSurface
 from hpcapp.batches import Workforce, map_batches
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.patch_quadrics import (
     evaluate_quadrics,
     fit_patches,
@@ -154,12 +154,19 @@ class PaperMethod:
         partition.fitted[:] = [fitted]
         return fitted
 
-    def extract(self, partition: PaperPartition, quadrics: FloatArray, advance: Advance) -> Mesh:
-        """Sample the indicator blend on the grid, and extract its 0-level."""
+    def extract(
+        self,
+        partition: PaperPartition,
+        quadrics: FloatArray,
+        workforce: Workforce,
+        advance: Advance,
+    ) -> WholeSurface:
+        """Sample the indicator blend on the grid, and extract its 0-level: here, as the paper."""
+        del workforce
         nodes = plan_grid(partition.patches, self.grid)
         values = sample_indicator_blend(partition.patches, quadrics, nodes, advance)
         settle_zeros(values)
-        return extract_iso_surface(values, nodes, partition.points.origin)
+        return WholeSurface(extract_iso_surface(values, nodes, partition.points.origin))
 
     def facts(self, partition: PaperPartition) -> dict[str, Any]:
         """Return the number of patches, the rule that made them, and the fit's residuals."""

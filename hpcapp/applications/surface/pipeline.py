@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from hpcapp.applications.surface.method import Method
-from hpcapp.applications.surface.topology import Topology, check_mesh
+from hpcapp.applications.surface.surface import Surface
+from hpcapp.applications.surface.topology import Topology
 from hpcapp.batches import Workforce
 from hpcapp.progress import StageClock
-from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import PointCloud
 
 __all__ = ["Preprocess", "Reconstruction", "reconstruct"]
@@ -27,21 +27,21 @@ Preprocess = Callable[[PointCloud], PointCloud]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
-    """A mesh, and how it came about.
+    """A surface, and how it came about.
 
     Parameters
     ----------
-    mesh : Mesh
+    surface : Surface
         The 0-level iso-surface.
     topology : Topology
-        What `check_mesh` found.
+        What is found of it.
     points : int
         Points that were left after preprocessing.
     facts : dict
         What the method chose and found; ``patches`` is always there.
     """
 
-    mesh: Mesh
+    surface: Surface
     topology: Topology
     points: int
     facts: dict[str, Any]
@@ -86,7 +86,7 @@ def reconstruct(
     with clock.stage("fit"):
         quadrics = method.fit(partition, workforce, clock.progress.advance)
     with clock.stage("extract"):
-        mesh = method.extract(partition, quadrics, clock.progress.advance)
+        surface = method.extract(partition, quadrics, workforce, clock.progress.advance)
     with clock.stage("check"):
-        topology = check_mesh(mesh)
-    return Reconstruction(mesh, topology, len(cloud), method.facts(partition))
+        topology = surface.check()
+    return Reconstruction(surface, topology, len(cloud), method.facts(partition))

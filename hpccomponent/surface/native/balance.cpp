@@ -32,26 +32,20 @@ inline Vector face_cross(const double* vertices, const int64_t* face) {
   return cross(at(vertices, face[1]) - a, at(vertices, face[2]) - a);
 }
 
-// Squared edges count as if they were longer by this share of their mean: a sliver has no normal
-// to speak of.
-constexpr double SLIVER = 0.15;
+// Squared edges count as if they were longer by this share of a squared grid step: a sliver has no
+// normal to speak of.
+constexpr double SLIVER = 0.1;
+// Of holding folds: what a vertex gets depends on nothing farther away than seven faces.
+constexpr int ROUNDS = 4;
 
 inline double squared_edge(const Surface& mesh, const int64_t* face, int k) {
   const Vector edge = at(mesh.vertices, face[(k + 1) % 3]) - at(mesh.vertices, face[k]);
   return dot(edge, edge);
 }
 
-double mean_squared_edge(const Surface& mesh) {
-  double total = 0.0;
-  for (int64_t f = 0; f < mesh.face_count; ++f)
-    for (int k = 0; k < 3; ++k) total += squared_edge(mesh, mesh.faces + 3 * f, k);
-  return total / static_cast<double>(std::max<int64_t>(3 * mesh.face_count, 1));
-}
-
 // Unit normals, each face counting 1 / (product of its two squared edges there): exact on spheres.
-void sum_normals(const Surface& mesh, Vector* normals) {
+void sum_normals(const Surface& mesh, double excess, Vector* normals) {
   std::fill(normals, normals + mesh.vertex_count, Vector{0.0, 0.0, 0.0});
-  const double excess = std::max(SLIVER * mean_squared_edge(mesh), 1e-150);
   for (int64_t f = 0; f < mesh.face_count; ++f) {
     const int64_t* face = mesh.faces + 3 * f;
     const Vector n = face_cross(mesh.vertices, face);
@@ -99,10 +93,10 @@ void shift_vertices(const Surface& mesh, const Vector* normals, double* moved) {
   }
 }
 
-// Put the vertices of faces that turn over back, until none does.
+// Put the vertices of faces that turn over back, a few times: what is held may turn others.
 void hold_folds(const Surface& mesh, double* moved) {
   std::vector<bool> held(static_cast<size_t>(mesh.vertex_count));
-  for (;;) {
+  for (int round = 0; round < ROUNDS; ++round) {
     std::vector<int64_t> folded;
     for (int64_t f = 0; f < mesh.face_count; ++f) {
       const int64_t* face = mesh.faces + 3 * f;
@@ -119,15 +113,16 @@ void hold_folds(const Surface& mesh, double* moved) {
   }
 }
 
-Output<double> balance_vertices(Input vertices_of, Input faces_of) {
+Output<double> balance_vertices(Input vertices_of, Input faces_of, double step) {
   const int64_t count = vertices_of.ndim() ? rows_of(vertices_of) : 0;
   const Surface mesh{check<double>(vertices_of, "vertices", {ANY, 3}), check_faces(faces_of, count), count,
                      rows_of(faces_of)};
+  check_positive(step, "step");
   auto moved = make_buffer<double>(3 * count);
   {
     nb::gil_scoped_release unlocked;
     const auto normals = make_buffer<Vector>(count);
-    sum_normals(mesh, normals.get());
+    sum_normals(mesh, std::max(SLIVER * step * step, 1e-150), normals.get());
     shift_vertices(mesh, normals.get(), moved.get());
     hold_folds(mesh, moved.get());
   }

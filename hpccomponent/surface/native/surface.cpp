@@ -1,4 +1,4 @@
-// From seeds to a mesh: bricks grown across sign changes, and marching cubes over them.
+// From a tile to its mesh: bricks grown across sign changes, and marching cubes over them.
 #include <cmath>
 #include <cstring>
 
@@ -44,11 +44,12 @@ void count_brick(Brick& brick, const CaseTable& table) {
   visit_cells(brick, [&](int, int, int, unsigned code) { brick.faces += table.count[code]; });
 }
 
-// A set of bricks with their values, in the order of their keys.
+// A set of bricks with their values, in the order of their keys; those not taken are the rim.
 struct Bricks {
   std::vector<int64_t> keys;
   std::vector<const float*> values;
   std::vector<Brick> bricks;
+  std::vector<uint8_t> taken;
 };
 
 // Return how far along an edge the surface crosses it (see extraction.py).
@@ -84,7 +85,8 @@ void place_vertices(const Grid& grid, const Place& place, const Brick& brick, co
         }
 }
 
-// Return the number of the vertex on an edge of a cell; the brick of its lower node owns it.
+// Return the number of the vertex on an edge of a cell, -1 where the brick of its lower node, which
+// owns it, is not there.
 int64_t vertex_number(const Bricks& all, const int64_t* neighbours, int edge, int x, int y, int z) {
   // Edges are numbered axis by axis, and within each by the lower corner x + 2y + 4z.
   static constexpr int CORNER[12] = {0, 2, 4, 6, 0, 1, 4, 5, 0, 1, 2, 3};
@@ -93,7 +95,7 @@ int64_t vertex_number(const Bricks& all, const int64_t* neighbours, int edge, in
   y += corner >> 1 & 1;
   z += corner >> 2;
   const int64_t owner = neighbours[(x >> 3) | (y >> 3) << 1 | (z >> 3) << 2];
-  if (owner < 0) refuse("places: a brick that the surface enters is missing");
+  if (owner < 0) return -1;
   const Brick& brick = all.bricks[static_cast<size_t>(owner)];
   x &= 7, y &= 7, z &= 7;
   const unsigned below = brick.crossed[axis][x][y] & ((1u << z) - 1);
@@ -107,11 +109,15 @@ void assemble_faces(const Bricks& all, size_t index, Finger* fingers, const Case
     for (int axis = 0; axis < 3; ++axis) key += (octant >> axis & 1) * STRIDES[axis];
     neighbours[octant] = fingers[octant].find(key);
   }
+  bool is_whole = true;
   visit_cells(all.bricks[index], [&](int x, int y, int z, unsigned code) {
     const int8_t* edges = table.edges + code * TRIANGLES * 3;
-    for (int i = 0; i < 3 * table.count[code]; ++i)
-      *out++ = vertex_number(all, neighbours, edges[i], x, y, z);
+    for (int i = 0; i < 3 * table.count[code]; ++i) {
+      *out = vertex_number(all, neighbours, edges[i], x, y, z);
+      is_whole = *out++ >= 0 && is_whole;
+    }
   });
+  if (!is_whole && all.taken[index]) refuse("kinds: a brick that the surface enters is missing");
 }
 
 struct Extracted {
@@ -157,20 +163,73 @@ void assemble_all(const Bricks& all, const CaseTable& table, int threads, Extrac
   });
 }
 
-// Evaluates seeds, and every brick behind a face with a sign change, until none is left.
+// Leave out the faces at the outer end of the rim, of which a vertex is missing.
+void drop_torn(Bricks& all, Extracted& mesh) {
+  int64_t* faces = mesh.faces.get();
+  int64_t kept = 0;
+  for (Brick& brick : all.bricks) {
+    const int64_t start = kept;
+    for (int64_t f = brick.first_face; f < brick.first_face + brick.faces; ++f) {
+      const int64_t* face = faces + 3 * f;
+      if (face[0] < 0 || face[1] < 0 || face[2] < 0) continue;
+      if (f != kept) std::copy(face, face + 3, faces + 3 * kept);
+      ++kept;
+    }
+    brick.first_face = start;
+    brick.faces = static_cast<int>(kept - start);
+  }
+  mesh.face_count = kept;
+}
+
+// What a brick is to a tile (see bricks.py).
+enum Kind : uint8_t { OUT = 0, BESIDE = 1, FOREIGN = 2, OPEN = 3, OWN = 4 };
+
+// The kinds of the bricks within a box of the grid.
+struct Kinds {
+  const int64_t* first;
+  const uint8_t* kinds;
+  int64_t sides[3];
+
+  // Return where a brick stands in the box, -1 outside.
+  int64_t find(const Place& place) const {
+    int64_t at = 0;
+    for (int axis = 0; axis < 3; ++axis) {
+      const int64_t local = place[axis] - first[axis];
+      if (local < 0 || local >= sides[axis]) return -1;
+      at = at * sides[axis] + local;
+    }
+    return at;
+  }
+
+  int64_t count() const { return sides[0] * sides[1] * sides[2]; }
+};
+
+// Evaluates a tile's own bricks, the open ones that the surface reaches from them, and their rim.
 class Growth {
  public:
-  Growth(const Field& field, const Grid& grid) : field_(field), grid_(grid), known_(static_cast<size_t>(grid.bricks[0] * grid.bricks[1] * grid.bricks[2])) {}
+  Growth(const Field& field, const Grid& grid, const Kinds& kinds)
+      : field_(field), grid_(grid), kinds_(kinds), known_(static_cast<size_t>(kinds.count())) {}
 
-  void run(std::vector<int64_t> wave, int threads) {
-    for (int64_t key : wave) mark(unpack(key));
+  void run(int threads) {
+    std::vector<int64_t> wave = own();
     while (!wave.empty()) {
+      const size_t done = keys_.size();
       evaluate(wave, threads);
-      std::vector<int64_t> next;
-      for (size_t i = keys_.size() - wave.size(); i < keys_.size(); ++i) reach(i, next);
-      std::sort(next.begin(), next.end());  // near bricks share vertices: search stays short
-      wave.swap(next);
+      wave.clear();
+      for (size_t i = done; i < keys_.size(); ++i) take_reached(i, wave);
+      std::sort(wave.begin(), wave.end());  // near bricks share vertices: search stays short
     }
+    taken_ = keys_.size();
+    wave.swap(rim_);
+    while (!wave.empty()) {
+      std::sort(wave.begin(), wave.end());
+      const size_t done = keys_.size();
+      evaluate(wave, threads);
+      wave.clear();
+      for (size_t i = done; i < keys_.size(); ++i) follow_rim(i, wave);
+    }
+    std::sort(exits_.begin(), exits_.end());
+    exits_.erase(std::unique(exits_.begin(), exits_.end()), exits_.end());
   }
 
   Bricks sorted() {
@@ -182,20 +241,30 @@ class Growth {
       all.keys.push_back(keys_[i]);
       all.values.push_back(values_[i]);
       all.bricks.push_back(bricks_[i]);
+      all.taken.push_back(i < taken_);
     }
     bricks_ = {};
     return all;
   }
 
   void drop_values() { chunks_.clear(); }
+  Large<int64_t> exits() { return Large<int64_t>(exits_.begin(), exits_.end()); }
 
  private:
-  // Mark a brick as known; return whether it was not.
-  bool mark(const Place& p) {
-    const size_t at = static_cast<size_t>((p[0] * grid_.bricks[1] + p[1]) * grid_.bricks[2] + p[2]);
-    if (known_[at]) return false;
-    known_[at] = true;
-    return true;
+  enum State : uint8_t { UNKNOWN = 0, TAKEN = 1, RIM = 2 };
+
+  // Mark the tile's own bricks as taken and return them, sorted.
+  std::vector<int64_t> own() {
+    std::vector<int64_t> keys;
+    int64_t at = 0;
+    for (int64_t x = 0; x < kinds_.sides[0]; ++x)
+      for (int64_t y = 0; y < kinds_.sides[1]; ++y)
+        for (int64_t z = 0; z < kinds_.sides[2]; ++z, ++at) {
+          if (kinds_.kinds[at] != OWN) continue;
+          known_[static_cast<size_t>(at)] = TAKEN;
+          keys.push_back(pack({x + kinds_.first[0], y + kinds_.first[1], z + kinds_.first[2]}));
+        }
+    return keys;
   }
 
   void evaluate(const std::vector<int64_t>& wave, int threads) {
@@ -215,91 +284,116 @@ class Growth {
     });
   }
 
-  // Append the unknown neighbours behind the crossed faces of a brick.
-  void reach(size_t index, std::vector<int64_t>& next) {
+  // Call body(place) for the neighbours behind the crossed faces of a brick.
+  template <class Body>
+  void visit_reached(size_t index, const Body& body) const {
     for (int axis = 0; axis < 3; ++axis)
       for (int high = 0; high < 2; ++high) {
         Place place = unpack(keys_[index]);
         place[axis] += high ? 1 : -1;
         if (place[axis] < 0 || place[axis] >= grid_.bricks[axis]) continue;
-        if (face_crossed(bricks_[index], axis, high) && mark(place)) next.push_back(pack(place));
+        if (face_crossed(bricks_[index], axis, high)) body(place);
       }
+  }
+
+  // Take what the surface reaches from a taken brick, as far as it may be taken.
+  void take_reached(size_t index, std::vector<int64_t>& next) {
+    visit_reached(index, [&](const Place& place) {
+      const int64_t at = kinds_.find(place);
+      const uint8_t kind = at < 0 ? uint8_t{OUT} : kinds_.kinds[at];
+      if (kind == OUT || kind == BESIDE) exits_.push_back(pack(place));
+      if (kind == OUT || known_[static_cast<size_t>(at)]) return;
+      const bool may_be_taken = kind == OPEN || kind == OWN;
+      known_[static_cast<size_t>(at)] = may_be_taken ? TAKEN : RIM;
+      (may_be_taken ? next : rim_).push_back(pack(place));
+    });
+  }
+
+  // Follow the surface through the rim, as far as it touches what is taken.
+  void follow_rim(size_t index, std::vector<int64_t>& next) {
+    visit_reached(index, [&](const Place& place) {
+      const int64_t at = kinds_.find(place);
+      if (at < 0 || kinds_.kinds[at] == OUT || known_[static_cast<size_t>(at)] || !touches_taken(place)) return;
+      known_[static_cast<size_t>(at)] = RIM;
+      next.push_back(pack(place));
+    });
+  }
+
+  bool touches_taken(const Place& place) const {
+    for (int64_t x = -1; x <= 1; ++x)
+      for (int64_t y = -1; y <= 1; ++y)
+        for (int64_t z = -1; z <= 1; ++z) {
+          const int64_t at = kinds_.find({place[0] + x, place[1] + y, place[2] + z});
+          if (at >= 0 && known_[static_cast<size_t>(at)] == TAKEN) return true;
+        }
+    return false;
   }
 
   const Field& field_;
   const Grid& grid_;
-  std::vector<bool> known_;
-  std::vector<int64_t> keys_;
+  const Kinds& kinds_;
+  std::vector<uint8_t> known_;
+  std::vector<int64_t> keys_, rim_, exits_;
+  size_t taken_ = 0;
   std::vector<const float*> values_;
   std::vector<Brick> bricks_;
   std::vector<Buffer<float>> chunks_;
 };
 
-nb::tuple give_mesh(Extracted&& mesh) {
-  const size_t vertices = static_cast<size_t>(mesh.vertex_count), faces = static_cast<size_t>(mesh.face_count);
-  return nb::make_tuple(give(std::move(mesh.vertices), {vertices, 3}), give(std::move(mesh.faces), {faces, 3}));
-}
-
-void check_places(const int64_t* keys, int64_t count, const Grid& grid, const char* name) {
-  for (int64_t i = 0; i < count; ++i) {
-    const Place place = unpack(keys[i]);
-    for (int axis = 0; axis < 3; ++axis)
-      if (place[axis] < 0 || place[axis] >= grid.bricks[axis]) refuse(std::string(name) + ": a brick lies off the grid");
+nb::tuple give_mesh(Bricks& all, Extracted&& mesh, Large<int64_t>&& exits) {
+  const size_t count = all.keys.size();
+  Large<int64_t> keys(all.keys.begin(), all.keys.end());
+  auto taken = make_buffer<bool>(static_cast<int64_t>(count));
+  auto vertices = make_buffer<int32_t>(static_cast<int64_t>(count)), faces = make_buffer<int32_t>(static_cast<int64_t>(count));
+  for (size_t i = 0; i < count; ++i) {
+    taken[i] = all.taken[i];
+    vertices[i] = all.bricks[i].vertices;
+    faces[i] = all.bricks[i].faces;
   }
+  const size_t vertex_count = static_cast<size_t>(mesh.vertex_count), face_count = static_cast<size_t>(mesh.face_count);
+  return nb::make_tuple(give(std::move(keys)), give(std::move(taken), {count}), give(std::move(vertices), {count}),
+                        give(std::move(faces), {count}), give(std::move(mesh.vertices), {vertex_count, 3}),
+                        give(std::move(mesh.faces), {face_count, 3}), give(std::move(exits)));
 }
 
-nb::tuple grow_surface(nb::tuple arguments, Input origin, double step, Input sides, Input seeds_of, Input table_of,
-                       int64_t threads) {
+Kinds take_kinds(const Input& first_of, const Input& kinds_of, const Grid& grid) {
+  Kinds kinds{check<int64_t>(first_of, "first", {3}), check<uint8_t>(kinds_of, "kinds", {ANY, ANY, ANY}), {}};
+  for (int axis = 0; axis < 3; ++axis) {
+    kinds.sides[axis] = static_cast<int64_t>(kinds_of.shape(static_cast<size_t>(axis)));
+    if (kinds.first[axis] < 0 || kinds.first[axis] > grid.bricks[axis] - kinds.sides[axis])
+      refuse("kinds: a brick lies off the grid");
+  }
+  return kinds;
+}
+
+nb::tuple grow_surface(nb::tuple arguments, Input origin, double step, Input sides, Input first_of, Input kinds_of,
+                       Input table_of, int64_t threads) {
   const Grid grid = take_grid(origin, step, sides);
   const Field field = take_field(arguments, grid);
-  const int64_t* seeds = check_keys(seeds_of, "seeds");
-  const int64_t count = rows_of(seeds_of);
-  check_places(seeds, count, grid, "seeds");
+  const Kinds kinds = take_kinds(first_of, kinds_of, grid);
   const CaseTable table(table_of);
   const int workers = check_threads(threads);
   Extracted mesh;
+  Bricks all;
+  Large<int64_t> exits;
   {
     nb::gil_scoped_release unlocked;
-    Growth growth(field, grid);
-    growth.run(std::vector<int64_t>(seeds, seeds + count), workers);
-    Bricks all = growth.sorted();
+    Growth growth(field, grid, kinds);
+    growth.run(workers);
+    exits = growth.exits();
+    all = growth.sorted();
     mesh = place_all(grid, all, table, workers);
     growth.drop_values();
     assemble_all(all, table, workers, mesh);
+    drop_torn(all, mesh);
   }
-  return give_mesh(std::move(mesh));
-}
-
-nb::tuple extract_surface(Input origin, double step, Input sides, Input keys_of, Input values_of, Input table_of,
-                          int64_t threads) {
-  const Grid grid = take_grid(origin, step, sides);
-  const int64_t* keys = check_keys(keys_of, "keys");
-  const int64_t count = rows_of(keys_of);
-  check_places(keys, count, grid, "keys");
-  const float* values = check<float>(values_of, "values", {count, NODES, NODES, NODES});
-  for (int64_t i = 0; i < count * BRICK_NODES; ++i)
-    if (!std::isfinite(values[i])) refuse("values: expected finite numbers");
-  const CaseTable table(table_of);
-  const int workers = check_threads(threads);
-  Extracted mesh;
-  {
-    nb::gil_scoped_release unlocked;
-    Bricks all{std::vector<int64_t>(keys, keys + count), {}, std::vector<Brick>(static_cast<size_t>(count))};
-    for (int64_t i = 0; i < count; ++i) {
-      all.values.push_back(values + i * BRICK_NODES);
-      mark_inside(all.values.back(), all.bricks[i]);
-    }
-    mesh = place_all(grid, all, table, workers);
-    assemble_all(all, table, workers, mesh);
-  }
-  return give_mesh(std::move(mesh));
+  return give_mesh(all, std::move(mesh), std::move(exits));
 }
 
 }  // namespace
 
 void bind_surface(nb::module_& module) {
   module.def("grow_surface", &grow_surface);
-  module.def("extract_surface", &extract_surface);
 }
 
 }  // namespace hpc

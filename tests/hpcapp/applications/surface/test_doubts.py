@@ -3,8 +3,13 @@ from __future__ import annotations
 import numpy as np
 
 from hpcapp.applications.surface.doubts import doubt_closure, doubt_normals, doubt_resolution
+from hpcapp.applications.surface.surface import WholeSurface
 from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.points import FloatArray, PointCloud
+
+
+def surface_of(vertices: FloatArray) -> WholeSurface:
+    return WholeSurface(Mesh(vertices, np.zeros((0, 3), int)))
 
 
 def turned(cloud: PointCloud, signs: object) -> PointCloud:
@@ -15,7 +20,7 @@ def turned(cloud: PointCloud, signs: object) -> PointCloud:
 def test_a_good_scan_is_not_doubted(sphere: PointCloud) -> None:
     assert doubt_normals(sphere) == []
     assert doubt_resolution(sphere, 2.0 / 64) == []
-    assert doubt_closure(sphere, Mesh(sphere.positions, np.zeros((0, 3), int)), 2.0 / 64) == []
+    assert doubt_closure(sphere, surface_of(sphere.positions), 2.0 / 64) == []
 
 
 def test_normals_are_judged_alike_wherever_and_however_large(sphere: PointCloud) -> None:
@@ -47,5 +52,5 @@ def test_an_outlier_that_takes_up_the_grid_is_noticed(sphere: PointCloud) -> Non
 
 
 def test_a_mesh_far_outside_its_points_is_noticed(sphere: PointCloud) -> None:
-    swollen = Mesh(1.5 * sphere.positions, np.zeros((0, 3), int))
+    swollen = surface_of(1.5 * sphere.positions)
     assert "outside the points' bounding box" in doubt_closure(sphere, swollen, 2.0 / 64)[0]

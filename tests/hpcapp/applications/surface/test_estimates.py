@@ -1,10 +1,7 @@
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 
 from hpcapp.applications.surface.estimates import choose_scale, estimate_noise
-from hpcapp.batches import Workforce
 from hpccomponent.surface.points import PointCloud
 from hpccomponent.surface.spacing import estimate_spacing
 
@@ -16,45 +13,39 @@ def noisy_sphere(noise, count=20_000):
     return PointCloud((1 + noise * rng.normal(size=(count, 1))) * normals, normals)
 
 
-@pytest.fixture
-def workforce():
-    with ThreadPoolExecutor(1) as executor:
-        yield Workforce(executor)
-
-
 @pytest.mark.parametrize("noise", [0.003, 0.01, 0.03])
-def test_noise_is_found_within_a_tenth(workforce, noise):
+def test_noise_is_found_within_a_tenth(noise):
     cloud = noisy_sphere(noise)
-    found = estimate_noise(cloud, estimate_spacing(cloud.positions), workforce)
+    found = estimate_noise(cloud, estimate_spacing(cloud.positions))
     assert found == pytest.approx(noise, rel=0.1)
 
 
-def test_a_clean_cloud_has_no_noise_to_speak_of(workforce):
+def test_a_clean_cloud_has_no_noise_to_speak_of():
     cloud = noisy_sphere(0.0)
     spacing = estimate_spacing(cloud.positions)
-    assert estimate_noise(cloud, spacing, workforce) < 0.02 * spacing
+    assert estimate_noise(cloud, spacing) < 0.02 * spacing
 
 
-def test_a_few_points_have_no_noise_that_could_be_found(workforce):
+def test_a_few_points_have_no_noise_that_could_be_found():
     cloud = noisy_sphere(0.1, count=20)
-    assert estimate_noise(cloud, 0.05, workforce) == 0.0
+    assert estimate_noise(cloud, 0.05) == 0.0
 
 
-def test_cells_follow_the_spacing_of_clean_clouds_and_the_noise_of_others(workforce):
-    clean = choose_scale(noisy_sphere(0.0), 0.001, 1.0, 1.0, workforce)
+def test_cells_follow_the_spacing_of_clean_clouds_and_the_noise_of_others():
+    clean = choose_scale(noisy_sphere(0.0), 0.001, 1.0, 1.0)
     assert clean.cell_size == pytest.approx(1.5 * clean.spacing)
-    noisy = choose_scale(noisy_sphere(0.01), 0.001, 1.0, 1.0, workforce)
+    noisy = choose_scale(noisy_sphere(0.01), 0.001, 1.0, 1.0)
     assert noisy.cell_size == pytest.approx(6 * noisy.noise)
 
 
-def test_hands_on_the_wheel(workforce):
+def test_hands_on_the_wheel():
     cloud = noisy_sphere(0.01)
-    scale = choose_scale(cloud, 0.001, 1.0, 1.0, workforce)
-    smoother = choose_scale(cloud, 0.001, 2.0, 1.0, workforce)
-    finer = choose_scale(cloud, 0.001, 1.0, 2.0, workforce)
+    scale = choose_scale(cloud, 0.001, 1.0, 1.0)
+    smoother = choose_scale(cloud, 0.001, 2.0, 1.0)
+    finer = choose_scale(cloud, 0.001, 1.0, 2.0)
     assert smoother.cell_size == pytest.approx(2 * scale.cell_size)
     assert finer.cell_size == pytest.approx(scale.cell_size / 2)
 
 
-def test_no_cell_is_smaller_than_a_step_of_the_grid(workforce):
-    assert choose_scale(noisy_sphere(0.0), 0.2, 1.0, 1.0, workforce).cell_size == 0.2
+def test_no_cell_is_smaller_than_a_step_of_the_grid():
+    assert choose_scale(noisy_sphere(0.0), 0.2, 1.0, 1.0).cell_size == 0.2

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.cleaning import arrange_points
 from hpcapp.applications.surface.hierarchical import HierarchicalMethod, plan_grid
 from hpcapp.applications.surface.topology import check_mesh
 from hpcapp.batches import Workforce
@@ -17,12 +18,15 @@ def ignore(done, total):
     """Show no progress."""
 
 
-def reconstruct(cloud, method, batches=1):
+def reconstruct(cloud, method, tiles=None):
+    """Run the method as one tile in this process, or in so many tiles on threads."""
+    cloud = arrange_points(cloud)
     with ThreadPoolExecutor(2) as executor:
-        workforce = Workforce(executor, 1, batches)
+        workforce = Workforce(executor, 1, tiles or 1, in_process=tiles is None)
         partition = method.partition(cloud, workforce)
         quadrics = method.fit(partition, workforce, ignore)
-        return method.extract(partition, quadrics, ignore), method.facts(partition)
+        surface = method.extract(partition, quadrics, workforce, ignore)
+        return surface.mesh(), method.facts(partition)
 
 
 def sphere(count, noise=0.0):
@@ -118,12 +122,34 @@ def test_a_sparse_thin_tube_ends_soon_after_its_points(count):
     assert np.abs(mesh.vertices[:, 2]).max() < 1.0 + 2.0 * radius
 
 
-def test_bits_do_not_depend_on_the_batches():
-    cloud = torus(3000)
-    meshes = [reconstruct(cloud, HierarchicalMethod(48), n)[0] for n in (1, 3, 16)]
-    for mesh in meshes[1:]:
-        assert mesh.vertices.tobytes() == meshes[0].vertices.tobytes()
-        assert mesh.faces.tobytes() == meshes[0].faces.tobytes()
+def sheet(count):
+    places = np.random.default_rng(3).uniform(-1, 1, (count, 3)) * [1.0, 1.0, 0.0]
+    return PointCloud(places, np.tile([0.0, 0.0, 1.0], (count, 1)))
+
+
+def half_torus(count):
+    cloud = torus(count)
+    return cloud.take(cloud.positions[:, 0] > -0.2)
+
+
+def rough_torus(count):
+    cloud = torus(count)
+    shifts = 0.01 * np.random.default_rng(1).normal(size=(count, 1))
+    return PointCloud(cloud.positions + shifts * cloud.normals, cloud.normals)
+
+
+@pytest.mark.parametrize("grid", [40, 96])
+@pytest.mark.parametrize("shape", [torus, rough_torus, half_torus, sheet])
+def test_any_tiling_gives_the_same_bits(shape, grid):
+    """Closed, noisy, and open clouds, whose holes are closed far from every point."""
+    cloud = shape(6000)
+    whole, facts = reconstruct(cloud, HierarchicalMethod(grid, threads=2))
+    assert facts["tiles"] == 1
+    for tiles in (1, 2, 5, 16):
+        mesh, found = reconstruct(cloud, HierarchicalMethod(grid), tiles)
+        assert found == facts | {"tiles": tiles}
+        assert mesh.vertices.tobytes() == whole.vertices.tobytes()
+        assert mesh.faces.tobytes() == whole.faces.tobytes()
 
 
 def test_the_origin_of_the_cloud_stays_with_the_mesh():

@@ -89,7 +89,7 @@ def test_a_job_that_fails_leaves_the_old_mesh(
         monkeypatch.setattr(os, "replace", fail)
         write_mesh(path, mesh)
 
-    monkeypatch.setattr("hpcapp.applications.surface.job.write_mesh", write_half)
+    monkeypatch.setattr("hpcapp.applications.surface.surface.write_mesh", write_half)
     old = tmp_path / "mesh.ply"
     old.write_bytes(b"the mesh of yesterday")
     with pytest.raises((KeyboardInterrupt, HpcError)):

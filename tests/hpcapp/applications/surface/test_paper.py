@@ -32,7 +32,8 @@ def workforce():
 def run(method, cloud, workforce):
     partition = method.partition(cloud, workforce)
     quadrics = method.fit(partition, workforce, ignore)
-    return partition, quadrics, method.extract(partition, quadrics, ignore)
+    surface = method.extract(partition, quadrics, workforce, ignore)
+    return partition, quadrics, surface.mesh()
 
 
 def test_one_patch_on_a_sphere_gives_the_sphere(workforce):

@@ -22,8 +22,9 @@ def test_the_stages_run_in_the_papers_order(sphere: PointCloud) -> None:
     assert result.points == len(sphere) // 2
     assert result.facts["patches"] >= 1
     assert result.topology.watertight
-    assert result.topology.faces == len(result.mesh.faces)
-    radii = np.linalg.norm(result.mesh.vertices, axis=1)
+    mesh = result.surface.mesh()
+    assert result.topology.faces == len(mesh.faces)
+    radii = np.linalg.norm(mesh.vertices, axis=1)
     assert np.median(np.abs(radii - 1.0)) < 0.05
 
 

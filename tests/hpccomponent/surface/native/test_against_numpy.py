@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
@@ -180,21 +180,25 @@ def test_surface(native: ModuleType, any_ball: Any) -> None:
         places = np.ascontiguousarray(places)
         return native.evaluate_bricks(field_values(function), *grid_values(grid), places, 1)
 
-    places, values = bricks.grow_bricks(evaluate, seeds, grid.bricks)
-    expected = extraction.extract_surface(grid, places, values)
-    keys = lattice.pack_places(places)
-    table = case_triangles()
-    for vertices, faces in (
-        native.extract_surface(*grid_values(grid), keys, values, table, 1),
-        native.grow_surface(field_values(function), *grid_values(grid), seeds, table, 1),
-    ):
-        np.testing.assert_array_equal(vertices, expected.vertices)
-        np.testing.assert_array_equal(faces, expected.faces)
+    whole = np.full(grid.bricks, bricks.OPEN, np.uint8)
+    whole[tuple(lattice.unpack_keys(seeds).T)] = bricks.OWN
+    half = whole.copy()  # of which the other belongs to another tile
+    half[grid.bricks[0] // 2 :] = bricks.FOREIGN
+    half[-2:] = bricks.OUT
+    half[:, :1] = bricks.BESIDE
+    for kinds in (bricks.BrickKinds(np.zeros(3, np.int64), k) for k in (half, whole)):
+        places, values, taken, exits = bricks.grow_bricks(evaluate, kinds, grid.bricks)
+        expected = extraction.extract_surface(grid, places, values, taken)
+        arguments = (field_values(function), *grid_values(grid), kinds.first, kinds.kinds)
+        found = extraction.BrickMesh(*native.grow_surface(*arguments, case_triangles(), 1))
+        np.testing.assert_array_equal(found.exits, exits)
+        for name in ("bricks", "taken", "vertex_counts", "face_counts", "vertices", "faces"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
     assert len(expected.faces)
     radius = np.linalg.norm(expected.vertices, axis=1)
     assert np.abs(radius - 0.8).max() < 0.05 * max(function.cell_size, grid.step)
-    balanced = native.balance_vertices(expected.vertices, expected.faces)
-    wanted = extraction.balance_vertices(expected.vertices, expected.faces)
+    balanced = native.balance_vertices(expected.vertices, expected.faces, grid.step)
+    wanted = extraction.balance_vertices(expected.vertices, expected.faces, grid.step)
     np.testing.assert_allclose(balanced, wanted, rtol=1e-12, atol=1e-14)
 
 
@@ -204,8 +208,10 @@ def test_balancing_what_folds(native: ModuleType, seed: int) -> None:
     """Faces between vertices at random, many of which would turn over."""
     random = np.random.default_rng(seed)
     vertices, faces = random.normal(size=(9, 3)), random.integers(0, 9, size=(12, 3))
-    found = native.balance_vertices(vertices, faces)
-    wanted = extraction.balance_vertices(vertices, faces)
+    wanted = extraction.balance_vertices(vertices, faces, 1.0)
+    nudged = extraction.balance_vertices(vertices * (1.0 + 1e-13), faces, 1.0)
+    assume(np.allclose(wanted, nudged, rtol=1e-9, atol=1e-9))  # nothing hangs on a rounding
+    found = native.balance_vertices(vertices, faces, 1.0)
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
 
 

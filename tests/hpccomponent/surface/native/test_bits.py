@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpccomponent.surface import cells, lattice
+from hpccomponent.surface import cells
+from hpccomponent.surface.bricks import OPEN, OWN
 from hpccomponent.surface.case_table import case_triangles
 
 THREADS = (2, 3, 16)
@@ -44,14 +45,16 @@ def test_threads(native: ModuleType, cloud: Any, threads: int) -> None:
 def test_threads_of_the_extraction(native: ModuleType, ball: Any, threads: int) -> None:
     function, grid = ball
     far = function.far
+    kinds = np.full(grid.bricks, OPEN, np.uint8)
+    kinds[4, 3, 3] = OWN
     levels = tuple((level.keys, level.coefficients, level.trust) for level in function.levels)
     arguments = (
         (function.origin, function.cell_size, levels, far.values, far.origin, far.step),
         grid.origin, grid.step, np.array(grid.bricks),
-        lattice.pack_places(np.array([[4, 3, 3]])), case_triangles(),
+        np.zeros(3, np.int64), kinds, case_triangles(),
     )  # fmt: skip
     mesh = native.grow_surface(*arguments, 1)
-    assert len(mesh[1])
+    assert len(mesh[5])
     same(mesh, native.grow_surface(*arguments, threads))
 
 

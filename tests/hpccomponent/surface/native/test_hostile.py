@@ -16,7 +16,7 @@ from hpccomponent.surface.case_table import case_triangles
 KERNELS = (
     "accumulate_moments", "balance_vertices", "corner_moments", "count_boxes", "count_cells",
     "evaluate_bricks", "poll_normals", "sum_neighbours",
-    "evaluate_residuals", "extract_surface", "find_keys", "fit_corners", "grow_surface",
+    "evaluate_residuals", "find_keys", "fit_corners", "grow_surface",
     "inherit_level", "label_components", "merge_cells",
     "parent_keys", "sample_grid", "scale_moments", "seed_bricks", "shift_moments",
     "signed_volume", "sort_points", "spread_keys", "survey_mesh", "unite_keys", "gather_points",
@@ -88,7 +88,7 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
         ("sample_grid", np.ones((4, 4, 4), np.float32), points),
         ("seed_bricks", points, np.zeros(3), 0.5, random.integers(-1, 9, size=3)),
         ("survey_mesh", random.integers(-1, 9, size=(rows, 3)), draw(st.integers(-2, 9))),
-        ("balance_vertices", points, random.integers(-1, 9, size=(rows, 3))),
+        ("balance_vertices", points, random.integers(-1, 9, size=(rows, 3)), 0.5),
         ("label_components", random.integers(0, 9, size=(rows, 3)), 9),
     ]
     name, *values = draw(st.sampled_from(calls))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.crowding import (
+from hpccomponent.surface.crowding import (
     crowd_vertices,
     sum_squares,
     surrounded_vertices,

@@ -1,25 +1,22 @@
 """What is known of the points in the cells of a level: the points themselves, or their moments.
 
 A row of moments is larger than a handful of points. So the finest level has none: moments are
-summed where a batch needs them, twice in all, and only for the cells of that batch.
+summed where a batch needs them, and only for the cells of that batch.
 
 Who may import it: the pyramid and its tests.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.batches import Workforce, map_batches
 from hpccomponent.surface import kernels
 from hpccomponent.surface.lattice import BITS, unique_keys
-from hpccomponent.surface.point_tasks import fit_points, merge_points
+from hpccomponent.surface.parallel import run_batches
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["CellMoments", "SortedPoints", "merge_finest", "sort_cloud"]
@@ -43,15 +40,6 @@ class CellMoments:
     def counts(self) -> FloatArray:
         """Points in each cell."""
         return self.moments[:, 0]
-
-    @property
-    def fit(self) -> Callable[..., Any]:
-        """The task that fits corners, given what `cut` returns."""
-        return kernels.fit_corners
-
-    def cut(self, cells: slice) -> tuple[FloatArray, ...]:
-        """Return what a task needs to know of a run of cells."""
-        return (self.moments[cells],)
 
     def sum(self, cells: slice) -> FloatArray:
         """Return the moments of a run of cells."""
@@ -87,24 +75,15 @@ class SortedPoints:
         """Points in each cell."""
         return np.diff(self.offsets).astype(np.float64)
 
-    @property
-    def fit(self) -> Callable[..., Any]:
-        """The task that fits corners, given what `cut` returns."""
-        return fit_points
-
-    def cut(self, cells: slice) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Return what a task needs to know of a run of cells: its points, in cells, and where."""
+    def sum(self, cells: slice) -> FloatArray:
+        """Return the moments of a run of cells."""
         assert self.cloud.normals is not None  # noqa: S101 - checked by the method, at its border
         offsets = self.offsets[cells.start : cells.stop + 1]
         rows = self.rows[offsets[0] : offsets[-1]]
         local, normals = kernels.gather_points(
             self.cloud.positions, self.cloud.normals, rows, self.origin, self.cell_size
         )
-        return local, normals, offsets - offsets[0]
-
-    def sum(self, cells: slice) -> FloatArray:
-        """Return the moments of a run of cells."""
-        return kernels.accumulate_moments(*self.cut(cells))
+        return kernels.accumulate_moments(local, normals, offsets - offsets[0])
 
 
 def sort_cloud(
@@ -132,9 +111,9 @@ def sort_cloud(
 
 
 def merge_finest(
-    cells: IntArray, points: SortedPoints, workforce: Workforce
+    cells: IntArray, points: SortedPoints, threads: int = 1
 ) -> tuple[IntArray, FloatArray]:
-    """Sum the moments of the parents of the finest cells, on the workers.
+    """Sum the moments of the parents of the finest cells.
 
     Parameters
     ----------
@@ -142,21 +121,20 @@ def merge_finest(
         Sorted keys of the finest cells.
     points : SortedPoints
         In these.
-    workforce : Workforce
+    threads : int
+        The result does not depend on it.
 
     Returns
     -------
     parents : ndarray of int64, shape (p,)
         Sorted keys.
     moments : ndarray of float64, shape (p, 44)
-        See `merge_points`.
+        In units of the parents.
     """
-    at_once = len(workforce.cut(len(cells)))
-    slabs = _cut_slabs(cells, max(at_once, -(-len(cells) // _SLAB)))
-    merged: list[tuple[IntArray, FloatArray]] = []
-    for first in range(0, len(slabs), at_once):
-        batches = [(cells[slab], *points.cut(slab)) for slab in slabs[first : first + at_once]]
-        merged += map_batches(workforce, merge_points, batches)
+    slabs = _cut_slabs(cells, max(threads, -(-len(cells) // _SLAB)))
+    merged = run_batches(
+        lambda slab: kernels.merge_cells(cells[slab], points.sum(slab)), slabs, threads
+    )
     parents = np.concatenate([keys for keys, _ in merged])
     return parents, np.concatenate([moments for _, moments in merged])
 

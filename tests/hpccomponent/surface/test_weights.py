@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.weights import (
+from hpccomponent.surface.weights import (
     LEAST_MU,
     localise_noise,
     trust_vertices,

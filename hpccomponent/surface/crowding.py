@@ -46,7 +46,7 @@ def crowd_vertices(
     Parameters
     ----------
     vertices : ndarray of int64, shape (v,)
-        Sorted keys of corners, all corners of the cells among them.
+        Sorted keys of corners; those of the cells that are missing are passed over.
     counts : ndarray of float32, shape (v,)
         Points in the eight cells around each.
     cells : ndarray of int64, shape (c,)
@@ -59,9 +59,10 @@ def crowd_vertices(
     ndarray of float64, shape (v,)
         sum n_child^2 / sum n_child - 1; infinite where there is no point.
     """
-    total = np.zeros(len(vertices))
+    total = np.zeros(len(vertices) + 1)  # the last is that of a missing one
     for octant in OCTANTS:
         total[kernels.find_keys(vertices, step_keys(cells, octant))] += squares
+    total = total[:-1]
     crowds = np.full(len(vertices), np.inf)
     np.divide(total, counts, out=crowds, where=counts > 0.0)
     return crowds - 1.0
@@ -73,7 +74,7 @@ def surrounded_vertices(vertices: IntArray, cells: IntArray) -> NDArray[np.bool_
     Parameters
     ----------
     vertices : ndarray of int64, shape (v,)
-        Sorted keys of corners, all corners of the cells among them.
+        Sorted keys of corners; those of the cells that are missing are passed over.
     cells : ndarray of int64, shape (c,)
         Keys of the occupied cells of the same level.
 
@@ -86,7 +87,7 @@ def surrounded_vertices(vertices: IntArray, cells: IntArray) -> NDArray[np.bool_
     A plane along an axis that passes through one of the eight cells around a vertex passes
     through four. Beyond the end of a scan there are two, or one.
     """
-    occupied = np.zeros(len(vertices), np.int64)
+    occupied = np.zeros(len(vertices) + 1, np.int8)  # the last is that of a missing one
     for octant in OCTANTS:
         occupied[kernels.find_keys(vertices, step_keys(cells, octant))] += 1
-    return occupied >= _LEAST_CELLS
+    return occupied[:-1] >= _LEAST_CELLS

@@ -1,24 +1,34 @@
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.pyramid import build_pyramid, fit_levels
-from hpcapp.applications.surface.weights import Weights, weigh_levels
-from hpcapp.batches import Workforce
 from hpccomponent.surface import kernels
 from hpccomponent.surface.lattice import find_keys, unpack_keys
 from hpccomponent.surface.moments import accumulate_moments
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.points import PointCloud, bounding_box
+from hpccomponent.surface.pyramid import (
+    build_pyramid,
+    corners_at,
+    count_levels,
+    fit_levels,
+    lay_vertices,
+)
+from hpccomponent.surface.weights import Weights, weigh_levels
 
 CELL_SIZE = 0.05
 CENTRE = np.array([10.0, 0.0, -3.0])
 
 
-def fit_alike(pyramid, workforce, advance=None):
+def build(cloud, cell_size, threads=1):
+    """Build all levels of a cloud."""
+    low, high = bounding_box(cloud.positions)
+    height = count_levels((high - low).max(), cell_size)
+    return build_pyramid(cloud, low, cell_size, height, threads)
+
+
+def fit_alike(pyramid, threads=1):
     """Fit every level with the same weights; return the finest one's quadrics."""
     weights = [Weights(0.05, 0.0, 0.3, 0.3)] * len(pyramid.levels)
-    return fit_levels(pyramid, weights, workforce, advance)[0]
+    return fit_levels(pyramid, weights, None, threads)[0][0]
 
 
 @pytest.fixture(scope="module")
@@ -26,12 +36,6 @@ def cloud():
     directions = np.random.default_rng(0).normal(size=(4000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return PointCloud(directions + CENTRE, directions)
-
-
-@pytest.fixture
-def workforce():
-    with ThreadPoolExecutor(1) as executor:
-        yield Workforce(executor)
 
 
 def moments_around(cloud, pyramid, level, vertex):
@@ -42,79 +46,81 @@ def moments_around(cloud, pyramid, level, vertex):
     return accumulate_moments(local[near], cloud.normals[near], np.array([0, near.sum()]))[0]
 
 
-def test_levels_end_at_six_to_twelve_cells(cloud, workforce):
-    pyramid = build_pyramid(cloud, CELL_SIZE, workforce)
+def test_levels_end_at_six_to_twelve_cells(cloud):
+    pyramid = build(cloud, CELL_SIZE)
     assert len(pyramid.levels) == 3
     widest = np.ptp(unpack_keys(pyramid.levels[-1].cells), axis=0).max() + 1
     assert 6 <= widest <= 13
 
 
-def test_every_level_counts_every_point(cloud, workforce):
-    for level in build_pyramid(cloud, CELL_SIZE, workforce).levels:
+def test_every_level_counts_every_point(cloud):
+    pyramid = build(cloud, CELL_SIZE)
+    for level, vertices in zip(pyramid.levels, pyramid.vertices, strict=True):
         assert level.points.counts.sum() == len(cloud)
-        assert np.isin(level.touched, level.vertices).all()
+        assert np.isin(kernels.spread_keys(level.cells, 0, 1), vertices).all()
 
 
-def test_vertices_know_the_points_of_the_eight_cells_around_them(cloud, workforce):
-    pyramid = build_pyramid(cloud, CELL_SIZE, workforce)
+@pytest.mark.parametrize("depth", [0, 1, 2, 3])
+def test_corners_laid_at_a_level_are_the_ancestors_of_the_finest(cloud, depth):
+    cells = build(cloud, CELL_SIZE).levels[0].cells
+    expected = lay_vertices(corners_at(cells, 0), depth + 1)[depth]
+    assert np.array_equal(corners_at(cells, depth), expected)
+
+
+def test_vertices_know_the_points_of_the_eight_cells_around_them(cloud):
+    pyramid = build(cloud, CELL_SIZE)
     for number, level in enumerate(pyramid.levels):
         in_cells = level.points.sum(slice(0, len(level.cells)))
-        moments = kernels.corner_moments(level.touched, level.cells, in_cells)
+        touched = kernels.spread_keys(level.cells, 0, 1)
+        moments = kernels.corner_moments(touched, level.cells, in_cells)
         for row in np.random.default_rng(number).integers(0, len(moments), 8):
-            vertex = unpack_keys(level.touched[row])
+            vertex = unpack_keys(touched[row])
             expected = moments_around(cloud, pyramid, number, vertex)
             np.testing.assert_allclose(moments[row], expected, rtol=1e-9, atol=1e-9)
 
 
-def test_finest_quadrics_are_signed_distances_near_the_surface(cloud, workforce):
-    pyramid = build_pyramid(cloud, CELL_SIZE, workforce)
-    told = []
-    quadrics = fit_alike(pyramid, workforce, lambda *parts: told.append(parts))
-    finest = pyramid.levels[0]
-    rows = find_keys(finest.vertices, finest.touched)
-    places = pyramid.origin + CELL_SIZE * unpack_keys(finest.touched)
+def test_finest_quadrics_are_signed_distances_near_the_surface(cloud):
+    pyramid = build(cloud, CELL_SIZE)
+    quadrics = fit_alike(pyramid)
+    touched = kernels.spread_keys(pyramid.levels[0].cells, 0, 1)
+    rows = find_keys(pyramid.vertices[0], touched)
+    places = pyramid.origin + CELL_SIZE * unpack_keys(touched)
     distances = np.linalg.norm(places - CENTRE, axis=1) - 1.0
     near = np.abs(distances) < 0.3 * CELL_SIZE
     errors = CELL_SIZE * quadrics.coefficients[rows, 0] - distances
     assert np.sqrt((errors[near] ** 2).mean()) < 0.03 * CELL_SIZE
-    assert told[-1][0] == told[-1][1] == sum(len(level.touched) for level in pyramid.levels)
 
 
-def test_vertices_without_points_inherit_from_those_that_have_some(cloud, workforce):
-    pyramid = build_pyramid(cloud, CELL_SIZE, workforce)
-    quadrics = fit_alike(pyramid, workforce)
+def test_vertices_without_points_inherit_from_those_that_have_some(cloud):
+    pyramid = build(cloud, CELL_SIZE)
+    quadrics = fit_alike(pyramid)
     lonely = quadrics.counts == 0
     assert lonely.any()
     assert (quadrics.inherited[lonely] > 0).mean() > 0.95
-    places = pyramid.origin + CELL_SIZE * unpack_keys(pyramid.levels[0].vertices[lonely])
+    places = pyramid.origin + CELL_SIZE * unpack_keys(pyramid.vertices[0][lonely])
     distances = np.linalg.norm(places - CENTRE, axis=1) - 1.0
     clear = np.abs(distances) > 0.5 * CELL_SIZE
     agree = np.sign(quadrics.coefficients[lonely, 0]) == np.sign(distances)
     assert agree[clear].mean() > 0.99
 
 
-def test_bits_do_not_depend_on_the_batches(cloud):
-    results = []
-    for batches in (1, 3, 16):
-        with ThreadPoolExecutor(2) as executor:
-            workforce = Workforce(executor, 1, batches)
-            pyramid = build_pyramid(cloud, CELL_SIZE, workforce)
-            results.append(fit_alike(pyramid, workforce).coefficients)
+def test_bits_do_not_depend_on_the_threads(cloud):
+    results = [fit_alike(build(cloud, CELL_SIZE, n), n).coefficients for n in (1, 3, 16)]
     assert np.array_equal(results[0], results[1])
     assert np.array_equal(results[0], results[2])
 
 
-def test_vertices_learn_the_noise_around_them_from_further_up(workforce):
+def test_vertices_learn_the_noise_around_them_from_further_up():
     """One half of a sphere is noisier than the other: each must be told of its own noise."""
     rng = np.random.default_rng(3)
     directions = rng.normal(size=(40_000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     sigma = np.where(directions[:, 2] > 0.0, 0.01, 0.002)
     radii = 1.0 + sigma * rng.normal(size=len(directions))
-    pyramid = build_pyramid(PointCloud(radii[:, None] * directions, directions), 0.04, workforce)
+    pyramid = build(PointCloud(radii[:, None] * directions, directions), 0.04)
     weights = weigh_levels(0.04, len(pyramid.levels), 0.005)
-    finest = fit_levels(pyramid, weights, workforce)[0]
-    heights = (pyramid.origin + 0.04 * unpack_keys(pyramid.levels[0].vertices))[:, 2]
+    finest = fit_levels(pyramid, weights)[0][0]
+    heights = (pyramid.origin + 0.04 * unpack_keys(pyramid.vertices[0]))[:, 2]
     told = 0.04**2 * finest.variances[:, 1]
     assert np.median(told[heights > 0.3]) == pytest.approx(0.01**2, rel=0.2)
     assert np.median(told[heights < -0.3]) == pytest.approx(0.002**2, rel=0.5)

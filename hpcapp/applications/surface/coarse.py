@@ -1,0 +1,180 @@
+"""What the master computes itself: the coarse levels of all tiles together, and the far field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hpccomponent.surface import kernels
+from hpccomponent.surface.cell_points import CellMoments
+from hpccomponent.surface.far_field import FarField, crop_far_field, far_step, solve_far_field
+from hpccomponent.surface.field import BRICK, FieldLevel, Grid
+from hpccomponent.surface.lattice import find_keys, pack_places, unique_keys, unpack_keys
+from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.pyramid import (
+    Level,
+    Parents,
+    Pyramid,
+    fit_levels,
+    lay_vertices,
+    raise_levels,
+)
+from hpccomponent.surface.reach import HALO_STEPS, surround
+from hpccomponent.surface.region import CoarseLevels, Plan, find_trust, sample_cells
+from hpccomponent.surface.weights import weigh_levels
+
+__all__ = ["Coarse", "far_level", "fit_coarse", "solve_far"]
+
+_FAR_CELLS = 0.5  # steps of the far field, which samples no smaller cells than these
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coarse:
+    """The levels that the master has fitted, of the whole cloud.
+
+    Parameters
+    ----------
+    plan : Plan
+    parents : Parents
+        What the level of the tiles' cells offers to the next finer one.
+    levels : tuple of FieldLevel
+    far : FarField
+    """
+
+    plan: Plan
+    parents: Parents
+    levels: tuple[FieldLevel, ...]
+    far: FarField
+
+    def around(self, cells: IntArray) -> CoarseLevels:
+        """Return what a tile must know.
+
+        Parameters
+        ----------
+        cells : ndarray of int64, shape (c,)
+            Keys of its coarse cells.
+        """
+        plan = self.plan
+        reach = HALO_STEPS * plan.step
+        size = plan.cell_size * 2.0**plan.coarse
+        wide = int(np.ceil((reach + 3.0 * size) / size))  # corners that nobody needs have parents
+        rows = _find_around(self.parents.keys, cells, wide)
+        above = self.parents
+        parents = Parents(
+            above.keys[rows], above.coefficients[rows], above.support[rows], above.variances[rows]
+        )
+        levels = []
+        for depth, level in enumerate(self.levels):
+            coarser = unique_keys(pack_places(unpack_keys(cells) >> depth))
+            rows = _find_around(level.keys, coarser, int(np.ceil(reach / (size * 2**depth))) + 1)
+            levels.append(FieldLevel(level.keys[rows], level.coefficients[rows], level.trust[rows]))
+        places = unpack_keys(cells)
+        margin = reach + 2.0 * size
+        low = plan.origin + size * places.min(axis=0) - margin
+        high = plan.origin + size * (places.max(axis=0) + 1) + margin
+        return CoarseLevels(parents, tuple(levels), crop_far_field(self.far, low, high))
+
+    def whole(self) -> CoarseLevels:
+        """Return all of it."""
+        low = self.far.origin
+        high = low + self.far.step * len(self.far.values)
+        return CoarseLevels(self.parents, self.levels, crop_far_field(self.far, low, high))
+
+
+def far_level(grid: Grid, cell_size: float, height: int) -> int:
+    """Return the finest level whose cells the far field may sample.
+
+    Each cell counts once: its area, not its points, is what a scan's uneven density leaves
+    alone. So its cells must not be so small that most of them are empty where points are few.
+
+    Parameters
+    ----------
+    grid : Grid
+    cell_size : float
+        Edge of the finest cells, in length units of the input.
+    height : int
+        How many levels there are.
+    """
+    level = 0
+    least = _FAR_CELLS * far_step(*_box(grid))
+    while level < height - 1 and cell_size * 2.0**level < least:
+        level += 1
+    return level
+
+
+def solve_far(plan: Plan, cells: IntArray, sums: FloatArray, threads: int) -> FarField:
+    """Solve for the far field.
+
+    Parameters
+    ----------
+    plan : Plan
+    cells, sums
+        See `region.sample_cells`; of the whole cloud, sorted by key.
+    threads : int
+        The result does not depend on it.
+    """
+    size = plan.cell_size * 2.0**plan.far
+    places = unpack_keys(cells) + 0.5 + sums[:, 1:4] / sums[:, :1]
+    return solve_far_field(
+        plan.origin + size * places, sums[:, 4:] / sums[:, :1], _box(plan.grid), size, threads
+    )
+
+
+def fit_coarse(plan: Plan, sums: list[tuple[Any, ...]], threads: int) -> Coarse:
+    """Put the coarse cells of all tiles together, and fit the levels from there up.
+
+    Parameters
+    ----------
+    plan : Plan
+    sums : list of tuple
+        What `region.sum_tile` returned for each tile, in any order.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    Coarse
+    """
+    cells, order = _sort([part[0] for part in sums])
+    moments = np.concatenate([part[1] for part in sums])[order]
+    squares = np.concatenate([part[2] for part in sums])[order]
+    vertices = unique_keys(np.concatenate([part[3] for part in sums]))
+    height = plan.height - plan.coarse
+    levels = raise_levels(Level(cells, CellMoments(moments), squares), height, threads)
+    far_cells, far_sums = _sample_far(plan, levels, sums)
+    far = solve_far(plan, far_cells, far_sums, threads)
+    laid = lay_vertices(vertices, height)
+    pyramid = Pyramid(plan.origin, plan.cell_size, levels, laid, plan.coarse, plan.height)
+    weights = weigh_levels(plan.cell_size, plan.height, plan.noise)
+    quadrics, parents = fit_levels(pyramid, weights, None, threads)
+    return Coarse(plan, parents, find_trust(pyramid, quadrics, far), far)
+
+
+def _sample_far(
+    plan: Plan, levels: list[Level], sums: list[tuple[Any, ...]]
+) -> tuple[IntArray, FloatArray]:
+    """Return what the far field is made of, from the tiles or from a coarser level."""
+    if plan.far > plan.coarse:
+        return sample_cells(levels[plan.far - plan.coarse])
+    cells, order = _sort([part[4] for part in sums])
+    return cells, np.concatenate([part[5] for part in sums])[order]
+
+
+def _sort(parts: list[IntArray]) -> tuple[IntArray, IntArray]:
+    """Return keys in their order, and where each came from."""
+    keys = np.concatenate(parts)
+    order = np.argsort(keys)
+    return keys[order], order
+
+
+def _find_around(keys: IntArray, cells: IntArray, wide: int) -> IntArray:
+    """Return the rows of the corners that lie within so many cells of some cells."""
+    reached = kernels.spread_keys(surround(cells, wide), 0, 1)
+    found: IntArray = np.flatnonzero(find_keys(reached, keys) < len(reached))
+    return found
+
+
+def _box(grid: Grid) -> tuple[FloatArray, FloatArray]:
+    return grid.origin, grid.origin + grid.step * BRICK * np.array(grid.bricks)

@@ -1,0 +1,390 @@
+"""The pyramid of lattices under a cloud: cells with moments, vertices with quadrics.
+
+::
+
+    points of level 0 --moments, sums of eight--> level 1 ... level L
+                                                                |
+    quadrics of level 0 <--prior-- level 1 <--prior-- ... <-- fits of level L
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.cutting import cut_equal
+from hpccomponent.surface import kernels
+from hpccomponent.surface.cell_points import CellMoments, SortedPoints, merge_finest, sort_cloud
+from hpccomponent.surface.crowding import sum_squares, surrounded_vertices
+from hpccomponent.surface.hermite import BASIS
+from hpccomponent.surface.lattice import (
+    BITS,
+    OCTANTS,
+    pack_places,
+    step_keys,
+    unique_keys,
+    unpack_keys,
+)
+from hpccomponent.surface.moments import COLUMNS
+from hpccomponent.surface.parallel import run_batches
+from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
+from hpccomponent.surface.weights import FIELD_LEVELS, Weights, localise_noise
+
+__all__ = [
+    "Level",
+    "Parents",
+    "Pyramid",
+    "VertexQuadrics",
+    "build_pyramid",
+    "corners_at",
+    "count_levels",
+    "fit_levels",
+    "lay_vertices",
+    "raise_levels",
+    "sort_level",
+]
+
+Float32Array = NDArray[np.float32]
+
+_COARSEST_CELLS = 6
+# Corners in a batch: what it takes stays in the cache, and memory that was freed is used again.
+_LEAST_BATCH, _MOST_BATCH = 1 << 12, 1 << 16
+_LAYERS = 2  # of corners in a batch at least: the cells on both sides of its ends are summed twice
+_FINER_UNITS = np.float32(4.0)  # the same variance, in cells of the next finer level squared
+_LOCAL_FROM = 2  # levels further up, which tell a vertex the noise around it
+# What a point counts one level further up, where the surface is 4 times larger.
+_ANCESTORS = np.float32(0.25)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Level:
+    """One lattice of the pyramid.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the occupied cells.
+    points : SortedPoints or CellMoments
+        What the fits know of the points in each cell: those of the finest level themselves.
+    squares : ndarray of float64, shape (c,)
+        Sums of the squared counts of each cell's children; none at the finest level.
+    """
+
+    cells: IntArray
+    points: SortedPoints | CellMoments
+    squares: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pyramid:
+    """Lattices from a finer to a coarser one.
+
+    Parameters
+    ----------
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of every level lies.
+    cell_size : float
+        Edge of the cells of level 0, in length units of the input.
+    levels : list of Level
+        `fit_levels` takes the points out of each as it goes: they are most of the memory.
+    vertices : list of ndarray of int64
+        Of each level, the sorted keys of the corners that carry a quadric (see `lay_vertices`).
+    first : int
+        The level that is first in the list.
+    height : int
+        How many levels the whole cloud has, from level 0 on.
+    """
+
+    origin: FloatArray
+    cell_size: float
+    levels: list[Level]
+    vertices: list[IntArray]
+    first: int
+    height: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VertexQuadrics:
+    """The quadrics of one level.
+
+    Parameters
+    ----------
+    coefficients : ndarray of float32, shape (v, 10)
+    counts : ndarray of float32, shape (v,)
+        Points in the eight cells around each vertex.
+    inherited : ndarray of float32, shape (v,)
+        The mean count of its parents, 0 for those that points do not surround (see `crowding`),
+        plus a quarter of what these inherited.
+    variances : ndarray of float32, shape (v, 3)
+        What the fits leave over (see `hermite.residual_variances`), in cells squared: its own, the
+        mean of its parents' and of theirs. Where points are few, its own is the parents'.
+    """
+
+    coefficients: Float32Array
+    counts: Float32Array
+    inherited: Float32Array
+    variances: Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parents:
+    """What the vertices of the next finer level take from a level.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (v,)
+        Sorted.
+    coefficients : ndarray of float32, shape (v, 10)
+    support : ndarray of float32, shape (v,)
+        The count of each vertex, 0 where points do not surround it, plus a quarter of what it
+        inherited.
+    variances : ndarray of float32, shape (v, 2)
+        Its own, and the mean of its parents', in cells of this level squared.
+    """
+
+    keys: IntArray
+    coefficients: Float32Array
+    support: Float32Array
+    variances: Float32Array
+
+
+def count_levels(longest: float, cell_size: float) -> int:
+    """Return how many levels a cloud has: floor(log2(longest side / cell_size / 6)) + 1, or 1.
+
+    Parameters
+    ----------
+    longest : float
+        Longest side of the cloud, in length units of the input.
+    cell_size : float
+        Edge of the finest cells, in length units of the input.
+    """
+    return 1 + max(0, int(np.floor(np.log2(longest / cell_size / _COARSEST_CELLS))))
+
+
+def build_pyramid(
+    cloud: PointCloud, origin: FloatArray, cell_size: float, height: int, threads: int = 1
+) -> Pyramid:
+    """Sort the points into the finest cells, and sum their moments over all coarser ones.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        With normals.
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of every level lies.
+    cell_size : float
+        Edge of the finest cells, in length units of the input.
+    height : int
+        How many levels there are (see `count_levels`).
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    Pyramid
+    """
+    levels = raise_levels(sort_level(cloud, origin, cell_size), height, threads)
+    vertices = lay_vertices(corners_at(levels[0].cells, 0), height)
+    return Pyramid(origin, cell_size, levels, vertices, 0, height)
+
+
+def sort_level(cloud: PointCloud, origin: FloatArray, cell_size: float) -> Level:
+    """Sort the points into the finest cells.
+
+    Parameters
+    ----------
+    cloud, origin, cell_size
+        See `build_pyramid`.
+    """
+    return Level(*sort_cloud(cloud, origin, cell_size), np.empty(0))
+
+
+def raise_levels(finest: Level, levels: int, threads: int = 1) -> list[Level]:
+    """Put coarser levels upon a level.
+
+    Parameters
+    ----------
+    finest : Level
+    levels : int
+        How many there shall be, `finest` included.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    list of Level
+        Finest first.
+    """
+    raised = [finest]
+    while len(raised) < levels:
+        finer = raised[-1]
+        if isinstance(finer.points, SortedPoints):
+            cells, moments = merge_finest(finer.cells, finer.points, threads)
+        else:
+            cells, moments = kernels.merge_cells(finer.cells, finer.points.moments)
+        squares = sum_squares(finer.cells, finer.points.counts, cells)
+        raised.append(Level(cells, CellMoments(moments), squares))
+    return raised
+
+
+def lay_vertices(finest: IntArray, levels: int) -> list[IntArray]:
+    """Return the corners that carry quadrics, level by level: some, and all their ancestors.
+
+    Parameters
+    ----------
+    finest : ndarray of int64, shape (v,)
+        Sorted keys of corners of the finest of these levels.
+    levels : int
+
+    Returns
+    -------
+    list of ndarray of int64
+        Among the ancestors of the corners of cells are all corners of the coarser cells.
+    """
+    vertices = [finest]
+    while len(vertices) < levels:
+        vertices.append(kernels.parent_keys(vertices[-1]))
+    return vertices
+
+
+def corners_at(cells: IntArray, depth: int) -> IntArray:
+    """Return the corners of a level that carry quadrics because of some of the finest cells.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of finest cells that hold points.
+    depth : int
+        The level: at level 0 the corners of the cells and of their neighbours, and then the
+        ancestors of these.
+
+    Returns
+    -------
+    ndarray of int64, shape (v,)
+        Sorted.
+
+    Notes
+    -----
+    Cell i lays corners i - 1 to i + 2; their ancestors are those from floor((i - 1) / 2^depth)
+    to ceil((i + 2) / 2^depth), along each axis by itself.
+    """
+    if depth == 0:
+        return kernels.spread_keys(cells, -1, 2)
+    places = unpack_keys(cells)
+    low, high = (places - 1) >> depth, -(-(places + 2) >> depth)
+    spans = high - low  # 1 to 3
+    shapes = spans @ np.array([1, 4, 16])
+    laid = []
+    for shape in np.unique(shapes):
+        corners = unique_keys(pack_places(low[shapes == shape]))
+        sides = (shape & 3, shape >> 2 & 3, shape >> 4)
+        laid += [step_keys(corners, np.array(step)) for step in np.ndindex(*(s + 1 for s in sides))]
+    return unique_keys(np.concatenate(laid))
+
+
+def fit_levels(
+    pyramid: Pyramid, weights: list[Weights], parents: Parents | None = None, threads: int = 1
+) -> tuple[list[VertexQuadrics], Parents]:
+    """Fit every level, from the coarsest to the finest, each with the one above as prior.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+        It may lack vertices that nobody asks for, but no parent of one that is there.
+    weights : list of Weights
+        Of each level of the whole cloud, finest first.
+    parents : Parents, optional
+        The level above the coarsest of `pyramid`, where there is one.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    quadrics : list of VertexQuadrics
+        Of the levels of `pyramid` that a field is made of, finest first.
+    parents : Parents
+        What the level below the finest of `pyramid` takes from it.
+    """
+    kept: list[VertexQuadrics] = []
+    for index in reversed(range(len(pyramid.levels))):
+        level, vertices = pyramid.levels[index], pyramid.vertices[index]
+        depth = pyramid.first + index
+        quadrics = _inherit_level(vertices, parents)
+        touched = kernels.spread_keys(level.cells, 0, 1)
+        rows = kernels.find_keys(vertices, touched)
+        asked = rows < len(vertices)
+        if not asked.all():
+            touched, rows = touched[asked], rows[asked]
+        local = depth < pyramid.height - _LOCAL_FROM
+        noise = _find_noise(weights[depth].noise, quadrics.variances[rows], local)
+        _fit_level(level, touched, rows, quadrics, noise, weights[depth], threads)
+        pyramid.levels[index] = replace(level, points=CellMoments(np.empty((0, COLUMNS))))
+        parents = _offer_level(vertices, level.cells, quadrics)
+        if depth < FIELD_LEVELS:
+            kept.insert(0, quadrics)
+    assert parents is not None  # noqa: S101 - a pyramid has a level
+    return kept, parents
+
+
+def _inherit_level(vertices: IntArray, parents: Parents | None) -> VertexQuadrics:
+    """Return the means of the parents' quadrics, support and variances; zeros at the coarsest."""
+    none = np.zeros(len(vertices), np.float32)
+    if parents is None:
+        coefficients, variances = (np.zeros((len(vertices), k), np.float32) for k in (BASIS, 3))
+        return VertexQuadrics(coefficients, none, none.copy(), variances)
+    values = np.column_stack((parents.support, _FINER_UNITS * parents.variances))
+    means, inherited = kernels.inherit_level(vertices, parents.keys, parents.coefficients, values)
+    return VertexQuadrics(means, none, inherited[:, 0].copy(), inherited[:, [1, 1, 2]])
+
+
+def _offer_level(vertices: IntArray, cells: IntArray, quadrics: VertexQuadrics) -> Parents:
+    """Return what the next finer level takes from a level that is fitted."""
+    surrounded = surrounded_vertices(vertices, cells)
+    support = quadrics.counts * surrounded + _ANCESTORS * quadrics.inherited
+    return Parents(vertices, quadrics.coefficients, support, quadrics.variances[:, :2])
+
+
+def _find_noise(overall: float, variances: Float32Array, local: bool) -> Float32Array:
+    """Return the noise at some vertices, told locally where there are two levels further up."""
+    if local:
+        return localise_noise(overall, variances[:, 1], variances[:, 2])
+    return np.full(len(variances), overall, np.float32)
+
+
+def _fit_level(
+    level: Level,
+    corners: IntArray,
+    rows: IntArray,
+    quadrics: VertexQuadrics,
+    noise: Float32Array,
+    weights: Weights,
+    threads: int,
+) -> None:
+    """Fit the corners of a level's cells; `rows` says where they stand in `quadrics`."""
+
+    def fit(cut: slice) -> None:
+        touched, at = corners[cut], rows[cut]
+        first = step_keys(touched[0], -OCTANTS[-1])
+        bounds = np.searchsorted(level.cells, (first, touched[-1] + 1))
+        near = slice(int(bounds[0]), int(bounds[1]))
+        coefficients, counts, variances = kernels.fit_corners(
+            touched, level.cells[near], level.points.sum(near), quadrics.coefficients[at],
+            noise[cut], weights.lam, weights.least_mu, weights.most_mu,
+        )  # fmt: skip
+        quadrics.coefficients[at] = coefficients
+        quadrics.counts[at] = counts
+        known = ~np.isnan(variances)
+        quadrics.variances[at[known], 0] = variances[known]
+
+    if len(rows):
+        run_batches(fit, _cut_corners(corners, threads), threads)
+
+
+def _cut_corners(touched: IntArray, threads: int) -> list[slice]:
+    """Cut the corners of a level into batches: small ones, but not of less than two layers."""
+    layers = int((touched[-1] >> 2 * BITS) - (touched[0] >> 2 * BITS)) + 1
+    wanted = max(_LAYERS * len(touched) // layers, _LEAST_BATCH)
+    batches = -(-len(touched) // min(wanted, _MOST_BATCH))
+    return cut_equal(len(touched), max(batches, threads))

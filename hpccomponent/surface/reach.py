@@ -1,0 +1,209 @@
+"""What a tile may grow into, and which vertices of the lattices that takes.
+
+::
+
+    own bricks ── 1 further ──> open ones ── 2 further ──> the rim ── a cell further ──> vertices
+
+A brick that holds points belongs to the first tile that has one of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface import kernels
+from hpccomponent.surface.bricks import BESIDE, FOREIGN, OPEN, OUT, OWN, BrickKinds
+from hpccomponent.surface.field import BRICK, Grid
+from hpccomponent.surface.lattice import unpack_keys
+from hpccomponent.surface.points import FloatArray, IntArray
+
+__all__ = ["HALO_STEPS", "near_bricks", "plan_gap", "plan_tile", "plan_whole", "surround"]
+
+BoolArray = NDArray[np.bool_]
+
+HALO_STEPS = 3 * BRICK
+"""Grid steps from a point of a tile to the farthest node that its bricks and their rim have."""
+
+
+_AT_ONCE = 8
+
+
+def surround(cells: IntArray, wide: int) -> IntArray:
+    """Return all cells within so many cells of some, along every axis; sorted keys.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys.
+    wide : int
+    """
+    while wide > 0:
+        cells = kernels.spread_keys(cells, -min(wide, _AT_ONCE), min(wide, _AT_ONCE))
+        wide -= _AT_ONCE
+    return cells
+
+
+def plan_whole(grid: Grid, positions: FloatArray) -> BrickKinds:
+    """Let the only tile grow wherever it gets.
+
+    Parameters
+    ----------
+    grid : Grid
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input.
+
+    Returns
+    -------
+    BrickKinds
+    """
+    kinds = np.full(grid.bricks, OPEN, np.uint8)
+    _mark(kinds, kernels.seed_bricks(grid, positions), np.zeros(3, np.int64), OWN)
+    return BrickKinds(np.zeros(3, np.int64), kinds)
+
+
+def plan_tile(
+    grid: Grid, core: FloatArray, before: FloatArray, after: FloatArray
+) -> BrickKinds | None:
+    """Tell how far a tile may grow.
+
+    Parameters
+    ----------
+    grid : Grid
+    core : ndarray of float64, shape (n, 3)
+        Positions of the tile's points, in length units of the input.
+    before, after : ndarray of float64, shape (m, 3)
+        Those around it that belong to tiles before and after it.
+
+    Returns
+    -------
+    BrickKinds or None
+        None where every brick of the tile belongs to one before it.
+    """
+    earlier, later = (_seed(grid, positions) for positions in (before, after))
+    own = np.setdiff1d(_seed(grid, core), earlier)
+    if not len(own):
+        return None
+    places = unpack_keys(own)
+    first = np.maximum(places.min(axis=0) - 2, 0)
+    end = np.minimum(places.max(axis=0) + 3, grid.bricks)
+    mask = np.zeros(end - first, np.bool_)
+    mask[tuple((places - first).T)] = True
+    near = _dilate(mask)
+    kinds = np.where(_dilate(near), BESIDE, OUT).astype(np.uint8)
+    kinds[near] = OPEN
+    for foreign in (earlier, later):
+        _mark(kinds, foreign, first, FOREIGN, kinds != OUT)
+    kinds[mask] = OWN
+    return BrickKinds(first, kinds)
+
+
+def plan_gap(
+    grid: Grid, exits: IntArray, known: FloatArray, missing: FloatArray, size: float, reach: float
+) -> BrickKinds:
+    """Tell how far the surface may be followed from bricks without points, as over a hole.
+
+    Parameters
+    ----------
+    grid : Grid
+    exits : ndarray of int64, shape (e,)
+        Keys of the bricks to begin with.
+    known : ndarray of float64, shape (n, 3)
+        Positions of the points around them, in length units of the input.
+    missing : ndarray of float64, shape (c, 3)
+        Low corners of the cells whose points are not known here.
+    size : float
+        Edge of these cells.
+    reach : float
+        How far a point matters, all in length units of the input.
+
+    Returns
+    -------
+    BrickKinds
+    """
+    edge = BRICK * grid.step
+    known_all = np.ones(grid.bricks, np.bool_)
+    low = np.floor((missing - reach - grid.origin) / edge).astype(np.int64)
+    high = np.floor((missing + size + reach - grid.origin) / edge).astype(np.int64) + 1
+    for first, end in zip(np.maximum(low, 0), high, strict=True):
+        known_all[first[0] : end[0], first[1] : end[1], first[2] : end[2]] = False
+    inner = ~_dilate(~known_all)
+    kinds = np.where(inner, OPEN, np.where(known_all, BESIDE, OUT)).astype(np.uint8)
+    zero = np.zeros(3, np.int64)
+    _mark(kinds, _seed(grid, known), zero, FOREIGN, known_all)
+    _mark(kinds, exits, zero, OWN)
+    return BrickKinds(zero, kinds)
+
+
+def near_bricks(kinds: BrickKinds, grid: Grid, places: FloatArray, reach: float) -> BoolArray:
+    """Tell which places have a brick that may be evaluated within reach along every axis.
+
+    Parameters
+    ----------
+    kinds : BrickKinds
+    grid : Grid
+    places : ndarray of float64, shape (v, 3)
+        In length units of the input.
+    reach : float
+        Likewise.
+
+    Returns
+    -------
+    ndarray of bool, shape (v,)
+        True also for some beyond, where the reach is longer than half a brick.
+    """
+    edge = BRICK * grid.step
+    corner = grid.origin + edge * kinds.first
+    wanted = kinds.kinds != OUT
+    far = int(np.ceil(max(0.0, reach / edge - 0.5)))  # bricks, beyond what two lookups see
+    wanted = np.pad(wanted, far + 1)
+    for _ in range(far):
+        wanted = _dilate(wanted)
+    pairs = wanted.astype(np.uint8)  # bit a + 2 b + 4 c: also the next one along x, y, z
+    for axis in range(3):
+        ahead = np.roll(pairs, -1, axis=axis)
+        pairs |= (pairs | ahead) << np.uint8(1 << axis)
+    margin = min(reach, 0.5 * edge)
+    index = np.zeros(len(places), np.int64)
+    spans = np.zeros(len(places), np.uint8)
+    inside = np.ones(len(places), np.bool_)
+    for axis, length in enumerate(pairs.shape):
+        column = (places[:, axis] - corner[axis]) / edge
+        low = np.floor(column - margin / edge).astype(np.int64)
+        spans |= ((np.floor(column + margin / edge) > low).astype(np.uint8)) << np.uint8(axis)
+        low += far + 1
+        inside &= (low >= 0) & (low < length - 1)
+        index = index * length + np.clip(low, 0, length - 1)
+    found: BoolArray = inside & (pairs.reshape(-1)[index] >> spans & 1).astype(np.bool_)
+    return found
+
+
+def _seed(grid: Grid, positions: FloatArray) -> IntArray:
+    """Return the bricks that hold a point, if there are points."""
+    return kernels.seed_bricks(grid, positions) if len(positions) else np.empty(0, np.int64)
+
+
+def _mark(
+    kinds: NDArray[np.uint8],
+    keys: IntArray,
+    first: IntArray,
+    kind: int,
+    where: BoolArray | None = None,
+) -> None:
+    """Set the kind of those bricks that lie in the box, and where a mask allows it."""
+    places = unpack_keys(keys) - first
+    places = places[((places >= 0) & (places < kinds.shape)).all(axis=1)]
+    at = tuple(places.T)
+    kinds[at] = kind if where is None else np.where(where[at], kind, kinds[at])
+
+
+def _dilate(mask: BoolArray) -> BoolArray:
+    """Add the 26 neighbours, one axis after the other."""
+    for axis in range(3):
+        grown = mask.copy()
+        ahead, behind = [slice(None)] * 3, [slice(None)] * 3
+        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+        grown[tuple(ahead)] |= mask[tuple(behind)]
+        grown[tuple(behind)] |= mask[tuple(ahead)]
+        mask = grown
+    return mask
