@@ -2,8 +2,7 @@
 #include <limits>
 
 #include "families.h"
-#include "keys.h"
-#include "moments.h"
+#include "pairs.h"
 #include "threads.h"
 
 namespace hpc {
@@ -61,38 +60,90 @@ constexpr PairTable PAIRS;
 using Matrix = double[BASIS][BASIS][LANES];
 using Vector = double[BASIS][LANES];
 
+// Entries of the lower triangle are numbered row by row. All that goes through them does so at
+// compile time: an entry is made of few moments, and to look up which would take longer.
+constexpr int ENTRIES = BASIS * (BASIS + 1) / 2;
+using Entries = std::make_integer_sequence<int, ENTRIES>;
+
+constexpr int row_of(int entry) {
+  int row = 0;
+  while ((row + 1) * (row + 2) / 2 <= entry) ++row;
+  return row;
+}
+constexpr int column_in(int entry) { return entry - row_of(entry) * (row_of(entry) + 1) / 2; }
+
+template <int ENTRY>
+HPC_INLINE void fill_entry(const Block& rows, const double (&factors)[5], const double (&mu)[LANES],
+                           const double (&inverse)[LANES], Matrix& matrix) {
+  constexpr Pair pair = PAIRS.at[row_of(ENTRY)][column_in(ENTRY)];
+  double sum[LANES];
+  EACH_LANE sum[lane] = rows[pair.value][lane];
+  for (int term = 0; term < pair.terms; ++term) {
+    const double factor = factors[static_cast<int>(pair.factor[term])];
+    const double* from = rows[pair.column[term]];
+    EACH_LANE sum[lane] += factor * from[lane];
+  }
+  if constexpr (pair.gram != 0.0) EACH_LANE sum[lane] += mu[lane] * pair.gram;
+  EACH_LANE matrix[row_of(ENTRY)][column_in(ENTRY)][lane] = sum[lane] * inverse[lane];
+}
+
+template <int... ENTRY>
+HPC_INLINE void fill_entries(const Block& rows, const double (&factors)[5], const double (&mu)[LANES],
+                             const double (&inverse)[LANES], Matrix& matrix, std::integer_sequence<int, ENTRY...>) {
+  (fill_entry<ENTRY>(rows, factors, mu, inverse, matrix), ...);
+}
+
+// Add what the prior says about the means over the cube of a basis function times all others.
+template <int I, int J>
+HPC_INLINE void add_prior(const Vector& prior, const double (&mu)[LANES], double* sum) {
+  constexpr double gram = PAIRS.at[I][J].gram;
+  if constexpr (gram != 0.0) EACH_LANE sum[lane] += (mu[lane] * gram) * prior[J][lane];
+}
+
+template <int I, int... J>
+HPC_INLINE void add_priors(const Vector& prior, const double (&mu)[LANES], double* sum, std::integer_sequence<int, J...>) {
+  (add_prior<I, J>(prior, mu, sum), ...);
+}
+
+template <int... I>
+HPC_INLINE void fill_right(const Block& rows, const Vector& prior, double lam, const double (&mu)[LANES],
+                           const double (&inverse)[LANES], Vector& right, std::integer_sequence<int, I...> all) {
+  for (int i = 0; i < BASIS; ++i) EACH_LANE right[i][lane] = i ? lam * rows[MONOMIALS + i - 1][lane] : 0.0;
+  (add_priors<I>(prior, mu, right[I], all), ...);
+  for (int i = 0; i < BASIS; ++i) EACH_LANE right[i][lane] *= inverse[lane];
+}
+
 HPC_INLINE void fill_equations(const Block& rows, const Vector& prior, double lam,
                                const double (&mu)[LANES], Matrix& matrix, Vector& right) {
-  double inverse[LANES];
+  double inverse[LANES], factors[5];
   EACH_LANE inverse[lane] = 1.0 / rows[0][lane];
-  for (int j = 0; j < BASIS; ++j)
-    for (int i = j; i < BASIS; ++i) {
-      const Pair& pair = PAIRS.at[i][j];
-      double* entry = matrix[i][j];
-      EACH_LANE entry[lane] = rows[pair.value][lane];
-      for (int term = 0; term < pair.terms; ++term)
-        EACH_LANE entry[lane] += (lam * pair.factor[term]) * rows[pair.column[term]][lane];
-      EACH_LANE entry[lane] = (entry[lane] + mu[lane] * pair.gram) * inverse[lane];
-    }
-  for (int i = 0; i < BASIS; ++i) {
-    EACH_LANE matrix[i][i][lane] += RIDGE;
-    EACH_LANE right[i][lane] = i ? lam * rows[MONOMIALS + i - 1][lane] : 0.0;
-    for (int j = 0; j < BASIS; ++j)
-      if (PAIRS.at[i][j].gram != 0.0)
-        EACH_LANE right[i][lane] += (mu[lane] * PAIRS.at[i][j].gram) * prior[j][lane];
-    EACH_LANE right[i][lane] *= inverse[lane];
+  for (int factor = 0; factor < 5; ++factor) factors[factor] = lam * factor;
+  fill_entries(rows, factors, mu, inverse, matrix, Entries());
+  for (int i = 0; i < BASIS; ++i) EACH_LANE matrix[i][i][lane] += RIDGE;
+  fill_right(rows, prior, lam, mu, inverse, right, std::make_integer_sequence<int, BASIS>());
+}
+
+// Find one entry of the Cholesky factor; the diagonal's inverse is kept aside.
+template <int I, int J>
+HPC_INLINE void factor_entry(Matrix& matrix, Vector& inverse) {
+  double sum[LANES];
+  EACH_LANE sum[lane] = matrix[I][J][lane];
+  for (int k = 0; k < J; ++k) EACH_LANE sum[lane] -= matrix[I][k][lane] * matrix[J][k][lane];
+  if constexpr (I == J) {
+    EACH_LANE inverse[J][lane] = 1.0 / std::sqrt(sum[lane]);
+  } else {
+    EACH_LANE matrix[I][J][lane] = sum[lane] * inverse[J][lane];
   }
 }
 
+template <int... ENTRY>
+HPC_INLINE void factorize(Matrix& matrix, Vector& inverse, std::integer_sequence<int, ENTRY...>) {
+  (factor_entry<row_of(ENTRY), column_in(ENTRY)>(matrix, inverse), ...);
+}
+
 HPC_INLINE void solve(Matrix& matrix, Vector& right) {
-  double inverse[BASIS][LANES];
-  for (int j = 0; j < BASIS; ++j) {
-    for (int k = 0; k < j; ++k)
-      for (int i = j; i < BASIS; ++i)
-        EACH_LANE matrix[i][j][lane] -= matrix[i][k][lane] * matrix[j][k][lane];
-    EACH_LANE inverse[j][lane] = 1.0 / std::sqrt(matrix[j][j][lane]);
-    for (int i = j; i < BASIS; ++i) EACH_LANE matrix[i][j][lane] *= inverse[j][lane];
-  }
+  Vector inverse;
+  factorize(matrix, inverse, Entries());
   for (int j = 0; j < BASIS; ++j) {
     EACH_LANE right[j][lane] *= inverse[j][lane];
     for (int i = j + 1; i < BASIS; ++i)
@@ -111,18 +162,27 @@ struct Fits {
   float *coefficients, *counts, *variances;
 };
 
+template <int ENTRY>
+HPC_INLINE void add_squares(const Block& rows, const Vector& c, double (&residual)[LANES], double (&slope)[LANES]) {
+  constexpr int i = row_of(ENTRY), j = column_in(ENTRY);
+  constexpr Pair pair = PAIRS.at[i][j];
+  double product[LANES];
+  EACH_LANE product[lane] = (i == j ? 1.0 : 2.0) * c[i][lane] * c[j][lane];
+  EACH_LANE residual[lane] += product[lane] * rows[pair.value][lane];
+  for (int term = 0; term < pair.terms; ++term)
+    EACH_LANE slope[lane] += pair.factor[term] * product[lane] * rows[pair.column[term]][lane];
+}
+
+template <int... ENTRY>
+HPC_INLINE void add_all_squares(const Block& rows, const Vector& c, double (&residual)[LANES], double (&slope)[LANES],
+                                std::integer_sequence<int, ENTRY...>) {
+  (add_squares<ENTRY>(rows, c, residual, slope), ...);
+}
+
 // Find the mean squared distances of the points from the quadrics' surfaces.
 HPC_INLINE void mean_squares(const Block& rows, const Vector& c, double (&squares)[LANES]) {
   double residual[LANES] = {}, slope[LANES] = {};
-  for (int j = 0; j < BASIS; ++j)
-    for (int i = j; i < BASIS; ++i) {
-      const Pair& pair = PAIRS.at[i][j];
-      double product[LANES];
-      EACH_LANE product[lane] = (i == j ? 1.0 : 2.0) * c[i][lane] * c[j][lane];
-      EACH_LANE residual[lane] += product[lane] * rows[pair.value][lane];
-      for (int term = 0; term < pair.terms; ++term)
-        EACH_LANE slope[lane] += pair.factor[term] * product[lane] * rows[pair.column[term]][lane];
-    }
+  add_all_squares(rows, c, residual, slope, Entries());
   EACH_LANE {
     const double least = LEAST_SLOPE * rows[0][lane];
     const double steep = slope[lane] > least ? slope[lane] : least;
@@ -176,50 +236,23 @@ HPC_INLINE void fit_block(const Block& rows, const Fits& fits, int64_t start, in
     for (int i = 0; i < BASIS; ++i) fits.coefficients[(start + lane) * BASIS + i] = static_cast<float>(right[i][lane]);
 }
 
-// Looks up the cells around vertices that come in the order of their keys.
-class Corners {
- public:
-  Corners(const int64_t* vertices, const int64_t* cells, int64_t count)
-      : vertices_(vertices), fingers_(8, Finger(cells, count)) {}
-
-  void find(int64_t start, int width, Around& around) {
-    for (int octant = 0; octant < 8; ++octant) {
-      int64_t back = 0;
-      for (int axis = 0; axis < 3; ++axis) back += (octant >> axis & 1) ? 0 : STRIDES[axis];
-      EACH_LANE around[octant][lane] = lane < width ? fingers_[octant].find(vertices_[start + lane] - back) : -1;
-    }
-  }
-
- private:
-  const int64_t* vertices_;
-  std::vector<Finger> fingers_;
-};
-
-HPC_CLONES void gather_rows(const double* moments, Corners& corners, int64_t start, int64_t stop,
-                            double* total) {
+HPC_CLONES void store_sums(CornerSums& sums, const int64_t* corners, int64_t start, int64_t stop, double* total) {
   Block block;
-  Around around;
   for (; start < stop; start += LANES) {
     const int width = static_cast<int>(std::min<int64_t>(LANES, stop - start));
-    corners.find(start, width, around);
-    gather_block(moments, around, block);
+    sums.load(corners + start, width, block);
     for (int lane = 0; lane < width; ++lane)
       for (int column = 0; column < COLUMNS; ++column)
         total[(start + lane) * COLUMNS + column] = block[column][lane];
   }
 }
 
-HPC_CLONES void fit_gathered(const double* moments, Corners& corners, const Fits& fits,
-                             int64_t start, int64_t stop) {
+HPC_CLONES void fit_layer(CornerSums& sums, const int64_t* corners, const Fits& fits, int64_t start, int64_t stop) {
   Block block;
-  Around around;
   for (; start < stop; start += LANES) {
     const int width = static_cast<int>(std::min<int64_t>(LANES, stop - start));
-    corners.find(start, width, around);
-    gather_block(moments, around, block);
+    sums.load(corners + start, width, block);
     for (int lane = 0; lane < width; ++lane) fits.counts[start + lane] = static_cast<float>(block[0][lane]);
-    // Lanes without a vertex divide by their number of points like all others.
-    for (int lane = width; lane < LANES; ++lane) block[0][lane] = 1.0;
     fit_block(block, fits, start, width);
   }
 }
@@ -234,8 +267,9 @@ Output<double> corner_moments(Input touched_of, Input cells_of, Input moments_of
   {
     nb::gil_scoped_release unlocked;
     run_ranges(count, workers, [&](int64_t start, int64_t stop) {
-      Corners corners(touched, cells, known);
-      gather_rows(moments, corners, start, stop, total.get());
+      CornerSums sums(cells, known, moments);
+      visit_layers(sums, touched, start, stop,
+                   [&](int64_t from, int64_t to) { store_sums(sums, touched, from, to, total.get()); });
     });
   }
   return give(std::move(total), {static_cast<size_t>(count), COLUMNS});
@@ -262,8 +296,9 @@ nb::tuple fit_corners(Input touched_of, Input cells_of, Input moments_of, Input 
   {
     nb::gil_scoped_release unlocked;
     run_ranges(count, workers, [&](int64_t start, int64_t stop) {
-      Corners corners(touched, cells, known);
-      fit_gathered(moments, corners, fits, start, stop);
+      CornerSums sums(cells, known, moments);
+      visit_layers(sums, touched, start, stop,
+                   [&](int64_t from, int64_t to) { fit_layer(sums, touched, fits, from, to); });
     });
   }
   const size_t rows = static_cast<size_t>(count);

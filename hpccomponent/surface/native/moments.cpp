@@ -188,17 +188,27 @@ Large<Family> group_children(const int64_t* cells, int64_t count) {
   return families;
 }
 
+// Sum each family: pairs along z, then y, then x.
 HPC_CLONES void merge_rows(const double* moments, const Family* families, int64_t count, double* merged) {
-  Block block;
-  Around around;
+  Block low, high, rows[2], planes[2], total;
+  int64_t around[8][LANES];
   for (int64_t start = 0; start < count; start += LANES) {
     const int width = static_cast<int>(std::min<int64_t>(LANES, count - start));
     for (int octant = 0; octant < 8; ++octant)
-      EACH_LANE around[octant][lane] = lane < width ? families[start + lane].children[octant] : -1;
-    gather_block(moments, around, block);
+      for (int lane = 0; lane < LANES; ++lane)
+        around[octant][lane] = lane < width ? families[start + lane].children[octant] : -1;
+    for (int x = 0; x < 2; ++x) {
+      for (int y = 0; y < 2; ++y) {
+        load_rows(moments, around[x + 2 * y], low);
+        load_rows(moments, around[x + 2 * y + 4], high);
+        sum_pair<2>(low, high, rows[y]);
+      }
+      sum_pair<1>(rows[0], rows[1], planes[x]);
+    }
+    sum_pair<0>(planes[0], planes[1], total);
     for (int lane = 0; lane < width; ++lane)
       for (int column = 0; column < COLUMNS; ++column)
-        merged[(start + lane) * COLUMNS + column] = block[column][lane];
+        merged[(start + lane) * COLUMNS + column] = total[column][lane];
   }
 }
 

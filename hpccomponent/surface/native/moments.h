@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <utility>
 
 #include "transpose.h"
 
@@ -95,9 +96,27 @@ HPC_INLINE void shift_block(Block& rows, const double (&step)[3][LANES]) {
     add_scaled(rows[term[0]], rows[term[1]], step[term[2]], term[3]);
 }
 
+template <int AXIS, int TERM>
+HPC_INLINE void shift_term(Block& sum, const Block& difference) {
+  constexpr double HALVES[4] = {0.5, 0.25, 0.125, 0.0625};
+  constexpr ShiftTerm term = SHIFTS.terms[AXIS][TERM];
+  constexpr double factor = term.factor * HALVES[term.power - 1];
+  // A source is summed already, and not shifted yet.
+  const double* from = term.power % 2 ? difference[term.source] : sum[term.source];
+  double* to = sum[term.column];
+  EACH_LANE to[lane] += factor * from[lane];
+}
+
+// One after the other at compile time: what a term reads and writes is no longer looked up.
+template <int AXIS, int... TERM>
+HPC_INLINE void shift_terms(Block& sum, const Block& difference, std::integer_sequence<int, TERM...>) {
+  (shift_term<AXIS, TERM>(sum, difference), ...);
+}
+
 // Sum two blocks about the centre between them: `low` lies half a cell below it along an axis,
 // `high` half a cell above. Even powers of the shift see the sum, odd ones the difference.
-HPC_INLINE void sum_pair(const Block& low, const Block& high, int axis, Block& sum) {
+template <int AXIS>
+HPC_INLINE void sum_pair(const Block& low, const Block& high, Block& sum) {
   Block difference;
   for (int column = 0; column < COLUMNS; ++column) EACH_LANE sum[column][lane] = low[column][lane] + high[column][lane];
   // Only moments of degree 3 and less, and those of the normals alone, are shifted into others.
@@ -105,63 +124,33 @@ HPC_INLINE void sum_pair(const Block& low, const Block& high, int axis, Block& s
     EACH_LANE difference[column][lane] = high[column][lane] - low[column][lane];
   for (int column = MONOMIALS; column < MONOMIALS + 3; ++column)
     EACH_LANE difference[column][lane] = high[column][lane] - low[column][lane];
-  constexpr double HALVES[4] = {0.5, 0.25, 0.125, 0.0625};
-  for (const ShiftTerm& term : SHIFTS.terms[axis]) {
-    const double factor = term.factor * HALVES[term.power - 1];
-    // A source is summed already, and not shifted yet.
-    const double* from = term.power % 2 ? difference[term.source] : sum[term.source];
-    EACH_LANE sum[term.column][lane] += factor * from[lane];
-  }
+  shift_terms<AXIS>(sum, difference, std::make_integer_sequence<int, 35>());
   for (const auto& term : NORMAL_SHIFTS)
-    if (term[2] == axis) EACH_LANE sum[term[0]][lane] += (0.5 * term[3]) * difference[term[1]][lane];
+    if (term[2] == AXIS) EACH_LANE sum[term[0]][lane] += (0.5 * term[3]) * difference[term[1]][lane];
 }
 
-// The cells around each lane's centre: rows of moments, -1 where there is no point; octants with
-// x fastest.
-using Around = int64_t[8][LANES];
-
-// Load the moments of one octant; return whether any lane has some.
-HPC_INLINE bool load_octant(const double* moments, const Around& around, int octant, Block& block) {
+// Load rows of moments, one lane each; zeros where a row is -1.
+HPC_INLINE void load_rows(const double* moments, const int64_t* rows, Block& block) {
   static constexpr double NONE[COLUMNS] = {};
-  bool any = false;
-  for (int lane = 0; lane < LANES; ++lane) any = any || around[octant][lane] >= 0;
-  if (!any) {
-    for (int column = 0; column < COLUMNS; ++column)
-      EACH_LANE block[column][lane] = 0.0;
-    return false;
-  }
   static_assert(LANES % 4 == 0 && COLUMNS % 4 == 0, "moved four by four");
   for (int lane = 0; lane < LANES; lane += 4) {
-    const double* rows[4];
-    for (int i = 0; i < 4; ++i) {
-      const int64_t row = around[octant][lane + i];
-      rows[i] = row < 0 ? NONE : moments + row * COLUMNS;
-    }
+    const double* from[4];
+    for (int i = 0; i < 4; ++i) from[i] = rows[lane + i] < 0 ? NONE : moments + rows[lane + i] * COLUMNS;
     for (int column = 0; column < COLUMNS; column += 4) {
-      transpose_four(rows, &block[column][lane], LANES);
-      for (auto& row : rows) row += 4;
+      transpose_four(from, &block[column][lane], LANES);
+      for (auto& row : from) row += 4;
     }
   }
-  return true;
 }
 
-// Sum the moments around the centres of a block: pairs along z, then y, then x.
-HPC_INLINE void gather_block(const double* moments, const Around& around, Block& total) {
-  Block low, high, rows[2], planes[2];
-  for (int x = 0; x < 2; ++x) {
-    for (int y = 0; y < 2; ++y) {
-      const bool any_low = load_octant(moments, around, x + 2 * y, low);
-      const bool any_high = load_octant(moments, around, x + 2 * y + 4, high);
-      if (any_low || any_high) {
-        sum_pair(low, high, 2, rows[y]);
-      } else {
-        for (int column = 0; column < COLUMNS; ++column)
-          EACH_LANE rows[y][column][lane] = 0.0;
-      }
+// Store a block as rows of moments.
+HPC_INLINE void store_rows(const Block& block, double* rows) {
+  for (int lane = 0; lane < LANES; lane += 4)
+    for (int column = 0; column < COLUMNS; column += 4) {
+      const double* from[4];
+      for (int i = 0; i < 4; ++i) from[i] = &block[column + i][lane];
+      transpose_four(from, rows + lane * COLUMNS + column, COLUMNS);
     }
-    sum_pair(rows[0], rows[1], 1, planes[x]);
-  }
-  sum_pair(planes[0], planes[1], 0, total);
 }
 
 }  // namespace hpc
