@@ -93,7 +93,7 @@ def fit_vertices(
     Notes
     -----
     Order of operations for each vertex: the lower triangle of A = ((M + lam G) + mu P) (1/n),
-    plus 1e-9 on the diagonal; Cholesky by columns, subtracting earlier columns in their order;
+    plus 1e-9 on the diagonal; L D L^T by columns, subtracting earlier columns in their order;
     forward and backward substitution likewise. No row depends on another one.
     """
     coefficients = np.empty_like(prior)
@@ -130,18 +130,16 @@ def _normal_equations(
 
 
 def _solve_cholesky(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve the systems, in place; `matrix` holds lower triangles, the last axis the systems."""
-    inverse = np.empty_like(right)
+    """Solve the systems by L D L^T, in place; lower triangles, the last axis the systems."""
     for j in range(BASIS):
-        for k in range(j):
-            matrix[j:, j] -= matrix[j:, k] * matrix[j, k]
-        inverse[j] = 1.0 / np.sqrt(matrix[j, j])
-        matrix[j:, j] *= inverse[j]
+        column = matrix[j + 1 :, j] / matrix[j, j]
+        for k in range(j + 1, BASIS):
+            matrix[k:, k] -= column[k - j - 1 :] * matrix[k, j]
+        right[j + 1 :] -= column * right[j]
+        matrix[j + 1 :, j] = column
     for j in range(BASIS):
-        right[j] *= inverse[j]
-        right[j + 1 :] -= matrix[j + 1 :, j] * right[j]
+        right[j] /= matrix[j, j]
     for j in range(BASIS - 1, -1, -1):
-        right[j] *= inverse[j]
         right[:j] -= matrix[j, :j] * right[j]
     return right
 

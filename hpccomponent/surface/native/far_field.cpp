@@ -1,4 +1,5 @@
 // The coarse grid of the far field, interpolated.
+#include "clones.h"
 #include "coarse_grid.h"
 #include "families.h"
 
@@ -32,7 +33,19 @@ Output<double> sample_grid(Input values_of, Input places_of) {
   return give(std::move(samples), {static_cast<size_t>(count)});
 }
 
-// The grid's values at the corners of a lattice, which are made as they are needed.
+// Interpolate at the corners of a lattice, whose places are made as they are needed.
+HPC_CLONES void sample_keys(const float* values, int64_t side, const int64_t* keys, int64_t count, const double* origin,
+                            double spacing, double* samples) {
+  for (int64_t i = 0; i < count; ++i) {
+    const Place corner = unpack(keys[i]);
+    double place[3], total = 0.0;
+    for (int axis = 0; axis < 3; ++axis)
+      place[axis] = std::min(std::max(origin[axis] + spacing * static_cast<double>(corner[axis]), -FARTHEST), FARTHEST);
+    visit_corners(spot_of(place, side), side, [&](int64_t node, double weight) { total += weight * values[node]; });
+    samples[i] = total;
+  }
+}
+
 Output<double> sample_corners(Input values_of, Input keys_of, Input origin_of, double spacing) {
   const int64_t side = check_side(values_of.ndim() == 3 ? rows_of(values_of) : 0);
   const float* values = check<float>(values_of, "values", {side, side, side});
@@ -44,15 +57,7 @@ Output<double> sample_corners(Input values_of, Input keys_of, Input origin_of, d
   auto samples = make_buffer<double>(count);
   {
     nb::gil_scoped_release unlocked;
-    for (int64_t i = 0; i < count; ++i) {
-      const Place corner = unpack(keys[i]);
-      double place[3], total = 0.0;
-      for (int axis = 0; axis < 3; ++axis)
-        place[axis] = std::min(std::max(origin[axis] + spacing * static_cast<double>(corner[axis]), -FARTHEST), FARTHEST);
-      visit_corners(spot_of(place, side), side,
-                    [&](int64_t node, double weight) { total += weight * values[node]; });
-      samples[i] = total;
-    }
+    sample_keys(values, side, keys, count, origin, spacing, samples.get());
   }
   return give(std::move(samples), {static_cast<size_t>(count)});
 }

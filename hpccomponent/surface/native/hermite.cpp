@@ -1,4 +1,4 @@
-// Fits of quadrics to the moments around each vertex: one 10x10 Cholesky per lane.
+// Fits of quadrics to the moments around each vertex: one 10x10 system per lane.
 #include <limits>
 
 #include "families.h"
@@ -123,16 +123,17 @@ HPC_INLINE void fill_equations(const Block& rows, const Vector& prior, double la
   fill_right(rows, prior, lam, mu, inverse, right, std::make_integer_sequence<int, BASIS>());
 }
 
-// Find one entry of the Cholesky factor; the diagonal's inverse is kept aside.
+// Find one entry of L D L^T: below the diagonal stays L D, above it comes L, aside the inverse of D.
 template <int I, int J>
 HPC_INLINE void factor_entry(Matrix& matrix, Vector& inverse) {
   double sum[LANES];
   EACH_LANE sum[lane] = matrix[I][J][lane];
-  for (int k = 0; k < J; ++k) EACH_LANE sum[lane] -= matrix[I][k][lane] * matrix[J][k][lane];
+  for (int k = 0; k < J; ++k) EACH_LANE sum[lane] -= matrix[k][I][lane] * matrix[J][k][lane];
   if constexpr (I == J) {
-    EACH_LANE inverse[J][lane] = 1.0 / std::sqrt(sum[lane]);
+    EACH_LANE inverse[J][lane] = 1.0 / sum[lane];
   } else {
-    EACH_LANE matrix[I][J][lane] = sum[lane] * inverse[J][lane];
+    EACH_LANE matrix[I][J][lane] = sum[lane];
+    EACH_LANE matrix[J][I][lane] = sum[lane] * inverse[J][lane];
   }
 }
 
@@ -144,15 +145,11 @@ HPC_INLINE void factorize(Matrix& matrix, Vector& inverse, std::integer_sequence
 HPC_INLINE void solve(Matrix& matrix, Vector& right) {
   Vector inverse;
   factorize(matrix, inverse, Entries());
-  for (int j = 0; j < BASIS; ++j) {
-    EACH_LANE right[j][lane] *= inverse[j][lane];
-    for (int i = j + 1; i < BASIS; ++i)
-      EACH_LANE right[i][lane] -= matrix[i][j][lane] * right[j][lane];
-  }
-  for (int j = BASIS - 1; j >= 0; --j) {
-    EACH_LANE right[j][lane] *= inverse[j][lane];
-    for (int i = 0; i < j; ++i) EACH_LANE right[i][lane] -= matrix[j][i][lane] * right[j][lane];
-  }
+  for (int j = 0; j < BASIS; ++j)
+    for (int i = j + 1; i < BASIS; ++i) EACH_LANE right[i][lane] -= matrix[j][i][lane] * right[j][lane];
+  for (int j = 0; j < BASIS; ++j) EACH_LANE right[j][lane] *= inverse[j][lane];
+  for (int j = BASIS - 1; j >= 0; --j)
+    for (int i = 0; i < j; ++i) EACH_LANE right[i][lane] -= matrix[i][j][lane] * right[j][lane];
 }
 
 // What the fits of a range read and write.

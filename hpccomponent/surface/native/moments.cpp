@@ -28,14 +28,23 @@ struct Points {
   double one[LANES], u[3][LANES], n[3][LANES];
 };
 
-HPC_INLINE void add_points(const Points& p, Block& sums) {
+template <int COLUMN>
+HPC_INLINE void add_monomial(const Points& p, double (&m)[MONOMIALS][LANES], Block& sums) {
+  const double *source = m[PRODUCTS.source[COLUMN]], *along = p.u[PRODUCTS.axis[COLUMN]];
+  EACH_LANE m[COLUMN][lane] = source[lane] * along[lane];
+  EACH_LANE sums[COLUMN][lane] += m[COLUMN][lane];
+}
+
+template <int... BEFORE>
+HPC_INLINE void add_monomials(const Points& p, Block& sums, std::integer_sequence<int, BEFORE...>) {
   double m[MONOMIALS][LANES];
   EACH_LANE m[0][lane] = p.one[lane];
   EACH_LANE sums[0][lane] += m[0][lane];
-  for (int column = 1; column < MONOMIALS; ++column) {
-    EACH_LANE m[column][lane] = m[PRODUCTS.source[column]][lane] * p.u[PRODUCTS.axis[column]][lane];
-    EACH_LANE sums[column][lane] += m[column][lane];
-  }
+  (add_monomial<BEFORE + 1>(p, m, sums), ...);
+}
+
+HPC_INLINE void add_points(const Points& p, Block& sums) {
+  add_monomials(p, sums, std::make_integer_sequence<int, MONOMIALS - 1>());
   for (int a = 0; a < 3; ++a) {
     // xx, yy, zz follow from one axis; xy, yz, zx from two neighbouring ones.
     const int b = (a + 1) % 3;
