@@ -65,7 +65,9 @@ class BatchCutter:
         size, seconds = 0, 0.0
         added: dict[bytes, int] = {}
         while source and len(batch) < limit:
-            task = _closest(source, worker, added)
+            task = next(iter(source.values()))
+            if task.blobs:
+                task = _closest(source, worker, added)
             number = task.number
             for blob in task.blobs:
                 if blob.key not in worker.blobs and blob.key not in added:

@@ -12,12 +12,11 @@ from hpccomponent.errors import HpcError, TaskError, UsageError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.codec import encode_arguments
 from hpccomponent.protocol.frames import Buffer
-from hpccomponent.runtime.tasks import Traits
+from hpccomponent.runtime.tasks import PLAIN, Traits
 
 __all__ = ["Entry", "each_traits", "make_entry", "split_entry"]
 
 MAX_TASK_BLOBS = 256  # of one task: a component keeps a file open for each
-PLAIN = Traits()
 
 
 @dataclass(slots=True, eq=False)
@@ -37,7 +36,7 @@ class Entry:
     @property
     def size_bytes(self) -> int:
         """Return the length of the encoded arguments."""
-        return len(self.header) + sum([len(buffer) for buffer in self.buffers])
+        return len(self.header) + (sum(map(len, self.buffers)) if self.buffers else 0)
 
     def claim(self) -> bool:
         """Mark the future as running; False if it was cancelled before."""

@@ -336,27 +336,30 @@ class Scheduler:
 
     def _run_again(self, workers: Sequence[Worker]) -> list[Action]:
         """Give each idle worker the task that will be done last, if it is there much sooner."""
+        idle = [worker for worker in workers if not worker.batches]
+        lagging = self._lagging() if idle else []
         actions: list[Action] = []
-        for worker in workers:
-            if worker.batches or len(self.tasks) == 0:
-                continue
-            task = self._find_lagging(worker)
-            if task is not None:
-                worker.placed += 1
-                actions += self._send(worker, [task])
+        for worker in idle:
+            for place, (left_s, task) in enumerate(lagging):
+                if left_s > LAG * self._forecast.expect(worker.identity, task) + LAG_S:
+                    del lagging[place]
+                    worker.placed += 1
+                    actions += self._send(worker, [task])
+                    break
         return actions
 
-    def _find_lagging(self, idle: Worker) -> Task | None:
+    def _lagging(self) -> list[tuple[float, Task]]:
+        """Return what may be run a second time, with how long it will be, the longest first."""
         now = self._clock.now()
-        latest, last_s = None, 0.0
-        for worker in self.workers.values():
-            for task, left_s in self._forecast.ends(worker, now):
-                # A task that was lost with a worker may be what kills them: one at a time.
-                if task.is_done or task.losses or len(task.places) > 1 or left_s <= last_s:
-                    continue
-                if left_s > LAG * self._forecast.expect(idle.identity, task) + LAG_S:
-                    latest, last_s = task, left_s
-        return latest
+        found = [
+            (left_s, task)
+            for worker in self.workers.values()
+            if self._forecast.remaining_s(worker, now) > LAG_S
+            for task, left_s in self._forecast.ends(worker, now)
+            # A task that was lost with a worker may be what kills them: one at a time.
+            if not (task.is_done or task.losses or len(task.places) > 1)
+        ]
+        return sorted(found, key=lambda pair: -pair[0])
 
     def _cut(self, source: OrderedDict[int, Task], limit: int, worker: Worker) -> list[Task]:
         batch, cancelled = self._cutter.cut(source, limit, worker)

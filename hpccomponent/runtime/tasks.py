@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from hpccomponent.errors import UsageError
 
-__all__ = ["EACH", "TASK_GROUP", "TaskRegistry", "Traits", "declare", "traits_of"]
+__all__ = ["EACH", "PLAIN", "TASK_GROUP", "TaskRegistry", "Traits", "declare", "traits_of"]
 
 TASK_GROUP = "hpc.tasks"
 EACH = "each:"  # before a name: the task is run for each tuple of arguments in a list
@@ -55,6 +55,9 @@ class Traits:
             )
 
 
+PLAIN = Traits()
+
+
 def declare(
     cost: Callable[..., float] | None = None,
     split: Callable[..., Sequence[tuple[Any, ...]] | None] | None = None,
@@ -83,8 +86,8 @@ def declare(
 
 def traits_of(task: Callable[..., Any] | str) -> Traits:
     """Return what a task declares; nothing if only its name is given."""
-    traits = getattr(task, "task_traits", None)
-    return traits if isinstance(traits, Traits) else Traits()
+    traits: Traits = getattr(task, "task_traits", PLAIN)
+    return traits
 
 
 class TaskRegistry:
