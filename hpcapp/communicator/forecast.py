@@ -1,6 +1,7 @@
 """How long work takes on each worker, learned from results.
 
-Tasks of a name take as long per unit of declared work as the last ones did, on the same worker;
+Tasks of a name take as long per unit of declared work as the last ones did, on the same worker,
+with what they spent on their way (large arguments, slow networks) and was not hidden by others;
 a worker that has not run any is taken for the mean of the others.
 """
 
@@ -22,11 +23,15 @@ class Forecast:
     def __init__(self) -> None:
         self._unit_s: dict[str, dict[bytes, float]] = {}
 
-    def learn(self, worker: bytes, task: Task, seconds: float) -> None:
-        """Take note of how long a task took; recent ones weigh more."""
-        unit_s = max(SHORTEST_S, seconds / task.work)
+    def learn(self, worker: bytes, task: Task, seconds: float, way_s: float = 0.0) -> None:
+        """Take note of how long a task took, and its way; recent ones weigh more.
+
+        The first way to a worker does not count: it may contain the import of the task's module.
+        """
         known = self._unit_s.setdefault(task.name, {})
-        known[worker] = (known.get(worker, unit_s) + unit_s) / 2.0
+        before = known.get(worker)
+        unit_s = max(SHORTEST_S, (seconds + (0.0 if before is None else way_s)) / task.work)
+        known[worker] = unit_s if before is None else (before + unit_s) / 2.0
 
     def forget(self, worker: bytes) -> None:
         """Let a lost worker count no more; the last one to know a task leaves what it knew."""

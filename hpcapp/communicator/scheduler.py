@@ -192,11 +192,13 @@ class Scheduler:
         worker.seen = self._clock.now()
         actions: list[Action] = []
         flight = worker.batches.get(batch)
+        spent_s = worker.seen - worker.since - sum([result.seconds for result in results])
+        way_s = max(0.0, spent_s) / max(1, len(results))
         for index, result in enumerate(results):
             own = flight.pop(result.task) if flight is not None else None
             task = self.tasks.pop(result.task, None)
             if own is not None and result.failure is None:
-                self._forecast.learn(identity, own, result.seconds)
+                self._forecast.learn(identity, own, result.seconds, way_s)
             if task is None:
                 self.counts["dropped" if own is None else "duplicates"] += 1
                 continue

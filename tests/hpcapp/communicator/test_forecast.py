@@ -40,6 +40,14 @@ def test_new_figures_weigh_more_than_old_ones() -> None:
     assert forecast.expect(b"a", task()) == pytest.approx(4.0, rel=0.01)
 
 
+def test_the_way_counts_but_for_the_first() -> None:
+    forecast = Forecast()
+    forecast.learn(b"a", task(), 1.0, way_s=7.0)
+    assert forecast.expect(b"a", task()) == 1.0
+    forecast.learn(b"a", task(), 1.0, way_s=2.0)
+    assert forecast.expect(b"a", task()) == 2.0
+
+
 def test_a_lost_worker_counts_no_more_unless_nobody_else_knows() -> None:
     forecast = Forecast()
     forecast.learn(b"a", task(), 1.0)
