@@ -12,8 +12,18 @@ from hpccomponent.surface.lattice import find_keys, step_keys
 from hpccomponent.surface.outliers import NEIGHBOURS
 from hpccomponent.surface.points import FloatArray, IntArray, bounding_box
 
-__all__ = ["FINE", "UNSURE", "WRONG", "mend_normals", "poll_normals"]
+__all__ = [
+    "FINE",
+    "MARGIN",
+    "UNSURE",
+    "WRONG",
+    "find_turned",
+    "mend_normals",
+    "poll_normals",
+    "turn_region",
+]
 
+BoolArray = NDArray[np.bool_]
 ByteArray = NDArray[np.uint8]
 
 FINE, UNSURE, WRONG = 0, 1, 2
@@ -26,6 +36,9 @@ _ROUNDS = 3  # each with cells of twice the size, for what the last left open
 _ALIKE = 0.5  # cosine from which normals agree; below its negative they oppose
 _LEAST, _MAJORITY = 8, 4  # opponents a verdict takes, and more for each that agrees
 _CHUNK = 1 << 12
+
+MARGIN = _EDGE * (2.0**_ROUNDS - 1.0)
+"""Spacings: as far as what decides over a normal lies, all rounds together."""
 
 
 def mend_normals(
@@ -65,13 +78,38 @@ def mend_normals(
     say and none has the majority. What remains open is asked again at twice and at four times
     the size, where the opponents' mean offset must stay below 0.5 spacings.
     """
+    low, _ = bounding_box(positions)
+    turned = find_turned(positions, normals, low, spacing, threads)
+    flipped = int(np.count_nonzero(turned))
+    return (np.where(turned[:, None], -normals, normals) if flipped else normals), flipped
+
+
+def find_turned(
+    positions: FloatArray, normals: FloatArray, low: FloatArray, spacing: float, threads: int = 1
+) -> BoolArray:
+    """Find the normals that `mend_normals` turns round.
+
+    Parameters
+    ----------
+    positions, normals : ndarray of float64, shape (n, 3)
+        Of a cloud, or of a region of it and all points within `MARGIN` spacings.
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
+    spacing : float
+        Of the cloud, in length units of the input.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    turned = np.zeros(len(positions), np.bool_)
     if len(positions) < _LEAST:
-        return normals, 0
+        return turned
     from hpccomponent.surface import kernels  # which knows this module
 
-    low, _ = bounding_box(positions)
     asked = np.ones(len(positions), np.uint8)
-    turned = np.zeros(len(positions), np.bool_)
     mended = normals
     # One side of a plate may hold ten times the other's points: opponents must lie on the sheet
     # in their mean, however wide the net is cast.
@@ -90,7 +128,26 @@ def mend_normals(
         asked = (verdicts == UNSURE).astype(np.uint8)
         if not asked.any():
             break
-    return mended, int(np.count_nonzero(turned))
+    return turned
+
+
+def turn_region(
+    positions: FloatArray, normals: FloatArray, own: BoolArray, low: FloatArray, spacing: float
+) -> BoolArray:
+    """Find the normals of a region that are to be turned round (a task).
+
+    Parameters
+    ----------
+    positions, normals, low, spacing
+        As for `find_turned`.
+    own : ndarray of bool, shape (n,)
+        Which points lie in the region.
+
+    Returns
+    -------
+    ndarray of bool, shape (own.sum(),)
+    """
+    return find_turned(positions, normals, low, spacing)[own]
 
 
 def poll_normals(

@@ -21,7 +21,21 @@ from hpccomponent.surface.lattice import (
 )
 from hpccomponent.surface.points import FloatArray, IntArray, bounding_box
 
-__all__ = ["NEIGHBOURS", "count_cells", "find_outliers", "sum_neighbours"]
+__all__ = [
+    "EDGE",
+    "ISLAND_LEVEL",
+    "NEIGHBOURS",
+    "Level",
+    "coarsen",
+    "count_cells",
+    "find_base",
+    "find_islands",
+    "find_outliers",
+    "find_outlying_cells",
+    "find_strays",
+    "rank_cells",
+    "sum_neighbours",
+]
 
 BoolArray = NDArray[np.bool_]
 
@@ -30,21 +44,20 @@ NEIGHBOURS: IntArray = np.array(
 )
 """Steps to the 27 cells of a neighbourhood, the cell itself included, in the order of the keys."""
 
-_EDGE = 2.0  # of the finest cells, in spacings
+EDGE = 2.0  # of the finest cells, in spacings
 _LEAST = 10  # points that make a neighbourhood
 _COMPANIONS = 8  # points one level above the base that vouch for one another
 _GAP = 3  # finest cells between a crowded cell and a point that hangs beside it
 _FLAT = 0.02  # share of the least variance: a sparse surface is flat, a fog is not
-_LEVELS = 21  # a lattice spans 2^21 cells
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
-_ISLAND_LEVEL = 2  # cells of 8 spacings: scans are connected, uneven ones too
+ISLAND_LEVEL = 2  # cells of 8 spacings: scans are connected, uneven ones too
 _ISLAND_SHARE = 0.002  # of the points: larger pieces are objects
 _ISLANDS_SHARE = 0.05  # of the points: where so many lie on islands, the cells are too small
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Level:
+class Level:
     """The occupied cells of one size: keys, points in each, and where the finest cells lie."""
 
     keys: IntArray
@@ -90,11 +103,30 @@ def find_outliers(positions: FloatArray, spacing: float) -> BoolArray:
     from hpccomponent.surface import kernels  # which knows this module
 
     low, _ = bounding_box(positions)
-    keys, counts, cell_of = kernels.count_cells(positions, low, _EDGE * spacing)
-    levels = _coarsen(keys, counts)
-    outside = _find_strays(levels, _rank_cells(levels)) | _find_islands(levels)
+    keys, counts, cell_of = kernels.count_cells(positions, low, EDGE * spacing)
+    outside = find_outlying_cells(keys, counts)
     found: BoolArray = outside[cell_of] if outside.any() else np.zeros(len(positions), np.bool_)
     return found
+
+
+def find_outlying_cells(keys: IntArray, counts: IntArray) -> BoolArray:
+    """Find the finest cells whose points lie apart from every surface; see `find_outliers`.
+
+    Parameters
+    ----------
+    keys, counts : ndarray of int64, shape (c,)
+        Of all occupied cells, sorted, and the points in each; ten points or more.
+
+    Returns
+    -------
+    ndarray of bool, shape (c,)
+    """
+    levels = coarsen(keys, counts)
+    rank = rank_cells(levels, np.zeros(len(keys), np.int64))
+    base = find_base(np.bincount(rank, counts).astype(np.int64))
+    strays = find_strays(levels, rank, base, range(base + 1, len(levels)))
+    first = levels[min(ISLAND_LEVEL, len(levels) - 1)]
+    return strays | find_islands(coarsen(first.keys, first.counts))[first.row_of]
 
 
 def count_cells(
@@ -152,17 +184,15 @@ def sum_neighbours(keys: IntArray, values: IntArray, wanted: IntArray) -> IntArr
     return sums
 
 
-def _coarsen(keys: IntArray, counts: IntArray) -> list[_Level]:
-    """Return the finest cells and their parents, up to one cell that holds all."""
-    levels = [_Level(keys, counts, np.arange(len(keys)))]
-    while len(levels[-1].keys) > 1 and len(levels) <= _LEVELS:
+def coarsen(keys: IntArray, counts: IntArray, wanted: int | None = None) -> list[Level]:
+    """Return the finest cells and their parents: so many levels, or up to one that holds all."""
+    levels = [Level(keys, counts, np.arange(len(keys)))]
+    while len(levels) < wanted if wanted else len(levels[-1].keys) > 1:
         below = levels[-1]
         parents = pack_places(unpack_keys(below.keys) >> 1)
         merged = unique_keys(parents)
         rows = np.searchsorted(merged, parents)
-        levels.append(
-            _Level(merged, _sum_rows(rows, below.counts, len(merged)), rows[below.row_of])
-        )
+        levels.append(Level(merged, _sum_rows(rows, below.counts, len(merged)), rows[below.row_of]))
     return levels
 
 
@@ -171,13 +201,26 @@ def _sum_rows(rows: IntArray, values: IntArray, length: int) -> IntArray:
     return np.bincount(rows, values, length).astype(np.int64)
 
 
-def _rank_cells(levels: list[_Level]) -> IntArray:
-    """Return the level of each finest cell: the first with enough points around it."""
+def rank_cells(levels: list[Level], rank: IntArray) -> IntArray:
+    """Return the level of each finest cell: the first with enough points around it.
+
+    Parameters
+    ----------
+    levels : list of Level
+    rank : ndarray of int64, shape (c,)
+        What is known: those of the largest rank are looked at from that level on.
+
+    Returns
+    -------
+    ndarray of int64, shape (c,)
+        The number of levels where there are not enough on any.
+    """
     from hpccomponent.surface import kernels
 
-    rank = np.zeros(len(levels[0].keys), np.int64)
-    poor = np.arange(len(rank))
-    for level in levels:
+    rank = rank.copy()
+    first = int(rank.max(initial=0))
+    poor = np.flatnonzero(rank == first)
+    for level in levels[first:]:
         rows = _distinct(level.row_of[poor], len(level.keys))
         rows = rows[level.counts[rows] < _LEAST]
         around = kernels.sum_neighbours(level.keys, level.counts[:, None], rows)[:, 0]
@@ -197,26 +240,45 @@ def _distinct(rows: IntArray, length: int) -> IntArray:
     return np.flatnonzero(occurs)
 
 
-def _find_strays(levels: list[_Level], rank: IntArray) -> BoolArray:
-    """Find the finest cells whose points are too few and far from others; see `find_outliers`."""
+def find_base(points_by_rank: IntArray) -> int:
+    """Return the rank of most points, the median."""
+    summed = np.cumsum(points_by_rank)
+    return int(np.searchsorted(summed, 0.5 * summed[-1]))
+
+
+def find_strays(levels: list[Level], rank: IntArray, base: int, numbers: range) -> BoolArray:
+    """Find the finest cells whose points are too few and far from others; see `find_outliers`.
+
+    Parameters
+    ----------
+    levels : list of Level
+        The finest cells may be some of all: those whose ranks are `numbers`, and what they are
+        judged by, all of rank above the base and of one below the first of these numbers.
+    rank : ndarray of int64, shape (c,)
+    base : int
+    numbers : range
+        The ranks to be judged.
+
+    Returns
+    -------
+    ndarray of bool, shape (c,)
+    """
     counts = levels[0].counts
-    points_by_rank = np.cumsum(np.bincount(rank, counts))
-    base = int(np.searchsorted(points_by_rank, 0.5 * points_by_rank[-1]))
     stray = np.zeros(len(rank), np.bool_)
-    for number in range(base + 1, min(len(points_by_rank), len(levels))):
+    for number in numbers:
         cells = np.flatnonzero(rank == number)
         if not len(cells):
             continue
         sparse = np.where(rank >= max(base + 1, number - 1), counts, 0)
         if number == base + 1:
             alone = cells[_count_companions(levels[number], sparse, cells) < _COMPANIONS]
-            stray[alone] = ~_touch_crowd(levels[base], rank <= base, alone)
+            stray[alone] = ~_touch_crowd(levels[base], np.where(rank > base, counts, 0), alone)
         else:
             stray[cells] = ~_lie_on_surface(levels, number, base, sparse, cells)
     return stray
 
 
-def _count_companions(level: _Level, sparse: IntArray, cells: IntArray) -> IntArray:
+def _count_companions(level: Level, sparse: IntArray, cells: IntArray) -> IntArray:
     """Count the sparse points around some finest cells."""
     from hpccomponent.surface import kernels
 
@@ -227,12 +289,12 @@ def _count_companions(level: _Level, sparse: IntArray, cells: IntArray) -> IntAr
     return around[level.row_of[cells]]
 
 
-def _touch_crowd(level: _Level, crowded: BoolArray, cells: IntArray) -> BoolArray:
-    """Tell which finest cells have a crowded cell of the base within the gap."""
+def _touch_crowd(level: Level, sparse: IntArray, cells: IntArray) -> BoolArray:
+    """Tell which finest cells have a cell of the base within the gap that holds crowded ones."""
     from hpccomponent.surface import kernels
 
-    holds = np.zeros(len(level.keys) + 1, np.bool_)
-    holds[level.row_of[crowded]] = True
+    crowded = level.counts > _sum_rows(level.row_of, sparse, len(level.keys))
+    holds = np.append(crowded, np.False_)
     reach = np.arange(1 - _GAP, _GAP)
     steps = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
     places = unpack_keys(level.keys[level.row_of[cells]])
@@ -243,7 +305,7 @@ def _touch_crowd(level: _Level, crowded: BoolArray, cells: IntArray) -> BoolArra
 
 
 def _lie_on_surface(
-    levels: list[_Level], number: int, base: int, sparse: IntArray, cells: IntArray
+    levels: list[Level], number: int, base: int, sparse: IntArray, cells: IntArray
 ) -> BoolArray:
     """Tell which finest cells lie with others as sparse on a plane."""
     from hpccomponent.surface import kernels
@@ -273,10 +335,21 @@ def _lie_on_surface(
     return lies
 
 
-def _find_islands(levels: list[_Level]) -> BoolArray:
-    """Find the finest cells on small pieces far from larger ones; see `find_outliers`."""
+def find_islands(levels: list[Level]) -> BoolArray:
+    """Find the cells on small pieces far from larger ones; see `find_outliers`.
+
+    Parameters
+    ----------
+    levels : list of Level
+        From that of `ISLAND_LEVEL` upward, whose cells are the finest here.
+
+    Returns
+    -------
+    ndarray of bool, shape (c,)
+        Of the first level's cells.
+    """
     total = int(levels[0].counts.sum())
-    for number in range(min(_ISLAND_LEVEL, len(levels) - 1), len(levels)):
+    for number in range(len(levels)):
         level = levels[number]
         pieces, label = _label_cells(level.keys)
         points = _sum_rows(label, level.counts, pieces)
@@ -291,7 +364,8 @@ def _find_islands(levels: list[_Level]) -> BoolArray:
     for height in np.unique(reach[island]).astype(int):
         near = _meet_others(levels[height], small[piece_of], (island & (reach == height))[piece_of])
         island[piece_of[near]] = False
-    return island[piece_of]
+    found: BoolArray = island[piece_of]
+    return found
 
 
 def _label_cells(keys: IntArray) -> tuple[int, IntArray]:
@@ -317,7 +391,7 @@ def _measure_extents(keys: IntArray, label: IntArray, pieces: int) -> IntArray:
     return extents
 
 
-def _meet_others(level: _Level, small: BoolArray, asked: BoolArray) -> IntArray:
+def _meet_others(level: Level, small: BoolArray, asked: BoolArray) -> IntArray:
     """Return those of the asked finest cells with cells of large pieces around them."""
     from hpccomponent.surface import kernels
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from math import sqrt
 
 import numpy as np
@@ -11,7 +12,18 @@ from hpccomponent.errors import InputError
 from hpccomponent.surface.lattice import cells_of, pack_places, unique_keys
 from hpccomponent.surface.points import FloatArray, IntArray, bounding_box
 
-__all__ = ["bound_points", "count_boxes", "estimate_spacing", "is_sampled", "sample_boxes"]
+__all__ = [
+    "Groups",
+    "bound_points",
+    "count_boxes",
+    "estimate_group_spacing",
+    "estimate_spacing",
+    "is_sampled",
+    "sample_box_keys",
+    "sample_boxes",
+]
+
+Groups = Callable[[], Iterable[FloatArray]]
 
 _FEW, _MANY = 3.0, 20.0
 _SAMPLED_POINTS = 200_000
@@ -43,34 +55,115 @@ def estimate_spacing(positions: FloatArray) -> float:
     occupied box. Large clouds are sampled by whole boxes, which leaves the counts unbiased.
     Where smaller boxes do not hold fewer points, repeated points are counted once.
     """
+    from hpccomponent.surface import kernels  # which knows this module
+
     low, high = bounding_box(positions)
-    longest = float((high - low).max())
+    edge, occupancy, is_stalled = _search_edge(
+        lambda edge, one_in: kernels.count_boxes(positions, low, edge, one_in),
+        len(positions),
+        float((high - low).max()),
+    )
+    if is_stalled:
+        distinct = np.unique(positions, axis=0)
+        if len(distinct) < len(positions):
+            return estimate_spacing(distinct)
+    return edge / sqrt(occupancy)
+
+
+def estimate_group_spacing(groups: Groups, points: int, low: FloatArray, high: FloatArray) -> float:
+    """Estimate the spacing of a cloud that comes in groups; see `estimate_spacing`.
+
+    Parameters
+    ----------
+    groups : callable
+        Gives the positions of the cloud, some at a time; equal ones must be in one group. It is
+        called for each size of boxes, three times or so.
+    points : int
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around all points.
+
+    Returns
+    -------
+    float
+        What `estimate_spacing` finds of all of them, to the last bit.
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+    """
+
+    def count(edge: float, one_in: int) -> tuple[int, int]:
+        counted = [sample_box_keys(some, low, edge, one_in) for some in groups()]
+        boxes = unique_keys(np.concatenate([keys for _, keys in counted]))
+        return sum(held for held, _ in counted), len(boxes)
+
+    edge, occupancy, is_stalled = _search_edge(count, points, float((high - low).max()))
+    if is_stalled:
+        distinct = sum(len(np.unique(some, axis=0)) for some in groups())
+        if distinct < points:
+            return estimate_group_spacing(
+                lambda: (np.unique(some, axis=0) for some in groups()), distinct, low, high
+            )
+    return edge / sqrt(occupancy)
+
+
+def sample_box_keys(
+    positions: FloatArray, low: FloatArray, edge: float, one_in: int
+) -> tuple[int, IntArray]:
+    """Count points in a sample of boxes, and name the boxes: see `count_boxes`.
+
+    Counts of several groups of points add up, and their boxes unite, to those of all.
+
+    Returns
+    -------
+    points : int
+    keys : ndarray of int64, shape (b,)
+        Sorted keys of the sampled boxes that hold points.
+    """
+    from hpccomponent.surface import kernels
+
+    if not len(positions):
+        return 0, np.zeros(0, np.int64)
+    chosen = positions[kernels.sample_boxes(positions, low, edge, one_in)]
+    places = np.floor(cells_of(chosen, low, edge)).astype(np.int64)
+    return len(chosen), unique_keys(pack_places(places))
+
+
+def _search_edge(
+    count: Callable[[float, int], tuple[int, int]], points: int, longest: float
+) -> tuple[float, float, bool]:
+    """Search the edge of boxes that hold a few points each.
+
+    `count` is given an edge and how many boxes make one sampled, and returns points and boxes.
+
+    Returns
+    -------
+    edge : float
+        In length units of the input.
+    occupancy : float
+        Points in an occupied box.
+    is_stalled : bool
+        Whether smaller boxes did not hold fewer points.
+    """
     if longest <= 0.0:
-        raise InputError(
-            f"all {len(positions)} points lie at one place", "scan something with an extent"
-        )
-    edge = longest * min(0.5, 3.0 / sqrt(len(positions)))
-    occupancy = _mean_occupancy(positions, low, edge)
+        raise InputError(f"all {points} points lie at one place", "scan something with an extent")
+    one_in = points // _SAMPLED_POINTS + 1
+
+    def measure(edge: float) -> float:
+        held, boxes = count(edge, one_in)
+        return held / max(1, boxes)
+
+    edge = longest * min(0.5, 3.0 / sqrt(points))
+    occupancy = measure(edge)
     for _ in range(_ROUNDS):
         if _FEW <= occupancy <= _MANY or (occupancy < _FEW and edge >= longest):
             break
         edge *= 2.0 if occupancy < _FEW else 0.5
-        before, occupancy = occupancy, _mean_occupancy(positions, low, edge)
+        before, occupancy = occupancy, measure(edge)
         if before > _MANY and occupancy > _STALLED * before:
-            distinct = np.unique(positions, axis=0)
-            if len(distinct) < len(positions):
-                return estimate_spacing(distinct)
-            break
-    return edge / sqrt(occupancy)
-
-
-def _mean_occupancy(positions: FloatArray, low: FloatArray, edge: float) -> float:
-    """Return the mean number of points in an occupied box, over a sample of the boxes."""
-    from hpccomponent.surface import kernels  # which knows this module
-
-    one_in = len(positions) // _SAMPLED_POINTS + 1
-    points, boxes = kernels.count_boxes(positions, low, edge, one_in)
-    return points / max(1, boxes)
+            return edge, occupancy, True
+    return edge, occupancy, False
 
 
 def count_boxes(

@@ -190,11 +190,12 @@ def clean_cloud(cloud: PointCloud, threads: int = 1) -> tuple[PointCloud, Cleane
 
     Notes
     -----
-    See `drop_far`, `find_outliers` and `mend_normals`.
+    Far points must have been dropped (see `drop_far`). See `find_outliers` and `mend_normals`
+    for the rest; `region_cleaning` does the same to a cloud that is not in memory.
     """
     if not len(cloud):
         return cloud, Cleaned(0, 0)
-    kept = drop_far(cloud)
+    kept = cloud
     spacing = estimate_spacing(kept.positions)
     strays = find_outliers(kept.positions, spacing)
     if strays.any():

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
+from hpccomponent.errors import InputError
 from hpccomponent.surface import kernels
-from hpccomponent.surface.points import IntArray, PointCloud, bounding_box
+from hpccomponent.surface.arranged_cloud import Points
+from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, bounding_box
 from hpccomponent.surface.pyramid import (
     Level,
     VertexQuadrics,
@@ -18,7 +21,7 @@ from hpccomponent.surface.pyramid import (
 from hpccomponent.surface.spacing import estimate_spacing
 from hpccomponent.surface.weights import LEAST_MU, Weights, tell_noise
 
-__all__ = ["Scale", "choose_scale", "estimate_noise"]
+__all__ = ["Scale", "choose_scale", "estimate_noise", "probe_noise", "sample_groups"]
 
 _PROBE_SPACINGS = 2.0
 _PROBE_LAM = 0.3
@@ -72,7 +75,15 @@ def estimate_noise(cloud: PointCloud, spacing: float, threads: int = 1) -> float
     finer cells, they cut its tails off, and a probe with larger ones is made. Large clouds are
     sampled by whole boxes.
     """
-    sample = _sample_cloud(cloud, spacing)
+    if cloud.normals is None:
+        raise InputError("the cloud has no normals", "give oriented points")
+    points = cloud.positions, cloud.normals
+    low, _ = bounding_box(cloud.positions)
+    return probe_noise(sample_groups(lambda: [points], len(cloud), low, spacing), spacing, threads)
+
+
+def probe_noise(sample: PointCloud, spacing: float, threads: int = 1) -> float:
+    """Estimate the noise of a cloud by a sample of it; see `estimate_noise`, `sample_groups`."""
     cell_size = _PROBE_SPACINGS * spacing
     finer, coarser = _probe_variances(sample, cell_size, threads)
     for _ in range(_PROBE_ROUNDS):
@@ -84,14 +95,43 @@ def estimate_noise(cloud: PointCloud, spacing: float, threads: int = 1) -> float
     return _TO_MEDIAN * float(np.sqrt(noise))
 
 
-def _sample_cloud(cloud: PointCloud, spacing: float) -> PointCloud:
-    """Return the points in a sample of boxes, about `_SAMPLED_POINTS` of them."""
-    one_in = len(cloud) // _SAMPLED_POINTS
-    if one_in < 2:
-        return cloud
-    low, _ = bounding_box(cloud.positions)
-    chosen = kernels.sample_boxes(cloud.positions, low, _SAMPLED_BOX * spacing, one_in)
-    return cloud.take(chosen) if len(chosen) > _SAMPLED_POINTS // 4 else cloud
+def sample_groups(
+    groups: Callable[[], Iterable[Points]], points: int, low: FloatArray, spacing: float
+) -> PointCloud:
+    """Return the points in a sample of boxes: what `probe_noise` looks at.
+
+    Parameters
+    ----------
+    groups : callable
+        Gives the points of the cloud, some at a time.
+    points : int
+        In all.
+    low : ndarray of float64, shape (3,)
+        The least coordinates of all.
+    spacing : float
+        In length units of the input.
+
+    Returns
+    -------
+    PointCloud
+        About 15,000 points; of a cloud in few boxes more, and all of a small one.
+    """
+    one_in = points // _SAMPLED_POINTS
+    while one_in > 1:
+        sample = [
+            (positions[rows], normals[rows])
+            for positions, normals in groups()
+            for rows in [kernels.sample_boxes(positions, low, _SAMPLED_BOX * spacing, one_in)]
+        ]
+        if sum(len(positions) for positions, _ in sample) > _SAMPLED_POINTS // 4:
+            break
+        one_in //= 8
+    else:
+        sample = list(groups())
+    if len(sample) == 1:
+        return PointCloud(*sample[0])
+    positions, normals = (np.concatenate(parts) for parts in zip(*sample, strict=True))
+    return PointCloud(positions, normals)
 
 
 def _probe_variances(cloud: PointCloud, cell_size: float, threads: int) -> tuple[float, float]:

@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 from hpccomponent.errors import InputError
-from hpccomponent.surface.spacing import estimate_spacing
+from hpccomponent.surface.arranged_cloud import arrange_cloud
+from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.spacing import estimate_group_spacing, estimate_spacing
 
 
 def sphere(count, seed=0):
@@ -40,3 +42,23 @@ def test_a_few_points_have_a_spacing_too(points):
 def test_points_at_one_place_are_refused():
     with pytest.raises(InputError, match="all 10 points lie at one place"):
         estimate_spacing(np.ones((10, 3)))
+
+
+@pytest.mark.parametrize("times", [1, 30])
+@pytest.mark.parametrize("count", [500, 15_000, 450_000])
+@pytest.mark.parametrize("group", [7_000, 10**9])
+def test_groups_have_the_spacing_of_the_whole(count, times, group):
+    points = sphere(count // times) * (1.0, 0.5, 0.1)
+    cloud = arrange_cloud(PointCloud(np.repeat(points, times, axis=0), np.repeat(points, times, 0)))
+    found = estimate_group_spacing(
+        lambda: (positions for positions, _ in cloud.groups(group)),
+        len(cloud),
+        cloud.low,
+        cloud.high,
+    )
+    assert found == estimate_spacing(cloud.cloud.positions)
+
+
+def test_groups_at_one_place_are_refused():
+    with pytest.raises(InputError, match="all 7 points lie at one place"):
+        estimate_group_spacing(lambda: [np.ones((7, 3))], 7, np.ones(3), np.ones(3))

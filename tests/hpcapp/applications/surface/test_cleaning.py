@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.cleaning import Cleaned, arrange_points, clean_cloud
+from hpcapp.applications.surface.cleaning import Cleaned, arrange_points, clean_cloud, drop_far
 from hpcapp.applications.surface.scan_settings import ScanSettings
 from hpcapp.applications.surface.scanner import simulate_scan
 from hpcapp.applications.surface.shapes import SHAPES, diagonal_of
@@ -56,8 +56,10 @@ def test_a_marker_for_no_echo_does_not_spoil_the_rest() -> None:
     assert cloud.normals is not None
     positions = np.concatenate([cloud.positions, [[1e30, 0.0, 0.0], [-9e9, -9e9, -9e9]]])
     marked = PointCloud(positions, np.concatenate([cloud.normals, cloud.normals[:2]]))
-    kept, cleaned = clean_cloud(marked)
-    assert cleaned == Cleaned(2, 0)
+    near = drop_far(marked)
+    assert len(near) == len(cloud)
+    kept, cleaned = clean_cloud(near)
+    assert cleaned == Cleaned(0, 0)
     np.testing.assert_array_equal(kept.positions, cloud.positions)
 
 

@@ -1,7 +1,13 @@
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.estimates import choose_scale, estimate_noise
+from hpcapp.applications.surface.estimates import (
+    choose_scale,
+    estimate_noise,
+    probe_noise,
+    sample_groups,
+)
+from hpccomponent.surface.arranged_cloud import arrange_cloud
 from hpccomponent.surface.points import PointCloud
 from hpccomponent.surface.spacing import estimate_spacing
 
@@ -49,3 +55,24 @@ def test_hands_on_the_wheel():
 
 def test_no_cell_is_smaller_than_a_step_of_the_grid():
     assert choose_scale(noisy_sphere(0.0), 0.2, 1.0, 1.0).cell_size == 0.2
+
+
+@pytest.mark.parametrize("count", [20_000, 200_000])
+@pytest.mark.parametrize("group", [3_000, 10**9])
+def test_groups_have_the_noise_of_the_whole(count, group):
+    arranged = arrange_cloud(noisy_sphere(0.01, count))
+    spacing = estimate_spacing(arranged.cloud.positions)
+    sample = sample_groups(lambda: arranged.groups(group), count, arranged.low, spacing)
+    assert (len(sample) < count) == (count > 20_000)
+    found = probe_noise(sample, spacing)
+    assert found == estimate_noise(arranged.cloud, spacing)
+
+
+def test_a_sample_of_few_boxes_is_drawn_anew():
+    """Lumps in eight boxes: a share of them, as of the boxes of a surface, may be none."""
+    lumps = np.random.default_rng(3).normal(size=(200_000, 3)) * 1e-3
+    lumps += np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])[
+        np.arange(len(lumps)) % 8
+    ]
+    sample = sample_groups(lambda: [(lumps, lumps)], len(lumps), lumps.min(axis=0), 0.01)
+    assert len(sample) > 15_000 // 4

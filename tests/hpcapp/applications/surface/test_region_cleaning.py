@@ -1,0 +1,144 @@
+"""Cleaned region by region, a cloud is the one that is cleaned in one piece, byte by byte."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hpcapp.applications.surface.cleaning import Cleaned, clean_cloud
+from hpcapp.applications.surface.region_cleaning import clean_regions
+from hpcapp.applications.surface.scan_settings import ScanSettings
+from hpcapp.applications.surface.scanner import simulate_scan
+from hpcapp.applications.surface.shapes import SHAPES
+from hpcapp.backends import SerialExecutor
+from hpcapp.batches import Workforce
+from hpccomponent.surface.arranged_cloud import MemoryCloud, arrange_cloud
+from hpccomponent.surface.disk_cloud import DiskCloudWriter
+from hpccomponent.surface.points import FloatArray, PointCloud
+
+Random = np.random.Generator
+
+
+def _scan(name: str, **settings: float) -> PointCloud:
+    return simulate_scan(SHAPES[name], ScanSettings(points=30_000, normals="exact", **settings))
+
+
+def _sphere(random: Random, points: int, radius: float = 1.0) -> FloatArray:
+    arms = random.normal(size=(points, 3))
+    return radius * arms / np.linalg.norm(arms, axis=1)[:, None]
+
+
+def _uneven(random: Random) -> PointCloud:
+    """A sphere whose density falls by a factor of a thousand, and a fog around it."""
+    positions = _sphere(random, 60_000)
+    kept = random.random(len(positions)) < 10.0 ** (-1.5 - 1.5 * positions[:, 2])
+    fog = random.uniform(-2.0, 2.0, (300, 3))
+    return _oriented(np.concatenate([positions[kept], fog]))
+
+
+def _islands(random: Random) -> PointCloud:
+    """A sphere, small pieces far from it, one close by, and sparse patches between."""
+    pieces = [_sphere(random, 40_000)]
+    for place, points in (((2.5, 0, 0), 40), ((0, 3, 0), 25), ((0, 0, 1.06), 30), ((4, 4, 4), 9)):
+        pieces.append(np.array(place) + _sphere(random, points, 0.01))
+    sheet = random.uniform(-0.5, 0.5, (60, 3)) * (1.0, 1.0, 0.001) + (0.0, 0.0, 1.5)
+    return _oriented(np.concatenate([*pieces, sheet]))
+
+
+def _repeated(random: Random) -> PointCloud:
+    """Each point many times, which is counted once."""
+    return _oriented(np.repeat(_sphere(random, 900), 40, axis=0))
+
+
+def _fog(random: Random) -> PointCloud:
+    """Mostly points above what is the base of the rest."""
+    return _oriented(
+        np.concatenate([_sphere(random, 5_000, 0.1), random.uniform(-1, 1, (4_000, 3))])
+    )
+
+
+def _oriented(positions: FloatArray) -> PointCloud:
+    return PointCloud(positions, positions / np.linalg.norm(positions, axis=1)[:, None])
+
+
+CLOUDS: dict[str, Callable[[Random], PointCloud]] = {
+    "box outliers": lambda _: _scan("box", outliers=0.03, noise=0.001),
+    "frame outliers": lambda _: _scan("frame", outliers=0.1, noise=0.002),
+    "flipped": lambda _: _scan("plate", flipped=0.05),
+    "spoilt": lambda _: _scan("bracket", outliers=0.02, flipped=0.1, noise=0.002),
+    "clean": lambda _: _scan("torus"),
+    "uneven": _uneven,
+    "islands": _islands,
+    "repeated": _repeated,
+    "fog": _fog,
+}
+
+
+SPOILT = set(CLOUDS) - {"clean", "repeated", "fog"}
+
+
+def _assert_cleaned_alike(
+    arranged: MemoryCloud, folder: Path, workforce: Workforce, points: int
+) -> Cleaned:
+    expected, cleaned = clean_cloud(arranged.cloud)
+    found, told = clean_regions(arranged, folder, workforce, points)
+    assert told == cleaned
+    assert len(found) == len(expected)
+    positions, normals = found.take_blocks(found.keys)
+    assert positions.tobytes() == expected.positions.tobytes()
+    assert expected.normals is not None
+    assert normals.tobytes() == expected.normals.tobytes()
+    return cleaned
+
+
+@pytest.fixture
+def serial() -> Workforce:
+    return Workforce(SerialExecutor())
+
+
+@pytest.mark.parametrize("name", CLOUDS)
+@pytest.mark.parametrize("points", [5_000, 100_000])
+def test_regions_of_any_size_are_the_whole(
+    tmp_path: Path, serial: Workforce, name: str, points: int
+) -> None:
+    cloud = CLOUDS[name](np.random.default_rng(5))
+    cleaned = _assert_cleaned_alike(arrange_cloud(cloud), tmp_path, serial, points)
+    if name in SPOILT:
+        assert cleaned.outliers or cleaned.flipped
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_any_mixture_is_cleaned_alike(tmp_path: Path, serial: Workforce, seed: int) -> None:
+    """Sheets, lumps, lines and single points, of densities that differ by orders of magnitude."""
+    random = np.random.default_rng(seed)
+    pieces = []
+    for _ in range(random.integers(2, 9)):
+        points = int(10.0 ** random.uniform(0.5, 3.7))
+        extent = 10.0 ** random.uniform(-2.0, 0.0, 3) * random.choice([0.0, 1.0, 1.0], 3)
+        pieces.append(random.normal(size=(points, 3)) * extent + random.uniform(-1, 1, 3))
+    positions = np.concatenate([*pieces, random.uniform(-3, 3, (50, 3))])
+    cloud = _oriented(positions[random.permutation(len(positions))])
+    _assert_cleaned_alike(arrange_cloud(cloud), tmp_path, serial, 1_500)
+
+
+def test_workers_and_the_disk_do_not_show(tmp_path: Path) -> None:
+    scan = CLOUDS["spoilt"](np.random.default_rng(5))
+    arranged = arrange_cloud(scan)
+    (tmp_path / "in").mkdir()
+    writer = DiskCloudWriter(tmp_path / "in", arranged.arrangement, scan.origin)
+    assert scan.normals is not None
+    for some in np.array_split(np.arange(len(scan)), 7):
+        writer.add(scan.positions[some], scan.normals[some])
+    expected, cleaned = clean_cloud(arranged.cloud)
+    with ThreadPoolExecutor(3) as executor:
+        workforce = Workforce(executor, workers=3)
+        found, told = clean_regions(writer.finish(), tmp_path, workforce, 4_000)
+    assert told == cleaned
+    positions, normals = found.take_blocks(found.keys)
+    assert positions.tobytes() == expected.positions.tobytes()
+    assert expected.normals is not None
+    assert normals.tobytes() == expected.normals.tobytes()
