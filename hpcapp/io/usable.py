@@ -138,9 +138,10 @@ def _normalize_rows(normals: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]
     largest = np.maximum.reduce([np.abs(column) for column in normals.T])[:, None]
     directed = np.isfinite(largest) & (largest > 0)
     # By the largest component first: squares of very long or short vectors leave the range.
-    scaled = np.divide(normals, largest, out=np.zeros_like(normals), where=directed)
+    where = True if directed.all() else directed  # a mask takes longer than what it masks
+    scaled = np.divide(normals, largest, out=np.zeros_like(normals), where=where)
     lengths = np.sqrt(np.einsum("ij,ij->i", scaled, scaled))[:, None]
-    units = np.divide(scaled, lengths, out=scaled, where=directed)
+    units = np.divide(scaled, lengths, out=scaled, where=where)
     return units, directed[:, 0]
 
 

@@ -157,9 +157,9 @@ def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
     keys, offsets, rows = kernels.sort_points(snapped, arrangement.origin, arrangement.edge)
     normals = None if cloud.normals is None else cloud.normals.astype(np.float32)
     arranged = PointCloud(
-        snapped[rows],
-        None if normals is None else normals[rows].astype(np.float64),
-        None if cloud.colors is None else cloud.colors[rows],
+        snapped.take(rows, axis=0),
+        None if normals is None else normals.take(rows, axis=0).astype(np.float64),
+        None if cloud.colors is None else cloud.colors.take(rows, axis=0),
         cloud.origin,
     )
     return MemoryCloud(arranged, arrangement, keys, offsets)
