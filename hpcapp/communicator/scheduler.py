@@ -14,12 +14,12 @@ none is to be expected.
 
 from __future__ import annotations
 
-import math
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 
 from hpcapp.communicator.admission import Admission
 from hpcapp.communicator.batching import MAX_TASKS, BatchCutter
+from hpcapp.communicator.endgame import choose_to_run_again, choose_to_split
 from hpcapp.communicator.forecast import Forecast
 from hpcapp.communicator.policy import Policy
 from hpcapp.communicator.roster import (
@@ -46,9 +46,6 @@ __all__ = ["Scheduler"]
 
 CREDIT = 2  # batches in flight per worker
 LOSS_BUDGET = 3  # workers that may be lost under one task
-LAG = 1.5  # a task that is to take so many times as long as on an idle worker is run there too,
-SPLIT_S = 0.5  # longer tasks may be split, where more workers than tasks are (soon) idle
-LAG_S = 0.25  # if that is more than so many seconds
 
 
 class Scheduler:
@@ -311,19 +308,8 @@ class Scheduler:
         return actions
 
     def _split_last(self, workers: Sequence[Worker]) -> None:
-        """Split the last tasks, the longest first, where they are too few for idle workers."""
-        if len(self._queue) >= len(workers) or not any(t.can_split for t in self._queue.values()):
-            return
         now = self._clock.now()
-        idle = [w for w in workers if self._forecast.remaining_s(w, now) <= SPLIT_S]
-        while len(self._queue) < len(idle):
-            task, expected_s = None, SPLIT_S
-            for other in self._queue.values():
-                other_s = min(self._forecast.expect(worker.identity, other) for worker in idle)
-                if other.can_split and not other.is_claimed and expected_s <= other_s < math.inf:
-                    task, expected_s = other, other_s
-            if task is None:
-                return
+        while task := choose_to_split(self._queue.values(), workers, self._forecast, now):
             task.can_split = False  # asked once
             parts = {part.number: part for part in self._split(task.number)}
             if parts:
@@ -337,31 +323,13 @@ class Scheduler:
         worker.next_s = self._forecast.unit_s(worker.identity, name)
 
     def _run_again(self, workers: Sequence[Worker]) -> list[Action]:
-        """Give each idle worker the task that will be done last, if it is there much sooner."""
         idle = [worker for worker in workers if not worker.batches]
-        lagging = self._lagging() if idle else []
+        everyone, now = self.workers.values(), self._clock.now()
         actions: list[Action] = []
-        for worker in idle:
-            for place, (left_s, task) in enumerate(lagging):
-                if left_s > LAG * self._forecast.expect(worker.identity, task) + LAG_S:
-                    del lagging[place]
-                    worker.placed += 1
-                    actions += self._send(worker, [task])
-                    break
+        for worker, task in choose_to_run_again(everyone, idle, self._forecast, now):
+            worker.placed += 1
+            actions += self._send(worker, [task])
         return actions
-
-    def _lagging(self) -> list[tuple[float, Task]]:
-        """Return what may be run a second time, with how long it will be, the longest first."""
-        now = self._clock.now()
-        found = [
-            (left_s, task)
-            for worker in self.workers.values()
-            if self._forecast.remaining_s(worker, now) > LAG_S
-            for task, left_s in self._forecast.ends(worker, now)
-            # A task that was lost with a worker may be what kills them: one at a time.
-            if not (task.is_done or task.losses or len(task.places) > 1)
-        ]
-        return sorted(found, key=lambda pair: -pair[0])
 
     def _cut(self, source: OrderedDict[int, Task], limit: int, worker: Worker) -> list[Task]:
         batch, cancelled = self._cutter.cut(source, limit, worker)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpcapp.communicator import scheduler
+from hpcapp.communicator import endgame
 from hpccomponent.errors import TaskError, UsageError
 
 WAIT = 30.0
@@ -43,7 +43,7 @@ def test_who_waits_too_long_is_told(executor) -> None:
 
 
 def test_a_part_is_split_where_workers_are_idle(executor, start_component, monkeypatch) -> None:
-    monkeypatch.setattr(scheduler, "SPLIT_S", 0.0)
+    monkeypatch.setattr(endgame, "SPLIT_S", 0.0)
     for _ in range(3):
         start_component()
     executor.wait_for_workers(3, WAIT)
