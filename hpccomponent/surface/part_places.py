@@ -63,11 +63,13 @@ def place_vertices(
     numbers : ndarray of int64, shape (m,)
         In the whole mesh; rising.
     """
-    starts = starts_of(part.vertex_counts)
-    rows = _spread(starts, bricks)
-    numbers = _number(starts, places, rows)
+    rows = _rows_of(starts_of(part.vertex_counts), bricks)
+    numbers = _number(part, places, rows)
+    vertices = _take(part.vertices, rows)
+    if not len(places.dropped):
+        return vertices, numbers
     kept = numbers >= 0
-    return part.vertices[rows[kept]], numbers[kept]
+    return vertices[kept], numbers[kept]
 
 
 def place_faces(
@@ -91,16 +93,20 @@ def place_faces(
     numbers : ndarray of int64, shape (m,)
         Of the faces in the whole mesh; rising.
     """
-    starts = starts_of(part.face_counts)
-    rows = _spread(starts, bricks)
-    local = part.faces[rows]
-    corners = _number_corners(part, places, local)
+    rows = _rows_of(starts_of(part.face_counts), bricks)
+    corners = _number_corners(part, places, _take(part.faces, rows))
+    counts = part.face_counts[bricks]
+    first = np.cumsum(counts, dtype=np.int64) - counts
     kept = corners[:, 0] >= 0
-    brick_of = np.repeat(bricks, part.face_counts[bricks])
-    first = np.repeat(_first_of(part.face_counts[bricks]), part.face_counts[bricks])
-    before: IntArray = np.cumsum(kept) - kept  # faces that are kept, of all the rows before
-    numbers = places.face_starts[brick_of] + before - before[first]
-    return rows[kept], corners[kept], numbers[kept]
+    if kept.all():
+        return (
+            rows,
+            corners,
+            np.repeat(places.face_starts[bricks] - first, counts) + np.arange(len(rows)),
+        )
+    before = starts_of(kept)  # how many faces are kept, of all the rows before
+    shift = places.face_starts[bricks] - before[first]
+    return rows[kept], corners[kept], (np.repeat(shift, counts) + before[:-1])[kept]
 
 
 def starts_of(counts: NDArray[np.integer[Any] | np.bool_]) -> IntArray:
@@ -110,40 +116,42 @@ def starts_of(counts: NDArray[np.integer[Any] | np.bool_]) -> IntArray:
     return starts
 
 
-def _first_of(counts: Int32Array) -> IntArray:
-    return np.cumsum(counts, dtype=np.int64) - counts
-
-
-def _spread(starts: IntArray, bricks: IntArray) -> IntArray:
+def _rows_of(starts: IntArray, bricks: IntArray) -> IntArray:
     """Return the rows of some bricks."""
     counts = starts[bricks + 1] - starts[bricks]
-    return np.arange(counts.sum()) + np.repeat(starts[bricks] - _first_of(counts), counts)
+    first = np.cumsum(counts) - counts
+    return np.repeat(starts[bricks] - first, counts) + np.arange(int(counts.sum()))
+
+
+def _take(values: NDArray[Any], rows: IntArray) -> NDArray[Any]:
+    """Return some rows (sorted); of all rows, no copy."""
+    return values if len(rows) == len(values) else values[rows]
 
 
 def _number_corners(part: MeshPart, places: PartPlaces, faces: Int32Array) -> IntArray:
     """Return the numbers of the corners in the whole mesh, -1 for dropped ones."""
-    own = faces[faces >= 0]
-    low, high = (int(own.min()), int(own.max()) + 1) if len(own) else (0, 0)
-    rows = np.arange(low, high)
-    # The own vertices that are in reach, then the foreign ones.
-    table = np.concatenate([_number(starts_of(part.vertex_counts), places, rows), places.foreign])
-    numbers: IntArray = table[np.where(faces >= 0, faces - low, high - low + ~faces)]
+    high = int(faces.max(initial=-1)) + 1
+    low = int(faces.view(np.uint32).min(initial=high)) if high else 0  # negative ones look large
+    own = _number(part, places, np.arange(low, high))
+    # The own vertices in reach; the foreign ones stand where negative indices find them.
+    table = np.concatenate([own, places.foreign[::-1]])
+    numbers: IntArray = table[np.where(faces < 0, faces, faces - low) if low else faces]
     return numbers
 
 
-def _number(starts: IntArray, places: PartPlaces, rows: IntArray) -> IntArray:
+def _number(part: MeshPart, places: PartPlaces, rows: IntArray) -> IntArray:
     """Return the numbers of vertices (rising rows) in the whole mesh, -1 for dropped ones."""
     if not len(rows):
         return np.empty(0, np.int64)
+    starts = starts_of(part.vertex_counts)
     first = int(np.searchsorted(starts, rows[0], side="right")) - 1
     last = int(np.searchsorted(starts, rows[-1], side="right"))
-    counts = np.diff(starts[first : last + 1])
     shift = places.vertex_starts[first:last] - starts[first:last]
-    if len(places.dropped):
-        shift = shift + np.searchsorted(places.dropped, starts[first:last])
-    numbers: IntArray = np.repeat(shift, counts)[rows - starts[first]] + rows
-    if len(places.dropped):
-        before = np.searchsorted(places.dropped, rows)
-        is_dropped = places.dropped[np.minimum(before, len(places.dropped) - 1)] == rows
-        numbers = np.where(is_dropped, -1, numbers - before)
-    return numbers
+    shift += np.searchsorted(places.dropped, starts[first:last])
+    shifts = np.repeat(shift, part.vertex_counts[first:last])
+    shifts = _take(shifts, rows - starts[first])
+    if not len(places.dropped):
+        return shifts + rows
+    before = np.searchsorted(places.dropped, rows)
+    is_dropped = places.dropped[np.minimum(before, len(places.dropped) - 1)] == rows
+    return np.where(is_dropped, -1, shifts + rows - before)

@@ -7,8 +7,10 @@ disk that are mapped.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpcapp.applications.surface.weld import WeldPlan
 from hpcapp.io import MeshStream
@@ -45,9 +47,9 @@ def assemble_mesh(plan: WeldPlan, load: LoadPart, origin: FloatArray) -> Mesh:
         part, places = load(index), plan.places(index)
         bricks = np.flatnonzero(places.face_starts >= 0)
         found, numbers = place_vertices(part, places, bricks)
-        vertices[numbers] = found
+        _put(vertices, numbers, found)
         _, found_faces, numbers = place_faces(part, places, bricks)
-        faces[numbers] = found_faces
+        _put(faces, numbers, found_faces)
     return Mesh(vertices, faces, origin)
 
 
@@ -150,7 +152,7 @@ class _Blocks:
             block = np.empty((int(self._plan.vertex_starts[last] - start), 3))
             for index, bricks in self._plan.givers(first, last):
                 found, numbers = place_vertices(self._load(index), self._places_of(index), bricks)
-                block[numbers - start] = found
+                _put(block, numbers - start, found)
             yield block
 
     def faces(self) -> Iterator[IntArray]:
@@ -159,7 +161,7 @@ class _Blocks:
             block = np.empty((int(self._plan.face_starts[last] - start), 3), np.int64)
             for index, bricks in self._plan.givers(first, last):
                 _, found, numbers = place_faces(self._load(index), self._places_of(index), bricks)
-                block[numbers - start] = found
+                _put(block, numbers - start, found)
             yield block
 
     def corners(self) -> Iterator[FloatArray]:
@@ -171,13 +173,21 @@ class _Blocks:
                 rows, _, numbers = place_faces(part, self._places_of(index), bricks)
                 corners = part.faces[rows].reshape(-1)
                 found = _positions(self._plan, self._load, index, corners)
-                block[numbers - start] = found.reshape(-1, 3, 3)
+                _put(block, numbers - start, found.reshape(-1, 3, 3))
             yield block
 
     def _places_of(self, index: int) -> PartPlaces:
         if index not in self._places:
             self._places[index] = self._plan.places(index)
         return self._places[index]
+
+
+def _put(rows: NDArray[Any], numbers: IntArray, values: NDArray[Any]) -> None:
+    """Put values into rows whose numbers rise."""
+    if len(numbers) and numbers[-1] - numbers[0] == len(numbers) - 1:
+        rows[numbers[0] : numbers[-1] + 1] = values
+    else:
+        rows[numbers] = values
 
 
 def _cut(starts: IntArray) -> Iterator[tuple[int, int]]:

@@ -43,18 +43,23 @@ struct Link {
   int32_t after, before;
 };
 
-// The corners of the faces, grouped by their nodes.
+// The corners of the faces, grouped by their nodes, and the components of the vertices.
 struct Corners {
   std::vector<int32_t> starts;
   Buffer<Link> links;
 
-  Corners(const Faces& faces, int64_t nodes)
-      : starts(static_cast<size_t>(nodes) + 2, 0), links(make_buffer<Link>(3 * faces.count)) {
-    for (int64_t c = 0; c < 3 * faces.count; ++c) ++starts[faces.node(c) + 2];
+  Corners(const Faces& faces, const int32_t* vertex_of, int64_t nodes, Sets& labels)
+      : starts(static_cast<size_t>(nodes) + 2, 0) {
+    int32_t most = 0;
+    for (int64_t c = 0; c < 3 * faces.count; ++c) most = std::max(most, ++starts[faces.node(c) + 2]);
     std::partial_sum(starts.begin(), starts.end(), starts.begin());
+    links = make_buffer<Link>(3 * faces.count + most);
+    std::fill(links.get() + 3 * faces.count, links.get() + 3 * faces.count + most, Link{-1, -1});
     // Filling moves every start to the next one's place.
     for (int64_t f = 0; f < 3 * faces.count; f += 3) {
       const int32_t a = faces.node(f), b = faces.node(f + 1), c = faces.node(f + 2);
+      labels.join(vertex_of[a], vertex_of[b]);
+      labels.join(vertex_of[b], vertex_of[c]);
       links[starts[a + 1]++] = {b, c};
       links[starts[b + 1]++] = {c, a};
       links[starts[c + 1]++] = {a, b};
@@ -67,18 +72,20 @@ struct Corners {
 
 // Tell whether the faces at a node stand around it in one ring. Of links that leave to one node the
 // last is found: were there two, the other would be left out and the ring too short. `slots` has a
-// place for each node, and may hold anything that is not negative.
+// place for each node, and holds what other nodes left there: no more than the most links of one.
+// No branch depends on where the walk leads, so that the next node's can begin before it ends.
 bool is_ring(const Link* links, int32_t count, int32_t self, int32_t* slots) {
   if (!count) return false;
   for (int32_t i = 0; i < count; ++i) slots[links[i].after] = i;
   const int32_t start = links[0].after;
-  int32_t at = links[0].before, visited = 1;
-  for (; at != start; ++visited) {
+  int32_t at = links[0].before;
+  unsigned fits = start != self;
+  for (int32_t step = 1; step < count; ++step) {
     const int32_t i = slots[at];
-    if (i >= count || links[i].after != at || at == self || visited == count) return false;
-    at = links[i].before;
+    fits &= static_cast<unsigned>(i < count) & (links[i].after == at) & (at != self) & (at != start);
+    at = links[i].before < 0 ? at : links[i].before;
   }
-  return visited == count && at != self;
+  return fits & (at == start);
 }
 
 // A corner at an open node.
@@ -92,18 +99,13 @@ struct Found {
   std::vector<int32_t> pieces, sides, bare;
 };
 
-// Label the vertices, and tell which nodes are closed.
-void close_nodes(const Corners& corners, const int32_t* vertex_of, const bool* is_open, int64_t count, Found& found) {
+// Tell which nodes are closed, and which no face uses.
+void close_nodes(const Corners& corners, const bool* is_open, int64_t count, Found& found) {
   std::vector<int32_t> slots(static_cast<size_t>(count), 0);
   for (int64_t n = 0; n < count; ++n) {
     const Link* links = corners.begin(n);
-    const int32_t degree = corners.count(n), self = vertex_of[n];
+    const int32_t degree = corners.count(n);
     found.closed[n] = !is_open[n] && is_ring(links, degree, static_cast<int32_t>(n), slots.data());
-    // Each side is seen from both its ends, in a ring even twice.
-    for (int32_t i = 0; i < degree; ++i) {
-      if (links[i].after < n) found.labels.join(vertex_of[links[i].after], self);
-      if (links[i].before < n && !found.closed[n]) found.labels.join(vertex_of[links[i].before], self);
-    }
     if (!degree && !is_open[n]) found.bare.push_back(static_cast<int32_t>(n));
   }
 }
@@ -112,8 +114,11 @@ void close_nodes(const Corners& corners, const int32_t* vertex_of, const bool* i
 // between open nodes.
 void join_open(const Faces& faces, Found& found) {
   std::vector<Open> open;
-  for (int64_t c = 0; c < 3 * faces.count; ++c)
-    if (!found.closed[faces.node(c)]) open.push_back({faces.node(c), static_cast<int32_t>(c)});
+  for (int64_t f = 0; f < 3 * faces.count; f += 3) {
+    if (found.closed[faces.node(f)] & found.closed[faces.node(f + 1)] & found.closed[faces.node(f + 2)]) continue;
+    for (int64_t c = f; c < f + 3; ++c)
+      if (!found.closed[faces.node(c)]) open.push_back({faces.node(c), static_cast<int32_t>(c)});
+  }
   std::sort(open.begin(), open.end(),
             [](const Open& a, const Open& b) { return a.node != b.node ? a.node < b.node : a.corner < b.corner; });
   const size_t count = open.size();
@@ -169,7 +174,7 @@ nb::tuple find_seams(Input faces_of, int64_t own, int64_t foreign, Input vertex_
   Found found{Sets(vertices), std::vector<uint8_t>(static_cast<size_t>(count)), {}, {}, {}};
   {
     nb::gil_scoped_release unlocked;
-    close_nodes(Corners(faces, count), vertex_of, is_open, count, found);
+    close_nodes(Corners(faces, vertex_of, count, found.labels), is_open, count, found);
     components = found.labels.number(labels.get());
     join_open(faces, found);
   }
@@ -198,10 +203,7 @@ struct PartView {
   const int32_t* labels;
   Vector reference;
 
-  Vector at(int64_t i) const {
-    const double* v = vertices + 3 * i;
-    return Vector{v[0], v[1], v[2]} - reference;
-  }
+  Vector at(int64_t i) const { return Vector{vertices[3 * i], vertices[3 * i + 1], vertices[3 * i + 2]} - reference; }
 };
 
 // The entries of one brick, in the order in which its vertices and then its faces name them.
@@ -210,15 +212,16 @@ class BrickEntries {
   explicit BrickEntries(std::vector<Entry>& all) : all_(all), first_(all.size()) {}
 
   Entry& of(int32_t label) {
-    for (size_t i = first_; i < all_.size(); ++i)
-      if (all_[i].label == label) return all_[i];
+    if (last_ < all_.size() && all_[last_].label == label) return all_[last_];
+    for (last_ = first_; last_ < all_.size(); ++last_)
+      if (all_[last_].label == label) return all_[last_];
     all_.push_back({label, 0, 0, {}});
     return all_.back();
   }
 
  private:
   std::vector<Entry>& all_;
-  size_t first_;
+  size_t first_, last_ = first_;
 };
 
 void add_vertex(const PartView& part, int64_t vertex, BrickEntries& entries, double* bounds) {
