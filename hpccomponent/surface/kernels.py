@@ -454,15 +454,14 @@ def sum_bricks(
     counts: tuple[Int32Array, Int32Array],
     labels: Int32Array,
     components: int,
-    reference: FloatArray,
 ) -> BrickSums:
     """Sum over what each brick holds; see `seams.sum_bricks`."""
     if _native is None:
         from hpccomponent.surface import seams
 
-        return seams.sum_bricks(vertices, faces, counts, labels, components, reference)
+        return seams.sum_bricks(vertices, faces, counts, labels, components)
     starts, entries, bounds = _native.sum_bricks(
-        _floats(vertices), faces, *counts, labels, components, _floats(reference)
+        _floats(vertices), faces, *counts, labels, components
     )
     kinds, of_vertices, of_faces, sums = entries
     return BrickSums(starts, kinds, of_vertices, of_faces, sums, bounds)

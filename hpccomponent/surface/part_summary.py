@@ -39,8 +39,6 @@ class PartSummary:
         The component of every vertex of bricks with vertices of more than one.
     bounds : ndarray of float64, shape (c, 6)
         Lowest and highest coordinates of the vertices of each component.
-    reference : ndarray of float64, shape (3,)
-        What `entry_sums` are relative to.
     piece_vertices : ndarray of int32, shape (p,)
         The open vertex of each piece of corners (see `seams.Seams`).
     piece_units : ndarray of int32, shape (p,)
@@ -71,7 +69,6 @@ class PartSummary:
     entry_sums: FloatArray
     mixed_labels: Int32Array
     bounds: FloatArray
-    reference: FloatArray
     piece_vertices: Int32Array
     piece_units: Int32Array
     sides: Int32Array
@@ -120,11 +117,8 @@ def summarize_part(part: MeshPart) -> PartSummary:
     nodes = _name_nodes(part)
     all_vertices = (own, len(part.foreign_bricks))
     seams = kernels.find_seams(nodes.faces, all_vertices, nodes.vertex_of, nodes.is_open)
-    reference = part.vertices[0].copy() if own else np.zeros(3)
     counts = (part.vertex_counts, part.face_counts)
-    sums = kernels.sum_bricks(
-        part.vertices, part.faces, counts, seams.labels, seams.components, reference
-    )
+    sums = kernels.sum_bricks(part.vertices, part.faces, counts, seams.labels, seams.components)
     pieces, bare = nodes.vertex_of[seams.pieces], nodes.vertex_of[seams.bare]
     at_seam = np.unique(np.flatnonzero(part.faces.reshape(-1) < 0) // 3)
     rim = np.unique(np.concatenate([pieces, bare, part.faces[at_seam].reshape(-1)]))
@@ -143,7 +137,6 @@ def summarize_part(part: MeshPart) -> PartSummary:
         sums.sums,
         _mixed_labels(part.vertex_counts, sums.starts, sums.vertices, seams.labels),
         sums.bounds,
-        reference,
         _as_in_faces(pieces, own),
         nodes.unit_of[seams.pieces],
         seams.sides,

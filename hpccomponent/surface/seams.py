@@ -58,10 +58,9 @@ class BrickSums:
         by the first face.
     labels, vertices, faces : ndarray of int32, shape (e,)
         The component, and how many of the brick's vertices and faces belong to it.
-    sums : ndarray of float64, shape (e, 7)
-        Over its faces: six times the signed volume, and twice the directed area (3); over its
-        vertices: the positions (3). All relative to the reference point; a face with a foreign
-        vertex does not count.
+    sums : ndarray of float64, shape (e, 4)
+        Over its faces: six times the signed volume, seen from the local frame's zero; over its
+        vertices: the positions (3). A face with a foreign vertex does not count.
     bounds : ndarray of float64, shape (c, 6)
         Lowest and highest coordinates of each component's own vertices; infinite without any.
     """
@@ -130,7 +129,6 @@ def sum_bricks(
     counts: tuple[Int32Array, Int32Array],
     labels: Int32Array,
     components: int,
-    reference: FloatArray,
 ) -> BrickSums:
     """Sum over the vertices and faces of each component in each brick.
 
@@ -146,7 +144,6 @@ def sum_bricks(
         The component of each vertex, foreign ones too.
     components : int
         How many there are, c.
-    reference : ndarray of float64, shape (3,)
 
     Returns
     -------
@@ -169,15 +166,12 @@ def sum_bricks(
     of_vertex, of_face = entry[:own], entry[own:]
     bricks = np.bincount(found // max(components, 1), minlength=len(counts[0]))
 
-    local = vertices - reference
     known = (faces >= 0).all(axis=1)
-    a, b, c = (local[faces[known, k]] for k in range(3))
-    areas = np.cross(b - a, c - a)
+    a, b, c = (vertices[faces[known, k]] for k in range(3))
     volumes = (a * np.cross(b, c)).sum(axis=1)
-    sums = np.zeros((len(found), 7))
-    for column, values in enumerate((volumes, *areas.T)):
-        sums[:, column] = np.bincount(of_face[known], values, len(found))
-    for column, values in enumerate(local.T, start=4):
+    sums = np.empty((len(found), 4))
+    sums[:, 0] = np.bincount(of_face[known], volumes, len(found))
+    for column, values in enumerate(vertices.T, start=1):
         sums[:, column] = np.bincount(of_vertex, values, len(found))
     bounds = np.tile(np.repeat([np.inf, -np.inf], 3), (components, 1))
     np.minimum.at(bounds[:, :3], labels[:own], vertices)

@@ -185,7 +185,6 @@ def _collect_entries(
         np.concatenate([s.entry_vertices for s in summaries])[order],
         np.concatenate([s.entry_faces for s in summaries])[order],
         np.concatenate([s.entry_sums for s in summaries])[order],
-        np.repeat(np.stack([s.reference for s in summaries]), counts, axis=0)[order],
     )
 
 

@@ -35,10 +35,8 @@ class Components:
     component : ndarray of int64, shape (e,)
     vertices, faces : ndarray of int32, shape (e,)
         How many.
-    sums : ndarray of float64, shape (e, 7)
+    sums : ndarray of float64, shape (e, 4)
         See `hpccomponent.surface.seams.BrickSums`.
-    reference : ndarray of float64, shape (e, 3)
-        What the sums are relative to.
     """
 
     place: IntArray
@@ -46,7 +44,6 @@ class Components:
     vertices: NDArray[np.int32]
     faces: NDArray[np.int32]
     sums: FloatArray
-    reference: FloatArray
 
     def only(self, chosen: NDArray[np.bool_]) -> Components:
         """Return some of the entries."""
@@ -112,8 +109,9 @@ def judge_parts(
 
     Notes
     -----
-    If an edge has more than two faces because a vertex that is closed in one part has further
-    faces in another, these faces' edges count as boundary; the vertex is not manifold either way.
+    A vertex that is closed in one part and has faces in another is found, and is not manifold; but
+    such edges of these faces as the first part has too count as boundary, and the faces may be
+    missing in the volume.
     """
     count = int(component.max(initial=-1)) + 1
     faces = entries.count(entries.faces, count)
@@ -131,7 +129,7 @@ def judge_parts(
         verdict.is_edge_manifold,
         is_vertex_manifold,
         verdict.is_oriented,
-        _signed_volume(summaries, bricks, kept, entries, raw_starts) > 0.0,
+        _signed_volume(summaries, bricks, kept, entries, (raw_starts, seams)) > 0.0,
         int((faces > 0).sum()),
         sum(genera) if watertight else None,
         genera,
@@ -268,26 +266,40 @@ def _signed_volume(
     bricks: PartBricks,
     kept: NDArray[np.bool_],
     entries: Components,
-    raw_starts: IntArray,
+    seams: tuple[IntArray, _Seams],
 ) -> float:
-    """Return six times the volume relative to the mean of the vertices (see `signed_volume`)."""
-    counts = entries.vertices[:, None]
-    mean = (entries.sums[:, 4:] + counts * entries.reference).sum(axis=0) / counts.sum()
-    shift = mean - entries.reference
-    total = float((entries.sums[:, 0] - (shift * entries.sums[:, 1:4]).sum(axis=1)).sum())
-    corners, numbers, places = [], [], []
+    """Return six times the volume relative to the mean of the vertices (see `signed_volume`).
+
+    Seen from another point, each face's share changes by the point times twice the face's directed
+    area; over all faces these areas add up to the cross products along the boundary, because
+    sides that run in opposite directions cancel.
+    """
+    raw_starts, loose = seams
+    faces, numbers, places = [], [], []
     for index, summary in enumerate(summaries):
         brick = np.searchsorted(starts_of(summary.face_counts), summary.seam_faces[:, 0], "right")
-        flat, labels = _locate(
+        corners, labels = _locate(
             summary.seam_faces[:, 1:].reshape(-1), index, summary, bricks, raw_starts
         )
         counted = bricks.is_taken[bricks.parts[index] + brick - 1] & kept[labels[::3]]
-        corners.append(flat.reshape(-1, 3)[counted])
+        faces.append(corners.reshape(-1, 3)[counted])
         numbers.append(_locate(summary.rim, index, summary, bricks, raw_starts)[0])
         places.append(summary.rim_places)
     known, rows = np.unique(np.concatenate(numbers), return_index=True)
-    seam = np.concatenate(corners)
-    at = find_keys(known, seam) if len(known) else np.zeros_like(seam)
-    local = (np.concatenate(places)[rows] - mean)[at[(at < len(known)).all(axis=1)]]
-    a, b, c = local[:, 0], local[:, 1], local[:, 2]
-    return total + float((a * np.cross(b, c)).sum())
+    rim = np.concatenate(places)[rows]
+    a, b, c = _find_rim(known, rim, np.concatenate(faces))
+    tails, heads = _find_rim(
+        known, rim, np.stack([loose.pieces[loose.tails], loose.pieces[loose.heads]], axis=1)
+    )
+    mean = entries.sums[:, 1:].sum(axis=0) / entries.vertices.sum()
+    total = entries.sums[:, 0].sum() + (a * np.cross(b, c)).sum()
+    return float(total - mean @ np.cross(tails, heads).sum(axis=0))
+
+
+def _find_rim(known: IntArray, rim: FloatArray, wanted: IntArray) -> FloatArray:
+    """Return where vertices are, shape (k, m, 3) of m rows of k; without rows that hide one."""
+    if not len(known) or not len(wanted):
+        return np.empty((wanted.shape[1], 0, 3))
+    at = find_keys(known, wanted)
+    found: FloatArray = rim[at[(at < len(known)).all(axis=1)]].transpose(1, 0, 2)
+    return found

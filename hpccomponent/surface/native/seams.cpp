@@ -50,8 +50,8 @@ struct Corners {
 
   Corners(const Faces& faces, const int32_t* vertex_of, int64_t nodes, Sets& labels)
       : starts(static_cast<size_t>(nodes) + 2, 0) {
-    int32_t most = 0;
-    for (int64_t c = 0; c < 3 * faces.count; ++c) most = std::max(most, ++starts[faces.node(c) + 2]);
+    for (int64_t c = 0; c < 3 * faces.count; ++c) ++starts[faces.node(c) + 2];
+    const int32_t most = *std::max_element(starts.begin(), starts.end());
     std::partial_sum(starts.begin(), starts.end(), starts.begin());
     links = make_buffer<Link>(3 * faces.count + most);
     std::fill(links.get() + 3 * faces.count, links.get() + 3 * faces.count + most, Link{-1, -1});
@@ -182,28 +182,16 @@ nb::tuple find_seams(Input faces_of, int64_t own, int64_t foreign, Input vertex_
                         give_list(found.sides, 3), give_list(found.bare));
 }
 
-struct Vector {
-  double x, y, z;
-};
-
-inline Vector operator-(const Vector& a, const Vector& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
-inline Vector cross(const Vector& a, const Vector& b) {
-  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-
 // A component in a brick.
 struct Entry {
   int32_t label, vertices, faces;
-  double sums[7];
+  double sums[4];
 };
 
 struct PartView {
   const double* vertices;
   Faces faces;
   const int32_t* labels;
-  Vector reference;
-
-  Vector at(int64_t i) const { return Vector{vertices[3 * i], vertices[3 * i + 1], vertices[3 * i + 2]} - reference; }
 };
 
 // The entries of one brick, in the order in which its vertices and then its faces name them.
@@ -227,13 +215,10 @@ class BrickEntries {
 void add_vertex(const PartView& part, int64_t vertex, BrickEntries& entries, double* bounds) {
   const int32_t label = part.labels[vertex];
   Entry& entry = entries.of(label);
-  const Vector local = part.at(vertex);
   ++entry.vertices;
-  entry.sums[4] += local.x;
-  entry.sums[5] += local.y;
-  entry.sums[6] += local.z;
   for (int axis = 0; axis < 3; ++axis) {
     const double coordinate = part.vertices[3 * vertex + axis];
+    entry.sums[1 + axis] += coordinate;
     bounds[6 * label + axis] = std::min(bounds[6 * label + axis], coordinate);
     bounds[6 * label + 3 + axis] = std::max(bounds[6 * label + 3 + axis], coordinate);
   }
@@ -244,12 +229,9 @@ void add_face(const PartView& part, int64_t index, BrickEntries& entries) {
   Entry& entry = entries.of(part.labels[part.faces.node(3 * index)]);
   ++entry.faces;
   if (face[0] < 0 || face[1] < 0 || face[2] < 0) return;
-  const Vector a = part.at(face[0]), b = part.at(face[1]), c = part.at(face[2]);
-  const Vector turn = cross(b, c), area = cross(b - a, c - a);
-  entry.sums[0] += a.x * turn.x + a.y * turn.y + a.z * turn.z;
-  entry.sums[1] += area.x;
-  entry.sums[2] += area.y;
-  entry.sums[3] += area.z;
+  const double *a = part.vertices + 3 * int64_t{face[0]}, *b = part.vertices + 3 * int64_t{face[1]},
+               *c = part.vertices + 3 * int64_t{face[2]};
+  entry.sums[0] += a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0]);
 }
 
 int64_t sum_counts(const int32_t* counts, int64_t bricks, const char* name) {
@@ -264,20 +246,20 @@ int64_t sum_counts(const int32_t* counts, int64_t bricks, const char* name) {
 nb::tuple give_entries(const std::vector<Entry>& entries) {
   const int64_t count = static_cast<int64_t>(entries.size());
   auto labels = make_buffer<int32_t>(count), vertices = make_buffer<int32_t>(count), faces = make_buffer<int32_t>(count);
-  auto sums = make_buffer<double>(7 * count);
+  auto sums = make_buffer<double>(4 * count);
   for (int64_t e = 0; e < count; ++e) {
     labels[e] = entries[e].label;
     vertices[e] = entries[e].vertices;
     faces[e] = entries[e].faces;
-    std::copy(entries[e].sums, entries[e].sums + 7, sums.get() + 7 * e);
+    std::copy(entries[e].sums, entries[e].sums + 4, sums.get() + 4 * e);
   }
   const size_t rows = entries.size();
   return nb::make_tuple(give(std::move(labels), {rows}), give(std::move(vertices), {rows}),
-                        give(std::move(faces), {rows}), give(std::move(sums), {rows, 7}));
+                        give(std::move(faces), {rows}), give(std::move(sums), {rows, 4}));
 }
 
 nb::tuple sum_bricks(Input vertices_of, Input faces_of, Input vertex_counts_of, Input face_counts_of, Input labels_of,
-                     int64_t components, Input reference_of) {
+                     int64_t components) {
   const double* vertices = check<double>(vertices_of, "vertices", {ANY, 3});
   if (components < 0 || labels_of.ndim() != 1 || components > rows_of(labels_of)) refuse("components: expected a count");
   const int32_t* labels = check_rows(labels_of, "labels", {ANY}, components);
@@ -287,11 +269,10 @@ nb::tuple sum_bricks(Input vertices_of, Input faces_of, Input vertex_counts_of, 
   const int32_t* vertex_counts = check<int32_t>(vertex_counts_of, "vertex_counts", {ANY});
   const int64_t bricks = rows_of(vertex_counts_of);
   const int32_t* face_counts = check<int32_t>(face_counts_of, "face_counts", {bricks});
-  const double* reference = check<double>(reference_of, "reference", {3});
   if (sum_counts(vertex_counts, bricks, "vertex_counts") != own ||
       sum_counts(face_counts, bricks, "face_counts") != faces.count)
     refuse("counts: they do not add up");
-  const PartView part{vertices, faces, labels, {reference[0], reference[1], reference[2]}};
+  const PartView part{vertices, faces, labels};
   auto starts = make_buffer<int32_t>(bricks + 1);
   auto bounds = make_buffer<double>(6 * components);
   std::vector<Entry> entries;
