@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 
 from hpcapp.applications.surface.cleaning import Cleaned
+from hpcapp.applications.surface.cloud_regions import Region, cut_regions, take_region
 from hpcapp.batches import Workforce, map_batches
 from hpccomponent.surface import normals as normals_module
 from hpccomponent.surface import outlier_regions
 from hpccomponent.surface.arranged_cloud import ArrangedCloud, Points
 from hpccomponent.surface.arrangement import Arrangement
-from hpccomponent.surface.cloud_regions import Region, cut_regions, take_region
 from hpccomponent.surface.disk_cloud import DiskCloud, DiskCloudWriter
 from hpccomponent.surface.lattice import cells_of, find_keys, pack_places
 from hpccomponent.surface.normals import turn_region

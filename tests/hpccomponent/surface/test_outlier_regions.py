@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 
 from hpccomponent.surface import outlier_regions
-from hpccomponent.surface.arranged_cloud import arrange_cloud
-from hpccomponent.surface.cloud_regions import cut_regions, take_region
 from hpccomponent.surface.lattice import cells_of, pack_places
-from hpccomponent.surface.normals import MARGIN, find_turned, turn_region
 from hpccomponent.surface.outlier_regions import judge_region, judge_sparse, rank_region
 from hpccomponent.surface.outliers import EDGE, ISLAND_LEVEL, find_outliers
-from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.points import FloatArray, bounding_box
 from hpccomponent.surface.spacing import estimate_spacing
 
 
@@ -59,43 +56,3 @@ def test_any_rank_may_be_that_of_most_points(seed: int, factor: float) -> None:
         assert expected.any()
     if factor == 0.06:
         assert judged.base > outlier_regions.LOCAL_RANK
-
-
-def test_turned_normals_of_regions_are_those_of_the_whole() -> None:
-    random = np.random.default_rng(0)
-    positions = _cloud(3)
-    normals = positions / np.linalg.norm(positions, axis=1)[:, None]
-    normals[random.random(len(normals)) < 0.1] *= -1.0
-    arranged = arrange_cloud(PointCloud(positions, normals))
-    spacing = estimate_spacing(positions)
-    assert arranged.cloud.normals is not None
-    whole = (arranged.cloud.positions, arranged.cloud.normals)
-    expected = find_turned(*whole, arranged.low, spacing)
-    turned = np.zeros(len(positions), np.bool_)
-    rows = np.repeat(arranged.keys, arranged.counts)
-    regions = cut_regions(arranged.keys, arranged.counts, 700)
-    assert len(regions) > 3
-    for blocks in regions:
-        r = take_region(arranged, blocks, MARGIN * spacing)
-        points = (r.positions, r.normals, r.own)
-        turned[np.isin(rows, blocks)] = turn_region(*points, arranged.low, spacing)
-    assert turned.tolist() == expected.tolist()
-    assert turned.sum() > 100
-
-
-def test_regions_share_the_blocks_and_know_their_margins() -> None:
-    cloud = arrange_cloud(PointCloud(_cloud(4), _cloud(4)))
-    regions = cut_regions(cloud.keys, cloud.counts, 500)
-    assert np.sort(np.concatenate(regions)).tolist() == cloud.keys.tolist()
-    rows = np.repeat(cloud.keys, cloud.counts)
-    for blocks in regions:
-        for margin in (0.0, 0.3 * cloud.arrangement.edge, 5.0 * cloud.arrangement.edge):
-            region = take_region(cloud, blocks, margin)
-            own = region.positions[region.own]
-            held = cloud.cloud.positions[np.isin(rows, blocks)]
-            assert own.tobytes() == held.tobytes()
-            taken = {tuple(place) for place in region.positions.tolist()}
-            away = np.abs(cloud.cloud.positions[:, None] - own).max(axis=2).min(axis=1)
-            due = {tuple(place) for place in cloud.cloud.positions[away <= margin].tolist()}
-            assert due <= taken
-            assert len(taken) < len(cloud)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.applications.surface.tiles import morton_codes
 from hpccomponent.surface.arranged_cloud import ArrangedCloud, cut_blocks
 from hpccomponent.surface.lattice import find_keys, pack_places, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray
@@ -45,7 +46,7 @@ def cut_regions(keys: IntArray, counts: IntArray, points: int) -> list[IntArray]
     list of ndarray of int64
         Sorted keys of each region's blocks: a run along the Morton curve.
     """
-    order = np.argsort(_morton_codes(keys), kind="stable")
+    order = np.argsort(morton_codes(keys))
     return [np.sort(keys[order[run]]) for run in cut_blocks(counts[order], points)]
 
 
@@ -93,14 +94,3 @@ def _find_near(keys: IntArray, blocks: IntArray, steps: int) -> IntArray:
         near = np.sign(above - summed.take(np.maximum(at - steps, 0), axis=axis))
     is_near: NDArray[np.bool_] = near[tuple((places - low).T)] > 0
     return keys[is_near]
-
-
-def _morton_codes(keys: IntArray) -> IntArray:
-    """Return places along the Morton curve: their bits in turns."""
-    places = unpack_keys(keys)
-    places -= places.min(axis=0)
-    codes = np.zeros(len(keys), np.int64)
-    for bit in range(int(places.max(initial=0)).bit_length()):
-        for axis in range(3):
-            codes |= (places[:, axis] >> bit & 1) << (3 * bit + 2 - axis)
-    return codes

@@ -1,0 +1,76 @@
+"""Write a scan of a closed surface that may be larger than memory: big_cloud.py FILE POINTS.
+
+The surface is a sphere with bumps, r(u) = 1 + 0.08 sin 7x sin 7y sin 7z for a direction u, so that
+truth is a formula: `radius` and `normal`. The file is binary PLY, float32, with normals; the same
+arguments give the same bytes. With --sweep the points come in bands from pole to pole, as from a
+scanner; without, in no order at all, which is the hardest to arrange.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from hpccomponent.surface.points import FloatArray
+
+HEIGHT, WAVES = 0.08, 7.0
+ROWS_AT_ONCE = 1 << 18
+NAMES = ("x", "y", "z", "nx", "ny", "nz")
+
+
+def radius(directions: FloatArray) -> FloatArray:
+    """Return how far the surface is from the middle, in some directions (n, 3) of length 1."""
+    return 1.0 + HEIGHT * np.prod(np.sin(WAVES * directions), axis=1)
+
+
+def normal(directions: FloatArray) -> FloatArray:
+    """Return the outward normals of the surface in some directions, of length 1."""
+    sines, cosines = np.sin(WAVES * directions), np.cos(WAVES * directions)
+    others = np.stack([sines[:, (i + 1) % 3] * sines[:, (i + 2) % 3] for i in range(3)], axis=1)
+    slope = HEIGHT * WAVES * cosines * others
+    along = (slope * directions).sum(axis=1)[:, None]
+    # The gradient of |p| - r(p / |p|); only what of the slope is across a direction counts.
+    gradient = directions - (slope - along * directions) / radius(directions)[:, None]
+    return gradient / np.sqrt((gradient * gradient).sum(axis=1))[:, None]
+
+
+def make_rows(points: int, sweep: bool) -> Iterator[np.ndarray]:
+    """Yield the points and their normals, float32, shape (n, 6), some at a time."""
+    for start in range(0, points, ROWS_AT_ONCE):
+        rows = min(ROWS_AT_ONCE, points - start)
+        random = np.random.default_rng((points, start))
+        z, angle = random.random((2, rows))
+        if sweep:
+            z = (start + rows * z) / points
+        z = 2.0 * z - 1.0  # equal bands of height have equal areas of the sphere
+        across = np.sqrt(1.0 - z * z)
+        angle *= 2.0 * np.pi
+        directions = np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
+        positions = directions * radius(directions)[:, None]
+        yield np.concatenate([positions, normal(directions)], axis=1).astype("<f4")
+
+
+def write_cloud(path: Path, points: int, sweep: bool = False) -> None:
+    """Write a cloud of so many points."""
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {points}"]
+    lines += [f"property float {name}" for name in NAMES]
+    with path.open("wb") as file:
+        file.write("\n".join([*lines, "end_header", ""]).encode())
+        for rows in make_rows(points, sweep):
+            file.write(rows.data)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", type=Path)
+    parser.add_argument("points", type=int)
+    parser.add_argument("--sweep", action="store_true")
+    asked = parser.parse_args()
+    began = time.perf_counter()
+    write_cloud(asked.file, asked.points, asked.sweep)
+    took = time.perf_counter() - began
+    print(f"{asked.points} points, {took:.1f} s, {1e6 * took / asked.points:.2f} us a point")
