@@ -15,7 +15,7 @@ from hpcapp.io.formats import (
 from hpcapp.io.mesh_stream import MeshStream
 from hpcapp.io.ply import shared_ply
 from hpcapp.io.point_source import PointSource
-from hpcapp.io.tiles import TILES_SUFFIX, check_tiles, write_tiles
+from hpcapp.io.tiles import TILES_SUFFIX, write_tiles
 from hpcapp.io.usable import Dropped, drop_unusable
 
 __all__ = [
@@ -23,7 +23,6 @@ __all__ = [
     "Dropped",
     "MeshStream",
     "PointSource",
-    "check_tiles",
     "check_writable",
     "drop_unusable",
     "open_points",

@@ -7,7 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Literal, TypeVar
 
-from hpcapp.io.mesh_stream import MeshStream
+from hpcapp.io.mesh_stream import MeshStream, as_stream
 from hpcapp.io.obj import read_obj, write_obj
 from hpcapp.io.off import read_off, write_off
 from hpcapp.io.ply import read_ply_mesh, write_ply_mesh, write_ply_points
@@ -16,6 +16,7 @@ from hpcapp.io.point_source import PointSource, read_whole, translated
 from hpcapp.io.staging import check_place
 from hpcapp.io.stl import read_stl, write_stl
 from hpcapp.io.text import open_text, write_text_points
+from hpcapp.io.tiles import TILES_SUFFIX, check_tiles, write_tiles
 from hpccomponent.errors import InputError, OutputError, UsageError
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import PointCloud
@@ -51,6 +52,7 @@ _MESH_WRITERS: dict[str, Callable[[Path, Mesh | MeshStream], None]] = {
     ".obj": write_obj,
     ".off": write_off,
     ".stl": write_stl,
+    TILES_SUFFIX: lambda path, mesh: write_tiles(path, [(0, as_stream(mesh))]),
 }
 
 
@@ -152,6 +154,8 @@ def write_points(path: str | PathLike[str], cloud: PointCloud) -> None:
 def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
     """Write a mesh: .ply, .obj, .off in the input's coordinates, .stl in the local frame.
 
+    ``.tiles`` makes a folder with the mesh as one tile (see `write_tiles`).
+
     Parameters
     ----------
     path : str or PathLike
@@ -187,7 +191,10 @@ def check_writable(path: str | PathLike[str], kind: Literal["mesh", "points"] = 
         _choose(_MESH_WRITERS, Path(path), OutputError, "a mesh is written to")
     else:
         _choose(_POINT_WRITERS, Path(path), OutputError, "a point cloud is written to")
-    check_place(Path(path))
+    if Path(path).suffix.lower() == TILES_SUFFIX:
+        check_tiles(Path(path))
+    else:
+        check_place(Path(path))
 
 
 def _choose(

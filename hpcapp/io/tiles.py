@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from hpcapp.io.mesh_stream import MeshStream
@@ -34,32 +35,53 @@ def write_tiles(path: Path, tiles: Iterable[tuple[int, MeshStream]]) -> None:
         The folder holds something, or cannot be written.
     """
     check_tiles(path)
-    beside = path.with_name(f".hpcapp-{secrets.token_hex(8)}.tmp")
+    beside = _name_beside(path)
     try:
-        beside.mkdir()
-        for index, tile in tiles:
-            write_ply_mesh(beside / f"tile-{index:04d}.ply", tile)
-        os.replace(beside, path)
-    except OSError as error:
-        raise OutputError(
-            f"{path}: cannot be written: {error.strerror or error}",
-            f"check the name, and that {path.parent} has room and lets you write",
-        ) from error
+        with _translated(path):
+            beside.mkdir()
+            for index, tile in tiles:
+                write_ply_mesh(beside / f"tile-{index:04d}.ply", tile)
+            os.replace(beside, path)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
 
 
 def check_tiles(path: Path) -> None:
-    """Refuse a place for tiles that holds something else, or that lies in no folder.
+    """Find out now whether a folder of tiles can be written later, and leave nothing behind.
+
+    Parameters
+    ----------
+    path : Path
+        The folder, which must not be there, or be empty.
 
     Raises
     ------
     OutputError
         Tiles cannot be written there.
     """
-    if not path.parent.is_dir():
-        raise OutputError(f"{path}: no such folder", f"create the folder {path.parent} first")
     if path.exists() and not path.is_dir():
         raise OutputError(f"{path}: is not a folder", "tiles need a new folder")
-    if path.is_dir() and any(path.iterdir()):
-        raise OutputError(f"{path}: is not empty", "name a new folder, or remove this one")
+    with _translated(path):
+        if path.is_dir() and any(path.iterdir()):
+            raise OutputError(f"{path}: is not empty", "name a new folder, or remove this one")
+        beside = _name_beside(path)
+        beside.mkdir()
+        beside.rmdir()
+
+
+def _name_beside(path: Path) -> Path:
+    return path.with_name(f".hpcapp-{secrets.token_hex(8)}.tmp")
+
+
+@contextmanager
+def _translated(path: Path) -> Iterator[None]:
+    """Turn the system's errors of writing a folder into ours."""
+    try:
+        yield
+    except OSError as error:
+        there = path.parent.is_dir()
+        advice = f"check the name, and that {path.parent} has room and lets you write"
+        raise OutputError(
+            f"{path}: cannot be written: {error.strerror or error}",
+            advice if there else f"create the folder {path.parent} first",
+        ) from error

@@ -13,8 +13,8 @@ import numpy as np
 
 from hpcapp.applications.surface.topology import Topology, check_mesh
 from hpcapp.applications.surface.weld import WeldPlan, plan_weld
-from hpcapp.applications.surface.welded import assemble_mesh
-from hpcapp.io import write_mesh
+from hpcapp.applications.surface.welded import assemble_mesh, stream_mesh, stream_tiles
+from hpcapp.io import TILES_SUFFIX, write_mesh, write_tiles
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.mesh_part import MeshPart
 from hpccomponent.surface.part_summary import PartSummary
@@ -110,8 +110,12 @@ class PartSurface:
         return assemble_mesh(self.plan, self.parts.__getitem__, self.origin)
 
     def write(self, path: Path) -> None:
-        """Write it to a file, whose suffix chooses the format."""
-        write_mesh(path, self.mesh())
+        """Write it part by part: to a file, or to a folder of tiles, as the suffix says."""
+        parts = self.parts.__getitem__
+        if path.suffix.lower() == TILES_SUFFIX:
+            write_tiles(path, stream_tiles(self.plan, parts, self.origin))
+        else:
+            write_mesh(path, stream_mesh(self.plan, parts, self.origin))
 
 
 def _count_outside(vertices: FloatArray, low: FloatArray, high: FloatArray) -> int:

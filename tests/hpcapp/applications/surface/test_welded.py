@@ -12,7 +12,6 @@ from hpcapp.applications.surface import welded
 from hpcapp.applications.surface.topology import check_mesh
 from hpcapp.applications.surface.weld import plan_weld
 from hpcapp.io import read_mesh, shared_ply, write_mesh, write_tiles
-from hpccomponent.errors import OutputError
 from hpccomponent.surface.extraction import drop_small_components
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.part_places import PartPlaces
@@ -125,11 +124,3 @@ def test_a_folder_of_tiles_holds_the_mesh(tmp_path):
     assert check_mesh(Mesh(vertices, faces.reshape(-1, 3))) == check_mesh(
         read_mesh(tmp_path / "mesh.ply")
     )
-
-
-def test_tiles_replace_no_folder_that_holds_something(tmp_path):
-    (tmp_path / "mesh.tiles").mkdir()
-    (tmp_path / "mesh.tiles" / "keep.txt").write_text("mine")
-    with pytest.raises(OutputError, match="is not empty"):
-        write_tiles(tmp_path / "mesh.tiles", iter(()))
-    assert [path.name for path in tmp_path.iterdir()] == ["mesh.tiles"]
