@@ -328,15 +328,19 @@ ENGINES: dict[str, Callable[[ExitStack], Engine]] = {
 }
 
 
-def take_round(name: str) -> dict[str, float]:
-    """Measure one engine in a process of its own."""
+def take_round(name: str) -> dict[str, float] | None:
+    """Measure one engine in a process of its own; None if it breaks off."""
     command = [sys.executable, __file__, "--engine", name]
     if name == "mpi":
         launch = ["mpiexec", "-n", str(WORKERS + 1), "--oversubscribe"]
         launch += ["--allow-run-as-root"] if os.geteuid() == 0 else []
         command = [*launch, sys.executable, "-m", "mpi4py.futures", *command[1:]]
-    spoken = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
-    figures: dict[str, float] = json.loads(spoken.splitlines()[-1])
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    if ended.returncode:
+        words = ended.stderr.strip().splitlines()[-1:] or ["without a word"]
+        print(f"{name}: a round was broken off: {words[0][:200]}", flush=True)
+        return None
+    figures: dict[str, float] = json.loads(ended.stdout.splitlines()[-1])
     if name == "mpi":
         del figures["start s"]  # mpiexec has started the workers before
     return figures
@@ -368,10 +372,13 @@ def main() -> int:
     rounds: dict[str, list[dict[str, float]]] = {name: [] for name in available()}
     for _ in range(options.rounds):
         for name, taken in rounds.items():
-            taken.append(take_round(name))
+            figures = take_round(name)
+            if figures is not None:
+                taken.append(figures)
     medians = {
         name: {metric: statistics.median(r[metric] for r in taken) for metric in taken[0]}
         for name, taken in rounds.items()
+        if taken
     }
     verdicts = judge(medians)
     print(json.dumps(medians, indent=2))

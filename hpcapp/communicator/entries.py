@@ -73,15 +73,19 @@ def make_entry(future: Future[Any], name: str, arguments: tuple[Any, ...], trait
 
 
 def each_traits(traits: Traits) -> Traits:
-    """Return what a task declares when it is run for each of a list of items."""
+    """Return what a task declares when it is run for each item of some columns of arguments."""
     single = traits.cost
 
-    def cost(items: list[tuple[Any, ...]]) -> float:
-        return float(len(items)) if single is None else sum(single(*item) for item in items)
+    def cost(*columns: list[Any]) -> float:
+        if single is None:
+            return float(len(columns[0]))
+        return sum(single(*item) for item in zip(*columns, strict=True))
 
-    def split(items: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
-        half = len(items) // 2
-        return [(part,) for part in (items[:half], items[half:]) if part]
+    def split(*columns: list[Any]) -> list[tuple[list[Any], ...]] | None:
+        half = len(columns[0]) // 2
+        if not half:
+            return None
+        return [tuple(c[:half] for c in columns), tuple(c[half:] for c in columns)]
 
     return Traits(cost, split, lambda results: [value for part in results for value in part])
 

@@ -343,7 +343,8 @@ class CommunicatorExecutor(Executor):
             raise UsageError(f"a chunk of {chunksize} items", "give at least 1, or leave it out")
         step = max(1, chunksize)
         parts = [items[start : start + step] for start in range(0, len(items), step)]
-        return _in_order([self._submit(name, (part,), traits) for part in parts], timeout)
+        columns = [tuple(map(list, zip(*part, strict=True))) for part in parts]
+        return _in_order([self._submit(name, part, traits) for part in columns], timeout)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End as ``concurrent.futures`` documents: workers are told farewell after the last task.

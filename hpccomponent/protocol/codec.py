@@ -46,6 +46,8 @@ DTYPES = frozenset(
     ]
 )
 PLAIN = (type(None), bool, float)
+NUMBERS, NOTHING = frozenset([bool, float, int]), frozenset([type(None)])
+SIMPLE = frozenset([type(None), bool, float, int, bytes, str])  # as MessagePack has them
 NO_BLOBS: Mapping[bytes, Any] = MappingProxyType({})
 
 _encode = msgspec.msgpack.Encoder().encode
@@ -249,6 +251,11 @@ def _pack_tuple(value: tuple[Any, ...], parts: _Parts, depth: int) -> list[Any]:
 
 
 def _pack_list(value: list[Any], parts: _Parts, depth: int) -> list[Any]:
+    kinds = set(map(type, value))  # long lists of numbers are common
+    if kinds <= NUMBERS and (int not in kinds or (min(value) >= -(2**63) and max(value) < 2**63)):
+        return [LIST, *value]
+    if kinds <= NOTHING:
+        return [LIST, *value]
     return [LIST, *[_pack(entry, parts, depth + 1) for entry in value]]
 
 
@@ -293,7 +300,10 @@ def _unpack(packed: Any, supply: _Supply, depth: int) -> Any:
     if tag == TUPLE:
         return tuple([_unpack(entry, supply, depth + 1) for entry in packed[1:]])
     if tag == LIST:
-        return [_unpack(entry, supply, depth + 1) for entry in packed[1:]]
+        entries = packed[1:]
+        if SIMPLE.issuperset(map(type, entries)):
+            return entries
+        return [_unpack(entry, supply, depth + 1) for entry in entries]
     if tag in (ARRAY, SCALAR):
         array = _unpack_array(packed, supply)
         return array if tag == ARRAY else array[()]

@@ -18,7 +18,7 @@ from hpccomponent.errors import UsageError
 __all__ = ["EACH", "PLAIN", "TASK_GROUP", "TaskRegistry", "Traits", "declare", "traits_of"]
 
 TASK_GROUP = "hpc.tasks"
-EACH = "each:"  # before a name: the task is run for each tuple of arguments in a list
+EACH = "each:"  # before a name: the task is run for each item, its arguments come as columns
 _REFERENCE = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<function>[A-Za-z_]\w*)")
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
@@ -183,8 +183,8 @@ class TaskRegistry:
         return sought if isinstance(task, str) else self._names[sought]
 
 
-def _each(function: Callable[..., Any]) -> Callable[[list[tuple[Any, ...]]], list[Any]]:
-    return lambda calls: [function(*arguments) for arguments in calls]
+def _each(function: Callable[..., Any]) -> Callable[..., list[Any]]:
+    return lambda *columns: [function(*item) for item in zip(*columns, strict=True)]
 
 
 def _import(name: str, reference: str) -> Callable[..., Any]:

@@ -72,12 +72,14 @@ def test_what_fails_in_the_master_is_told_in_words() -> None:
 
 def test_a_part_of_a_map_costs_as_its_items_and_is_halved() -> None:
     traits = each_traits(Traits(cost=lambda values: float(values.size)))
-    items = [(np.zeros(n),) for n in (1, 2, 3)]
+    items = [np.zeros(n) for n in (1, 2, 3)]
     assert traits.cost is not None
     assert traits.split is not None
     assert traits.join is not None
     assert traits.cost(items) == 6.0
     assert each_traits(Traits()).cost(items) == 3.0  # type: ignore[misc]
     assert [len(part) for (part,) in traits.split(items) or ()] == [1, 2]
-    assert [len(part) for (part,) in traits.split(items[:1]) or ()] == [1]
+    assert traits.split(items[:1]) is None
+    both = traits.split([1, 2, 3, 4], list("abcd"))
+    assert both == [([1, 2], ["a", "b"]), ([3, 4], ["c", "d"])]
     assert traits.join([[1], [2, 3]]) == [1, 2, 3]

@@ -87,6 +87,15 @@ def test_numpy_numbers_stay_numpy_numbers() -> None:
     assert received == (1.5, 7, True)
 
 
+def test_long_lists_of_numbers_keep_every_kind() -> None:
+    for values in (
+        [1, True, 0.5, -(2**63), 2**63 - 1], [2**63, 1], [-(2**70), 0.5], [None] * 3,
+        [float("nan"), 2**64], [1, None], [1, "a", b"b"], [0.0, (1, 2)],
+    ):  # fmt: skip
+        header, buffers = encode_values((values,))
+        assert_same((values,), decode_values(header, buffers))
+
+
 def nested(depth: int) -> list[Any]:
     return [] if depth == 0 else [nested(depth - 1)]
 

@@ -65,7 +65,7 @@ def test_what_is_not_registered_has_no_name(task: object) -> None:
 
 def test_a_task_is_run_for_each_item_under_its_name_with_a_prefix() -> None:
     registry = TaskRegistry(["a.root=math:sqrt"])
-    assert registry.resolve("each:a.root")([(4.0,), (9.0,)]) == [2.0, 3.0]
+    assert registry.resolve("each:a.root")([4.0, 9.0]) == [2.0, 3.0]
 
 
 def test_a_declared_task_stays_a_plain_function() -> None:
