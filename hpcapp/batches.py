@@ -5,15 +5,16 @@ Any ``concurrent.futures.Executor`` serves; only submit, result, cancel and as_c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, TypeVar
 
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import HpcError, TaskError, WorkerLostError
 
-__all__ = ["Workforce", "cut_equal", "map_batches"]
+__all__ = ["Workforce", "cut_equal", "map_batches", "stream_batches"]
 
 Result = TypeVar("Result")
 
@@ -94,13 +95,51 @@ def map_batches(
     WorkerLostError
         The Executor lost a worker and does not replace it.
     """
-    futures: list[Future[Result]] = []
+    results: dict[int, Result] = {}
+    for index, result in stream_batches(workforce, task, batches, max(1, len(batches))):
+        results[index] = result
+        advance(len(results), len(batches))
+    return [results[index] for index in range(len(batches))]
+
+
+def stream_batches(
+    workforce: Workforce,
+    task: Callable[..., Result],
+    batches: Iterable[tuple[Any, ...]],
+    at_once: int,
+) -> Iterator[tuple[int, Result]]:
+    """Run `task` once per batch, with so many batches in memory, and yield results as they come.
+
+    Parameters
+    ----------
+    workforce : Workforce
+    task : callable
+    batches : iterable of tuple
+        See `map_batches`; the next one is asked for when there is room for it.
+    at_once : int
+        How many batches are on their way at most.
+
+    Yields
+    ------
+    index : int
+        Of the batch.
+    result : object
+
+    Raises
+    ------
+    TaskError, WorkerLostError
+        See `map_batches`.
+    """
+    waiting = enumerate(batches)
+    pending: dict[Future[Result], int] = {}
     try:
-        futures.extend(workforce.executor.submit(task, *batch) for batch in batches)
-        for done, future in enumerate(as_completed(futures), start=1):
-            future.result()
-            advance(done, len(futures))
-        return [future.result() for future in futures]
+        while True:
+            for index, batch in islice(waiting, at_once - len(pending)):
+                pending[workforce.executor.submit(task, *batch)] = index
+            if not pending:
+                return
+            done = next(as_completed(pending))
+            yield pending.pop(done), done.result()
     except HpcError:
         raise
     except BrokenExecutor as error:
@@ -110,5 +149,5 @@ def map_batches(
     except Exception as error:
         raise TaskError(f"{task.__name__} failed: {type(error).__name__}: {error}") from error
     finally:
-        for future in futures:
+        for future in pending:
             future.cancel()

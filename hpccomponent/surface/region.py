@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from hpccomponent.store import open_store
 from hpccomponent.surface import kernels
-from hpccomponent.surface.arrangement import Arrangement, PackedPoints, unpack_points
+from hpccomponent.surface.arrangement import Arrangement
 from hpccomponent.surface.bricks import BrickKinds
 from hpccomponent.surface.crowding import crowd_vertices
 from hpccomponent.surface.extraction import BrickMesh
@@ -42,6 +43,7 @@ from hpccomponent.surface.pyramid import (
     sort_level,
 )
 from hpccomponent.surface.reach import near_bricks, plan_gap, plan_tile, plan_whole
+from hpccomponent.surface.tile_points import CellPoints, take_points
 from hpccomponent.surface.weights import FIELD_LEVELS, trust_vertices, weigh_levels
 
 __all__ = [
@@ -108,6 +110,11 @@ class Plan:
         return tuple(getattr(self, field.name) for field in fields(self))
 
     @property
+    def coarse_size(self) -> float:
+        """Edge of the coarse cells, in length units of the input."""
+        return self.cell_size * 2.0**self.coarse
+
+    @property
     def grid(self) -> Grid:
         """The evaluation grid."""
         return Grid(self.grid_origin, self.step, self.bricks)
@@ -154,7 +161,7 @@ class CoarseLevels:
         )
 
 
-def sum_tile(plan: Values, points: Values, threads: int = 1) -> Values:
+def sum_tile(plan: Values, points: CellPoints, threads: int = 1) -> Values:
     """Sum the moments of a tile's points in the cells of the coarse level (a task).
 
     Parameters
@@ -162,7 +169,7 @@ def sum_tile(plan: Values, points: Values, threads: int = 1) -> Values:
     plan : tuple
         Of a `Plan`.
     points : tuple
-        The arrays of `PackedPoints`.
+        `CellPoints` of the tile alone.
     threads : int
         The result does not depend on it.
 
@@ -178,7 +185,8 @@ def sum_tile(plan: Values, points: Values, threads: int = 1) -> Values:
         The finest cells with points.
     """
     common = Plan(*plan)
-    finest = sort_level(_unpack(points, common), common.origin, common.cell_size)
+    (cloud,) = _take(points, common)
+    finest = sort_level(cloud, common.origin, common.cell_size)
     levels = raise_levels(finest, common.coarse + 1, threads)
     coarse = levels[-1]
     moments = coarse.points.sum(slice(0, len(coarse.cells)))
@@ -205,44 +213,53 @@ def sample_cells(level: Level) -> tuple[IntArray, FloatArray]:
 
 
 def mesh_tile(
-    plan: Values, core: Values, before: Values, after: Values, coarse: Values, threads: int = 1
-) -> tuple[Values, Values, IntArray]:
+    plan: Values,
+    points: CellPoints,
+    coarse: Values,
+    keep: tuple[str, str] | None = None,
+    threads: int = 1,
+) -> tuple[Values | None, Values, IntArray]:
     """Reconstruct the surface inside a tile (a task).
 
     Parameters
     ----------
     plan : tuple
         Of a `Plan`.
-    core : tuple
-        The points of the tile: the arrays of `PackedPoints`.
-    before, after : tuple
-        Those of its halo that belong to tiles before and after it, likewise.
+    points : tuple
+        `CellPoints` of the tile, and of its halo those that belong to tiles before and after it.
     coarse : tuple
         Of the `CoarseLevels` around it.
+    keep : tuple of str, optional
+        A store (see `hpccomponent.store`) and a name, under which the result is put there.
     threads : int
         The result does not depend on it.
 
     Returns
     -------
-    part : tuple
-        Of a `MeshPart`.
+    part : tuple or None
+        Of a `MeshPart`; None where it is kept.
     summary : tuple
         Of its `PartSummary`.
     exits : ndarray of int64
         Bricks where the surface leaves the tile and there are no points (see `bricks`).
     """
     common = Plan(*plan)
-    clouds = [_unpack(points, common) for points in (core, before, after)]
+    clouds = _take(points, common)
     kinds = plan_tile(common.grid, *(cloud.positions for cloud in clouds))
     if kinds is None:
-        return *_sum_up(MeshPart.empty()), np.empty(0, np.int64)
-    return _mesh_region(common, _join(clouds), kinds, coarse, threads)
+        return _give(MeshPart.empty(), np.empty(0, np.int64), keep)
+    return _give(*_mesh_region(common, _join(clouds), kinds, coarse, threads), keep)
 
 
 def mesh_gap(
-    plan: Values, exits: IntArray, points: Values, missing: IntArray, coarse: Values,
+    plan: Values,
+    exits: IntArray,
+    points: CellPoints,
+    missing: IntArray,
+    coarse: Values,
+    keep: tuple[str, str] | None = None,
     threads: int = 1,
-) -> tuple[Values, Values, IntArray]:  # fmt: skip
+) -> tuple[Values | None, Values, IntArray]:
     """Follow the surface from where it left all tiles, as over a hole (a task).
 
     Parameters
@@ -252,11 +269,13 @@ def mesh_gap(
     exits : ndarray of int64
         Keys of the bricks to begin with.
     points : tuple
-        All that lie around them: the arrays of `PackedPoints`.
+        `CellPoints` of all that lie around them.
     missing : ndarray of int64
         Keys of the coarse cells of all other points.
     coarse : tuple
         Of all `CoarseLevels`.
+    keep : tuple of str, optional
+        As of `mesh_tile`.
     threads : int
         The result does not depend on it.
 
@@ -266,12 +285,11 @@ def mesh_gap(
         As those of `mesh_tile`.
     """
     common = Plan(*plan)
-    cloud = _unpack(points, common)
-    size = common.cell_size * 2.0**common.coarse
-    low = common.origin + size * unpack_keys(missing)
-    reach = size + 2.0 * common.cell_size
-    kinds = plan_gap(common.grid, exits, cloud.positions, low, size, reach)
-    return _mesh_region(common, cloud, kinds, coarse, threads)
+    (cloud,) = _take(points, common)
+    low = common.origin + common.coarse_size * unpack_keys(missing)
+    reach = common.coarse_size + 2.0 * common.cell_size
+    kinds = plan_gap(common.grid, exits, cloud.positions, low, common.coarse_size, reach)
+    return _give(*_mesh_region(common, cloud, kinds, coarse, threads), keep)
 
 
 def mesh_whole(
@@ -339,7 +357,7 @@ def find_trust(
 
 def _mesh_region(
     plan: Plan, cloud: PointCloud, kinds: BrickKinds, coarse: Values, threads: int
-) -> tuple[Values, Values, IntArray]:
+) -> tuple[MeshPart, IntArray]:
     """Fit the fine levels where bricks may be evaluated, and extract the surface there."""
     above = CoarseLevels.from_values(coarse)
     far = restore_far_field(above.far)
@@ -356,12 +374,19 @@ def _mesh_region(
     mesh = kernels.grow_surface(field, plan.grid, kinds, threads)
     balanced = kernels.balance_vertices(mesh.vertices, mesh.faces, plan.step)
     part = cut_part(replace(mesh, vertices=balanced), kinds)
-    return *_sum_up(part), mesh.exits
+    return part, mesh.exits
 
 
-def _sum_up(part: MeshPart) -> tuple[Values, Values]:
-    """Return a part and its summary as values."""
-    return part.to_values(), summarize_part(part).to_values()
+def _give(
+    part: MeshPart, exits: IntArray, keep: tuple[str, str] | None
+) -> tuple[Values | None, Values, IntArray]:
+    """Return a part with its summary, or put it where it is kept."""
+    values, summary = part.to_values(), summarize_part(part).to_values()
+    if keep is None:
+        return values, summary, exits
+    place, name = keep
+    open_store(place).put(name, (values, summary, exits))
+    return None, summary, exits
 
 
 def _lay_near(cells: IntArray, plan: Plan, kinds: BrickKinds) -> list[IntArray]:
@@ -380,9 +405,9 @@ def _lay_near(cells: IntArray, plan: Plan, kinds: BrickKinds) -> list[IntArray]:
     return laid
 
 
-def _unpack(points: Values, plan: Plan) -> PointCloud:
-    """Return the points that travelled packed."""
-    return PointCloud(*unpack_points(plan.arrangement, PackedPoints(*points)))
+def _take(points: CellPoints, plan: Plan) -> list[PointCloud]:
+    """Return the points that a task has been given."""
+    return take_points(points, plan.arrangement, plan.origin, plan.coarse_size)
 
 
 def _join(clouds: list[PointCloud]) -> PointCloud:

@@ -17,18 +17,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hpcapp.applications.surface import job
-from hpcapp.applications.surface.cleaning import arrange_points, drop_far
+from hpcapp.applications.surface.job import warn
+from hpcapp.applications.surface.loading import clean_points
 from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.pipeline import Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
-from hpcapp.backends import available_cores, open_backend
+from hpcapp.applications.surface.settings import (
+    DEFAULT_GRID,
+    MAX_GRID,
+    MIN_GRID,
+    Settings,
+    choose_backend,
+    choose_grid,
+    choose_method,
+    choose_threads,
+)
+from hpcapp.backends import open_backend
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
 from hpcapp.progress import Progress, SilentProgress, StageClock
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import FloatArray, PointCloud
+from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -43,7 +53,7 @@ METHODS = ("hierarchical", "paper")
 def reconstruct(
     points: ArrayLike,
     normals: ArrayLike,
-    grid: int = job.DEFAULT_GRID,
+    grid: int = DEFAULT_GRID,
     *,
     voxel_size: float | None = None,
     method: str = "hierarchical",
@@ -106,7 +116,7 @@ def reconstruct(
     >>> float(np.abs(np.linalg.norm(mesh.vertices - 7.0, axis=1) - 2.0).max()) < 0.1
     True
     """
-    settings = job.Settings(
+    settings = Settings(
         Path("points"),  # what messages call it
         "",
         method,
@@ -126,25 +136,21 @@ def reconstruct(
 
 
 def _run(
-    settings: job.Settings,
+    settings: Settings,
     cloud: PointCloud,
     executor: str | Executor | Client | None,
     clock: StageClock,
 ) -> Reconstruction:
     """Take a cloud through the job's steps, from its cleaning to the warnings."""
-    usable = len(cloud)
-    if settings.method != "paper":  # which cuts the cloud up by itself
-        cloud = arrange_points(drop_far(cloud) if settings.clean else cloud)
-    cloud, _ = job._clean(settings, cloud, usable - len(cloud), clock)
-    grid = job._choose_grid(settings, cloud)
+    cloud, _ = clean_points(settings, cloud, clock)
+    grid = choose_grid(settings, *bounding_box(cloud.positions))
     check_memory(settings.method, grid, cloud)
-    threads = available_cores() if len(cloud) >= job.THREADS_FROM_POINTS else 1
-    method = job._choose_method(settings, grid, threads)
+    method = choose_method(settings, grid, choose_threads(len(cloud)))
     if executor is None:
-        executor = job._choose_backend(settings, cloud)
+        executor = choose_backend(settings, len(cloud))
     with open_backend(executor, workers=settings.workers) as backend:
         result = run_pipeline(cloud, method, backend.workforce, clock)
-    job._warn(settings, grid, cloud, result)
+    warn(settings, grid, cloud, result)
     return result
 
 
@@ -172,15 +178,15 @@ class _Calls(Progress):
             self._report(stage, self._total, self._total)
 
 
-def _check_settings(settings: job.Settings) -> None:
+def _check_settings(settings: Settings) -> None:
     """Refuse what the command would refuse."""
     if settings.method not in METHODS:
         raise UsageError(f"unknown method {settings.method!r}", f"choose {' or '.join(METHODS)}")
     if not isinstance(settings.grid, int | np.integer):
         raise UsageError(f"grid is {settings.grid!r}", "give a whole number of cells")
     if settings.voxel_size is None:
-        _check_range("grid", settings.grid, job.MIN_GRID, job.MAX_GRID)
-    elif settings.grid != job.DEFAULT_GRID:
+        _check_range("grid", settings.grid, MIN_GRID, MAX_GRID)
+    elif settings.grid != DEFAULT_GRID:
         raise UsageError("grid and voxel_size exclude each other", "give one of them")
     elif not settings.voxel_size > 0.0:
         raise UsageError(f"voxel_size is {settings.voxel_size!r}", "give an edge longer than zero")

@@ -16,7 +16,7 @@ import click
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.job import Settings
+    from hpcapp.applications.surface.settings import Settings
 
 __all__ = ["check_flags", "info", "reconstruct", "simulate"]
 
@@ -58,7 +58,7 @@ def _only_without_cluster(ctx: click.Context) -> None:
 
 
 PAPER_OPTIONS = ("delta", "max_points", "cone", "patches", "norm")
-HIERARCHICAL_OPTIONS = ("clean", "smoothness", "detail")
+HIERARCHICAL_OPTIONS = ("clean", "smoothness", "detail", "max_memory", "temp_dir", "resume")
 
 
 def check_flags(ctx: click.Context) -> None:
@@ -98,7 +98,8 @@ def check_flags(ctx: click.Context) -> None:
     "--output",
     required=True,
     metavar="MESH",
-    help="Mesh to write: .ply, .obj, .off or .stl; - writes a PLY to standard output.",
+    help="Mesh to write: .ply, .obj, .off, .stl, or a folder of PLYs, .tiles; - writes a PLY to "
+    "standard output.",
 )
 @click.option(
     "--method",
@@ -146,6 +147,21 @@ def check_flags(ctx: click.Context) -> None:
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
     help="Run on a cluster: by its cluster file (.yaml), or on its head by its inventory (.json).",
+)
+@click.option(
+    "--max-memory",
+    metavar="SIZE",
+    help="Most memory of this process and of each worker, as 2G; larger clouds stay on disk.",
+)
+@click.option(
+    "--temp-dir",
+    metavar="PLACE",
+    help="Where points and finished tiles lie meanwhile: a folder, or s3://BUCKET/PREFIX.",
+)
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Go on from what a job that was killed has left in --temp-dir.",
 )
 @click.option(
     "--smoothness",
@@ -246,9 +262,13 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
 
 def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
     """Run the job with this process as its master."""
-    from hpcapp.applications.surface.job import Settings, run_job
+    from hpcapp.applications.surface.job import run_job
+    from hpcapp.applications.surface.memory import parse_size
+    from hpcapp.applications.surface.settings import Settings
     from hpcapp.progress_display import open_events, open_progress
 
+    if options["max_memory"] is not None:
+        options["max_memory"] = parse_size(options["max_memory"])
     settings: Settings = Settings(**options)
     with open_progress(sys.stderr) as display, open_events(events, display) as progress:
         return run_job(settings, progress)

@@ -10,13 +10,15 @@ import numpy as np
 
 from hpcapp.applications.surface.surface import Surface
 from hpccomponent.surface import kernels
+from hpccomponent.surface.arranged_cloud import ArrangedCloud
 from hpccomponent.surface.lattice import pack_places
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
-__all__ = ["doubt_closure", "doubt_normals", "doubt_resolution"]
+__all__ = ["doubt_closure", "doubt_normals", "doubt_resolution", "sample_cloud"]
 
 #: Points are judged on a sample of about so many.
 SAMPLE = 30_000
+_POINTS_AT_ONCE = 2_000_000
 #: Fewer points than these are too far apart to be called neighbours.
 FEWEST_JUDGED = 100
 #: Boxes along the longest side, in which neighbouring normals are compared.
@@ -27,6 +29,14 @@ CONTRADICTING = 0.5
 INWARD = -0.1
 #: Share of the vertices outside the points' box; a closed scan leaves it by less than a cell.
 OUTSIDE = 0.02
+
+
+def sample_cloud(cloud: ArrangedCloud) -> PointCloud:
+    """Return as many points of a cloud, evenly, as are looked at here."""
+    every = slice(None, None, -(-len(cloud) // SAMPLE))
+    parts = [(p[every], n[every]) for p, n in cloud.groups(_POINTS_AT_ONCE)]
+    positions, normals = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return PointCloud(positions, normals)
 
 
 def doubt_normals(cloud: PointCloud) -> list[str]:
@@ -105,13 +115,13 @@ def doubt_resolution(cloud: PointCloud, step: float) -> list[str]:
     ]
 
 
-def doubt_closure(cloud: PointCloud, surface: Surface, step: float) -> list[str]:
+def doubt_closure(low: FloatArray, high: FloatArray, surface: Surface, step: float) -> list[str]:
     """Doubt a mesh that leaves the box of its points: it is closed where nothing was scanned.
 
     Parameters
     ----------
-    cloud : PointCloud
-        Finite positions, in the frame of the surface.
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around all points, in the frame of the surface.
     surface : Surface
         With vertices.
     step : float
@@ -121,7 +131,6 @@ def doubt_closure(cloud: PointCloud, surface: Surface, step: float) -> list[str]
     -------
     list of str
     """
-    low, high = bounding_box(cloud.positions)
     share = surface.share_outside(low - 2.0 * step, high + 2.0 * step)
     if share <= OUTSIDE:
         return []

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from hpccomponent.errors import InputError
 from hpccomponent.surface import kernels
-from hpccomponent.surface.arranged_cloud import Points
+from hpccomponent.surface.arranged_cloud import ArrangedCloud, Points
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, bounding_box
 from hpccomponent.surface.pyramid import (
     Level,
@@ -18,7 +18,7 @@ from hpccomponent.surface.pyramid import (
     count_levels,
     fit_levels,
 )
-from hpccomponent.surface.spacing import estimate_spacing
+from hpccomponent.surface.spacing import estimate_group_spacing, estimate_spacing
 from hpccomponent.surface.weights import LEAST_MU, Weights, tell_noise
 
 __all__ = ["Scale", "choose_scale", "estimate_noise", "probe_noise", "sample_groups"]
@@ -32,6 +32,7 @@ _SAMPLED_POINTS = 15_000
 _SAMPLED_BOX = 24.0  # spacings: large against the cells of a probe
 _QUANTILE, _TO_MEDIAN = 0.25, 1.0
 _FREE = 10
+_POINTS_AT_ONCE = 2_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +172,11 @@ def _lower_quartile(
 
 
 def choose_scale(
-    cloud: PointCloud, step: float, smoothness: float, detail: float, threads: int = 1
+    cloud: PointCloud | ArrangedCloud,
+    step: float,
+    smoothness: float,
+    detail: float,
+    threads: int = 1,
 ) -> Scale:
     """Choose the cell size.
 
@@ -198,8 +203,24 @@ def choose_scale(
     InputError
         All points are the same.
     """
-    spacing = estimate_spacing(cloud.positions)
-    noise = estimate_noise(cloud, spacing, threads)
+    if isinstance(cloud, PointCloud):
+        spacing = estimate_spacing(cloud.positions)
+        noise = estimate_noise(cloud, spacing, threads)
+    else:
+        spacing, noise = _estimate_parts(cloud, threads)
     wanted = max(1.5 * spacing, 6.0 * noise * smoothness) / detail
     cell_size = max(wanted, step)
     return Scale(spacing, noise, cell_size)
+
+
+def _estimate_parts(cloud: ArrangedCloud, threads: int) -> tuple[float, float]:
+    """Return spacing and noise of a cloud that is never in memory as a whole."""
+
+    def groups() -> Iterator[Points]:
+        return cloud.groups(_POINTS_AT_ONCE)
+
+    count = len(cloud)
+    spacing = estimate_group_spacing(
+        lambda: (positions for positions, _ in groups()), count, cloud.low, cloud.high
+    )
+    return spacing, probe_noise(sample_groups(groups, count, cloud.low, spacing), spacing, threads)

@@ -15,12 +15,14 @@ import numpy as np
 
 from hpcapp.applications.surface.coarse import Coarse, far_level, fit_coarse, solve_far
 from hpcapp.applications.surface.estimates import Scale, choose_scale
+from hpcapp.applications.surface.keeping import Keeping
 from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.regions import mesh_regions
 from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.applications.surface.tiles import Tiling
-from hpcapp.batches import Workforce, map_batches
+from hpcapp.batches import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.arranged_cloud import ArrangedCloud, arrange_cloud
 from hpccomponent.surface.arrangement import choose_arrangement
 from hpccomponent.surface.field import BRICK, Grid
 from hpccomponent.surface.mesh_part import MeshPart, cut_part
@@ -30,13 +32,13 @@ from hpccomponent.surface.pyramid import build_pyramid, count_levels
 from hpccomponent.surface.region import Plan, mesh_whole, sample_cells, sum_tile
 from hpccomponent.surface.weights import weigh_levels
 
-__all__ = ["MARGIN", "HierarchicalMethod", "HierarchicalPartition", "plan_grid"]
+__all__ = ["MARGIN", "TILE_POINTS", "HierarchicalMethod", "HierarchicalPartition", "plan_grid"]
 
 MARGIN = 4
 """Cells of the grid that stay free on each side of the cloud."""
 
 _LEAST_GRID = 16
-_TILE_POINTS = 1_500_000
+TILE_POINTS = 1_500_000
 """Of a tile where nothing else asks for smaller ones: what it takes stays below half a gigabyte."""
 
 
@@ -46,7 +48,7 @@ class HierarchicalPartition:
 
     Parameters
     ----------
-    cloud : PointCloud
+    cloud : PointCloud or ArrangedCloud
     scale : Scale
     plan : Plan
     tiling : Tiling or None
@@ -55,7 +57,7 @@ class HierarchicalPartition:
         Finest cells with points, once they are counted.
     """
 
-    cloud: PointCloud
+    cloud: PointCloud | ArrangedCloud
     scale: Scale
     plan: Plan
     tiling: Tiling | None
@@ -75,6 +77,10 @@ class HierarchicalMethod:
         Above 1, cells are smaller: more detail, less averaging. Dimensionless.
     threads : int
         How many threads the far field and the extraction take; the mesh does not depend on it.
+    tile_points : int
+        Of a tile at most, about; the mesh does not depend on it.
+    keeping : Keeping, optional
+        Where finished tiles are kept; by default they come back to this process.
 
     Raises
     ------
@@ -90,6 +96,8 @@ class HierarchicalMethod:
         smoothness: float = 1.0,
         detail: float = 1.0,
         threads: int = 1,
+        tile_points: int = TILE_POINTS,
+        keeping: Keeping | None = None,
     ) -> None:
         if grid < _LEAST_GRID:
             raise UsageError(
@@ -102,14 +110,18 @@ class HierarchicalMethod:
         self.smoothness = smoothness
         self.detail = detail
         self.threads = threads
+        self.tile_points = tile_points
+        self.keeping = keeping
 
-    def partition(self, cloud: PointCloud, workforce: Workforce) -> HierarchicalPartition:
+    def partition(
+        self, cloud: PointCloud | ArrangedCloud, workforce: Workforce
+    ) -> HierarchicalPartition:
         """Find spacing, noise and cell size, and cut the cloud into tiles.
 
         Parameters
         ----------
-        cloud : PointCloud
-            With normals, arranged (see `cleaning.arrange_points`).
+        cloud : PointCloud or ArrangedCloud
+            With normals; in memory arranged, too (see `cleaning.arrange_points`).
         workforce : Workforce
 
         Returns
@@ -121,21 +133,28 @@ class HierarchicalMethod:
         InputError
             There are no normals, or all points are the same.
         """
-        if cloud.normals is None or not len(cloud):
+        if not len(cloud) or (isinstance(cloud, PointCloud) and cloud.normals is None):
             raise InputError("the cloud has no points with normals", "give oriented points")
-        grid = plan_grid(cloud.positions, self.grid)
+        if isinstance(cloud, PointCloud):
+            low, high = bounding_box(cloud.positions)
+        else:
+            low, high = cloud.low, cloud.high
+        grid = plan_grid(low, high, self.grid)
         scale = choose_scale(cloud, grid.step, self.smoothness, self.detail, self.threads)
-        low, high = bounding_box(cloud.positions)
         height = count_levels(float((high - low).max()), scale.cell_size)
         far = far_level(grid, scale.cell_size, height)
-        count = _count_tiles(len(cloud), height, workforce)
+        count = self._count_tiles(cloud, height, workforce)
         coarse = max(1, min(far, height - 1)) if count else height
         blocks = choose_arrangement(low, high)
         plan = Plan(
             low, scale.cell_size, height, coarse, scale.noise * self.smoothness,
             grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far,
         )  # fmt: skip
-        tiling = Tiling(cloud, plan, count) if count else None
+        if not count:
+            return HierarchicalPartition(cloud, scale, plan, None)
+        share = None if workforce.in_process else workforce.share
+        arranged = arrange_cloud(cloud) if isinstance(cloud, PointCloud) else cloud
+        tiling = Tiling(arranged, plan, count, share)
         return HierarchicalPartition(cloud, scale, plan, tiling)
 
     def fit(
@@ -146,8 +165,11 @@ class HierarchicalMethod:
         if tiling is None:
             return None
         values = plan.to_values()
-        batches = [(values, tiling.core(i).to_values()) for i in range(len(tiling))]
-        sums = map_batches(workforce, sum_tile, batches, advance)
+        batches = ((values, tiling.core(index)) for index in range(len(tiling)))
+        sums = []
+        for _, found in stream_batches(workforce, sum_tile, batches, 2 * workforce.workers):
+            sums.append(found)
+            advance(len(sums), len(tiling))
         partition.patches = sum(part[-1] for part in sums)
         return fit_coarse(plan, sums, self.threads)
 
@@ -171,7 +193,9 @@ class HierarchicalMethod:
             surface = PartSurface([part], [summarize_part(part)], origin)
         else:
             assert quadrics is not None  # noqa: S101 - tiles have coarse quadrics
-            surface = mesh_regions(partition.tiling, quadrics, workforce, advance, origin)
+            surface = mesh_regions(
+                partition.tiling, quadrics, workforce, advance, origin, self.keeping
+            )
         if not surface.plan.face_count:
             raise InputError(
                 "no part of the cloud encloses a volume",
@@ -179,9 +203,24 @@ class HierarchicalMethod:
             )
         return surface
 
+    def _count_tiles(
+        self, cloud: PointCloud | ArrangedCloud, height: int, workforce: Workforce
+    ) -> int:
+        """Return into how many tiles a cloud is cut; 0 where it is made into a mesh right here."""
+        needed = -(-len(cloud) // self.tile_points)
+        whole = isinstance(cloud, PointCloud)
+        if whole and (
+            height == 1 or (workforce.in_process and needed == 1 and self.keeping is None)
+        ):
+            return 0
+        if workforce.in_process:
+            return needed
+        return max(needed, workforce.workers * workforce.batches_per_worker)
+
     def _mesh_whole(self, partition: HierarchicalPartition) -> MeshPart:
         """Make a mesh of a cloud that is one tile."""
         plan, cloud = partition.plan, partition.cloud
+        assert isinstance(cloud, PointCloud)  # noqa: S101 - others have tiles
         pyramid = build_pyramid(cloud, plan.origin, plan.cell_size, plan.height, self.threads)
         partition.patches = len(pyramid.levels[0].cells)
         far = solve_far(plan, *sample_cells(pyramid.levels[plan.far]), self.threads)
@@ -201,21 +240,13 @@ class HierarchicalMethod:
         }
 
 
-def _count_tiles(points: int, height: int, workforce: Workforce) -> int:
-    """Return into how many tiles a cloud is cut; 0 where it is made into a mesh right here."""
-    needed = -(-points // _TILE_POINTS)
-    if height == 1 or (workforce.in_process and needed == 1):
-        return 0
-    return max(needed, workforce.workers * workforce.batches_per_worker)
-
-
-def plan_grid(positions: FloatArray, cells: int) -> Grid:
+def plan_grid(low: FloatArray, high: FloatArray, cells: int) -> Grid:
     """Lay the evaluation grid around a cloud, with four cells to spare on each side.
 
     Parameters
     ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around all points, in length units of the input.
     cells : int
         Along the longest side, margins included.
 
@@ -229,7 +260,6 @@ def plan_grid(positions: FloatArray, cells: int) -> Grid:
     InputError
         All points are the same.
     """
-    low, high = bounding_box(positions)
     longest = float((high - low).max())
     if longest <= 0.0:
         raise InputError("all points lie at one place", "scan something with an extent")

@@ -1,85 +1,54 @@
-"""One reconstruction job from file to file: what ``hpcapp reconstruct`` runs."""
+"""One reconstruction job from file to file: what ``hpcapp reconstruct`` runs.
+
+::
+
+    file ─> cloud in memory ──────────────┐
+      └───> cloud in a folder (workers) ──┴─> pipeline ─> surface in parts ─> file
+"""
 
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from hpcapp.applications.surface.cleaning import (
-    Cleaned,
-    arrange_points,
-    clean_cloud,
-    drop_far,
+from hpcapp.applications.surface.doubts import (
+    doubt_closure,
+    doubt_normals,
+    doubt_resolution,
+    sample_cloud,
 )
-from hpcapp.applications.surface.doubts import doubt_closure, doubt_normals, doubt_resolution
-from hpcapp.applications.surface.hierarchical import MARGIN, HierarchicalMethod
-from hpcapp.applications.surface.memory import check_memory
-from hpcapp.applications.surface.method import Method
+from hpcapp.applications.surface.hierarchical import TILE_POINTS
+from hpcapp.applications.surface.keeping import Keeping, digest
+from hpcapp.applications.surface.loading import Loaded, load_folder, load_memory
+from hpcapp.applications.surface.memory import check_memory, fits_memory, fitting_tile
 from hpcapp.applications.surface.output import open_output
-from hpcapp.applications.surface.pipeline import Preprocess, Reconstruction
+from hpcapp.applications.surface.pipeline import Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
+from hpcapp.applications.surface.settings import (
+    Settings,
+    choose_backend,
+    choose_grid,
+    choose_method,
+    choose_steps,
+    choose_threads,
+)
 from hpcapp.applications.surface.topology import Topology
-from hpcapp.backends import Backend, available_cores, open_executor
-from hpcapp.io import drop_unusable, read_points
-from hpcapp.io.usable import Dropped
+from hpcapp.backends import Backend, open_executor
 from hpcapp.progress import Progress, StageClock
-from hpccomponent.errors import UsageError
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.arranged_cloud import ArrangedCloud
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.points import PointCloud, bounding_box
 
-__all__ = ["Settings", "run_job"]
+__all__ = ["Settings", "run_job", "warn"]
 
 log = logging.getLogger("hpcapp")
-
-DEFAULT_GRID = 256
-MIN_GRID, MAX_GRID = 16, 4096
-# Below this many points a second thread costs more than it brings.
-THREADS_FROM_POINTS = 100_000
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """What a user typed; see ``hpcapp reconstruct --help`` for each.
-
-    Parameters
-    ----------
-    points : Path
-        The point cloud.
-    output : str
-        The mesh to write; ``-`` for standard output.
-    grid, depth, voxel_size : int, int, float or None
-        The resolution; at most one of the three. `voxel_size` in length units of the input.
-    backend, workers, policy : str, int or None, str
-        Where batches run.
-    cluster : Path or None
-        The inventory of a cluster, in place of the backend.
-    """
-
-    points: Path
-    output: str
-    method: str = "hierarchical"
-    grid: int | None = None
-    depth: int | None = None
-    voxel_size: float | None = None
-    backend: str = "auto"
-    workers: int | None = None
-    policy: str = "adaptive"
-    cluster: Path | None = None
-    clean: bool = True
-    smoothness: float = 1.0
-    detail: float = 1.0
-    delta: float = 0.1
-    max_points: int | None = None
-    cone: str = "paper"
-    patches: int | None = None
-    norm: str = "consistent"
-    outliers: bool = False
-    denoise: bool = False
-    resample: bool = False
 
 
 def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
@@ -103,138 +72,158 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
         Whatever went wrong; no output is left half written.
     """
     clock = StageClock(progress)
-    with open_output(settings.output, settings.points) as target:
-        with clock.stage("read"):
-            cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
-            usable = len(cloud)
-            if settings.method != "paper":  # which cuts the cloud up by itself
-                cloud = arrange_points(drop_far(cloud) if settings.clean else cloud)
-        _report_dropped(settings.points, dropped)
-        cloud, cleaned = _clean(settings, cloud, usable - len(cloud), clock)
-        grid = _choose_grid(settings, cloud)
-        check_memory(settings.method, grid, cloud)
-        threads = available_cores() if len(cloud) >= THREADS_FROM_POINTS else 1
-        method = _choose_method(settings, grid, threads)
-        backend_name = _choose_backend(settings, cloud)
-        with open_executor(
-            backend_name, workers=settings.workers, policy=settings.policy
-        ) as backend:
-            log.info(
-                "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
-                method.name, grid, backend.name, backend.workforce.workers, settings.policy,
-                kernel_id(),
-            )  # fmt: skip
-            result = run_pipeline(cloud, method, backend.workforce, clock, _steps(settings))
-            report = _describe(settings, grid, result, backend)
-        report["warnings"] = _warn(settings, grid, cloud, result)
+    with open_output(settings.output, settings.points) as target, _open_room(settings) as room:
+        run = _run_in_memory if room.folder is None else _run_in_folder
+        report, surface = run(settings, room, clock)
         with clock.stage("write"):
-            result.surface.write(target)
-    report["dropped"] = {
-        "non_finite_points": dropped.non_finite_points,
-        "bad_normals": dropped.bad_normals,
-        "outliers": cleaned.outliers,
-    }
-    report["turned_normals"] = cleaned.flipped
+            surface.write(target)
     report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
     return report
 
 
-def _warn(settings: Settings, grid: int, cloud: PointCloud, result: Reconstruction) -> list[str]:
-    """Log what should make the user doubt the mesh, and return it for the report."""
-    low, high = bounding_box(cloud.positions)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Room:
+    """Where a job has its points and tiles besides memory.
+
+    Parameters
+    ----------
+    keeping : Keeping or None
+        Where finished tiles are kept.
+    folder : Path or None
+        Where the points lie; None where they are in memory.
+    """
+
+    keeping: Keeping | None
+    folder: Path | None
+
+
+@contextmanager
+def _open_room(settings: Settings) -> Iterator[_Room]:
+    """Find room for a job; what it keeps is taken away when it has been done."""
+    if settings.resume and settings.temp_dir is None:
+        raise UsageError("--resume goes on from what lies in --temp-dir", "give that too")
+    in_memory = settings.method == "paper" or fits_memory(settings.points, settings.max_memory)
+    if settings.method == "paper" or (in_memory and settings.temp_dir is None):
+        yield _Room(None, None)
+        return
+    job = _name_job(settings)
+    if settings.temp_dir is None or "://" in settings.temp_dir:
+        with tempfile.TemporaryDirectory(prefix="hpcapp-") as room:
+            keeping = Keeping(settings.temp_dir or room, job, settings.resume)
+            yield _Room(keeping, None if in_memory else Path(room) / job / "points")
+            keeping.clear()
+        return
+    keeping = Keeping(settings.temp_dir, job, settings.resume)
+    yield _Room(keeping, None if in_memory else Path(settings.temp_dir) / job / "points")
+    keeping.clear()
+    shutil.rmtree(Path(settings.temp_dir) / job, ignore_errors=True)
+
+
+def _name_job(settings: Settings) -> str:
+    """Return a hash of the input, of what decides the mesh, and of the kernels."""
+    try:
+        found = settings.points.stat()
+    except OSError as error:
+        raise InputError(
+            f"{settings.points}: cannot be read: {error.strerror}", "check the file's name"
+        ) from error
+    return digest(
+        str(settings.points.resolve()), found.st_size, found.st_mtime_ns, settings.grid,
+        settings.depth, settings.voxel_size, settings.clean, settings.smoothness,
+        settings.detail, settings.outliers, settings.denoise, settings.resample, kernel_id(),
+    )  # fmt: skip
+
+
+def _run_in_memory(
+    settings: Settings, room: _Room, clock: StageClock
+) -> tuple[dict[str, Any], Any]:
+    """Run a job whose points are in memory."""
+    loaded = load_memory(settings, clock)
+    loaded.report(settings.points)
+    cloud = loaded.cloud
+    assert isinstance(cloud, PointCloud)  # noqa: S101 - it is the one in memory
+    grid = choose_grid(settings, *bounding_box(cloud.positions))
+    check_memory(settings.method, grid, cloud)
+    name = choose_backend(settings, len(cloud))
+    with open_executor(name, workers=settings.workers, policy=settings.policy) as backend:
+        return _reconstruct(settings, room, loaded, grid, backend, clock)
+
+
+def _run_in_folder(
+    settings: Settings, room: _Room, clock: StageClock
+) -> tuple[dict[str, Any], Any]:
+    """Run a job whose points are in a folder."""
+    assert room.folder is not None  # noqa: S101 - or this would not be called
+    log.info("the points are put into %s", room.folder)
+    name = choose_backend(settings, TILE_POINTS)
+    with open_executor(name, workers=settings.workers, policy=settings.policy) as backend:
+        points = fitting_tile(settings.max_memory, _tiles_here(backend))
+        loaded = load_folder(settings, room.folder, points, backend.workforce, clock)
+        loaded.report(settings.points)
+        assert not isinstance(loaded.cloud, PointCloud)  # noqa: S101 - it is the one on disk
+        grid = choose_grid(settings, loaded.cloud.low, loaded.cloud.high)
+        return _reconstruct(settings, room, loaded, grid, backend, clock)
+
+
+def _reconstruct(
+    settings: Settings,
+    room: _Room,
+    loaded: Loaded,
+    grid: int,
+    backend: Backend,
+    clock: StageClock,
+) -> tuple[dict[str, Any], Any]:
+    """Run the pipeline, and describe what came of it."""
+    workforce, cloud = backend.workforce, loaded.cloud
+    tile_points = fitting_tile(settings.max_memory, _tiles_here(backend))
+    method = choose_method(settings, grid, choose_threads(len(cloud)), tile_points, room.keeping)
+    log.info(
+        "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
+        method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),
+    )  # fmt: skip
+    result = run_pipeline(cloud, method, workforce, clock, choose_steps(settings))
+    report = _describe(settings, grid, result, backend)
+    report["warnings"] = warn(settings, grid, cloud, result)
+    report["dropped"] = {
+        "non_finite_points": loaded.dropped.non_finite_points,
+        "bad_normals": loaded.dropped.bad_normals,
+        "outliers": loaded.cleaned.outliers,
+    }
+    report["turned_normals"] = loaded.cleaned.flipped
+    return report, result.surface
+
+
+def _tiles_here(backend: Backend) -> int:
+    """Return how many tiles are in one process at once."""
+    return backend.workforce.workers if backend.workforce.in_process else 1
+
+
+def warn(
+    settings: Settings, grid: int, cloud: PointCloud | ArrangedCloud, result: Reconstruction
+) -> list[str]:
+    """Log what should make the user doubt the mesh, and return it for the report.
+
+    Parameters
+    ----------
+    settings : Settings
+    grid : int
+        Cells along the longest side.
+    cloud : PointCloud or ArrangedCloud
+    result : Reconstruction
+    """
+    if isinstance(cloud, PointCloud):
+        low, high = bounding_box(cloud.positions)
+    else:
+        low, high, cloud = cloud.low, cloud.high, sample_cloud(cloud)
     step = float((high - low).max()) / grid
     doubts = doubt_resolution(cloud, step)  # explains all that the others would find
     if not doubts:
         doubts = doubt_normals(cloud)
         if settings.method != "paper":  # which leaves sheets in its boxes wherever a patch ends
-            doubts += doubt_closure(cloud, result.surface, step)
+            doubts += doubt_closure(low, high, result.surface, step)
     for doubt in doubts:
         log.warning("warning: %s", doubt)
     return doubts
-
-
-def _clean(
-    settings: Settings, cloud: PointCloud, far: int, clock: StageClock
-) -> tuple[PointCloud, Cleaned]:
-    """Drop outliers and turn wrong normals round, and say so; the paper's method takes all."""
-    if settings.method == "paper" or not settings.clean:
-        return cloud, Cleaned(0, 0)
-    with clock.stage("clean"):
-        cloud, cleaned = clean_cloud(cloud)
-    cleaned = replace(cleaned, outliers=far + cleaned.outliers)
-    if cleaned.outliers:
-        log.warning("%s: dropped %d outliers", settings.points, cleaned.outliers)
-    if cleaned.flipped:
-        log.warning("%s: turned %d wrong normals round", settings.points, cleaned.flipped)
-    return cloud, cleaned
-
-
-def _report_dropped(path: Path, dropped: Dropped) -> None:
-    if dropped.non_finite_points:
-        log.warning("%s: dropped %d points that are NaN or Inf", path, dropped.non_finite_points)
-    if dropped.bad_normals:
-        log.warning("%s: dropped %d points whose normal is zero, NaN or Inf",
-                    path, dropped.bad_normals)  # fmt: skip
-
-
-def _choose_grid(settings: Settings, cloud: PointCloud) -> int:
-    """Return the cells along the longest side that the user asked for in one of three ways."""
-    if settings.depth is not None:
-        return int(2**settings.depth)
-    if settings.voxel_size is None:
-        return settings.grid or DEFAULT_GRID
-    low, high = bounding_box(cloud.positions)
-    longest = float((high - low).max())
-    margins = 2 * MARGIN if settings.method == "hierarchical" else 0  # inside its grid
-    with np.errstate(over="ignore"):
-        cells = float(np.ceil(np.float64(longest) / settings.voxel_size)) + margins
-    if not MIN_GRID <= cells <= MAX_GRID:  # NaN is not, either
-        raise UsageError(
-            f"--voxel-size {settings.voxel_size:g} means {cells:g} cells along the longest side",
-            f"choose one that gives {MIN_GRID} to {MAX_GRID}; the side is {longest:g} long",
-        )
-    return int(cells)
-
-
-def _choose_method(settings: Settings, grid: int, threads: int) -> Method[Any, Any]:
-    if settings.method == "hierarchical":
-        return HierarchicalMethod(grid, settings.smoothness, settings.detail, threads)
-    from hpcapp.applications.surface.paper import PaperMethod  # it stands on heavy modules
-
-    return PaperMethod(
-        delta=settings.delta,
-        max_points=settings.max_points,
-        cone=settings.cone,
-        patches=settings.patches,
-        norm=settings.norm,
-        grid=grid,
-    )
-
-
-def _steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:
-    """Return the preprocessing steps that are switched on, in the paper's order."""
-    if not (settings.outliers or settings.denoise or settings.resample):
-        return ()  # what the steps stand on is heavy
-    from hpcapp.applications.surface.preprocess import denoise, remove_outliers, resample
-
-    wanted: tuple[tuple[bool, str, Preprocess], ...] = (
-        (settings.outliers, "remove outliers", remove_outliers),
-        (settings.denoise, "denoise", denoise),
-        (settings.resample, "resample", resample),
-    )
-    return tuple((name, step) for is_wanted, name, step in wanted if is_wanted)
-
-
-def _choose_backend(settings: Settings, cloud: PointCloud) -> str:
-    """Return the backend: the user's, else processes for `--workers`, else what pays here."""
-    if settings.cluster is not None:
-        return str(settings.cluster)
-    if settings.backend != "auto":
-        return settings.backend
-    if settings.workers is not None:
-        return "zmq"
-    enough = len(cloud) >= THREADS_FROM_POINTS and available_cores() > 1
-    return "threads" if enough else "serial"
 
 
 def _summarize(topology: Topology) -> str:

@@ -5,27 +5,107 @@ Who may import it: the job.
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
+from hpcapp.applications.surface.hierarchical import TILE_POINTS
 from hpccomponent.errors import UsageError
 from hpccomponent.surface import kernels
 from hpccomponent.surface.points import PointCloud, bounding_box
 from hpccomponent.surface.spacing import estimate_spacing
 
-__all__ = ["available_memory", "check_memory", "estimate_memory"]
+__all__ = [
+    "available_memory",
+    "check_memory",
+    "estimate_memory",
+    "fits_memory",
+    "fitting_tile",
+    "parse_size",
+]
 
 #: The paper's method holds every node of a cube: values, their magnitudes, masks, a median's copy.
 BYTES_PER_NODE = 16.0
 #: The default method holds the points, sorted too, and bricks along the surface; measured from
 #: above on 36 thousand to 10 million points and grids of 256 to 1024, mesh and check included.
 BYTES_OF_PROGRAM = 1e8
+LEAST_MEMORY = 256 * 2.0**20
 BYTES_PER_POINT = 150.0
 BYTES_PER_SURFACE_CELL = 350.0
 #: The boxes along the surface are counted on a sample of them, with about so many points.
 SAMPLED_POINTS = 1_000_000
 #: Below this a job fits on any machine that runs it.
 SMALL_GRID = 256
+
+
+#: What a tile takes of the process that makes its mesh, a point; measured from above.
+BYTES_PER_TILE_POINT = 800.0
+#: A point in a file takes so many bytes or more: three coordinates and a normal of float32.
+BYTES_PER_RECORD = 24
+LEAST_TILE = 50_000
+
+
+def parse_size(text: str) -> float:
+    """Return the bytes that a size names.
+
+    Parameters
+    ----------
+    text : str
+        A number, with K, M, G or T for powers of 1024.
+
+    Raises
+    ------
+    UsageError
+        It is no size, or less than the program itself takes.
+
+    Examples
+    --------
+    >>> parse_size("2G") == 2 * 1024**3
+    True
+    """
+    found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)([KMGT]?)(?:i?B)?", text.strip(), re.IGNORECASE)
+    if found is None:
+        raise UsageError(f"{text!r} is not a size", "write for example 2G or 800M")
+    size = float(found[1]) * 1024.0 ** " KMGT".index(found[2].upper() or " ")
+    if size < LEAST_MEMORY:
+        raise UsageError(
+            f"{text} is less memory than any job needs",
+            f"give {LEAST_MEMORY / 2**20:.0f}M or more",
+        )
+    return size
+
+
+def fits_memory(path: Path, limit: float | None) -> bool:
+    """Tell whether a file's points may be held in memory, judged by its size.
+
+    Parameters
+    ----------
+    path : Path
+    limit : float or None
+        In bytes; what is available where it is None.
+    """
+    available = available_memory() if limit is None else limit
+    try:
+        points = path.stat().st_size / BYTES_PER_RECORD
+    except OSError:
+        return True  # who reads it says what is wrong
+    return available is None or BYTES_OF_PROGRAM + BYTES_PER_POINT * points <= available
+
+
+def fitting_tile(limit: float | None, at_once: int) -> int:
+    """Return how many points a tile may have.
+
+    Parameters
+    ----------
+    limit : float or None
+        Of the process, in bytes.
+    at_once : int
+        Tiles in one process.
+    """
+    if limit is None:
+        return TILE_POINTS
+    points = (limit - LEAST_MEMORY / 2.0) / at_once / BYTES_PER_TILE_POINT
+    return int(min(max(points, LEAST_TILE), TILE_POINTS))
 
 
 def check_memory(method: str, grid: int, cloud: PointCloud) -> None:

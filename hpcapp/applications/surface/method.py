@@ -7,7 +7,6 @@ from typing import Any, Protocol, TypeVar
 
 from hpcapp.applications.surface.surface import Surface
 from hpcapp.batches import Workforce
-from hpccomponent.surface.points import PointCloud
 
 __all__ = ["Advance", "Method"]
 
@@ -21,8 +20,8 @@ class Method(Protocol[PartitionT, QuadricsT]):
 
     name: str
 
-    def partition(self, cloud: PointCloud, workforce: Workforce) -> PartitionT:
-        """Cut the cloud into the parts that are fitted one by one."""
+    def partition(self, cloud: Any, workforce: Workforce) -> PartitionT:
+        """Cut the cloud into the parts that are fitted one by one; one method takes any kind."""
         ...
 
     def fit(self, partition: PartitionT, workforce: Workforce, advance: Advance) -> QuadricsT:

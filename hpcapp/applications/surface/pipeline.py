@@ -18,6 +18,8 @@ from hpcapp.applications.surface.surface import Surface
 from hpcapp.applications.surface.topology import Topology
 from hpcapp.batches import Workforce
 from hpcapp.progress import StageClock
+from hpccomponent.errors import UsageError
+from hpccomponent.surface.arranged_cloud import ArrangedCloud
 from hpccomponent.surface.points import PointCloud
 
 __all__ = ["Preprocess", "Reconstruction", "reconstruct"]
@@ -48,7 +50,7 @@ class Reconstruction:
 
 
 def reconstruct(
-    cloud: PointCloud,
+    cloud: PointCloud | ArrangedCloud,
     method: Method[Any, Any],
     workforce: Workforce,
     clock: StageClock,
@@ -58,7 +60,7 @@ def reconstruct(
 
     Parameters
     ----------
-    cloud : PointCloud
+    cloud : PointCloud or ArrangedCloud
         Finite positions and unit normals (see `hpcapp.io.drop_unusable`).
     method : Method
         The strategy: `PaperMethod` or `HierarchicalMethod`.
@@ -67,7 +69,7 @@ def reconstruct(
     clock : StageClock
         Times and announces the stages.
     preprocess : tuple of (str, callable)
-        Named steps that run first, in order.
+        Named steps that run first, in order, on clouds in memory.
 
     Returns
     -------
@@ -79,6 +81,11 @@ def reconstruct(
         What a stage raised.
     """
     for name, step in preprocess:
+        if not isinstance(cloud, PointCloud):
+            raise UsageError(
+                f"the step '{name}' needs all points in memory",
+                "leave it out, or give more --max-memory",
+            )
         with clock.stage(name):
             cloud = step(cloud)
     with clock.stage("partition"):

@@ -8,13 +8,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
 import numpy as np
 
 from hpcapp.applications.surface.coarse import Coarse
+from hpcapp.applications.surface.keeping import Keeping
 from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.applications.surface.tiles import Tiling
-from hpcapp.batches import Workforce, map_batches
+from hpcapp.batches import Workforce, stream_batches
 from hpccomponent.errors import JobError
 from hpccomponent.surface.field import BRICK
 from hpccomponent.surface.lattice import find_keys, pack_places, unique_keys, unpack_keys
@@ -28,8 +32,76 @@ __all__ = ["mesh_regions"]
 _MOST_ROUNDS = 1000  # each goes on by a coarse cell at least; a grid has no more
 
 
+class _Regions:
+    """Runs the tasks of a job, and gathers what they give."""
+
+    def __init__(self, workforce: Workforce, origin: FloatArray, keeping: Keeping | None) -> None:
+        self._workforce = workforce
+        self._keeping = keeping
+        self._exits: list[IntArray] = []
+        self.surface = PartSurface([], [], origin, keeping)
+
+    def run(
+        self,
+        task: Callable[..., Any],
+        tiles: Iterable[tuple[str, tuple[Any, ...]]],
+        count: int,
+        advance: Advance,
+    ) -> None:
+        """Run a task for each of some tiles that are not there yet.
+
+        Parameters
+        ----------
+        task : callable
+        tiles : iterable of (str, tuple)
+            The name of each and what the task is called with, made when there is room for it.
+        count : int
+            Of the tiles.
+        advance : callable
+        """
+        names: list[str] = []
+        started: list[int] = []
+        found: dict[int, Any] = {}
+
+        def batches() -> Iterator[tuple[Any, ...]]:
+            for index, (name, arguments) in enumerate(tiles):
+                names.append(name)
+                kept = self._keeping.find(name) if self._keeping else None
+                if kept is not None:
+                    found[index] = (None, *kept[1:])
+                    advance(len(found), count)
+                    continue
+                started.append(index)
+                yield *arguments, (self._keeping.place, name) if self._keeping else None
+
+        at_once = self._workforce.workers * (1 if self._workforce.in_process else 2)
+        for batch, result in stream_batches(self._workforce, task, batches(), at_once):
+            found[started[batch]] = result
+            advance(len(found), count)
+        for index, name in enumerate(names):
+            self._take(name, found[index])
+
+    def left(self) -> IntArray:
+        """Return the bricks that the surface leaves for, and that no part has."""
+        wanted = unique_keys(np.concatenate(self._exits))
+        held = unique_keys(np.concatenate([found.bricks for found in self.surface.summaries]))
+        left: IntArray = wanted[find_keys(held, wanted) == len(held)]
+        return left
+
+    def _take(self, name: str, result: tuple[Values | None, Values, IntArray]) -> None:
+        part, summary, exits = result
+        self.surface.parts.append(name if part is None else MeshPart.from_values(part))
+        self.surface.summaries.append(PartSummary.from_values(summary))
+        self._exits.append(exits)
+
+
 def mesh_regions(
-    tiling: Tiling, coarse: Coarse, workforce: Workforce, advance: Advance, origin: FloatArray
+    tiling: Tiling,
+    coarse: Coarse,
+    workforce: Workforce,
+    advance: Advance,
+    origin: FloatArray,
+    keeping: Keeping | None = None,
 ) -> PartSurface:
     """Reconstruct the surface inside all tiles.
 
@@ -42,6 +114,8 @@ def mesh_regions(
         Told (tiles done, tiles in all).
     origin : ndarray of float64, shape (3,)
         Of the cloud's local frame.
+    keeping : Keeping, optional
+        Where finished tiles are kept; by default they come back to this process.
 
     Returns
     -------
@@ -49,45 +123,26 @@ def mesh_regions(
         It holds every brick that the surface reaches.
     """
     values = coarse.plan.to_values()
-    batches = []
-    for index in range(len(tiling)):
-        tile = tiling.tile(index)
-        points = (tile.core.to_values(), tile.before.to_values(), tile.after.to_values())
-        batches.append((values, *points, coarse.around(tile.cells).to_values()))
-    found = _Found(origin)
-    for result in map_batches(workforce, mesh_tile, batches, advance):
-        found.add(result)
+    regions = _Regions(workforce, origin, keeping)
+
+    def tiles() -> Iterator[tuple[str, tuple[Any, ...]]]:
+        for index in range(len(tiling)):
+            name = "" if keeping is None else keeping.name(values, *tiling.groups(index))
+            around = coarse.around(tiling.own(index))
+            yield name, (values, tiling.tile(index), around.to_values())
+
+    regions.run(mesh_tile, tiles(), len(tiling), advance)
     for _ in range(_MOST_ROUNDS):
-        left = found.left()
+        left = regions.left()
         if not len(left):
-            return found.surface
+            return regions.surface
         near = tiling.near(_cells_around(coarse.plan, left))
-        batch = (values, left, tiling.take(near).to_values(), tiling.cells[~near])
-        (result,) = map_batches(workforce, mesh_gap, [(*batch, coarse.whole().to_values())])
-        found.add(result)
+        missing = tiling.cells[~near]
+        name = "" if keeping is None else keeping.name(values, left, missing)
+        points = tiling.around(tiling.cells[near])
+        gap = (values, left, points, missing, coarse.whole().to_values())
+        regions.run(mesh_gap, [(name, gap)], 1, lambda _done, _all: None)
     raise JobError("the surface does not come to an end", "report this, with the point cloud")
-
-
-class _Found:
-    """What tiles have given so far."""
-
-    def __init__(self, origin: FloatArray) -> None:
-        self.surface = PartSurface([], [], origin)
-        self._exits: list[IntArray] = []
-
-    def add(self, result: Values) -> None:
-        """Take what a task returned."""
-        part, summary, exits = result
-        self.surface.parts.append(MeshPart.from_values(part))
-        self.surface.summaries.append(PartSummary.from_values(summary))
-        self._exits.append(exits)
-
-    def left(self) -> IntArray:
-        """Return the bricks that the surface leaves for, and that no part has."""
-        wanted = unique_keys(np.concatenate(self._exits))
-        held = unique_keys(np.concatenate([part.bricks for part in self.surface.parts]))
-        left: IntArray = wanted[find_keys(held, wanted) == len(held)]
-        return left
 
 
 def _cells_around(plan: Plan, bricks: IntArray) -> IntArray:

@@ -5,12 +5,13 @@ Who may import it: the pipeline, the methods and the job.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
+from hpcapp.applications.surface.keeping import Keeping
 from hpcapp.applications.surface.topology import Topology, check_mesh
 from hpcapp.applications.surface.weld import WeldPlan, plan_weld
 from hpcapp.applications.surface.welded import assemble_mesh, stream_mesh, stream_tiles
@@ -73,21 +74,25 @@ class WholeSurface:
 
 @dataclass(slots=True, eq=False)
 class PartSurface:
-    """A mesh in parts.
+    """A mesh in parts, in memory or kept elsewhere.
 
     Parameters
     ----------
-    parts : list of MeshPart
+    parts : list of MeshPart or str
+        Those that are kept, by their names.
     summaries : list of PartSummary
         Of the parts.
     origin : ndarray of float64, shape (3,)
         Of the local frame that the parts' vertices are in.
+    keeping : Keeping, optional
+        Where parts are kept.
     """
 
-    parts: list[MeshPart]
+    parts: list[MeshPart | str]
     summaries: list[PartSummary]
     origin: FloatArray
-    _plan: WeldPlan | None = field(default=None)
+    keeping: Keeping | None = None
+    _plan: WeldPlan | None = None
 
     @property
     def plan(self) -> WeldPlan:
@@ -96,26 +101,36 @@ class PartSurface:
             self._plan = plan_weld(self.summaries)
         return self._plan
 
+    def load(self, index: int) -> MeshPart:
+        """Return a part; the arrays of one that is kept in a folder stay there, mapped."""
+        part = self.parts[index]
+        if isinstance(part, MeshPart):
+            return part
+        assert self.keeping is not None  # noqa: S101 - or there would be no names
+        return MeshPart.from_values(self.keeping.store.get(part)[0])
+
     def check(self) -> Topology:
         """Judge its topology."""
         return self.plan.topology
 
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
         """Return the share of the vertices that lie outside a box, 0 to 1."""
-        outside = sum(_count_outside(part.vertices, low, high) for part in self.parts)
-        return outside / max(1, sum(len(part.vertices) for part in self.parts))
+        if (self.plan.box[0] >= low).all() and (self.plan.box[1] <= high).all():
+            return 0.0
+        loaded = (self.load(index).vertices for index in range(len(self.parts)))
+        outside = sum(_count_outside(vertices, low, high) for vertices in loaded)
+        return outside / sum(int(summary.vertex_counts.sum()) for summary in self.summaries)
 
     def mesh(self) -> Mesh:
         """Return all of it."""
-        return assemble_mesh(self.plan, self.parts.__getitem__, self.origin)
+        return assemble_mesh(self.plan, self.load, self.origin)
 
     def write(self, path: Path) -> None:
-        """Write it part by part: to a file, or to a folder of tiles, as the suffix says."""
-        parts = self.parts.__getitem__
+        """Write it to a file, whose suffix chooses the format, block after block."""
         if path.suffix.lower() == TILES_SUFFIX:
-            write_tiles(path, stream_tiles(self.plan, parts, self.origin))
+            write_tiles(path, stream_tiles(self.plan, self.load, self.origin))
         else:
-            write_mesh(path, stream_mesh(self.plan, parts, self.origin))
+            write_mesh(path, stream_mesh(self.plan, self.load, self.origin))
 
 
 def _count_outside(vertices: FloatArray, low: FloatArray, high: FloatArray) -> int:

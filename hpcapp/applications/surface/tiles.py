@@ -5,20 +5,24 @@ The paper's equal batches, by work instead of by count. Who may import it: the d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.arrangement import PackedPoints, pack_points
-from hpccomponent.surface.lattice import BITS, find_keys, unpack_keys
-from hpccomponent.surface.points import IntArray, PointCloud
+from hpccomponent.surface.arranged_cloud import ArrangedCloud
+from hpccomponent.surface.disk_cloud import DiskCloud
+from hpccomponent.surface.lattice import BITS, find_keys, unique_keys, unpack_keys
+from hpccomponent.surface.points import IntArray
 from hpccomponent.surface.reach import HALO_STEPS, surround
 from hpccomponent.surface.region import Plan
+from hpccomponent.surface.tile_points import CellPoints, pack_cloud, read_cells
 
-__all__ = ["Tile", "Tiling", "cut_tiles", "halo_cells", "morton_codes"]
+__all__ = ["Tiling", "cut_tiles", "halo_cells", "morton_codes"]
 
+_POINTS_AT_ONCE = 2_000_000
 _SPREAD = (
     (32, 0x1F00000000FFFF),
     (16, 0x1F0000FF0000FF),
@@ -55,82 +59,93 @@ def morton_codes(keys: IntArray) -> NDArray[np.uint64]:
     return codes
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Tile:
-    """The points that one region is made from.
-
-    Parameters
-    ----------
-    core : PackedPoints
-        Its own.
-    before, after : PackedPoints
-        Those around it, of tiles before and after it.
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of its own coarse cells.
-    """
-
-    core: PackedPoints
-    before: PackedPoints
-    after: PackedPoints
-    cells: IntArray
-
-
 class Tiling:
-    """A cloud in memory, cut into tiles.
+    """A cloud cut into tiles.
 
     Parameters
     ----------
-    cloud : PointCloud
-        Arranged (see `arrangement`), with normals.
+    cloud : ArrangedCloud
     plan : Plan
     count : int
         How many tiles there shall be; fewer where there are fewer coarse cells.
+    share : callable, optional
+        What offers a tile's own points to all workers, where they are sent with the tasks.
+
+    Attributes
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the coarse cells that hold points.
     """
 
-    def __init__(self, cloud: PointCloud, plan: Plan, count: int) -> None:
-        size = plan.cell_size * 2.0**plan.coarse
-        self.cells, self._offsets, self._rows = kernels.sort_points(
-            cloud.positions, plan.origin, size
-        )
+    def __init__(
+        self,
+        cloud: ArrangedCloud,
+        plan: Plan,
+        count: int,
+        share: Callable[[Any], Any] | None,
+    ) -> None:
+        self.cells, self._counts = _count_cells(cloud, plan)
         self._cloud = cloud
         self._plan = plan
-        self._tile_of = cut_tiles(self.cells, np.diff(self._offsets), count)
-        self._halo = halo_cells(plan)
+        self._tile_of = cut_tiles(self.cells, self._counts, count)
+        self._share = share
+        self._cores: dict[int, Any] = {}
 
     def __len__(self) -> int:
         return int(self._tile_of.max()) + 1
 
-    def core(self, index: int) -> PackedPoints:
-        """Return the points of a tile."""
-        return self.take(self._tile_of == index)
+    def own(self, index: int) -> IntArray:
+        """Return the coarse cells of a tile."""
+        own: IntArray = self.cells[self._tile_of == index]
+        return own
 
-    def tile(self, index: int) -> Tile:
-        """Return the points of a tile and of its halo."""
-        own = self.cells[self._tile_of == index]
+    def core(self, index: int) -> CellPoints:
+        """Return the points of a tile, as a task is given them."""
+        return self._give([self.own(index)], index)
+
+    def groups(self, index: int) -> list[IntArray]:
+        """Return the cells of a tile, and of its halo: those of tiles before and after it."""
+        own = self.own(index)
         around = self.near(own)
-        return Tile(
-            self.core(index),
-            self.take(around & (self._tile_of < index)),
-            self.take(around & (self._tile_of > index)),
-            own,
-        )
+        before, after = around & (self._tile_of < index), around & (self._tile_of > index)
+        return [own, self.cells[before], self.cells[after]]
+
+    def tile(self, index: int) -> CellPoints:
+        """Return the points in the `groups` of a tile, as a task is given them."""
+        return self._give(self.groups(index), index)
+
+    def around(self, cells: IntArray) -> CellPoints:
+        """Return the points in some coarse cells."""
+        return self._give([cells], None)
 
     def near(self, cells: IntArray) -> NDArray[np.bool_]:
         """Tell which coarse cells with points lie around some cells, near enough to matter."""
-        reached = surround(cells, self._halo)
-        return find_keys(reached, self.cells) < len(reached)
+        reached = surround(cells, halo_cells(self._plan))
+        found: NDArray[np.bool_] = np.less(find_keys(reached, self.cells), len(reached))
+        return found
 
-    def take(self, chosen: NDArray[np.bool_]) -> PackedPoints:
-        """Return the points in some of the coarse cells."""
-        runs = np.flatnonzero(chosen)
-        if not len(runs):
-            none = np.empty(0, np.int64)
-            return PackedPoints(none, none, *np.empty((2, 0, 3), np.float32))
-        rows = np.concatenate([self._rows[self._offsets[c] : self._offsets[c + 1]] for c in runs])
-        rows.sort()
-        some = self._cloud.take(rows)
-        assert some.normals is not None  # noqa: S101 - checked by the method, at its border
-        return pack_points(self._plan.arrangement, some.positions, some.normals)
+    def _give(self, groups: list[IntArray], index: int | None) -> CellPoints:
+        if self._share is None:
+            there = self._cloud
+            return ("there", str(there.folder) if isinstance(there, DiskCloud) else there, *groups)
+        plan = self._plan
+        clouds = read_cells(self._cloud, plan.origin, plan.coarse_size, groups)
+        packed = [pack_cloud(plan.arrangement, cloud) for cloud in clouds]
+        if index is not None and not isinstance(self._cloud, DiskCloud):
+            packed[0] = self._cores.setdefault(index, self._share(packed[0]))
+        return ("sent", *packed)
+
+
+def _count_cells(cloud: ArrangedCloud, plan: Plan) -> tuple[IntArray, IntArray]:
+    """Return the coarse cells that hold points, and how many."""
+    keys, counts = [], []
+    for positions, _ in cloud.groups(_POINTS_AT_ONCE):
+        cells, offsets, _ = kernels.sort_points(positions, plan.origin, plan.coarse_size)
+        keys.append(cells)
+        counts.append(np.diff(offsets))
+    every = unique_keys(np.concatenate(keys))
+    rows = np.searchsorted(every, np.concatenate(keys))
+    return every, np.bincount(rows, np.concatenate(counts), len(every)).astype(np.int64)
 
 
 def cut_tiles(cells: IntArray, work: IntArray, count: int) -> IntArray:
@@ -165,5 +180,5 @@ def halo_cells(plan: Plan) -> int:
     and parents up to half a coarse cell away, these for points half a coarse cell further on, and
     for cells whose corners exist because of points two finest cells beyond.
     """
-    size = plan.cell_size * 2.0**plan.coarse
-    return int(np.ceil((HALO_STEPS * plan.step + size + 2.0 * plan.cell_size) / size))
+    reach = HALO_STEPS * plan.step + plan.coarse_size + 2.0 * plan.cell_size
+    return int(np.ceil(reach / plan.coarse_size))

@@ -5,7 +5,7 @@ import numpy as np
 from hpcapp.applications.surface.doubts import doubt_closure, doubt_normals, doubt_resolution
 from hpcapp.applications.surface.surface import WholeSurface
 from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import FloatArray, PointCloud
+from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
 
 def surface_of(vertices: FloatArray) -> WholeSurface:
@@ -20,7 +20,9 @@ def turned(cloud: PointCloud, signs: object) -> PointCloud:
 def test_a_good_scan_is_not_doubted(sphere: PointCloud) -> None:
     assert doubt_normals(sphere) == []
     assert doubt_resolution(sphere, 2.0 / 64) == []
-    assert doubt_closure(sphere, surface_of(sphere.positions), 2.0 / 64) == []
+    assert (
+        doubt_closure(*bounding_box(sphere.positions), surface_of(sphere.positions), 2.0 / 64) == []
+    )
 
 
 def test_normals_are_judged_alike_wherever_and_however_large(sphere: PointCloud) -> None:
@@ -53,4 +55,7 @@ def test_an_outlier_that_takes_up_the_grid_is_noticed(sphere: PointCloud) -> Non
 
 def test_a_mesh_far_outside_its_points_is_noticed(sphere: PointCloud) -> None:
     swollen = surface_of(1.5 * sphere.positions)
-    assert "outside the points' bounding box" in doubt_closure(sphere, swollen, 2.0 / 64)[0]
+    assert (
+        "outside the points' bounding box"
+        in doubt_closure(*bounding_box(sphere.positions), swollen, 2.0 / 64)[0]
+    )

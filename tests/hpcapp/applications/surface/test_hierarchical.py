@@ -168,7 +168,7 @@ def test_a_sparse_cloud_gives_one_closed_ball(count):
 def test_the_grid_covers_the_cloud_with_cells_to_spare():
     cloud = sphere(500)
     positions = cloud.positions * [3.0, 1.0, 0.2] + [100.0, 0.0, 0.0]
-    grid = plan_grid(positions, 128)
+    grid = plan_grid(positions.min(axis=0), positions.max(axis=0), 128)
     sides = BRICK * np.array(grid.bricks)
     assert sides[0] == 128
     assert sides.max() == sides[0]

@@ -1,0 +1,154 @@
+"""A cloud from its file to what the methods take: in memory, or in a folder.
+
+Who may import it: the job.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import shutil
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from hpcapp.applications.surface.cleaning import Cleaned, arrange_points, clean_cloud, drop_far
+from hpcapp.applications.surface.ingest import ingest_file
+from hpcapp.applications.surface.region_cleaning import clean_regions
+from hpcapp.applications.surface.settings import Settings
+from hpcapp.batches import Workforce
+from hpcapp.io import drop_unusable, open_points, read_points
+from hpcapp.io.usable import Dropped
+from hpcapp.progress import StageClock
+from hpccomponent.surface.disk_cloud import DiskCloud, open_disk_cloud
+from hpccomponent.surface.points import PointCloud
+
+__all__ = ["Loaded", "clean_points", "load_folder", "load_memory"]
+
+log = logging.getLogger("hpcapp")
+
+_NOTE = "loaded.json"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loaded:
+    """A cloud, and what was left out of it.
+
+    Parameters
+    ----------
+    cloud : PointCloud or DiskCloud
+    dropped : Dropped
+    cleaned : Cleaned
+    """
+
+    cloud: PointCloud | DiskCloud
+    dropped: Dropped
+    cleaned: Cleaned
+
+    def report(self, path: Path) -> None:
+        """Log what was left out of a file."""
+        dropped, cleaned = self.dropped, self.cleaned
+        for count, what in (
+            (dropped.non_finite_points, "dropped %d points that are NaN or Inf"),
+            (dropped.bad_normals, "dropped %d points whose normal is zero, NaN or Inf"),
+            (cleaned.outliers, "dropped %d outliers"),
+            (cleaned.flipped, "turned %d wrong normals round"),
+        ):
+            if count:
+                log.warning(f"%s: {what}", path, count)
+
+
+def load_memory(settings: Settings, clock: StageClock) -> Loaded:
+    """Read a file and clean its points.
+
+    Parameters
+    ----------
+    settings : Settings
+    clock : StageClock
+
+    Returns
+    -------
+    Loaded
+    """
+    with clock.stage("read"):
+        cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
+    cloud, cleaned = clean_points(settings, cloud, clock)
+    return Loaded(cloud, dropped, cleaned)
+
+
+def clean_points(
+    settings: Settings, cloud: PointCloud, clock: StageClock
+) -> tuple[PointCloud, Cleaned]:
+    """Arrange points, drop outliers and turn wrong normals round; the paper's method takes all.
+
+    Parameters
+    ----------
+    settings : Settings
+    cloud : PointCloud
+        Usable points.
+    clock : StageClock
+
+    Returns
+    -------
+    cloud : PointCloud
+    cleaned : Cleaned
+    """
+    if settings.method == "paper":  # which cuts the cloud up by itself
+        return cloud, Cleaned(0, 0)
+    usable = len(cloud)
+    with clock.stage("clean" if settings.clean else "arrange"):
+        cloud = arrange_points(drop_far(cloud) if settings.clean else cloud)
+        if not settings.clean:
+            return cloud, Cleaned(0, 0)
+        far = usable - len(cloud)
+        cloud, cleaned = clean_cloud(cloud)
+    return cloud, replace(cleaned, outliers=far + cleaned.outliers)
+
+
+def load_folder(
+    settings: Settings, folder: Path, points: int, workforce: Workforce, clock: StageClock
+) -> Loaded:
+    """Put a file's points into a folder, and clean them there.
+
+    Parameters
+    ----------
+    settings : Settings
+        With `resume`, what is in the folder is taken, if it is whole.
+    folder : Path
+        Is made where there is none; 24 bytes a point are written, or 48.
+    points : int
+        How many may be in memory at once, here and on each worker.
+    workforce : Workforce
+        Cleans region by region.
+    clock : StageClock
+
+    Returns
+    -------
+    Loaded
+        The same points as `load_memory` gives, bit for bit.
+    """
+    note = folder / _NOTE
+    if settings.resume and note.exists():
+        told = json.loads(note.read_text())
+        cloud = open_disk_cloud(folder / told["cloud"])
+        return Loaded(cloud, Dropped(**told["dropped"]), Cleaned(**told["cleaned"]))
+    shutil.rmtree(folder, ignore_errors=True)
+    arranged, cleaned_folder = folder / "arranged", folder / "cleaned"
+    arranged.mkdir(parents=True)
+    with clock.stage("read"):
+        read = ingest_file(
+            open_points(settings.points), arranged, drop_far=settings.clean, rows=points
+        )
+    loaded = Loaded(read.cloud, read.dropped, Cleaned(0, 0))
+    if settings.clean:
+        cleaned_folder.mkdir()
+        with clock.stage("clean"):
+            cloud, cleaned = clean_regions(read.cloud, cleaned_folder, workforce, points)
+        loaded = Loaded(cloud, read.dropped, replace(cleaned, outliers=read.far + cleaned.outliers))
+        shutil.rmtree(arranged)
+    told = {
+        "cloud": "cleaned" if settings.clean else "arranged",
+        "dropped": asdict(loaded.dropped),
+        "cleaned": asdict(loaded.cleaned),
+    }
+    note.write_text(json.dumps(told))
+    return loaded

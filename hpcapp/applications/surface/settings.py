@@ -1,0 +1,172 @@
+"""What a user asks of a reconstruction, and what follows from it for a cloud.
+
+Who may import it: the job, the command, and the interface for Python.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.surface.hierarchical import MARGIN, TILE_POINTS, HierarchicalMethod
+from hpcapp.applications.surface.keeping import Keeping
+from hpcapp.applications.surface.method import Method
+from hpcapp.applications.surface.pipeline import Preprocess
+from hpcapp.backends import available_cores
+from hpccomponent.errors import UsageError
+from hpccomponent.surface.points import FloatArray
+
+__all__ = [
+    "DEFAULT_GRID",
+    "MAX_GRID",
+    "MIN_GRID",
+    "Settings",
+    "choose_backend",
+    "choose_grid",
+    "choose_method",
+    "choose_steps",
+    "choose_threads",
+]
+
+DEFAULT_GRID = 256
+MIN_GRID, MAX_GRID = 16, 4096
+# Below this many points a second thread costs more than it brings.
+THREADS_FROM_POINTS = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What a user typed; see ``hpcapp reconstruct --help`` for each.
+
+    Parameters
+    ----------
+    points : Path
+        The point cloud.
+    output : str
+        The mesh to write; ``-`` for standard output.
+    grid, depth, voxel_size : int, int, float or None
+        The resolution; at most one of the three. `voxel_size` in length units of the input.
+    backend, workers, policy : str, int or None, str
+        Where batches run.
+    cluster : Path or None
+        The inventory of a cluster, in place of the backend.
+    max_memory : float or None
+        Of this process and of each worker, in bytes.
+    temp_dir : str or None
+        Where points and finished tiles lie: a folder, or a bucket (see `hpccomponent.store`).
+    resume : bool
+        Whether to go on from what an earlier run left in `temp_dir`.
+    """
+
+    points: Path
+    output: str
+    method: str = "hierarchical"
+    grid: int | None = None
+    depth: int | None = None
+    voxel_size: float | None = None
+    backend: str = "auto"
+    workers: int | None = None
+    policy: str = "adaptive"
+    cluster: Path | None = None
+    max_memory: float | None = None
+    temp_dir: str | None = None
+    resume: bool = False
+    clean: bool = True
+    smoothness: float = 1.0
+    detail: float = 1.0
+    delta: float = 0.1
+    max_points: int | None = None
+    cone: str = "paper"
+    patches: int | None = None
+    norm: str = "consistent"
+    outliers: bool = False
+    denoise: bool = False
+    resample: bool = False
+
+
+def choose_grid(settings: Settings, low: FloatArray, high: FloatArray) -> int:
+    """Return the cells along the longest side that the user asked for in one of three ways.
+
+    Parameters
+    ----------
+    settings : Settings
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around all points, in length units of the input.
+
+    Raises
+    ------
+    UsageError
+        The voxels are too small or too large.
+    """
+    if settings.depth is not None:
+        return int(2**settings.depth)
+    if settings.voxel_size is None:
+        return settings.grid or DEFAULT_GRID
+    longest = float((high - low).max())
+    margins = 2 * MARGIN if settings.method == "hierarchical" else 0  # inside its grid
+    with np.errstate(over="ignore"):
+        cells = float(np.ceil(np.float64(longest) / settings.voxel_size)) + margins
+    if not MIN_GRID <= cells <= MAX_GRID:  # NaN is not, either
+        raise UsageError(
+            f"--voxel-size {settings.voxel_size:g} means {cells:g} cells along the longest side",
+            f"choose one that gives {MIN_GRID} to {MAX_GRID}; the side is {longest:g} long",
+        )
+    return int(cells)
+
+
+def choose_method(
+    settings: Settings,
+    grid: int,
+    threads: int,
+    tile_points: int = TILE_POINTS,
+    keeping: Keeping | None = None,
+) -> Method[Any, Any]:
+    """Return the strategy; see `HierarchicalMethod` and `PaperMethod`."""
+    if settings.method == "hierarchical":
+        return HierarchicalMethod(
+            grid, settings.smoothness, settings.detail, threads, tile_points, keeping
+        )
+    from hpcapp.applications.surface.paper import PaperMethod  # it stands on heavy modules
+
+    return PaperMethod(
+        delta=settings.delta,
+        max_points=settings.max_points,
+        cone=settings.cone,
+        patches=settings.patches,
+        norm=settings.norm,
+        grid=grid,
+    )
+
+
+def choose_steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:
+    """Return the preprocessing steps that are switched on, in the paper's order."""
+    if not (settings.outliers or settings.denoise or settings.resample):
+        return ()  # what the steps stand on is heavy
+    from hpcapp.applications.surface.preprocess import denoise, remove_outliers, resample
+
+    wanted: tuple[tuple[bool, str, Preprocess], ...] = (
+        (settings.outliers, "remove outliers", remove_outliers),
+        (settings.denoise, "denoise", denoise),
+        (settings.resample, "resample", resample),
+    )
+    return tuple((name, step) for is_wanted, name, step in wanted if is_wanted)
+
+
+def choose_backend(settings: Settings, points: int) -> str:
+    """Return the backend: the user's, else processes for `--workers`, else what pays here."""
+    if settings.cluster is not None:
+        return str(settings.cluster)
+    if settings.backend != "auto":
+        return settings.backend
+    if settings.workers is not None:
+        return "zmq"
+    enough = points >= THREADS_FROM_POINTS and available_cores() > 1
+    return "threads" if enough else "serial"
+
+
+def choose_threads(points: int) -> int:
+    """Return how many threads pay for so many points."""
+    return available_cores() if points >= THREADS_FROM_POINTS else 1

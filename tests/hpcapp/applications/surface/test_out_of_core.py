@@ -1,0 +1,192 @@
+"""A cloud that is not in memory, and tiles that are kept: the mesh is the same, byte for byte."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hpcapp.applications.surface import job, regions
+from hpcapp.applications.surface.job import run_job
+from hpcapp.applications.surface.memory import fitting_tile, parse_size
+from hpcapp.applications.surface.settings import Settings
+from hpcapp.io import read_mesh, write_points
+from hpcapp.progress import SilentProgress
+from hpccomponent.errors import JobError, UsageError
+from hpccomponent.surface import region
+from hpccomponent.surface.points import PointCloud
+
+SILENT = SilentProgress()
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A torus with noise, a few outliers and a hole, whose surface no tile closes by itself."""
+    rng = np.random.default_rng(2)
+    u, v = rng.uniform(0, 2 * np.pi, (2, 30_000))
+    normals = np.stack([np.cos(u) * np.cos(v), np.sin(u) * np.cos(v), np.sin(v)], axis=1)
+    ring = np.stack([np.cos(u), np.sin(u), np.zeros_like(u)], axis=1)
+    positions = ring + (0.4 + 0.002 * rng.normal(size=(len(u), 1))) * normals
+    positions[:20] = rng.uniform(-2, 2, (20, 3))
+    kept = (positions[:, 0] < 0.9) | (np.abs(positions[:, 1]) > 0.3)
+    path = tmp_path_factory.mktemp("scan") / "scan.ply"
+    write_points(path, PointCloud(positions[kept], normals[kept]))
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(scan: Path) -> bytes:
+    """The mesh of all points at once, in memory."""
+    output = scan.with_name("whole.ply")
+    report = run_job(Settings(scan, str(output), grid=96), SILENT)
+    assert report["watertight"]
+    assert report["tiles"] == 1
+    return output.read_bytes()
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let so many points be too many for memory, and tiles be small."""
+    monkeypatch.setattr(job, "fits_memory", lambda *_: False)
+    monkeypatch.setattr(job, "fitting_tile", lambda *_: 6_000)
+
+
+@pytest.mark.usefixtures("small", "standing_helpers")
+@pytest.mark.parametrize("backend", ["serial", "threads", "processes", "zmq"])
+def test_a_cloud_on_disk_gives_the_bytes_of_one_in_memory(
+    backend: str, scan: Path, whole: bytes, tmp_path: Path
+) -> None:
+    room = tmp_path / "room"
+    output = tmp_path / "mesh.ply"
+    workers = None if backend == "serial" else 2
+    settings = Settings(
+        scan, str(output), grid=96, backend=backend, workers=workers, temp_dir=str(room)
+    )
+    report = run_job(settings, SILENT)
+    assert output.read_bytes() == whole
+    assert report["tiles"] > 1
+    assert report["dropped"]["outliers"] > 0
+    assert list(room.rglob("*")) == []  # what was kept is taken away
+
+
+@pytest.mark.usefixtures("small")
+def test_without_a_folder_it_goes_into_a_temporary_one(
+    scan: Path, whole: bytes, tmp_path: Path
+) -> None:
+    output = tmp_path / "mesh.ply"
+    run_job(Settings(scan, str(output), grid=96), SILENT)
+    assert output.read_bytes() == whole
+
+
+@pytest.mark.usefixtures("small")
+def test_a_job_that_failed_goes_on_where_it_was(
+    scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    output, room = tmp_path / "mesh.ply", tmp_path / "room"
+    settings = Settings(
+        scan, str(output), grid=96, backend="serial", temp_dir=str(room), resume=True
+    )
+    _count_tiles(monkeypatch, fail_at=4)
+    with pytest.raises(JobError, match="the power is gone"):
+        run_job(settings, SILENT)
+    assert not output.exists()
+    counted = _count_tiles(monkeypatch)
+    run_job(settings, SILENT)
+    assert output.read_bytes() == whole
+    assert len(counted) > 0
+    again = len(counted)
+    counted.clear()
+    run_job(settings, SILENT)  # nothing is left of a job that was done: all of it again
+    assert len(counted) == again + 3
+
+
+def _count_tiles(monkeypatch: pytest.MonkeyPatch, fail_at: int | None = None) -> list[int]:
+    """Count the tiles that are made, and fail at one of them."""
+    calls: list[int] = []
+
+    def mesh_tile(*arguments: object) -> object:
+        if len(calls) + 1 == fail_at:
+            raise JobError("the power is gone")
+        calls.append(1)
+        return region.mesh_tile(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(regions, "mesh_tile", mesh_tile)
+    return calls
+
+
+def test_a_job_that_was_killed_goes_on_where_it_was(
+    scan: Path, whole: bytes, tmp_path: Path
+) -> None:
+    """Killed for good once it has kept two tiles, and run again by the command itself."""
+    output, room = tmp_path / "mesh.ply", tmp_path / "room"
+    command = [
+        sys.executable, "-m", "hpcapp", "reconstruct", str(scan), "-o", str(output),
+        "--grid", "96", "--workers", "2", "--temp-dir", str(room),
+    ]  # fmt: skip
+    first = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True)
+    try:
+        deadline = time.monotonic() + 120.0
+        while len(_kept(room)) < 2:
+            assert first.poll() is None, first.communicate()[1].decode()
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        os.kill(first.pid, signal.SIGKILL)
+    finally:
+        first.kill()
+        first.communicate()
+    kept = {path: path.stat().st_mtime_ns for path in _kept(room)}
+    assert not output.exists()
+    done = subprocess.run(
+        [*command, "--resume"], cwd=tmp_path, capture_output=True, text=True, timeout=200,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert output.read_bytes() == whole
+    assert kept
+    assert _kept(room) == []
+
+
+def _kept(room: Path) -> list[Path]:
+    """Return the tiles that are whole."""
+    return [path for path in room.rglob("*") if path.is_file() and not path.name.startswith(".")]
+
+
+@pytest.mark.usefixtures("small")
+def test_tiles_can_be_the_output(scan: Path, whole: bytes, tmp_path: Path) -> None:
+    run_job(Settings(scan, str(tmp_path / "mesh.tiles"), grid=96), SILENT)
+    tiles = sorted((tmp_path / "mesh.tiles").iterdir())
+    assert len(tiles) > 1
+    (tmp_path / "whole.ply").write_bytes(whole)
+    faces = sum(len(read_mesh(tile).faces) for tile in tiles)
+    assert faces == len(read_mesh(tmp_path / "whole.ply").faces)
+
+
+@pytest.mark.usefixtures("small")
+def test_steps_that_need_all_points_are_refused(scan: Path, tmp_path: Path) -> None:
+    settings = Settings(scan, str(tmp_path / "mesh.ply"), grid=64, denoise=True)
+    with pytest.raises(UsageError, match="'denoise' needs all points in memory"):
+        run_job(settings, SILENT)
+
+
+def test_to_resume_takes_a_folder(scan: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--temp-dir"):
+        run_job(Settings(scan, str(tmp_path / "mesh.ply"), resume=True), SILENT)
+
+
+@pytest.mark.parametrize("text", ["", "2X", "-1G", "1e9", "G", "100M"])
+def test_what_is_no_size_is_refused(text: str) -> None:
+    with pytest.raises(UsageError):
+        parse_size(text)
+
+
+def test_tiles_follow_the_memory() -> None:
+    assert parse_size("1.5g") == 1.5 * 2**30
+    assert parse_size("300MiB") == 300 * 2**20
+    assert fitting_tile(2.0**29, 1) > fitting_tile(2.0**29, 2) >= 50_000
+    assert fitting_tile(None, 8) == fitting_tile(2.0**40, 1)
