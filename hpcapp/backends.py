@@ -230,8 +230,10 @@ def open_backend(
         return
     from hpcapp.engines.borrowed import borrow_executor
 
+    per_worker = BATCHES_PER_WORKER["adaptive"]
+    in_process = isinstance(executor, SerialExecutor | ThreadPoolExecutor)
     with borrow_executor(executor, workers) as borrowed:
-        workforce = Workforce(borrowed, borrowed.workers, BATCHES_PER_WORKER["adaptive"])
+        workforce = Workforce(borrowed, borrowed.workers, per_worker, in_process)
         yield Backend(type(executor).__name__, workforce)
 
 

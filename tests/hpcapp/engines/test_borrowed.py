@@ -30,6 +30,7 @@ def test_it_tells_how_many_workers_it_has_or_is_told() -> None:
     with ThreadPoolExecutor(3) as pool:
         with open_backend(pool) as backend:
             assert (backend.name, backend.workforce.workers) == ("ThreadPoolExecutor", 3)
+            assert backend.workforce.in_process
         with open_backend(pool, workers=7) as backend:
             assert backend.workforce.workers == 7
 

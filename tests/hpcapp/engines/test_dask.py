@@ -83,7 +83,7 @@ def test_what_a_task_raises_is_the_tasks(client: Any, tasks: Any) -> None:
 
 
 def test_a_shared_value_is_sent_once_and_comes_to_every_task(client: Any, tasks: Any) -> None:
-    value = np.random.default_rng(1).standard_normal((400_000, 3))
+    value = np.random.default_rng(1).standard_normal((700_000, 3))  # Dask warns from 10 MB on
     with open_backend(client) as backend:
         shared = backend.workforce.share(value)
         assert shared is not value
