@@ -1,7 +1,7 @@
 """What it takes to bring a cloud to disk and to clean it there: ingest.py FILE FOLDER.
 
-Prints a line for each step: seconds, the most memory so far, and what is in the folder. FOLDER is
-made, and removed in the end.
+Prints a line for each step: seconds, those of the processor, the most memory so far, and what is in
+the folder. FOLDER is made, and removed in the end.
 """
 
 from __future__ import annotations
@@ -48,12 +48,13 @@ def run(path: Path, folder: Path, workers: int) -> None:
     """Take each step once, and print what it took."""
 
     def take(step: str, work: Callable[[], Result]) -> Result:
-        began = time.perf_counter()
+        began, began_cpu = time.perf_counter(), time.process_time()
         result = work()
-        took = time.perf_counter() - began
+        took, cpu = time.perf_counter() - began, time.process_time() - began_cpu
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * UNIT / 1e6
         held = sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) / 1e6
-        print(f"{step:10} {took:8.1f} s {peak:8.0f} MB at most {held:8.0f} MB on disk", flush=True)
+        spent = f"{took:8.1f} s {cpu:8.1f} CPU s"
+        print(f"{step:10}{spent} {peak:8.0f} MB at most {held:8.0f} MB on disk", flush=True)
         return result
 
     for name in ("arranged", "cleaned"):
