@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface.api import reconstruct
 from hpcapp.applications.surface.cleaning import Cleaned, arrange_points, clean_cloud, drop_far
 from hpcapp.applications.surface.scan_settings import ScanSettings
 from hpcapp.applications.surface.scanner import simulate_scan
 from hpcapp.applications.surface.shapes import SHAPES, diagonal_of
 from hpcapp.io import drop_unusable, read_points
+from hpccomponent.surface import arranged_cloud
 from hpccomponent.surface.arrangement import choose_arrangement, snap_points
 from hpccomponent.surface.points import PointCloud
 
@@ -102,6 +104,20 @@ def test_points_are_rounded_sorted_by_block_and_keep_their_order_within() -> Non
     np.testing.assert_array_equal(arranged.normals, (positions[rows] + 1.0).astype(np.float32))
     np.testing.assert_array_equal(arranged.colors, colors[rows])
     np.testing.assert_array_equal(arranged.origin, cloud.origin)
+
+
+@pytest.mark.parametrize("name", ["torus", "bracket"])
+def test_rounding_moves_a_mesh_by_nothing_to_speak_of(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scan = simulate_scan(SHAPES[name], ScanSettings(points=20_000, noise=0.001))
+    assert scan.normals is not None
+    rounded = reconstruct(scan.positions, scan.normals, grid=96)
+    monkeypatch.setattr(arranged_cloud, "snap_points", lambda _arrangement, positions: positions)
+    exact = reconstruct(scan.positions, scan.normals, grid=96)
+    np.testing.assert_array_equal(rounded.faces, exact.faces)
+    moved = np.abs(rounded.vertices - exact.vertices).max() / diagonal_of(SHAPES[name])
+    assert 0.0 < moved < 1e-6
 
 
 def test_points_of_no_extent_stay_as_they_are() -> None:
