@@ -23,7 +23,7 @@ from hpcapp.io.ply_header import read_header
 from hpcapp.io.ply_points import AXES, COLORS, NORMALS, stack, vertex_of
 from hpcapp.io.polygons import mesh_of_polygons
 from hpcapp.io.staging import replacing
-from hpccomponent.errors import InputError
+from hpccomponent.errors import InputError, OutputError
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import FloatArray, PointCloud
 from hpccomponent.surface.shared_ply import (
@@ -38,6 +38,7 @@ __all__ = ["read_ply_mesh", "shared_ply", "write_ply_mesh", "write_ply_points"]
 
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 _ROWS_AT_ONCE = 1 << 16
+_MOST_VERTICES = 2**31 - 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,6 +173,11 @@ def shared_ply(
 
 
 def _mesh_header(counts: tuple[int, int], is_double: bool) -> bytes:
+    if counts[0] > _MOST_VERTICES:
+        raise OutputError(
+            f"{counts[0]} vertices are more than the faces of a PLY file can name",
+            "choose an output that ends in .tiles",
+        )
     kind = "double" if is_double else "float"
     return _header(
         [

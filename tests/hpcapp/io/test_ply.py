@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hpcapp.io.formats import read_points
-from hpcapp.io.ply import read_ply_mesh, write_ply_mesh, write_ply_points
-from hpccomponent.errors import InputError
+from hpcapp.io.ply import read_ply_mesh, shared_ply, write_ply_mesh, write_ply_points
+from hpccomponent.errors import InputError, OutputError
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.points import PointCloud
 
@@ -150,3 +150,12 @@ def test_colours_that_are_no_bytes_are_passed_over(make_ply: Make) -> None:
     colors = "property float red\nproperty float green\nproperty float blue\n"
     path = make_ply("ascii", f"element vertex 1\n{XYZ}{colors}", "1 2 3 0.5 0.5 0.5\n")
     assert read_points(path).colors is None
+
+
+def test_more_vertices_than_a_face_can_name_are_refused(tmp_path: Path) -> None:
+    with (
+        pytest.raises(OutputError, match=r"\.tiles"),
+        shared_ply(tmp_path / "mesh.ply", (2**31, 1), np.zeros(3), np.zeros((2, 3))),
+    ):
+        pass
+    assert not list(tmp_path.iterdir())

@@ -58,7 +58,8 @@ def test_kernels_under_sanitizers(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
     (extension,) = tmp_path.glob("_native*.so")
     tests = [
-        str(HERE / f"test_{name}.py") for name in ("against_numpy", "bits", "hostile", "outliers")
+        str(HERE / f"test_{name}.py")
+        for name in ("against_numpy", "bits", "hostile", "outliers", "seams")
     ]
     environment = os.environ | {
         INSIDE: "1",
