@@ -200,38 +200,56 @@ class BrickEntries {
   explicit BrickEntries(std::vector<Entry>& all) : all_(all), first_(all.size()) {}
 
   Entry& of(int32_t label) {
-    if (last_ < all_.size() && all_[last_].label == label) return all_[last_];
-    for (last_ = first_; last_ < all_.size(); ++last_)
-      if (all_[last_].label == label) return all_[last_];
+    for (size_t i = first_; i < all_.size(); ++i)
+      if (all_[i].label == label) return all_[i];
     all_.push_back({label, 0, 0, {}});
     return all_.back();
   }
 
  private:
   std::vector<Entry>& all_;
-  size_t first_, last_ = first_;
+  size_t first_;
 };
 
-void add_vertex(const PartView& part, int64_t vertex, BrickEntries& entries, double* bounds) {
-  const int32_t label = part.labels[vertex];
+// Add the vertices from the first on that belong to its component; return where they end.
+int64_t add_vertices(const PartView& part, int64_t first, int64_t end, BrickEntries& entries, double* bounds) {
+  const int32_t label = part.labels[first];
+  double* const box = bounds + 6 * label;
+  double sums[3] = {0.0, 0.0, 0.0}, low[3] = {box[0], box[1], box[2]}, high[3] = {box[3], box[4], box[5]};
+  int64_t i = first;
+  for (; i < end && part.labels[i] == label; ++i)
+    for (int axis = 0; axis < 3; ++axis) {
+      const double coordinate = part.vertices[3 * i + axis];
+      sums[axis] += coordinate;
+      low[axis] = std::min(low[axis], coordinate);
+      high[axis] = std::max(high[axis], coordinate);
+    }
   Entry& entry = entries.of(label);
-  ++entry.vertices;
+  entry.vertices += static_cast<int32_t>(i - first);
   for (int axis = 0; axis < 3; ++axis) {
-    const double coordinate = part.vertices[3 * vertex + axis];
-    entry.sums[1 + axis] += coordinate;
-    bounds[6 * label + axis] = std::min(bounds[6 * label + axis], coordinate);
-    bounds[6 * label + 3 + axis] = std::max(bounds[6 * label + 3 + axis], coordinate);
+    entry.sums[1 + axis] += sums[axis];
+    box[axis] = low[axis];
+    box[3 + axis] = high[axis];
   }
+  return i;
 }
 
-void add_face(const PartView& part, int64_t index, BrickEntries& entries) {
-  const int32_t* face = part.faces.corners + 3 * index;
-  Entry& entry = entries.of(part.labels[part.faces.node(3 * index)]);
-  ++entry.faces;
-  if (face[0] < 0 || face[1] < 0 || face[2] < 0) return;
-  const double *a = part.vertices + 3 * int64_t{face[0]}, *b = part.vertices + 3 * int64_t{face[1]},
-               *c = part.vertices + 3 * int64_t{face[2]};
-  entry.sums[0] += a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0]);
+// Add the faces from the first on that belong to its component; return where they end.
+int64_t add_faces(const PartView& part, int64_t first, int64_t end, BrickEntries& entries) {
+  const int32_t label = part.labels[part.faces.node(3 * first)];
+  double volume = 0.0;
+  int64_t i = first;
+  for (; i < end && part.labels[part.faces.node(3 * i)] == label; ++i) {
+    const int32_t* face = part.faces.corners + 3 * i;
+    if (face[0] < 0 || face[1] < 0 || face[2] < 0) continue;
+    const double *a = part.vertices + 3 * int64_t{face[0]}, *b = part.vertices + 3 * int64_t{face[1]},
+                 *c = part.vertices + 3 * int64_t{face[2]};
+    volume += a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0]);
+  }
+  Entry& entry = entries.of(label);
+  entry.faces += static_cast<int32_t>(i - first);
+  entry.sums[0] += volume;
+  return i;
 }
 
 int64_t sum_counts(const int32_t* counts, int64_t bricks, const char* name) {
@@ -286,10 +304,10 @@ nb::tuple sum_bricks(Input vertices_of, Input faces_of, Input vertex_counts_of, 
     for (int64_t b = 0; b < bricks; ++b) {
       starts[b] = static_cast<int32_t>(entries.size());
       BrickEntries of_brick(entries);
-      for (const int64_t end = vertex + vertex_counts[b]; vertex < end; ++vertex)
-        add_vertex(part, vertex, of_brick, bounds.get());
-      for (const int64_t end = face + face_counts[b]; face < end; ++face)
-        add_face(part, face, of_brick);
+      for (const int64_t end = vertex + vertex_counts[b]; vertex < end;)
+        vertex = add_vertices(part, vertex, end, of_brick, bounds.get());
+      for (const int64_t end = face + face_counts[b]; face < end;)
+        face = add_faces(part, face, end, of_brick);
     }
     starts[bricks] = static_cast<int32_t>(entries.size());
   }
