@@ -29,7 +29,7 @@ Float32Array = NDArray[np.float32]
 _NEAREST = 0.002
 """Vertices keep this share of an edge from its ends, so that no triangle has zero area."""
 
-_SLIVER = 0.1
+_SLIVER = 0.16
 """Squared edges count as if they were longer by this share of a squared grid step."""
 
 _ROUNDS = 4

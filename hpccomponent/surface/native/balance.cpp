@@ -34,7 +34,7 @@ inline Vector face_cross(const double* vertices, const int64_t* face) {
 
 // Squared edges count as if they were longer by this share of a squared grid step: a sliver has no
 // normal to speak of.
-constexpr double SLIVER = 0.1;
+constexpr double SLIVER = 0.16;
 // Of holding folds: what a vertex gets depends on nothing farther away than seven faces.
 constexpr int ROUNDS = 4;
 
