@@ -245,7 +245,7 @@ class Cluster:
         for component in self.components:
             component.is_frozen = False
         self.start_component()
-        for _ in range(60):
+        for _ in range(600):  # with room for two blobs only, most batches are put back once
             for component in list(self.components):
                 self.pump(component, 1000)
                 while component.work:
