@@ -173,9 +173,9 @@ def pack_points(
     packed = np.empty((2, len(rows), 3), np.float32)
     for start in range(0, len(rows), _ROWS_AT_ONCE):
         some = slice(start, start + _ROWS_AT_ONCE)
-        places = (snapped[rows[some]] - arrangement.origin) / arrangement.edge
+        places = (snapped.take(rows[some], axis=0) - arrangement.origin) / arrangement.edge
         packed[0, some] = places - np.floor(places)
-        packed[1, some] = normals[rows[some]]
+        packed[1, some] = normals.take(rows[some], axis=0)
     return PackedPoints(keys, np.diff(offsets), packed[0], packed[1])
 
 

@@ -370,7 +370,8 @@ def _fit_level(
         bounds = np.searchsorted(level.cells, (first, touched[-1] + 1))
         near = slice(int(bounds[0]), int(bounds[1]))
         coefficients, counts, variances = kernels.fit_corners(
-            touched, level.cells[near], level.points.sum(near), quadrics.coefficients[at],
+            touched, level.cells[near], level.points.sum(near),
+            quadrics.coefficients.take(at, axis=0),
             noise[cut], weights.lam, weights.least_mu, weights.most_mu,
         )  # fmt: skip
         quadrics.coefficients[at] = coefficients

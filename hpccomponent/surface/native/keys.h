@@ -137,6 +137,9 @@ class Ranking {
   }
 
   void sort() {
+    int64_t risen = 1;
+    while (risen < count_ && key(risen - 1) <= key(risen)) ++risen;
+    if (risen >= count_) return;  // arranged points are ranked by their blocks again and again
     if (packed_) {
       radix_sort(packed_, count_, bits_, [shift = row_bits_](uint64_t item) { return item >> shift; });
     } else {
