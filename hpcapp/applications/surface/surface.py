@@ -117,9 +117,12 @@ class PartSurface:
         """Return the share of the vertices that lie outside a box, 0 to 1."""
         if (self.plan.box[0] >= low).all() and (self.plan.box[1] <= high).all():
             return 0.0
-        loaded = (self.load(index).vertices for index in range(len(self.parts)))
-        outside = sum(_count_outside(vertices, low, high) for vertices in loaded)
-        return outside / sum(int(summary.vertex_counts.sum()) for summary in self.summaries)
+        outside = total = 0
+        for part in map(self.load, range(len(self.parts))):
+            own = part.vertices[np.repeat(~part.guests, part.vertex_counts)]
+            outside += _count_outside(own, low, high)
+            total += len(own)
+        return outside / max(1, total)
 
     def mesh(self) -> Mesh:
         """Return all of it."""
