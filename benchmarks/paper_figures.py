@@ -35,7 +35,7 @@ from hpcapp.applications.surface.paper import PaperMethod
 from hpcapp.applications.surface.pipeline import reconstruct
 from hpcapp.applications.surface.scanner import ScanSettings
 from hpcapp.backends import Backend, available_cores, open_executor
-from hpcapp.io import drop_unusable, read_points, write_mesh
+from hpcapp.io import drop_unusable, read_points
 from hpcapp.progress import SilentProgress, StageClock
 from hpccomponent.errors import UsageError
 from hpccomponent.surface.points import PointCloud
@@ -218,7 +218,7 @@ def _time_job(cloud: Path, method: PaperMethod, opened: Backend) -> tuple[float,
         start = perf_counter()
         points, _ = drop_unusable(read_points(cloud), str(cloud))
         result = reconstruct(points, method, opened.workforce, clock)
-        write_mesh(Path(folder) / "mesh.ply", result.mesh)
+        result.surface.write(Path(folder) / "mesh.ply")
         return clock.seconds["fit"], perf_counter() - start
 
 
