@@ -7,20 +7,20 @@ import gc
 import os
 import socket
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import boto3
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from moto.server import ThreadedMotoServer
 
 from hpccomponent.errors import CloudError, JobError, OutputError, UsageError
 from hpccomponent.store import FolderStore, Store, open_store
 from hpccomponent.stored_value import DamagedError, from_bytes, to_buffers
+
+pytest_plugins = ["lab_bucket"]
+pytestmark = pytest.mark.usefixtures("endpoint")
 
 VALUES: list[Any] = [
     np.arange(100_000.0).reshape(-1, 4),
@@ -28,40 +28,6 @@ VALUES: list[Any] = [
     {"keys": np.arange(20_000), "small": np.arange(3, dtype=np.uint8), "name": "tile"},
     (1, 2.5, None, True, b"bytes" * 5_000, "text", [1, (2, 3)]),
 ]
-
-
-@pytest.fixture(scope="module", autouse=True)  # before a test's leaks are looked for
-def endpoint() -> Iterator[str]:
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    host, port = server.get_host_and_port()
-    yield f"http://{host}:{port}"
-    server.stop()
-
-
-@pytest.fixture
-def keys(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
-    """Make the environment one in which boto3 finds these credentials and no others."""
-    for name in [name for name in os.environ if name.startswith("AWS_")]:
-        monkeypatch.delenv(name)
-    for name in ("CONFIG", "SHARED_CREDENTIALS"):
-        monkeypatch.setenv(f"AWS_{name}_FILE", "/dev/null")
-    monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")
-    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "AKIA")
-    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
-    monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
-    return monkeypatch
-
-
-@pytest.fixture
-def bucket(endpoint: str, keys: pytest.MonkeyPatch) -> Iterator[Any]:
-    keys.setenv("AWS_ENDPOINT_URL", endpoint)
-    resource = boto3.resource("s3")
-    lab = resource.create_bucket(Bucket="lab")
-    yield lab
-    lab.objects.all().delete()
-    lab.delete()
-    resource.meta.client.close()
 
 
 @pytest.fixture(params=["folder", "bucket"])

@@ -24,6 +24,7 @@ from hpcapp.batches import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.arranged_cloud import ArrangedCloud, arrange_cloud
 from hpccomponent.surface.arrangement import choose_arrangement
+from hpccomponent.surface.disk_cloud import DiskCloud
 from hpccomponent.surface.field import BRICK, Grid
 from hpccomponent.surface.mesh_part import MeshPart, cut_part
 from hpccomponent.surface.part_summary import summarize_part
@@ -77,8 +78,9 @@ class HierarchicalMethod:
         Above 1, cells are smaller: more detail, less averaging. Dimensionless.
     threads : int
         How many threads the far field and the extraction take; the mesh does not depend on it.
-    tile_points : int
-        Of a tile at most, about; the mesh does not depend on it.
+    tile_points : int, optional
+        Of a tile at most, about; the mesh does not depend on it. By default a cloud in memory is
+        one tile where tasks run in this process.
     keeping : Keeping, optional
         Where finished tiles are kept; by default they come back to this process.
 
@@ -96,7 +98,7 @@ class HierarchicalMethod:
         smoothness: float = 1.0,
         detail: float = 1.0,
         threads: int = 1,
-        tile_points: int = TILE_POINTS,
+        tile_points: int | None = None,
         keeping: Keeping | None = None,
     ) -> None:
         if grid < _LEAST_GRID:
@@ -152,7 +154,9 @@ class HierarchicalMethod:
         )  # fmt: skip
         if not count:
             return HierarchicalPartition(cloud, scale, plan, None)
-        share = None if workforce.in_process else workforce.share
+        keeping = self.keeping
+        can_read = isinstance(cloud, DiskCloud) and keeping is not None and keeping.holds_files
+        share = None if workforce.in_process or can_read else workforce.share
         arranged = arrange_cloud(cloud) if isinstance(cloud, PointCloud) else cloud
         tiling = Tiling(arranged, plan, count, share)
         return HierarchicalPartition(cloud, scale, plan, tiling)
@@ -207,11 +211,9 @@ class HierarchicalMethod:
         self, cloud: PointCloud | ArrangedCloud, height: int, workforce: Workforce
     ) -> int:
         """Return into how many tiles a cloud is cut; 0 where it is made into a mesh right here."""
-        needed = -(-len(cloud) // self.tile_points)
-        whole = isinstance(cloud, PointCloud)
-        if whole and (
-            height == 1 or (workforce.in_process and needed == 1 and self.keeping is None)
-        ):
+        needed = -(-len(cloud) // (self.tile_points or TILE_POINTS))
+        is_one = self.keeping is None and (needed == 1 or self.tile_points is None)
+        if isinstance(cloud, PointCloud) and (height == 1 or (workforce.in_process and is_one)):
             return 0
         if workforce.in_process:
             return needed

@@ -39,7 +39,7 @@ from hpcapp.applications.surface.settings import (
     choose_threads,
 )
 from hpcapp.applications.surface.topology import Topology
-from hpcapp.backends import Backend, open_executor
+from hpcapp.backends import BACKENDS, Backend, open_executor
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.arranged_cloud import ArrangedCloud
@@ -106,17 +106,19 @@ def _open_room(settings: Settings) -> Iterator[_Room]:
     if settings.method == "paper" or (in_memory and settings.temp_dir is None):
         yield _Room(None, None)
         return
-    job = _name_job(settings)
-    if settings.temp_dir is None or "://" in settings.temp_dir:
+    job, place = _name_job(settings), settings.temp_dir
+    if place is None or "://" in place:
+        is_shared = place is not None or choose_backend(settings, TILE_POINTS) in BACKENDS
         with tempfile.TemporaryDirectory(prefix="hpcapp-") as room:
-            keeping = Keeping(settings.temp_dir or room, job, settings.resume)
+            keeping = Keeping(place or room, job, settings.resume, is_shared)
             yield _Room(keeping, None if in_memory else Path(room) / job / "points")
             keeping.clear()
         return
-    keeping = Keeping(settings.temp_dir, job, settings.resume)
-    yield _Room(keeping, None if in_memory else Path(settings.temp_dir) / job / "points")
+    folder = Path(place).resolve()
+    keeping = Keeping(str(folder), job, settings.resume)
+    yield _Room(keeping, None if in_memory else folder / job / "points")
     keeping.clear()
-    shutil.rmtree(Path(settings.temp_dir) / job, ignore_errors=True)
+    shutil.rmtree(folder / job, ignore_errors=True)
 
 
 def _name_job(settings: Settings) -> str:
@@ -157,7 +159,7 @@ def _run_in_folder(
     log.info("the points are put into %s", room.folder)
     name = choose_backend(settings, TILE_POINTS)
     with open_executor(name, workers=settings.workers, policy=settings.policy) as backend:
-        points = fitting_tile(settings.max_memory, _tiles_here(backend))
+        points = _choose_tile(settings, backend) or TILE_POINTS
         loaded = load_folder(settings, room.folder, points, backend.workforce, clock)
         loaded.report(settings.points)
         assert not isinstance(loaded.cloud, PointCloud)  # noqa: S101 - it is the one on disk
@@ -175,7 +177,7 @@ def _reconstruct(
 ) -> tuple[dict[str, Any], Any]:
     """Run the pipeline, and describe what came of it."""
     workforce, cloud = backend.workforce, loaded.cloud
-    tile_points = fitting_tile(settings.max_memory, _tiles_here(backend))
+    tile_points = _choose_tile(settings, backend)
     method = choose_method(settings, grid, choose_threads(len(cloud)), tile_points, room.keeping)
     log.info(
         "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
@@ -193,9 +195,12 @@ def _reconstruct(
     return report, result.surface
 
 
-def _tiles_here(backend: Backend) -> int:
-    """Return how many tiles are in one process at once."""
-    return backend.workforce.workers if backend.workforce.in_process else 1
+def _choose_tile(settings: Settings, backend: Backend) -> int | None:
+    """Return how many points a tile may have so that a process keeps to its memory."""
+    if settings.max_memory is None:
+        return None
+    workforce = backend.workforce
+    return fitting_tile(settings.max_memory, workforce.workers if workforce.in_process else 1)
 
 
 def warn(

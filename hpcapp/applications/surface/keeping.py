@@ -40,16 +40,20 @@ class Keeping:
     Parameters
     ----------
     place : str
-        See `hpccomponent.store.open_store`; workers put their tiles there themselves.
+        See `hpccomponent.store.open_store`.
     job : str
         A hash of the input, the settings and the kernels.
     resumes : bool
         Whether to take what is there already.
+    is_shared : bool
+        Whether workers see the place: then they put their tiles there themselves, and read points
+        from a folder in it.
     """
 
     place: str
     job: str
     resumes: bool = False
+    is_shared: bool = True
     _store: list[Store] = field(default_factory=list)
 
     @property
@@ -58,6 +62,11 @@ class Keeping:
         if not self._store:
             self._store.append(open_store(self.place))
         return self._store[0]
+
+    @property
+    def holds_files(self) -> bool:
+        """Whether it is a folder that workers see."""
+        return self.is_shared and "://" not in self.place
 
     def name(self, *values: Any) -> str:
         """Return the name of what is made of some values."""

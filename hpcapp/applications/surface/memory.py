@@ -92,18 +92,16 @@ def fits_memory(path: Path, limit: float | None) -> bool:
     return available is None or BYTES_OF_PROGRAM + BYTES_PER_POINT * points <= available
 
 
-def fitting_tile(limit: float | None, at_once: int) -> int:
+def fitting_tile(limit: float, at_once: int) -> int:
     """Return how many points a tile may have.
 
     Parameters
     ----------
-    limit : float or None
+    limit : float
         Of the process, in bytes.
     at_once : int
         Tiles in one process.
     """
-    if limit is None:
-        return TILE_POINTS
     points = (limit - LEAST_MEMORY / 2.0) / at_once / BYTES_PER_TILE_POINT
     return int(min(max(points, LEAST_TILE), TILE_POINTS))
 

@@ -32,6 +32,9 @@ __all__ = ["mesh_regions"]
 _MOST_ROUNDS = 1000  # each goes on by a coarse cell at least; a grid has no more
 
 
+Found = tuple[Values | None, Values, IntArray]
+
+
 class _Regions:
     """Runs the tasks of a job, and gathers what they give."""
 
@@ -61,7 +64,7 @@ class _Regions:
         """
         names: list[str] = []
         started: list[int] = []
-        found: dict[int, Any] = {}
+        found: dict[int, Found] = {}
 
         def batches() -> Iterator[tuple[Any, ...]]:
             for index, (name, arguments) in enumerate(tiles):
@@ -72,11 +75,11 @@ class _Regions:
                     advance(len(found), count)
                     continue
                 started.append(index)
-                yield *arguments, (self._keeping.place, name) if self._keeping else None
+                yield *arguments, self._keep(name)
 
         at_once = self._workforce.workers * (1 if self._workforce.in_process else 2)
         for batch, result in stream_batches(self._workforce, task, batches(), at_once):
-            found[started[batch]] = result
+            found[started[batch]] = self._put(names[started[batch]], result)
             advance(len(found), count)
         for index, name in enumerate(names):
             self._take(name, found[index])
@@ -88,7 +91,19 @@ class _Regions:
         left: IntArray = wanted[find_keys(held, wanted) == len(held)]
         return left
 
-    def _take(self, name: str, result: tuple[Values | None, Values, IntArray]) -> None:
+    def _keep(self, name: str) -> tuple[str, str] | None:
+        """Return where a worker is to put its tile, if it can."""
+        keeping = self._keeping
+        return (keeping.place, name) if keeping is not None and keeping.is_shared else None
+
+    def _put(self, name: str, result: Found) -> Found:
+        """Put a tile that came back where it is kept."""
+        if self._keeping is None or result[0] is None:
+            return result
+        self._keeping.store.put(name, result)
+        return None, *result[1:]
+
+    def _take(self, name: str, result: Found) -> None:
         part, summary, exits = result
         self.surface.parts.append(name if part is None else MeshPart.from_values(part))
         self.surface.summaries.append(PartSummary.from_values(summary))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.hierarchical import MARGIN, TILE_POINTS, HierarchicalMethod
+from hpcapp.applications.surface.hierarchical import MARGIN, HierarchicalMethod
 from hpcapp.applications.surface.keeping import Keeping
 from hpcapp.applications.surface.method import Method
 from hpcapp.applications.surface.pipeline import Preprocess
@@ -121,7 +121,7 @@ def choose_method(
     settings: Settings,
     grid: int,
     threads: int,
-    tile_points: int = TILE_POINTS,
+    tile_points: int | None = None,
     keeping: Keeping | None = None,
 ) -> Method[Any, Any]:
     """Return the strategy; see `HierarchicalMethod` and `PaperMethod`."""

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,9 @@ from hpcapp.progress import SilentProgress
 from hpccomponent.errors import JobError, UsageError
 from hpccomponent.surface import region
 from hpccomponent.surface.points import PointCloud
+
+pytest_plugins = ["lab_bucket"]
+pytestmark = pytest.mark.usefixtures("endpoint")
 
 SILENT = SilentProgress()
 
@@ -54,7 +58,7 @@ def whole(scan: Path) -> bytes:
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let so many points be too many for memory, and tiles be small."""
     monkeypatch.setattr(job, "fits_memory", lambda *_: False)
-    monkeypatch.setattr(job, "fitting_tile", lambda *_: 6_000)
+    monkeypatch.setattr(job, "_choose_tile", lambda *_: 6_000)
 
 
 @pytest.mark.usefixtures("small", "standing_helpers")
@@ -82,6 +86,33 @@ def test_without_a_folder_it_goes_into_a_temporary_one(
     output = tmp_path / "mesh.ply"
     run_job(Settings(scan, str(output), grid=96), SILENT)
     assert output.read_bytes() == whole
+
+
+@pytest.mark.usefixtures("small", "standing_helpers")
+@pytest.mark.leaks_allowed  # loky keeps its resource tracker
+def test_workers_that_see_no_folder_are_sent_points_and_give_tiles_back(
+    scan: Path, whole: bytes, tmp_path: Path
+) -> None:
+    pytest.importorskip("loky", reason="loky is not installed")
+    output = tmp_path / "mesh.ply"
+    run_job(Settings(scan, str(output), grid=96, backend="loky:ProcessPoolExecutor"), SILENT)
+    assert output.read_bytes() == whole
+
+
+@pytest.mark.usefixtures("small", "standing_helpers")
+@pytest.mark.leaks_allowed  # boto3 closes its connections when it is collected
+@pytest.mark.parametrize("backend", ["serial", "zmq"])
+def test_tiles_are_kept_in_a_bucket(
+    backend: str, scan: Path, whole: bytes, tmp_path: Path, bucket: Any
+) -> None:
+    output = tmp_path / "mesh.ply"
+    workers = None if backend == "serial" else 2
+    settings = Settings(
+        scan, str(output), grid=96, backend=backend, workers=workers, temp_dir="s3://lab/tiles"
+    )
+    run_job(settings, SILENT)
+    assert output.read_bytes() == whole
+    assert list(bucket.objects.all()) == []
 
 
 @pytest.mark.usefixtures("small")
@@ -189,4 +220,4 @@ def test_tiles_follow_the_memory() -> None:
     assert parse_size("1.5g") == 1.5 * 2**30
     assert parse_size("300MiB") == 300 * 2**20
     assert fitting_tile(2.0**29, 1) > fitting_tile(2.0**29, 2) >= 50_000
-    assert fitting_tile(None, 8) == fitting_tile(2.0**40, 1)
+    assert fitting_tile(2.0**40, 1) == fitting_tile(2.0**40, 8)
