@@ -24,7 +24,6 @@ from hpccomponent.surface import kernels
 from hpccomponent.surface.arrangement import Arrangement
 from hpccomponent.surface.bricks import BrickKinds
 from hpccomponent.surface.crowding import crowd_vertices
-from hpccomponent.surface.extraction import BrickMesh
 from hpccomponent.surface.far_field import FarField, FarFieldPart, restore_far_field
 from hpccomponent.surface.field import Field, FieldLevel, Grid
 from hpccomponent.surface.hermite import BASIS
@@ -42,7 +41,7 @@ from hpccomponent.surface.pyramid import (
     raise_levels,
     sort_level,
 )
-from hpccomponent.surface.reach import near_bricks, plan_gap, plan_tile, plan_whole
+from hpccomponent.surface.reach import near_bricks, plan_gap, plan_tile
 from hpccomponent.surface.tile_points import CellPoints, take_points
 from hpccomponent.surface.weights import FIELD_LEVELS, trust_vertices, weigh_levels
 
@@ -53,7 +52,6 @@ __all__ = [
     "find_trust",
     "mesh_gap",
     "mesh_tile",
-    "mesh_whole",
     "sample_cells",
     "sum_tile",
 ]
@@ -290,31 +288,6 @@ def mesh_gap(
     reach = common.coarse_size + 2.0 * common.cell_size
     kinds = plan_gap(common.grid, exits, cloud.positions, low, common.coarse_size, reach)
     return _give(*_mesh_region(common, cloud, kinds, coarse, threads), keep)
-
-
-def mesh_whole(
-    plan: Plan, pyramid: Pyramid, far: FarField, positions: FloatArray, threads: int
-) -> BrickMesh:
-    """Reconstruct the surface of a cloud that is one tile.
-
-    Parameters
-    ----------
-    plan : Plan
-    pyramid : Pyramid
-        With all levels.
-    far : FarField
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
-    threads : int
-        The result does not depend on it.
-    """
-    weights = weigh_levels(plan.cell_size, plan.height, plan.noise)
-    quadrics, _ = fit_levels(pyramid, weights, None, threads)
-    levels = find_trust(pyramid, quadrics, far)
-    del quadrics
-    field = Field(plan.origin, plan.cell_size, levels, far)
-    mesh = kernels.grow_surface(field, plan.grid, plan_whole(plan.grid, positions), threads)
-    return replace(mesh, vertices=kernels.balance_vertices(mesh.vertices, mesh.faces, plan.step))
 
 
 def find_trust(

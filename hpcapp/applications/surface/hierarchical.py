@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,15 +22,17 @@ from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.applications.surface.tiles import Tiling
 from hpcapp.batches import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface import kernels
 from hpccomponent.surface.arranged_cloud import ArrangedCloud, arrange_cloud
 from hpccomponent.surface.arrangement import choose_arrangement
 from hpccomponent.surface.disk_cloud import DiskCloud
-from hpccomponent.surface.field import BRICK, Grid
+from hpccomponent.surface.field import BRICK, Field, Grid
 from hpccomponent.surface.mesh_part import MeshPart, cut_part
 from hpccomponent.surface.part_summary import summarize_part
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
-from hpccomponent.surface.pyramid import build_pyramid, count_levels
-from hpccomponent.surface.region import Plan, mesh_whole, sample_cells, sum_tile
+from hpccomponent.surface.pyramid import build_pyramid, count_levels, fit_levels
+from hpccomponent.surface.reach import plan_whole
+from hpccomponent.surface.region import Plan, find_trust, sample_cells, sum_tile
 from hpccomponent.surface.weights import weigh_levels
 
 __all__ = ["MARGIN", "TILE_POINTS", "HierarchicalMethod", "HierarchicalPartition", "plan_grid"]
@@ -220,13 +222,21 @@ class HierarchicalMethod:
         return max(needed, workforce.workers * workforce.batches_per_worker)
 
     def _mesh_whole(self, partition: HierarchicalPartition) -> MeshPart:
-        """Make a mesh of a cloud that is one tile."""
+        """Make a mesh of a cloud that is one tile; what is done with makes room for what comes."""
         plan, cloud = partition.plan, partition.cloud
         assert isinstance(cloud, PointCloud)  # noqa: S101 - others have tiles
         pyramid = build_pyramid(cloud, plan.origin, plan.cell_size, plan.height, self.threads)
         partition.patches = len(pyramid.levels[0].cells)
         far = solve_far(plan, *sample_cells(pyramid.levels[plan.far]), self.threads)
-        return cut_part(mesh_whole(plan, pyramid, far, cloud.positions, self.threads))
+        weights = weigh_levels(plan.cell_size, plan.height, plan.noise)
+        quadrics, _ = fit_levels(pyramid, weights, None, self.threads)
+        field = Field(plan.origin, plan.cell_size, find_trust(pyramid, quadrics, far), far)
+        del pyramid, quadrics
+        kinds = plan_whole(plan.grid, cloud.positions)
+        mesh = kernels.grow_surface(field, plan.grid, kinds, self.threads)
+        del field, far
+        balanced = kernels.balance_vertices(mesh.vertices, mesh.faces, plan.step)
+        return cut_part(replace(mesh, vertices=balanced))
 
     def facts(self, partition: HierarchicalPartition) -> dict[str, Any]:
         """Return the estimates, and how many cells of the finest level hold points."""
