@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-from hpccomponent.errors import JobError, OutputError, UsageError
+from hpccomponent.errors import CloudError, JobError, OutputError, UsageError
 from hpccomponent.stored_value import DamagedError, from_bytes, to_buffers
 
 __all__ = ["FolderStore", "Store", "check_name", "open_store"]
@@ -95,8 +95,13 @@ def open_store(place: str) -> Store:
     """
     scheme, colon, rest = place.partition(":")
     if scheme == "s3" and colon:
-        from hpccomponent.s3_store import open_s3_store  # it imports boto3
-
+        try:
+            from hpccomponent.s3_store import open_s3_store  # it imports boto3
+        except ImportError as error:
+            raise CloudError(
+                f"{place}: boto3 is not installed on this machine",
+                "install it on every worker, or name a folder that all of them share",
+            ) from error
         return open_s3_store(place)
     if scheme == "folder" and rest:
         return FolderStore(Path(rest))

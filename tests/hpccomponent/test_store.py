@@ -6,6 +6,7 @@ import errno
 import gc
 import os
 import socket
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,13 @@ def _assert_same(one: Any, other: Any) -> None:
             _assert_same(mine, its)
     else:
         assert one == other
+
+
+def test_a_bucket_takes_boto3(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "hpccomponent.s3_store", raising=False)
+    monkeypatch.setitem(sys.modules, "boto3", None)
+    with pytest.raises(CloudError, match="boto3 is not installed on this machine"):
+        open_store("s3://lab")
 
 
 def test_values_come_back(store: Store) -> None:

@@ -21,7 +21,8 @@ from hpcdeploy.wheelhouse import Kind, fits, kinds_of, select_wheels
 
 BOOKWORM = Kind("x86_64", "glibc", (2, 36), (3, 11))
 ALPINE = Kind("x86_64", "musl", (1, 2), (3, 11))
-OPTIONAL = {"scipy"}  # only the numpy oracle of what the master does imports it, inside a function
+# Imported inside functions only: by the numpy oracle of what the master does, and for a bucket.
+OPTIONAL = {"scipy", "boto3", "botocore"}
 OURS = {"hpccomponent", "hpcloader"}
 
 
