@@ -111,11 +111,13 @@ def _open_room(settings: Settings) -> Iterator[_Room]:
         is_shared = place is not None or choose_backend(settings, TILE_POINTS) in BACKENDS
         with tempfile.TemporaryDirectory(prefix="hpcapp-") as room:
             keeping = Keeping(place or room, job, settings.resume, is_shared)
+            keeping.check()
             yield _Room(keeping, None if in_memory else Path(room) / job / "points")
             keeping.clear()
         return
-    folder = Path(place).resolve()
+    folder = Path(place.removeprefix("folder:")).resolve()
     keeping = Keeping(str(folder), job, settings.resume)
+    keeping.check()
     yield _Room(keeping, None if in_memory else folder / job / "points")
     keeping.clear()
     shutil.rmtree(folder / job, ignore_errors=True)

@@ -63,6 +63,16 @@ class Keeping:
             self._store.append(open_store(self.place))
         return self._store[0]
 
+    def check(self) -> None:
+        """Find out whether the place can be had, before the work.
+
+        Raises
+        ------
+        UsageError, OutputError, CloudError
+            See `hpccomponent.store.open_store`.
+        """
+        self.store.has(f"{self.job}/tile")
+
     @property
     def holds_files(self) -> bool:
         """Whether it is a folder that workers see."""

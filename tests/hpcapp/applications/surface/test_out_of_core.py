@@ -19,7 +19,7 @@ from hpcapp.applications.surface.memory import fitting_tile, parse_size
 from hpcapp.applications.surface.settings import Settings
 from hpcapp.io import read_mesh, write_points
 from hpcapp.progress import SilentProgress
-from hpccomponent.errors import JobError, UsageError
+from hpccomponent.errors import JobError, OutputError, UsageError
 from hpccomponent.surface import region
 from hpccomponent.surface.points import PointCloud
 
@@ -27,6 +27,17 @@ pytest_plugins = ["lab_bucket"]
 pytestmark = pytest.mark.usefixtures("endpoint")
 
 SILENT = SilentProgress()
+
+
+class Stages(SilentProgress):
+    """Remembers which stages began."""
+
+    def __init__(self) -> None:
+        self.begun: list[str] = []
+
+    def begin(self, stage: str) -> None:
+        """Take note."""
+        self.begun.append(stage)
 
 
 @pytest.fixture(scope="module")
@@ -208,6 +219,18 @@ def test_steps_that_need_all_points_are_refused(scan: Path, tmp_path: Path) -> N
 def test_to_resume_takes_a_folder(scan: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--temp-dir"):
         run_job(Settings(scan, str(tmp_path / "mesh.ply"), resume=True), SILENT)
+
+
+@pytest.mark.parametrize("place", ["ftp://machine/tiles", "{file}/tiles"])
+def test_a_place_that_cannot_be_had_is_found_out_before_the_work(
+    place: str, scan: Path, tmp_path: Path
+) -> None:
+    place = place.format(file=scan)
+    settings = Settings(scan, str(tmp_path / "mesh.ply"), grid=64, temp_dir=place)
+    told = Stages()
+    with pytest.raises((UsageError, OutputError)):
+        run_job(settings, told)
+    assert told.begun == []
 
 
 @pytest.mark.parametrize("text", ["", "2X", "-1G", "1e9", "G", "100M"])
