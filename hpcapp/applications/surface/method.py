@@ -21,22 +21,22 @@ class Method(Protocol[PartitionT, QuadricsT]):
     name: str
 
     def partition(self, cloud: Any, workforce: Workforce) -> PartitionT:
-        """Cut the cloud into the parts that are fitted one by one; one method takes any kind."""
+        """Cut the cloud into parts; clouds that are not in memory are not for every method."""
         ...
 
     def fit(self, partition: PartitionT, workforce: Workforce, advance: Advance) -> QuadricsT:
-        """Fit one quadric to each part, on the workers."""
+        """Fit quadrics on the workers: all of them, or what the parts must know of the whole."""
         ...
 
     def extract(
         self, partition: PartitionT, quadrics: QuadricsT, workforce: Workforce, advance: Advance
     ) -> Surface:
-        """Blend the quadrics and extract the 0-level iso-surface."""
+        """Fit what is left, blend the quadrics and extract the 0-level iso-surface."""
         ...
 
     def facts(self, partition: PartitionT) -> dict[str, Any]:
         """Return what was chosen or found by the way, for the job's report: JSON values.
 
-        The key ``patches`` (how many quadrics are fitted) is always there.
+        The key ``patches`` (parts that the quadrics stand for) is always there.
         """
         ...

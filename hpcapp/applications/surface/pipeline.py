@@ -3,8 +3,9 @@
 ::
 
     read ─> preprocess ─> partition ─> fit ─> extract ─> check ─> write
-                          │            └─ batches to the workers, quadrics back
-                          └─ patches (paper) or cells (hierarchical)
+                          │            │       └─ hierarchical: tiles to the workers, parts back
+                          │            └─ paper: batches to the workers, quadrics back
+                          └─ patches (paper) or tiles (hierarchical)
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def reconstruct(
     method : Method
         The strategy: `PaperMethod` or `HierarchicalMethod`.
     workforce : Workforce
-        Where batches of the fit run.
+        Where batches and tiles run.
     clock : StageClock
         Times and announces the stages.
     preprocess : tuple of (str, callable)
