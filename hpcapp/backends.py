@@ -45,6 +45,7 @@ __all__ = [
     "check_backend",
     "open_backend",
     "open_executor",
+    "wrap_communicator",
 ]
 
 BACKENDS = ("serial", "threads", "processes", "zmq")
@@ -182,7 +183,7 @@ def open_executor(
                 f"the workers of {name} are those that there are", "leave --workers out"
             )
         with _open_cluster(name, policy, extra_tasks) as (executor, count):
-            yield Backend("cluster", Workforce(executor, count, per_worker), _counter(executor))
+            yield wrap_communicator("cluster", executor, count, policy)
         return
     if name not in BACKENDS:
         from hpcapp.engines.names import open_engine
@@ -201,8 +202,7 @@ def open_executor(
         from hpcapp.local_cluster import LocalCluster
 
         with LocalCluster(count, policy=policy, extra_tasks=extra_tasks) as cluster:
-            workforce = Workforce(cluster.executor, count, per_worker)
-            yield Backend(name, workforce, _counter(cluster.executor))
+            yield wrap_communicator(name, cluster.executor, count, policy)
         return
     with _open_pool(name, count) as pool:
         yield Backend(name, Workforce(pool, count, per_worker, name in ("serial", "threads")))
@@ -275,11 +275,23 @@ def _open_cluster(
         yield opened
 
 
-def _counter(executor: CommunicatorExecutor) -> Callable[[], Traffic]:
-    """Return what counts the traffic of a communicator."""
+def wrap_communicator(
+    name: str, executor: CommunicatorExecutor, workers: int, policy: str
+) -> Backend:
+    """Return a communicator with so many workers as a backend.
+
+    Parameters
+    ----------
+    name : str
+        Of the backend.
+    executor : CommunicatorExecutor
+    workers : int
+    policy : str
+        One of `POLICIES`.
+    """
 
     def traffic() -> Traffic:
         counted = executor.statistics()
         return Traffic(counted["bytes_sent"], counted["bytes_received"])
 
-    return traffic
+    return Backend(name, Workforce(executor, workers, BATCHES_PER_WORKER[policy]), traffic)

@@ -16,6 +16,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from hpcapp.communicator.executor import CommunicatorExecutor
@@ -25,13 +26,54 @@ from hpccomponent.inventory import Inventory, hold_cluster, read_inventory
 from hpccomponent.protocol.keys import KeyPair
 from hpccomponent.runtime.numerics import numerics_id
 
-__all__ = ["open_inventory"]
+__all__ = ["Listening", "listen_inventory", "open_inventory"]
 
 log = logging.getLogger("hpcapp")
 
 FIRST_WAIT_S = 60.0  # a loader that was told farewell starts its component within 2 s
 OTHERS_WAIT_S = 5.0  # then a machine that has died must not hold the job up
 WATCH_S = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Listening:
+    """A master that the workers of a cluster may come to.
+
+    Parameters
+    ----------
+    executor : CommunicatorExecutor
+    inventory : Inventory
+    """
+
+    executor: CommunicatorExecutor
+    inventory: Inventory
+
+    @property
+    def most(self) -> int:
+        """How many workers may come."""
+        return len(self.inventory.workers)
+
+    def gather(self, first_s: float | None = None, others_s: float | None = None) -> int:
+        """Wait for workers, and return how many came.
+
+        Parameters
+        ----------
+        first_s, others_s : float, optional
+            How long to wait for the first one, and then for the others, in seconds.
+
+        Raises
+        ------
+        NoWorkersError
+            None came.
+        """
+        executor, name = self.executor, self.inventory.cluster
+        executor.wait_for_workers(1, FIRST_WAIT_S if first_s is None else first_s)
+        with suppress(NoWorkersError):
+            executor.wait_for_workers(self.most, OTHERS_WAIT_S if others_s is None else others_s)
+        workers = executor.workers
+        say = log.info if workers == self.most else log.warning
+        say("cluster %s: %d of %d workers", name, workers, self.most)
+        return max(1, workers)
 
 
 @contextmanager
@@ -69,6 +111,24 @@ def open_inventory(
     NoWorkersError
         No worker came.
     """
+    with listen_inventory(path, policy=policy, extra_tasks=extra_tasks, lead=lead) as cluster:
+        yield cluster.executor, cluster.gather()
+
+
+@contextmanager
+def listen_inventory(
+    path: Path,
+    *,
+    policy: str = "adaptive",
+    extra_tasks: Sequence[str] = (),
+    lead: Callable[[str], AbstractContextManager[None]] | None = None,
+) -> Iterator[Listening]:
+    """Be the master of a cluster, and do not wait for its workers; see `open_inventory`.
+
+    Yields
+    ------
+    Listening
+    """
     if not read_inventory(path).workers:
         raise UsageError(f"{path} lists no worker", "give the cluster one with 'hpcapp scale'")
     with hold_cluster(path, lambda: log.info("waiting for the cluster's present job to end")):
@@ -85,18 +145,7 @@ def open_inventory(
             lead(executor.endpoint) if lead else nullcontext(),
             _follow_inventory(path, inventory, executor),
         ):
-            yield executor, _gather(executor, inventory)
-
-
-def _gather(executor: CommunicatorExecutor, inventory: Inventory) -> int:
-    """Wait for the first worker, and a little for the others; return how many came."""
-    executor.wait_for_workers(1, FIRST_WAIT_S)
-    with suppress(NoWorkersError):
-        executor.wait_for_workers(len(inventory.workers), OTHERS_WAIT_S)
-    workers = executor.workers
-    say = log.info if workers == len(inventory.workers) else log.warning
-    say("cluster %s: %d of %d workers", inventory.cluster, workers, len(inventory.workers))
-    return max(1, workers)
+            yield Listening(executor, inventory)
 
 
 @contextmanager

@@ -16,13 +16,14 @@ import re
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
 
 from hpccomponent.errors import CloudError, JobError, OutputError, UsageError
 from hpccomponent.stored_value import DamagedError, from_bytes, to_buffers
 
-__all__ = ["FolderStore", "Store", "check_name", "open_store"]
+__all__ = ["FolderStore", "Store", "check_name", "hold_store", "open_store"]
 
 _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*")
 
@@ -110,6 +111,20 @@ def open_store(place: str) -> Store:
     return FolderStore(Path(place))
 
 
+@cache
+def hold_store(place: str) -> Store:
+    """Open a store that this process keeps open: for tasks, which come one after the other.
+
+    A client of a bucket takes longer to make than a tile takes to be put there.
+
+    Parameters
+    ----------
+    place : str
+        As for `open_store`, which raises the same.
+    """
+    return open_store(place)
+
+
 def check_name(name: str) -> None:
     """Raise UsageError where a name is none; see `Store`."""
     if not _NAME.fullmatch(name):
@@ -135,6 +150,7 @@ class FolderStore:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        self._checked: set[tuple[int, ...]] = set()  # files that were found whole
         with self._translated(folder):
             folder.mkdir(parents=True, exist_ok=True)
 
@@ -154,20 +170,27 @@ class FolderStore:
                 beside.unlink(missing_ok=True)
 
     def get(self, name: str) -> Any:
-        """See `Store.get`; arrays stay in the mapped file until they are used."""
+        """See `Store.get`; arrays stay in the mapped file until they are used.
+
+        A file is checked when it is first read: parts of a mesh are asked for again and again.
+        """
         check_name(name)
         path = self._folder / name
         try:
             with path.open("rb") as file:
+                found = os.fstat(file.fileno())
                 mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except FileNotFoundError:
             raise JobError(f"{path} is not there", "run the job again") from None
         except (OSError, ValueError) as error:  # an empty file cannot be mapped
             raise JobError(f"{path} cannot be read: {error}", "run the job again") from error
+        file_id = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
         try:
-            return from_bytes(memoryview(mapped))
+            value = from_bytes(memoryview(mapped), is_checked=file_id in self._checked)
         except DamagedError as error:
             raise JobError(f"{path} {error}", "delete it, and run the job again") from error
+        self._checked.add(file_id)
+        return value
 
     def has(self, name: str) -> bool:
         """See `Store.has`."""

@@ -13,6 +13,8 @@ import boto3
 import pytest
 from moto.server import ThreadedMotoServer
 
+from hpccomponent.store import hold_store
+
 
 @pytest.fixture(scope="module")
 def endpoint() -> Iterator[str]:
@@ -43,6 +45,7 @@ def bucket(endpoint: str, keys: pytest.MonkeyPatch) -> Iterator[Any]:
     resource = boto3.resource("s3")
     lab = resource.create_bucket(Bucket="lab")
     yield lab
+    hold_store.cache_clear()  # the next test has other keys, or another endpoint
     lab.objects.all().delete()
     lab.delete()
     resource.meta.client.close()

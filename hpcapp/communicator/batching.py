@@ -9,7 +9,7 @@ from itertools import islice
 from hpcapp.communicator.forecast import Forecast
 from hpcapp.communicator.roster import Task, Worker
 
-__all__ = ["MAX_BATCH_BYTES", "MAX_BATCH_S", "MAX_TASKS", "BatchCutter"]
+__all__ = ["MAX_BATCH_BYTES", "MAX_BATCH_S", "MAX_TASKS", "BatchCutter", "find_closest"]
 
 MAX_TASKS = 64
 MAX_BATCH_BYTES = 1_000_000  # a larger task travels alone
@@ -67,7 +67,7 @@ class BatchCutter:
         while source and len(batch) < limit:
             task = next(iter(source.values()))
             if task.blobs:
-                task = _closest(source, worker, added)
+                task = find_closest(source, worker, added)
             number = task.number
             for blob in task.blobs:
                 if blob.key not in worker.blobs and blob.key not in added:
@@ -89,8 +89,19 @@ class BatchCutter:
         return batch, cancelled
 
 
-def _closest(source: OrderedDict[int, Task], worker: Worker, added: Container[bytes]) -> Task:
-    """Return the task near the front of which the fewest bytes are missing on `worker`."""
+def find_closest(
+    source: OrderedDict[int, Task], worker: Worker, added: Container[bytes] = ()
+) -> Task:
+    """Return the task near the front of which the fewest bytes are missing on a worker.
+
+    Parameters
+    ----------
+    source : OrderedDict of int to Task
+        Not empty.
+    worker : Worker
+    added : container of bytes, optional
+        Keys of blobs that will be there before it.
+    """
     best, least = None, -1
     for task in islice(source.values(), AFFINITY_WINDOW):
         lacking = sum(

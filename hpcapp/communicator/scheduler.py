@@ -18,7 +18,7 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 
 from hpcapp.communicator.admission import Admission
-from hpcapp.communicator.batching import MAX_TASKS, BatchCutter
+from hpcapp.communicator.batching import MAX_TASKS, BatchCutter, find_closest
 from hpcapp.communicator.endgame import choose_to_run_again, choose_to_split
 from hpcapp.communicator.forecast import Forecast
 from hpcapp.communicator.policy import Policy
@@ -46,6 +46,7 @@ __all__ = ["Scheduler"]
 
 CREDIT = 2  # batches in flight per worker
 LOSS_BUDGET = 3  # workers that may be lost under one task
+MOST_DETOUR = 1.5  # times as slow may be who has what a task needs
 
 
 class Scheduler:
@@ -289,6 +290,8 @@ class Scheduler:
             if placement is None:
                 break
             worker = workers[placement.worker]
+            if not placement.is_fixed:
+                worker = self._find_holder(workers, worker)
             if placement.is_fixed:
                 number, task = self._queue.popitem(last=False)
                 task.places[worker.identity] = -1
@@ -306,6 +309,16 @@ class Scheduler:
         if self._policy.runs_again and not self._queue:
             actions += self._run_again(workers)
         return actions
+
+    def _find_holder(self, workers: Sequence[Worker], chosen: Worker) -> Worker:
+        """Return who is idle and has all that a task needs, where the chosen worker lacks some."""
+        task = find_closest(self._queue, chosen)
+        if task.lacking_bytes(chosen):
+            for worker in workers:
+                is_free = not worker.batches and worker.next_s <= MOST_DETOUR * chosen.next_s
+                if is_free and not task.lacking_bytes(worker):
+                    return worker
+        return chosen
 
     def _split_last(self, workers: Sequence[Worker]) -> None:
         now = self._clock.now()

@@ -9,6 +9,7 @@ Imported when it is asked for: `distributed` takes half a second.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager, nullcontext
@@ -105,6 +106,8 @@ def open_dask(address: str) -> Iterator[RetryingExecutor]:
             f"no Dask scheduler answers at {address} ({error})",
             "start one with 'dask scheduler --host ADDRESS', or correct the address",
         ) from error
+    # A lost scheduler is told in one line: ours.
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     with client, borrow_client(client) as executor:
         yield executor
 

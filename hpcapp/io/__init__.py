@@ -12,10 +12,11 @@ from hpcapp.io.formats import (
     write_mesh,
     write_points,
 )
+from hpcapp.io.frame import needs_double
 from hpcapp.io.mesh_stream import MeshStream
 from hpcapp.io.ply import shared_ply
 from hpcapp.io.point_source import PointSource
-from hpcapp.io.tiles import TILES_SUFFIX, write_tiles
+from hpcapp.io.tiles import TILES_SUFFIX, shared_tiles, write_tiles
 from hpcapp.io.usable import Dropped, drop_unusable
 
 __all__ = [
@@ -25,10 +26,12 @@ __all__ = [
     "PointSource",
     "check_writable",
     "drop_unusable",
+    "needs_double",
     "open_points",
     "read_mesh",
     "read_points",
     "shared_ply",
+    "shared_tiles",
     "write_mesh",
     "write_points",
     "write_tiles",

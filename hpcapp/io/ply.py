@@ -30,6 +30,8 @@ from hpccomponent.surface.shared_ply import (
     FACE_SIZE,
     SharedPly,
     face_rows,
+    mesh_header,
+    ply_header,
     vertex_rows,
     vertex_size,
 )
@@ -108,7 +110,7 @@ def write_ply_points(path: Path, cloud: PointCloud) -> None:
     if cloud.colors is not None:
         columns += _plain_columns(COLORS, "u1", cloud.colors)
     with replacing(path) as file:
-        file.write(_header(_vertex_lines(columns)))
+        file.write(ply_header(_vertex_lines(columns)))
         _write_columns(file, columns)
 
 
@@ -155,7 +157,8 @@ def shared_ply(
     Yields
     ------
     SharedPly
-        Where `hpccomponent.surface.shared_ply.write_part` is to write, until the block ends.
+        Where `write_part` and `write_kept` of `hpccomponent.surface.shared_ply` are to write,
+        until the block ends.
 
     Raises
     ------
@@ -169,7 +172,7 @@ def shared_ply(
         file.write(header)
         file.truncate(face_start + counts[1] * FACE_SIZE)
         file.flush()
-        yield SharedPly(str(file.name), len(header), face_start, is_double, origin)
+        yield SharedPly(str(file.name), str(path), len(header), face_start, is_double, origin)
 
 
 def _mesh_header(counts: tuple[int, int], is_double: bool) -> bytes:
@@ -178,15 +181,7 @@ def _mesh_header(counts: tuple[int, int], is_double: bool) -> bytes:
             f"{counts[0]} vertices are more than the faces of a PLY file can name",
             "choose an output that ends in .tiles",
         )
-    kind = "double" if is_double else "float"
-    return _header(
-        [
-            f"element vertex {counts[0]}",
-            *(f"property {kind} {name}" for name in AXES),
-            f"element face {counts[1]}",
-            "property list uchar int vertex_indices",
-        ]
-    )
+    return mesh_header(*counts, is_double)
 
 
 def _plain_columns(
@@ -204,11 +199,6 @@ def _vertex_lines(columns: list[_Column]) -> list[str]:
     spelled = {"<f8": "double", "<f4": "float", "u1": "uchar"}
     properties = [f"property {spelled[c.dtype]} {c.name}" for c in columns]
     return [f"element vertex {len(columns[0].values)}", *properties]
-
-
-def _header(element_lines: list[str]) -> bytes:
-    start = ["ply", "format binary_little_endian 1.0", "comment hpcapp"]
-    return "\n".join([*start, *element_lines, "end_header", ""]).encode("ascii")
 
 
 def _write_columns(file: BinaryIO, columns: list[_Column]) -> None:

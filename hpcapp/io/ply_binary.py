@@ -9,7 +9,7 @@ from __future__ import annotations
 import mmap
 import struct
 import sys
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from hpcapp.io.ply_header import Element, Header, Property
 from hpccomponent.errors import InputError
 from hpccomponent.surface.points import IntArray
 
-__all__ = ["read_binary", "scan_binary", "view_binary"]
+__all__ = ["find_records", "read_binary", "scan_binary"]
 
 _COPY_AGAIN = "copy or export the file again"
 _ROWS_AT_ONCE = 1 << 16
@@ -96,7 +96,7 @@ def scan_binary(
         )
 
 
-def view_binary(path: Path, header: Header, name: str) -> Callable[[int, int], Rows] | None:
+def find_records(path: Path, header: Header, name: str) -> tuple[int, np.dtype[Any]] | None:
     """Find an element whose rows are all of one length.
 
     Parameters
@@ -110,9 +110,10 @@ def view_binary(path: Path, header: Header, name: str) -> Callable[[int, int], R
 
     Returns
     -------
-    callable or None
-        Given where to start and to stop, returns these rows, as views of the mapped file; None
-        where the rows are of different lengths.
+    start : int
+        Of the first row, in bytes from the start of the file.
+    dtype : dtype
+        Of a row: its value i is ``v<i>``. None instead of both where rows are of different lengths.
 
     Raises
     ------
@@ -131,10 +132,7 @@ def view_binary(path: Path, header: Header, name: str) -> Callable[[int, int], R
         for first in range(0, element.count, _ROWS_AT_ONCE):
             rows = range(first, min(first + _ROWS_AT_ONCE, element.count))
             _, at = _walk(body, at, element, rows, header.byte_order, path)
-    if even is None:
-        return None
-    view: NDArray[np.void] = even
-    return lambda start, stop: _columns(view[start:stop], element)
+    return None if even is None else (at, even.dtype)
 
 
 def _give_back(body: np.memmap[Any, Any], start: int, size: int) -> None:

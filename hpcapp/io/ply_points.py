@@ -9,10 +9,11 @@ import numpy as np
 
 from hpcapp.io.columns import Rows
 from hpcapp.io.ply_ascii import scan_ascii
-from hpcapp.io.ply_binary import scan_binary, view_binary
+from hpcapp.io.ply_binary import find_records, scan_binary
 from hpcapp.io.ply_header import Element, Header, read_header
 from hpcapp.io.point_source import PointSource
 from hpccomponent.errors import InputError
+from hpccomponent.surface.point_records import Column, PointRecords
 from hpccomponent.surface.points import FloatArray, PointCloud
 
 __all__ = ["AXES", "COLORS", "NORMALS", "open_ply", "stack", "vertex_of"]
@@ -56,19 +57,55 @@ def open_ply(path: Path) -> PointSource:
             "export the file with whole normals, or without",
         )
 
-    def scan(rows: int) -> Iterator[PointCloud]:
-        read = scan_binary if header.byte_order else scan_ascii
-        return (_points(part) for _, part in read(path, header, {vertex.name}, rows))
+    records = _find_points(path, header, vertex) if header.byte_order else None
 
-    rows = view_binary(path, header, vertex.name) if header.byte_order else None
+    def scan(rows: int) -> Iterator[PointCloud]:
+        if records is not None:
+            for start in range(0, max(records.count, 1), rows):
+                yield records.read(start, min(start + rows, records.count))
+            check_rest()
+            return
+        read = scan_binary if header.byte_order else scan_ascii
+        for _, part in read(path, header, {vertex.name}, rows):
+            yield _points(part)
+
+    def check_rest() -> None:
+        for _ in scan_binary(path, header, (), 1):
+            """Nothing is asked for: all is measured."""
+
     return PointSource(
         path,
         vertex.count,
         not header.byte_order or any(types[name] not in _SINGLE for name in AXES),
         bool(present),
         scan,
-        None if rows is None else lambda start, stop: _points(rows(start, stop)),
+        records,
+        check_rest,
     )
+
+
+def _find_points(path: Path, header: Header, vertex: Element) -> PointRecords | None:
+    """Describe the vertices of a binary file as records; None where they differ in length."""
+    found = find_records(path, header, vertex.name)
+    if found is None:
+        return None
+    start, dtype = found
+    columns: dict[str, Column] = {}
+    for number, p in enumerate(vertex.properties):
+        if p.count_dtype is None:
+            assert dtype.fields is not None  # noqa: S101 - it has these
+            kind, offset = dtype.fields[f"v{number}"][:2]
+            columns[p.name] = (int(offset), kind.str)
+    has_colors = all(columns.get(name, (0, ""))[1] == "|u1" for name in COLORS)
+    return PointRecords(
+        str(path), start, dtype.itemsize, vertex.count, _pick(columns, AXES),
+        _pick(columns, NORMALS) if NORMALS[0] in columns else (),
+        _pick(columns, COLORS) if has_colors else (),
+    )  # fmt: skip
+
+
+def _pick(columns: dict[str, Column], names: tuple[str, ...]) -> tuple[Column, ...]:
+    return tuple(columns[name] for name in names)
 
 
 _SINGLE = ("f4", "i1", "u1", "i2", "u2")  # what float32 holds exactly

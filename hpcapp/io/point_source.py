@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
+from hpccomponent.surface.point_records import PointRecords
 from hpccomponent.surface.points import PointCloud
 
 __all__ = ["PointSource", "read_whole", "translated"]
@@ -41,9 +42,11 @@ class PointSource:
     scan : callable
         Given a number of rows, yields the file's points in parts of so many, the last of fewer;
         a file without points is one empty part.
-    take : callable or None
-        Given where to start and to stop, returns these points; None where records are of
-        different lengths, so that one must be read to find the next.
+    records : PointRecords or None
+        Where the points are; None where one must be read to find the next.
+    check_rest : callable
+        Finds out whether all of the file is as it should be, the points set aside; there with
+        `records` only, and part of `scan`.
     """
 
     path: Path
@@ -51,7 +54,8 @@ class PointSource:
     is_double: bool
     has_normals: bool
     scan: Callable[[int], Iterator[PointCloud]]
-    take: Callable[[int, int], PointCloud] | None = None
+    records: PointRecords | None = None
+    check_rest: Callable[[], None] | None = None
 
     def chunks(self, rows: int) -> Iterator[PointCloud]:
         """Yield the points in parts.
@@ -74,30 +78,17 @@ class PointSource:
         with translated(self.path):
             yield from self.scan(rows)
 
-    def range(self, start: int, stop: int) -> PointCloud:
-        """Read a run of points; who reads all runs also checks what follows, by `chunks`.
-
-        Parameters
-        ----------
-        start, stop : int
-            Rows of the file, from 0; within `count`.
-
-        Returns
-        -------
-        PointCloud
+    def check(self) -> None:
+        """Find out whether all of the file but its points is as it should be, given `records`.
 
         Raises
         ------
         InputError
-            The file cannot be read, or not from the middle.
+            It is damaged.
         """
-        if self.take is None:
-            raise InputError(
-                f"{self.path}: its points cannot be read from the middle of the file",
-                "write them as binary PLY",
-            )
+        assert self.check_rest is not None  # noqa: S101 - there are records
         with translated(self.path):
-            return self.take(start, stop)
+            self.check_rest()
 
 
 def read_whole(source: PointSource) -> PointCloud:
@@ -116,7 +107,7 @@ def read_whole(source: PointSource) -> PointCloud:
     InputError
         The file is damaged.
     """
-    at_once = _ROWS_AT_ONCE if source.take is None else max(source.count or 0, 1)
+    at_once = _ROWS_AT_ONCE if source.records is None else max(source.count or 0, 1)
     parts = list(source.chunks(at_once))
     positions = _join([part.positions for part in parts])
     normals = [part.normals for part in parts if part.normals is not None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from hpcapp.io.mesh_stream import MeshStream
 from hpcapp.io.ply import write_ply_mesh
 from hpccomponent.errors import OutputError
 
-__all__ = ["TILES_SUFFIX", "check_tiles", "write_tiles"]
+__all__ = ["TILES_SUFFIX", "check_tiles", "shared_tiles", "write_tiles"]
 
 TILES_SUFFIX = ".tiles"
 """Of an output that is to be a folder of tiles."""
@@ -34,13 +34,36 @@ def write_tiles(path: Path, tiles: Iterable[tuple[int, MeshStream]]) -> None:
     OutputError
         The folder holds something, or cannot be written.
     """
+    with shared_tiles(path) as file_of:
+        for index, tile in tiles:
+            write_ply_mesh(file_of(index), tile)
+
+
+@contextmanager
+def shared_tiles(path: Path) -> Iterator[Callable[[int], Path]]:
+    """Open a new folder for many to write tiles into.
+
+    Parameters
+    ----------
+    path : Path
+        It appears with all that was written, when the block ends well; else nothing is left.
+
+    Yields
+    ------
+    callable
+        Returns the file of a tile, by its number, under the name that it has while it is written.
+
+    Raises
+    ------
+    OutputError
+        The folder holds something, or cannot be written.
+    """
     check_tiles(path)
-    beside = _name_beside(path)
+    beside = _name_beside(path.absolute())
     try:
         with _translated(path):
             beside.mkdir()
-            for index, tile in tiles:
-                write_ply_mesh(beside / f"tile-{index:04d}.ply", tile)
+            yield lambda index: beside / f"tile-{index:04d}.ply"
             os.replace(beside, path)
     finally:
         shutil.rmtree(beside, ignore_errors=True)

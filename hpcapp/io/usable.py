@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.usable_points import Dropped, select_usable
 
 __all__ = [
     "FEWEST_POINTS",
@@ -18,7 +17,6 @@ __all__ = [
     "refuse_degenerate",
     "refuse_line",
     "refuse_too_few",
-    "select_usable",
 ]
 
 Parts = Callable[[], Iterable[FloatArray]]
@@ -29,32 +27,10 @@ FEWEST_POINTS = 10
 _SMALLEST, _LARGEST = 1e-60, 1e60
 """Largest coordinate of a cloud: its fourth powers must stay within the range of float64."""
 
-_CHUNK = 1 << 14  # normals at once: what is made of them stays in the cache
 _SAMPLE = 100_000  # points that show whether they lie on a line, if they do not
 
 _FLATTEST = 1e-6
 """Second extent over first, below which points count as collinear: ten roundings of float32."""
-
-
-@dataclass(frozen=True, slots=True)
-class Dropped:
-    """How many points were dropped, each counted once.
-
-    Parameters
-    ----------
-    non_finite_points : int
-        Points with NaN or infinity in their position.
-    bad_normals : int
-        Other points whose normal is zero, NaN or infinite.
-    """
-
-    non_finite_points: int = 0
-    bad_normals: int = 0
-
-    @property
-    def total(self) -> int:
-        """All of them."""
-        return self.non_finite_points + self.bad_normals
 
 
 def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[PointCloud, Dropped]:
@@ -89,60 +65,6 @@ def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[P
     refuse_degenerate(low, high, len(usable), source)
     refuse_line(lambda: [some], lambda: [usable.positions], len(usable), source)
     return usable, dropped
-
-
-def select_usable(cloud: PointCloud, source: str) -> tuple[PointCloud, Dropped]:
-    """Drop points as `drop_unusable` does, from a part of a cloud; whatever is left will do.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        As it was read.
-    source : str
-        The file it came from, for messages.
-
-    Returns
-    -------
-    usable : PointCloud
-        Its normals have unit length.
-    dropped : Dropped
-
-    Raises
-    ------
-    InputError
-        There are no normals.
-    """
-    if cloud.normals is None:
-        raise InputError(
-            f"{source} has no normals (nx, ny, nz)",
-            "estimate them first, e.g. in CloudCompare or MeshLab",
-        )
-    # Column by column here and below: reductions along rows of three are several times slower.
-    finite = np.logical_and.reduce([np.isfinite(column) for column in cloud.positions.T])
-    units, directed = _normalized(cloud.normals)
-    dropped = Dropped(int((~finite).sum()), int((finite & ~directed).sum()))
-    usable = PointCloud(cloud.positions, units, cloud.colors, cloud.origin)
-    return usable.take(finite & directed) if dropped.total else usable, dropped
-
-
-def _normalized(normals: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return vectors of unit length, and which of them had a length at all."""
-    units, directed = np.empty_like(normals), np.empty(len(normals), np.bool_)
-    for start in range(0, len(normals), _CHUNK):
-        rows = slice(start, start + _CHUNK)
-        units[rows], directed[rows] = _normalize_rows(normals[rows])
-    return units, directed
-
-
-def _normalize_rows(normals: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    largest = np.maximum.reduce([np.abs(column) for column in normals.T])[:, None]
-    directed = np.isfinite(largest) & (largest > 0)
-    # By the largest component first: squares of very long or short vectors leave the range.
-    where = True if directed.all() else directed  # a mask takes longer than what it masks
-    scaled = np.divide(normals, largest, out=np.zeros_like(normals), where=where)
-    lengths = np.sqrt(np.einsum("ij,ij->i", scaled, scaled))[:, None]
-    units = np.divide(scaled, lengths, out=scaled, where=where)
-    return units, directed[:, 0]
 
 
 def refuse_too_few(points: int, dropped: Dropped, source: str) -> None:

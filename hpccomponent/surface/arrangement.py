@@ -29,8 +29,10 @@ __all__ = [
     "PackedPoints",
     "choose_arrangement",
     "pack_points",
+    "pack_snapped",
     "snap_points",
     "unpack_points",
+    "unpack_positions",
 ]
 
 Float32Array = NDArray[np.float32]
@@ -85,6 +87,20 @@ class PackedPoints:
 
     def __len__(self) -> int:
         return len(self.offsets)
+
+    @classmethod
+    def from_records(cls, keys: IntArray, counts: IntArray, records: Float32Array) -> PackedPoints:
+        """Return points whose offsets and normals lie side by side, as they do on disk (n, 6)."""
+        return cls(keys, counts, records[:, :3], records[:, 3:])
+
+    def to_records(self) -> Float32Array:
+        """Return offsets and normals side by side; without a copy where they lie so already."""
+        base: Any = self.offsets.base
+        is_shared = isinstance(base, np.ndarray) and base is self.normals.base
+        if is_shared and base.shape == (len(self), 6):
+            records: Float32Array = base
+            return records
+        return np.concatenate([self.offsets, self.normals], axis=1)
 
     def to_values(self) -> tuple[NDArray[Any], ...]:
         """Return the arrays, in the order of the parameters: what a task may be given."""
@@ -168,15 +184,22 @@ def pack_points(
     InputError, ValueError
         A point lies more than 2^20 blocks away.
     """
-    snapped = snap_points(arrangement, positions)
+    return pack_snapped(arrangement, snap_points(arrangement, positions), normals)
+
+
+def pack_snapped(
+    arrangement: Arrangement, snapped: FloatArray, normals: FloatArray
+) -> PackedPoints:
+    """Pack points that have been snapped; see `pack_points`."""
     keys, offsets, rows = kernels.sort_points(snapped, arrangement.origin, arrangement.edge)
-    packed = np.empty((2, len(rows), 3), np.float32)
+    records = np.empty((len(rows), 6), np.float32)
     for start in range(0, len(rows), _ROWS_AT_ONCE):
         some = slice(start, start + _ROWS_AT_ONCE)
-        places = (snapped.take(rows[some], axis=0) - arrangement.origin) / arrangement.edge
-        packed[0, some] = places - np.floor(places)
-        packed[1, some] = normals.take(rows[some], axis=0)
-    return PackedPoints(keys, np.diff(offsets), packed[0], packed[1])
+        places = (snapped[some] - arrangement.origin) / arrangement.edge
+        records[some, :3] = places - np.floor(places)
+        records[some, 3:] = normals[some]
+    # All that is in no order goes in one move, packed as it is: memory is slow at that.
+    return PackedPoints.from_records(keys, np.diff(offsets), records.take(rows, axis=0))
 
 
 def unpack_points(arrangement: Arrangement, packed: PackedPoints) -> tuple[FloatArray, FloatArray]:
@@ -194,8 +217,17 @@ def unpack_points(arrangement: Arrangement, packed: PackedPoints) -> tuple[Float
     normals : ndarray of float64, shape (n, 3)
         Those of float32.
     """
+    return unpack_positions(arrangement, packed), packed.normals.astype(np.float64)
+
+
+def unpack_positions(arrangement: Arrangement, packed: PackedPoints) -> FloatArray:
+    """Return the positions of points that were packed; see `unpack_points`."""
     corners = unpack_keys(packed.keys) * arrangement.edge + arrangement.origin
-    positions = packed.offsets.astype(np.float64)
-    positions *= arrangement.edge
-    positions += np.repeat(corners, packed.counts, axis=0)
-    return positions, packed.normals.astype(np.float64)
+    block_of = np.repeat(np.arange(len(corners)), packed.counts)
+    positions = np.empty((len(block_of), 3))
+    for start in range(0, len(block_of), _ROWS_AT_ONCE):
+        some = slice(start, start + _ROWS_AT_ONCE)
+        part = positions[some]
+        np.multiply(packed.offsets[some], arrangement.edge, out=part, dtype=np.float64)
+        part += corners.take(block_of[some], axis=0)
+    return positions

@@ -62,6 +62,8 @@ class SortedPoints:
         Cell i holds the points rows[offsets[i]] to rows[offsets[i + 1]].
     rows : ndarray of uint32, shape (n,)
         Of the cloud.
+    weights : ndarray of float64, shape (n,), optional
+        How much each of these counts; 1 by default.
     """
 
     cloud: PointCloud
@@ -69,6 +71,7 @@ class SortedPoints:
     cell_size: float
     offsets: IntArray
     rows: NDArray[np.uint32]
+    weights: FloatArray | None = None
 
     @property
     def counts(self) -> FloatArray:
@@ -77,13 +80,20 @@ class SortedPoints:
 
     def sum(self, cells: slice) -> FloatArray:
         """Return the moments of a run of cells."""
+        local, normals, offsets = self.place(cells)
+        start, stop = self.offsets[cells.start], self.offsets[cells.stop]
+        weights = None if self.weights is None else self.weights[start:stop]
+        return kernels.accumulate_moments(local, normals, offsets, weights)
+
+    def place(self, cells: slice) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Return the points in a run of cells, relative to these, with normals and offsets."""
         assert self.cloud.normals is not None  # noqa: S101 - checked by the method, at its border
         offsets = self.offsets[cells.start : cells.stop + 1]
         rows = self.rows[offsets[0] : offsets[-1]]
         local, normals = kernels.gather_points(
             self.cloud.positions, self.cloud.normals, rows, self.origin, self.cell_size
         )
-        return kernels.accumulate_moments(local, normals, offsets - offsets[0])
+        return local, normals, offsets - offsets[0]
 
 
 def sort_cloud(

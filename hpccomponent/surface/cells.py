@@ -31,6 +31,7 @@ from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = [
     "corner_moments",
+    "find_cells",
     "fit_corners",
     "gather_points",
     "inherit_level",
@@ -77,6 +78,27 @@ def sort_points(
     cells = unique_keys(keys)
     offsets = np.append(np.searchsorted(keys[rows], cells), len(keys)).astype(np.int64)
     return cells, offsets, rows.astype(np.uint32)
+
+
+def find_cells(
+    positions: FloatArray, origin: FloatArray, cell_size: float, wanted: IntArray
+) -> NDArray[np.uint32]:
+    """Return which of some cells each point lies in.
+
+    Parameters
+    ----------
+    positions, origin, cell_size
+        See `sort_points`; there may be no points.
+    wanted : ndarray of int64, shape (c,)
+        Sorted keys of cells.
+
+    Returns
+    -------
+    ndarray of uint32, shape (n,)
+        The row of its cell in `wanted`; c where it lies in none of them.
+    """
+    places = np.floor(cells_of(positions, origin, cell_size)).astype(np.int64)
+    return find_keys(wanted, pack_places(places)).astype(np.uint32)
 
 
 def gather_points(

@@ -4,7 +4,10 @@
 
     points.0   points.1   points.2 ...       packed points of one part of the input each,
     └ blocks in the order of their keys      offsets and normals side by side (float32)
-    index.npz                                arrangement, box, and the blocks of each part
+    index.npz                                arrangement, box, the blocks of each part, estimates
+
+Each part may be written by another machine that sees the folder; who has all of them writes the
+index, without which there is no cloud.
 
 Reading some blocks takes a run of each part and puts these together in the order of the parts.
 Who may import it: applications, and tasks on machines that see the folder.
@@ -12,9 +15,10 @@ Who may import it: applications, and tasks on machines that see the folder.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -31,13 +35,21 @@ from hpccomponent.surface.arrangement import (
     unpack_points,
 )
 from hpccomponent.surface.lattice import find_keys, unique_keys
-from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 
-__all__ = ["DiskCloud", "DiskCloudWriter", "open_disk_cloud"]
+__all__ = [
+    "DiskCloud",
+    "DiskCloudWriter",
+    "Measured",
+    "open_disk_cloud",
+    "write_index",
+    "write_part",
+]
 
 _INDEX = "index.npz"
 _COLUMNS = 6  # float32 a point: offset and normal
 _POINT_BYTES = 4 * _COLUMNS
+_RECORD = np.dtype((np.void, _POINT_BYTES))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +58,22 @@ class _Part:
 
     keys: IntArray
     offsets: IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """What was found out about a cloud while it was written, which spares passes through it.
+
+    Parameters
+    ----------
+    spacing : float
+        In length units of the input.
+    sample : PointCloud
+        Points by which the noise is judged, in the cloud's order.
+    """
+
+    spacing: float
+    sample: PointCloud
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +88,8 @@ class DiskCloud:
     keys, counts : ndarray of int64, shape (b,)
     parts : list of _Part
         Of its files.
+    measured : Measured or None
+        What was found out about it before.
     """
 
     folder: Path
@@ -70,12 +100,17 @@ class DiskCloud:
     keys: IntArray
     counts: IntArray
     parts: list[_Part]
+    measured: Measured | None = None
 
     def __len__(self) -> int:
         return int(self.counts.sum())
 
     def take_blocks(self, keys: IntArray) -> Points:
-        """See `ArrangedCloud`.
+        """See `ArrangedCloud` and `take_packed`."""
+        return unpack_points(self.arrangement, self.take_packed(keys))
+
+    def take_packed(self, keys: IntArray) -> PackedPoints:
+        """Return the points in some blocks as they lie there; see `take_blocks`.
 
         Raises
         ------
@@ -86,6 +121,7 @@ class DiskCloud:
         rows = rows[rows < len(self.keys)]
         counts = self.counts[rows]
         records = np.empty((int(counts.sum()), _COLUMNS), np.float32)
+        whole = records.view(_RECORD)[:, 0]  # rows of one number each move several times faster
         filled = np.cumsum(counts) - counts  # where the next point of each block belongs
         for number, part in enumerate(self.parts):
             own = find_keys(part.keys, self.keys[rows])
@@ -95,9 +131,19 @@ class DiskCloud:
             lengths = np.diff(part.offsets)[own[held]]
             starts = np.cumsum(lengths) - lengths
             targets = np.repeat(filled[held] - starts, lengths) + np.arange(lengths.sum())
-            records[targets] = self._read(number, own[held])
+            whole[targets] = self._read(number, own[held]).view(_RECORD)[:, 0]
             filled[held] += lengths
-        packed = PackedPoints(self.keys[rows], counts, records[:, :3], records[:, 3:])
+        return PackedPoints.from_records(self.keys[rows], counts, records)
+
+    def take_every(self, step: int) -> Points:
+        """Return every so many-th point of each part, in the order of the parts."""
+        keys, offsets = [], []
+        for number, part in enumerate(self.parts):
+            rows = np.arange(0, int(part.offsets[-1]), step)
+            keys.append(part.keys[np.searchsorted(part.offsets, rows, side="right") - 1])
+            offsets.append(self._read_runs(number, [(row, row + 1) for row in rows.tolist()]))
+        records, every = np.concatenate(offsets), np.concatenate(keys)
+        packed = PackedPoints(every, np.ones(len(every), np.int64), records[:, :3], records[:, 3:])
         return unpack_points(self.arrangement, packed)
 
     def groups(self, points: int) -> Iterator[Points]:
@@ -107,9 +153,12 @@ class DiskCloud:
 
     def _read(self, number: int, blocks: IntArray) -> NDArray[np.float32]:
         """Read the points in some blocks of a part."""
-        path = self.folder / f"points.{number}"
         offsets = self.parts[number].offsets
         runs = [(int(offsets[run.start]), int(offsets[run.stop])) for run in find_runs(blocks)]
+        return self._read_runs(number, runs)
+
+    def _read_runs(self, number: int, runs: list[tuple[int, int]]) -> NDArray[np.float32]:
+        path = self.folder / f"points.{number}"
         wanted = np.empty((sum(stop - start for start, stop in runs), _COLUMNS), np.float32)
         at = 0
         try:
@@ -154,7 +203,7 @@ class DiskCloudWriter:
         self._folder = folder
         self._arrangement = arrangement
         self._origin = origin
-        self._parts: list[_Part] = []
+        self._parts: list[tuple[IntArray, IntArray]] = []
         self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def add(self, positions: FloatArray, normals: FloatArray) -> None:
@@ -175,39 +224,88 @@ class DiskCloudWriter:
         snapped, _ = unpack_points(self._arrangement, packed)
         self._low = np.minimum(self._low, [column.min() for column in snapped.T])
         self._high = np.maximum(self._high, [column.max() for column in snapped.T])
-        records = np.concatenate([packed.offsets, packed.normals], axis=1)
-        with (
-            _translated(self._folder),
-            (self._folder / f"points.{len(self._parts)}").open("wb") as file,
-        ):
-            file.write(records.data)
-        self._parts.append(_Part(packed.keys, np.append(0, np.cumsum(packed.counts))))
+        write_part(self._folder, len(self._parts), packed)
+        self._parts.append((packed.keys, packed.counts))
 
     def finish(self) -> DiskCloud:
-        """Write the index and return the cloud.
+        """Write the index and return the cloud; see `write_index`."""
+        box = self._low, self._high
+        return write_index(self._folder, self._arrangement, self._origin, box, self._parts)
 
-        Raises
-        ------
-        OutputError
-            The disk is full, or the folder cannot be written.
-        """
-        every = np.concatenate([part.keys for part in self._parts])
-        with _translated(self._folder):
-            np.savez(
-                self._folder / _INDEX,
-                edge=np.float64(self._arrangement.edge),
-                corner=self._arrangement.origin,
-                origin=self._origin,
-                box=np.stack([self._low, self._high]),
-                blocks=np.array([len(part.keys) for part in self._parts], np.int64),
-                keys=every,
-                counts=np.concatenate([np.diff(part.offsets) for part in self._parts]),
-            )
-        return open_disk_cloud(self._folder)
+
+def write_part(folder: Path, number: int, packed: PackedPoints) -> None:
+    """Write one part of an arranged cloud.
+
+    Parameters
+    ----------
+    folder : Path
+    number : int
+        Of the part, from 0.
+    packed : PackedPoints
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    records = packed.to_records()
+    with _translated(folder), (folder / f"points.{number}").open("wb") as file:
+        file.write(records.data)
+
+
+def write_index(
+    folder: Path,
+    arrangement: Arrangement,
+    origin: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    parts: Sequence[tuple[IntArray, IntArray]],
+    measured: Measured | None = None,
+) -> DiskCloud:
+    """Make a cloud of the parts that have been written.
+
+    Parameters
+    ----------
+    folder : Path
+    arrangement : Arrangement
+    origin : ndarray of float64, shape (3,)
+        What was subtracted from the input's coordinates.
+    box : tuple of ndarray of float64, shape (3,)
+        The least and the largest coordinates of all points.
+    parts : sequence of (ndarray of int64, ndarray of int64)
+        The blocks of each part, sorted, and how many points each has.
+    measured : Measured, optional
+        What is known of the cloud.
+
+    Returns
+    -------
+    DiskCloud
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    known: dict[str, Any] = {}
+    if measured is not None:
+        columns = [measured.sample.positions, measured.sample.normals]
+        known = {"spacing": np.float64(measured.spacing), "sample": np.stack(columns)}  # type: ignore[arg-type]
+    with _translated(folder):
+        np.savez(
+            folder / _INDEX,
+            edge=np.float64(arrangement.edge),
+            corner=arrangement.origin,
+            origin=origin,
+            box=np.stack(box),
+            blocks=np.array([len(keys) for keys, _ in parts], np.int64),
+            keys=np.concatenate([keys for keys, _ in parts]),
+            counts=np.concatenate([counts for _, counts in parts]),
+            **known,
+        )
+    return open_disk_cloud(folder)
 
 
 def open_disk_cloud(folder: Path) -> DiskCloud:
-    """Open a cloud that a `DiskCloudWriter` has written.
+    """Open a cloud whose index has been written.
 
     Parameters
     ----------
@@ -216,6 +314,7 @@ def open_disk_cloud(folder: Path) -> DiskCloud:
     Returns
     -------
     DiskCloud
+        The one that this process has opened before, if nothing has changed.
 
     Raises
     ------
@@ -223,23 +322,32 @@ def open_disk_cloud(folder: Path) -> DiskCloud:
         The folder holds none.
     """
     try:
-        with np.load(folder / _INDEX, allow_pickle=False) as index:
-            held = {name: index[name] for name in index.files}
-        bounds = np.cumsum(held["blocks"])[:-1]
-        every, counts = held["keys"], held["counts"]
-        parts = [
-            _Part(keys, np.append(0, np.cumsum(sizes)))
-            for keys, sizes in zip(np.split(every, bounds), np.split(counts, bounds), strict=True)
-        ]
-        keys = unique_keys(every)
-        totals = np.bincount(np.searchsorted(keys, every), counts, len(keys)).astype(np.int64)
-        arrangement = Arrangement(held["corner"], float(held["edge"]))
-        low, high = held["box"]
-        return DiskCloud(folder, arrangement, held["origin"], low, high, keys, totals, parts)
+        found = (folder / _INDEX).stat()
+        return _open(folder, found.st_mtime_ns, found.st_ino)
     except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise JobError(
             f"{folder} holds no arranged points: {error}", "run the job again"
         ) from error
+
+
+@lru_cache(maxsize=2)
+def _open(folder: Path, *_version: int) -> DiskCloud:
+    with np.load(folder / _INDEX, allow_pickle=False) as index:
+        held = {name: index[name] for name in index.files}
+    bounds = np.cumsum(held["blocks"])[:-1]
+    every, counts = held["keys"], held["counts"]
+    parts = [
+        _Part(keys, np.append(0, np.cumsum(sizes)))
+        for keys, sizes in zip(np.split(every, bounds), np.split(counts, bounds), strict=True)
+    ]
+    keys = unique_keys(every)
+    totals = np.bincount(np.searchsorted(keys, every), counts, len(keys)).astype(np.int64)
+    measured = None
+    if "sample" in held:
+        measured = Measured(float(held["spacing"]), PointCloud(*held["sample"]))
+    arrangement = Arrangement(held["corner"], float(held["edge"]))
+    low, high = held["box"]
+    return DiskCloud(folder, arrangement, held["origin"], low, high, keys, totals, parts, measured)
 
 
 @contextmanager

@@ -30,6 +30,7 @@ __all__ = [
     "count_cells",
     "evaluate_bricks",
     "evaluate_residuals",
+    "find_cells",
     "find_keys",
     "find_seams",
     "fit_corners",
@@ -119,6 +120,20 @@ def sort_points(
     return result
 
 
+def find_cells(
+    positions: FloatArray, origin: FloatArray, cell_size: float, wanted: IntArray
+) -> NDArray[np.uint32]:
+    """Return which of some cells each point lies in; see `cells.find_cells`."""
+    if _native is None:
+        from hpccomponent.surface import cells
+
+        return cells.find_cells(positions, origin, cell_size, wanted)
+    result: NDArray[np.uint32] = _native.find_cells(
+        _floats(positions), _floats(origin), cell_size, _integers(wanted)
+    )
+    return result
+
+
 def gather_points(
     positions: FloatArray,
     normals: FloatArray,
@@ -188,16 +203,21 @@ def poll_normals(
 
 
 def accumulate_moments(
-    local_positions: FloatArray, normals: FloatArray, offsets: IntArray, threads: int = 1
+    local_positions: FloatArray,
+    normals: FloatArray,
+    offsets: IntArray,
+    weights: FloatArray | None = None,
+    threads: int = 1,
 ) -> FloatArray:
     """Sum the moments of the points of each cell (a task); see `moments.accumulate_moments`."""
     if _native is None:
         from hpccomponent.surface import moments
 
-        return moments.accumulate_moments(local_positions, normals, offsets)
-    result: FloatArray = _native.accumulate_moments(
-        _floats(local_positions), _floats(normals), _integers(offsets), threads
-    )
+        return moments.accumulate_moments(local_positions, normals, offsets, weights)
+    kernel = _native.accumulate_moments if weights is None else _native.accumulate_weighted
+    weighed = () if weights is None else (_floats(weights),)
+    points = _floats(local_positions), _floats(normals), *weighed, _integers(offsets)
+    result: FloatArray = kernel(*points, threads)
     return result
 
 
@@ -392,11 +412,8 @@ def grow_surface(field: Field, grid: Grid, kinds: BrickKinds, threads: int = 1) 
 
         return extraction.grow_surface(field, grid, kinds)
     box = (_integers(kinds.first), np.ascontiguousarray(kinds.kinds, np.uint8))
-    return BrickMesh(
-        *_native.grow_surface(
-            _field_values(field), *_grid_values(grid), *box, case_triangles(), threads
-        )
-    )
+    values = *_grid_values(grid), *box, case_triangles(), threads
+    return BrickMesh(*_native.grow_surface(_field_values(field), *values))
 
 
 def balance_vertices(vertices: FloatArray, faces: IntArray, step: float) -> FloatArray:

@@ -101,7 +101,10 @@ _NORMAL_SHIFTS = (
 
 
 def accumulate_moments(
-    local_positions: FloatArray, normals: FloatArray, offsets: IntArray
+    local_positions: FloatArray,
+    normals: FloatArray,
+    offsets: IntArray,
+    weights: FloatArray | None = None,
 ) -> FloatArray:
     """Sum the moments of the points of each cell (a task).
 
@@ -113,6 +116,8 @@ def accumulate_moments(
         Unit length, pointing out of the object.
     offsets : ndarray of int64, shape (c + 1,)
         Cell i holds the points offsets[i] to offsets[i + 1].
+    weights : ndarray of float64, shape (n,), optional
+        How much each point counts; 1 by default.
 
     Returns
     -------
@@ -134,20 +139,24 @@ def accumulate_moments(
         points = slice(int(offsets[start]), int(offsets[stop]))
         owners = np.repeat(np.arange(stop - start), np.diff(offsets[start : stop + 1]))
         moments[start:stop] = _sum_chunk(
-            local_positions[points], normals[points], owners, stop - start
+            local_positions[points],
+            normals[points],
+            np.ones(len(owners)) if weights is None else weights[points],
+            owners,
+            stop - start,
         )
         start = stop
     return moments
 
 
 def _sum_chunk(
-    positions: FloatArray, normals: FloatArray, owners: IntArray, cells: int
+    positions: FloatArray, normals: FloatArray, weights: FloatArray, owners: IntArray, cells: int
 ) -> FloatArray:
     """Sum the moments of some cells, points of cell i marked with owner i."""
     coordinates = np.ascontiguousarray(positions.T)
     x, y, z = coordinates
-    nx, ny, nz = np.ascontiguousarray(normals.T)
-    columns = [np.ones(len(x))]
+    nx, ny, nz = weights * np.ascontiguousarray(normals.T)
+    columns = [weights]
     for source, axis in _PRODUCTS:
         columns.append(columns[source] * coordinates[axis])
     columns += [nx, ny, nz, 2.0 * x * nx, 2.0 * y * ny, 2.0 * z * nz]

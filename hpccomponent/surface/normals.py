@@ -20,7 +20,6 @@ __all__ = [
     "find_turned",
     "mend_normals",
     "poll_normals",
-    "turn_region",
 ]
 
 BoolArray = NDArray[np.bool_]
@@ -129,25 +128,6 @@ def find_turned(
         if not asked.any():
             break
     return turned
-
-
-def turn_region(
-    positions: FloatArray, normals: FloatArray, own: BoolArray, low: FloatArray, spacing: float
-) -> BoolArray:
-    """Find the normals of a region that are to be turned round (a task).
-
-    Parameters
-    ----------
-    positions, normals, low, spacing
-        As for `find_turned`.
-    own : ndarray of bool, shape (n,)
-        Which points lie in the region.
-
-    Returns
-    -------
-    ndarray of bool, shape (own.sum(),)
-    """
-    return find_turned(positions, normals, low, spacing)[own]
 
 
 def poll_normals(

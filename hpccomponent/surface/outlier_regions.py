@@ -9,7 +9,7 @@
 
 What decides over a point of rank `LOCAL_RANK` or less lies within `MARGIN` spacings of it, so
 that a region knows it; cells of higher ranks are few, and the master judges them with all coarse
-cells. Cells are those of one lattice: `rank_region` and `judge_region` are tasks.
+cells. Cells are those of one lattice.
 """
 
 from __future__ import annotations
@@ -33,7 +33,15 @@ from hpccomponent.surface.outliers import (
 )
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["LOCAL_RANK", "MARGIN", "Judgement", "judge_region", "judge_sparse", "rank_region"]
+__all__ = [
+    "LOCAL_RANK",
+    "MARGIN",
+    "Judgement",
+    "RegionRanks",
+    "judge_region",
+    "judge_sparse",
+    "rank_region",
+]
 
 BoolArray = NDArray[np.bool_]
 RegionRanks = tuple[IntArray, IntArray, IntArray, IntArray, IntArray, IntArray]
@@ -67,7 +75,7 @@ class Judgement:
 def rank_region(
     positions: FloatArray, own: BoolArray, low: FloatArray, spacing: float
 ) -> RegionRanks:
-    """Rank the points of a region (a task).
+    """Rank the points of a region.
 
     Parameters
     ----------
@@ -136,7 +144,7 @@ def judge_sparse(regions: list[RegionRanks]) -> Judgement:
 def judge_region(
     positions: FloatArray, own: BoolArray, low: FloatArray, spacing: float, base: int
 ) -> IntArray:
-    """Find the stray cells of low ranks in a region (a task).
+    """Find the stray cells of low ranks in a region.
 
     Parameters
     ----------

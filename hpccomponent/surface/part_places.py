@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from hpccomponent.surface.mesh_part import Int32Array, MeshPart
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["PartPlaces", "place_faces", "place_vertices", "starts_of"]
+__all__ = ["PartPlaces", "Runs", "place_faces", "place_vertices", "starts_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,9 +46,33 @@ class PartPlaces:
         return cls(*values)
 
 
-def place_vertices(
-    part: MeshPart, places: PartPlaces, bricks: IntArray
-) -> tuple[FloatArray, IntArray]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Runs:
+    """Rows that stay together on their way into the mesh; k runs.
+
+    Parameters
+    ----------
+    starts : ndarray of int64, shape (k + 1,)
+        Where each run begins among the rows, and the last one's end; none is empty.
+    numbers : ndarray of int64, shape (k,)
+        Which row of the mesh the first of each run is; rising.
+    """
+
+    starts: IntArray
+    numbers: IntArray
+
+    def __iter__(self) -> Iterator[tuple[int, int, int]]:
+        """Yield first row, last row and first number of each run."""
+        starts = self.starts.tolist()
+        return zip(starts, starts[1:], self.numbers.tolist(), strict=False)
+
+    def put(self, rows: NDArray[Any], mesh: NDArray[Any], before: int = 0) -> None:
+        """Put rows to their places in the mesh, or in a piece of it that begins after some."""
+        for first, last, number in self:
+            mesh[number - before : number - before + last - first] = rows[first:last]
+
+
+def place_vertices(part: MeshPart, places: PartPlaces, bricks: IntArray) -> tuple[FloatArray, Runs]:
     """Return the vertices that some bricks give to the mesh.
 
     Parameters
@@ -60,21 +85,22 @@ def place_vertices(
     Returns
     -------
     vertices : ndarray of float64, shape (m, 3)
-    numbers : ndarray of int64, shape (m,)
-        In the whole mesh; rising.
+    runs : Runs
+        Where they go.
     """
-    rows = _rows_of(starts_of(part.vertex_counts), bricks)
-    numbers = _number(part, places, rows)
-    vertices = _take(part.vertices, rows)
-    if not len(places.dropped):
-        return vertices, numbers
-    kept = numbers >= 0
-    return vertices[kept], numbers[kept]
+    starts, counts = starts_of(part.vertex_counts), part.vertex_counts[bricks]
+    vertices = _take(part.vertices, starts, bricks)
+    if len(places.dropped):
+        kept = np.ones(len(part.vertices), np.bool_)
+        kept[places.dropped] = False
+        vertices = vertices[_take(kept, starts, bricks)]
+        counts = np.diff(starts_of(kept)[starts])[bricks]
+    return vertices, _join(counts, places.vertex_starts[bricks])
 
 
 def place_faces(
     part: MeshPart, places: PartPlaces, bricks: IntArray
-) -> tuple[IntArray, IntArray, IntArray]:
+) -> tuple[Int32Array, IntArray, Runs]:
     """Return the faces that some bricks give to the mesh.
 
     Parameters
@@ -86,27 +112,21 @@ def place_faces(
 
     Returns
     -------
-    rows : ndarray of int64, shape (m,)
-        Of `part.faces`.
-    faces : ndarray of int64, shape (m, 3)
-        Over the vertices of the whole mesh.
-    numbers : ndarray of int64, shape (m,)
-        Of the faces in the whole mesh; rising.
+    faces : ndarray of int32, shape (m, 3)
+        As the part names their vertices.
+    corners : ndarray of int, shape (m, 3)
+        As the whole mesh numbers them.
+    runs : Runs
+        Where the faces go.
     """
-    rows = _rows_of(starts_of(part.face_counts), bricks)
-    corners = _number_corners(part, places, _take(part.faces, rows))
     counts = part.face_counts[bricks]
-    first = np.cumsum(counts, dtype=np.int64) - counts
-    kept = corners[:, 0] >= 0
-    if kept.all():
-        return (
-            rows,
-            corners,
-            np.repeat(places.face_starts[bricks] - first, counts) + np.arange(len(rows)),
-        )
-    before = starts_of(kept)  # how many faces are kept, of all the rows before
-    shift = places.face_starts[bricks] - before[first]
-    return rows[kept], corners[kept], (np.repeat(shift, counts) + before[:-1])[kept]
+    faces = _take(part.faces, starts_of(part.face_counts), bricks)
+    corners = _number_corners(part, places, faces)
+    if len(places.dropped) or places.foreign.min(initial=0) < 0:
+        kept = corners[:, 0] >= 0
+        counts = np.diff(starts_of(kept)[starts_of(counts)])
+        faces, corners = faces[kept], corners[kept]
+    return faces, corners, _join(counts, places.face_starts[bricks])
 
 
 def starts_of(counts: NDArray[np.integer[Any] | np.bool_]) -> IntArray:
@@ -116,42 +136,59 @@ def starts_of(counts: NDArray[np.integer[Any] | np.bool_]) -> IntArray:
     return starts
 
 
-def _rows_of(starts: IntArray, bricks: IntArray) -> IntArray:
-    """Return the rows of some bricks."""
-    counts = starts[bricks + 1] - starts[bricks]
-    first = np.cumsum(counts) - counts
-    return np.repeat(starts[bricks] - first, counts) + np.arange(int(counts.sum()))
+def _join(counts: NDArray[np.integer[Any]], numbers: IntArray) -> Runs:
+    """Return the rows of bricks as runs: those of one brick stay together, and often of several."""
+    there = counts > 0
+    counts, numbers = counts[there], numbers[there]
+    starts = starts_of(counts)
+    first = np.ones(len(counts), np.bool_)
+    np.not_equal(numbers[1:], numbers[:-1] + counts[:-1], out=first[1:])
+    return Runs(np.append(starts[:-1][first], starts[-1]), numbers[first])
 
 
-def _take(values: NDArray[Any], rows: IntArray) -> NDArray[Any]:
-    """Return some rows (sorted); of all rows, no copy."""
-    return values if len(rows) == len(values) else values[rows]
+def _take(values: NDArray[Any], starts: IntArray, bricks: IntArray) -> NDArray[Any]:
+    """Return the rows of some bricks; of all bricks, no copy."""
+    if len(bricks) == len(starts) - 1:
+        return values
+    if not len(bricks):
+        return values[:0]
+    cuts = np.flatnonzero(np.diff(bricks) != 1) + 1
+    first = starts[bricks[np.r_[0, cuts]]].tolist()
+    last = starts[bricks[np.r_[cuts, len(bricks)] - 1] + 1].tolist()
+    if len(first) == 1:
+        return values[first[0] : last[0]]
+    return np.concatenate([values[i:j] for i, j in zip(first, last, strict=True)])
 
 
 def _number_corners(part: MeshPart, places: PartPlaces, faces: Int32Array) -> IntArray:
     """Return the numbers of the corners in the whole mesh, -1 for dropped ones."""
     high = int(faces.max(initial=-1)) + 1
     low = int(faces.view(np.uint32).min(initial=high)) if high else 0  # negative ones look large
-    own = _number(part, places, np.arange(low, high))
+    own = _number(part, places, low, high)
     # The own vertices in reach; the foreign ones stand where negative indices find them.
     table = np.concatenate([own, places.foreign[::-1]])
+    if table.max(initial=0) < np.iinfo(np.int32).max:
+        table = table.astype(np.int32)  # half as much to move
     numbers: IntArray = table[np.where(faces < 0, faces, faces - low) if low else faces]
     return numbers
 
 
-def _number(part: MeshPart, places: PartPlaces, rows: IntArray) -> IntArray:
-    """Return the numbers of vertices (rising rows) in the whole mesh, -1 for dropped ones."""
-    if not len(rows):
+def _number(part: MeshPart, places: PartPlaces, first: int, last: int) -> IntArray:
+    """Return the numbers of a run of vertices in the whole mesh, -1 for dropped ones."""
+    if first >= last:
         return np.empty(0, np.int64)
     starts = starts_of(part.vertex_counts)
-    first = int(np.searchsorted(starts, rows[0], side="right")) - 1
-    last = int(np.searchsorted(starts, rows[-1], side="right"))
-    shift = places.vertex_starts[first:last] - starts[first:last]
-    shift += np.searchsorted(places.dropped, starts[first:last])
-    shifts = np.repeat(shift, part.vertex_counts[first:last])
-    shifts = _take(shifts, rows - starts[first])
-    if not len(places.dropped):
-        return shifts + rows
-    before = np.searchsorted(places.dropped, rows)
-    is_dropped = places.dropped[np.minimum(before, len(places.dropped) - 1)] == rows
-    return np.where(is_dropped, -1, shifts + rows - before)
+    low = int(np.searchsorted(starts, first, side="right")) - 1
+    high = int(np.searchsorted(starts, last, side="left"))
+    shift = places.vertex_starts[low:high] - starts[low:high]
+    shift += np.searchsorted(places.dropped, starts[low:high])
+    shifts = np.repeat(shift, part.vertex_counts[low:high])
+    numbers: IntArray = shifts[first - starts[low] : last - starts[low]]
+    numbers += np.arange(first, last)
+    if len(places.dropped):
+        begin, end = np.searchsorted(places.dropped, [first, last]).tolist()
+        is_dropped = np.zeros(last - first, np.bool_)
+        is_dropped[places.dropped[begin:end] - first] = True
+        numbers -= begin + np.cumsum(is_dropped)
+        numbers[is_dropped] = -1
+    return numbers

@@ -30,6 +30,7 @@ from hpccomponent.surface.lattice import (
 from hpccomponent.surface.moments import COLUMNS
 from hpccomponent.surface.parallel import run_batches
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
+from hpccomponent.surface.robust import weigh_points
 from hpccomponent.surface.weights import FIELD_LEVELS, Weights, localise_noise
 
 __all__ = [
@@ -56,6 +57,7 @@ _FINER_UNITS = np.float32(4.0)  # the same variance, in cells of the next finer 
 _LOCAL_FROM = 2  # levels further up, which tell a vertex the noise around it
 # What a point counts one level further up, where the surface is 4 times larger.
 _ANCESTORS = np.float32(0.25)
+_DETAIL = np.float32(0.25)  # of what fits leave over: where they miss shape, points are right
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -319,7 +321,11 @@ def fit_levels(
             touched, rows = touched[asked], rows[asked]
         local = depth < pyramid.height - _LOCAL_FROM
         noise = _find_noise(weights[depth].noise, quadrics.variances[rows], local)
-        _fit_level(level, touched, rows, quadrics, noise, weights[depth], threads)
+        arguments = touched, rows, quadrics, noise, weights[depth], threads
+        if depth == 1 and index == 1 and np.isfinite(weights[1].tolerance):
+            _fit_weighed(pyramid, *arguments)
+        else:
+            _fit_level(level, *arguments)
         pyramid.levels[index] = replace(level, points=CellMoments(np.empty((0, COLUMNS))))
         parents = _offer_level(vertices, level.cells, quadrics)
         if depth < FIELD_LEVELS:
@@ -381,6 +387,34 @@ def _fit_level(
 
     if len(rows):
         run_batches(fit, _cut_corners(corners, threads), threads)
+
+
+def _fit_weighed(
+    pyramid: Pyramid,
+    corners: IntArray,
+    rows: IntArray,
+    quadrics: VertexQuadrics,
+    noise: Float32Array,
+    weights: Weights,
+    threads: int,
+) -> None:
+    """Fit the level above the finest, weigh the points of both by that, and fit it again.
+
+    Counts and variances stay those of points that count alike.
+    """
+    level, finest = pyramid.levels[1], pyramid.levels[0]
+    assert isinstance(finest.points, SortedPoints)  # noqa: S101 - the finest level has points
+    first = replace(quadrics, coefficients=quadrics.coefficients.copy())
+    _fit_level(level, corners, rows, first, noise, weights, threads)
+    counts, variances = first.counts.copy(), first.variances.copy()
+    spread = np.maximum(noise, _DETAIL * variances[rows, 0])
+    blend = corners, first.coefficients.take(rows, axis=0), spread
+    points = weigh_points(finest.cells, finest.points, blend, weights.tolerance, threads)
+    pyramid.levels[0] = replace(finest, points=points)
+    moments = merge_finest(finest.cells, points, threads)[1]
+    weighed = replace(level, points=CellMoments(moments))
+    _fit_level(weighed, corners, rows, quadrics, noise, weights, threads)
+    quadrics.counts[:], quadrics.variances[:] = counts, variances
 
 
 def _cut_corners(touched: IntArray, threads: int) -> list[slice]:

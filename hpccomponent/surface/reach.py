@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hpccomponent.surface import kernels
 from hpccomponent.surface.bricks import BESIDE, FOREIGN, OPEN, OUT, OWN, BrickKinds
 from hpccomponent.surface.field import BRICK, Grid
-from hpccomponent.surface.lattice import unpack_keys
+from hpccomponent.surface.lattice import step_keys, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = ["HALO_STEPS", "near_bricks", "plan_gap", "plan_tile", "plan_whole", "surround"]
@@ -29,18 +29,25 @@ HALO_STEPS = 3 * BRICK
 _AT_ONCE = 8
 
 
-def surround(cells: IntArray, wide: int) -> IntArray:
-    """Return all cells within so many cells of some, along every axis; sorted keys.
+def surround(cells: IntArray, low: IntArray | int, high: IntArray | int) -> IntArray:
+    """Return all cells in boxes around some; sorted keys.
 
     Parameters
     ----------
     cells : ndarray of int64, shape (c,)
         Sorted keys.
-    wide : int
+    low, high : ndarray of int64, shape (3,), or int
+        How many cells a box reaches down and up along each axis.
     """
-    while wide > 0:
-        cells = kernels.spread_keys(cells, -min(wide, _AT_ONCE), min(wide, _AT_ONCE))
-        wide -= _AT_ONCE
+    low, high = np.broadcast_to(low, 3), np.broadcast_to(high, 3)
+    wide = int(min(low.min(), high.min()))
+    for start in range(0, wide, _AT_ONCE):
+        step = min(wide - start, _AT_ONCE)
+        cells = kernels.spread_keys(cells, -step, step)
+    for axis, unit in enumerate(np.eye(3, dtype=np.int64)):
+        for toward, count in ((-unit, low[axis] - wide), (unit, high[axis] - wide)):
+            for _ in range(count):
+                cells = kernels.unite_keys(cells, step_keys(cells, toward))
     return cells
 
 

@@ -18,19 +18,22 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hpccomponent.store import open_store
+from hpccomponent.runtime.tasks import declare
+from hpccomponent.store import hold_store
 from hpccomponent.surface import kernels
 from hpccomponent.surface.arrangement import Arrangement
 from hpccomponent.surface.bricks import BrickKinds
+from hpccomponent.surface.cell_points import SortedPoints
 from hpccomponent.surface.crowding import crowd_vertices
 from hpccomponent.surface.far_field import FarField, FarFieldPart, restore_far_field
 from hpccomponent.surface.field import Field, FieldLevel, Grid
 from hpccomponent.surface.hermite import BASIS
-from hpccomponent.surface.lattice import unpack_keys
+from hpccomponent.surface.lattice import pack_places, unpack_keys
 from hpccomponent.surface.mesh_part import MeshPart, cut_part
 from hpccomponent.surface.part_summary import summarize_part
-from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
+from hpccomponent.surface.points import FloatArray, IntArray
 from hpccomponent.surface.pyramid import (
     Level,
     Parents,
@@ -38,14 +41,16 @@ from hpccomponent.surface.pyramid import (
     VertexQuadrics,
     corners_at,
     fit_levels,
+    lay_vertices,
     raise_levels,
     sort_level,
 )
 from hpccomponent.surface.reach import near_bricks, plan_gap, plan_tile
-from hpccomponent.surface.tile_points import CellPoints, take_points
-from hpccomponent.surface.weights import FIELD_LEVELS, trust_vertices, weigh_levels
+from hpccomponent.surface.tile_points import CellPoints, estimate_work, take_points
+from hpccomponent.surface.weights import FIELD_LEVELS, Weights, trust_vertices, weigh_levels
 
 __all__ = [
+    "KEPT_TILES",
     "CoarseLevels",
     "Plan",
     "Values",
@@ -89,6 +94,9 @@ class Plan:
         See `arrangement.Arrangement`.
     far : int
         The level whose cells the far field is made of.
+    tolerance : float
+        How far off a point may lie until it counts half (see `weights.Weights`); not infinite only
+        where `coarse` is 2 or more.
     """
 
     origin: FloatArray
@@ -102,6 +110,7 @@ class Plan:
     block_origin: FloatArray
     block_edge: float
     far: int
+    tolerance: float = np.inf
 
     def to_values(self) -> Values:
         """Return what a task may be given."""
@@ -111,6 +120,22 @@ class Plan:
     def coarse_size(self) -> float:
         """Edge of the coarse cells, in length units of the input."""
         return self.cell_size * 2.0**self.coarse
+
+    @property
+    def reach(self) -> float:
+        """How far from a node the points may lie that its quadrics depend on.
+
+        Vertices and parents lie up to half a coarse cell away, their points half a coarse cell
+        further on, and cells whose corners exist because of points two finest cells beyond. Where
+        points are weighed, by quadrics of the second level, these add two of its cells.
+        """
+        steps = 2.0 if np.isinf(self.tolerance) else 6.0
+        return self.coarse_size + steps * self.cell_size
+
+    @property
+    def weights(self) -> list[Weights]:
+        """The weights of every level's fits."""
+        return weigh_levels(self.cell_size, self.height, self.noise, self.tolerance)
 
     @property
     def grid(self) -> Grid:
@@ -159,7 +184,26 @@ class CoarseLevels:
         )
 
 
-def sum_tile(plan: Values, points: CellPoints, threads: int = 1) -> Values:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Prepared:
+    """A tile's points in their cells, up to the coarse level; `kinds` is None where it has none."""
+
+    kinds: BrickKinds | None
+    groups: NDArray[np.uint8]
+    levels: list[Level]
+
+
+KEPT_TILES = 4
+"""So many tiles that a process has summed wait there to be meshed, some 110 bytes a point."""
+
+_waiting: dict[str, _Prepared] = {}
+"""By their tickets, the one that was summed first before the others."""
+
+
+@declare(cost=lambda _plan, points, *_: estimate_work(points))
+def sum_tile(
+    plan: Values, points: CellPoints, ticket: str | None = None, threads: int = 1
+) -> Values:
     """Sum the moments of a tile's points in the cells of the coarse level (a task).
 
     Parameters
@@ -167,7 +211,11 @@ def sum_tile(plan: Values, points: CellPoints, threads: int = 1) -> Values:
     plan : tuple
         Of a `Plan`.
     points : tuple
-        `CellPoints` of the tile alone.
+        `CellPoints` of the tile alone; with a ticket, those that `mesh_tile` will be given.
+    ticket : str, optional
+        A name that nothing else has: what is prepared of the points waits for `mesh_tile` with
+        this ticket, until the process has summed `KEPT_TILES` more. What either task returns
+        does not depend on it.
     threads : int
         The result does not depend on it.
 
@@ -183,22 +231,31 @@ def sum_tile(plan: Values, points: CellPoints, threads: int = 1) -> Values:
         The finest cells with points.
     """
     common = Plan(*plan)
-    (cloud,) = _take(points, common)
-    finest = sort_level(cloud, common.origin, common.cell_size)
-    levels = raise_levels(finest, common.coarse + 1, threads)
-    coarse = levels[-1]
-    moments = coarse.points.sum(slice(0, len(coarse.cells)))
-    vertices = corners_at(finest.cells, common.coarse)
-    samples = sample_cells(levels[min(common.far, common.coarse)])
-    return coarse.cells, moments, coarse.squares, vertices, *samples, len(finest.cells)
+    prepared = _prepare(common, points, ticket is not None, threads)
+    if ticket is not None:
+        while len(_waiting) >= KEPT_TILES:
+            _waiting.pop(next(iter(_waiting), ""), None)
+        _waiting[ticket] = prepared
+    finest, coarse = prepared.levels[0], prepared.levels[-1]
+    assert isinstance(finest.points, SortedPoints)  # noqa: S101 - the finest level has points
+    starts = finest.points.rows[finest.points.offsets[:-1]]
+    own = finest.cells[prepared.groups[starts] == 0]
+    at, depth = _ancestors(own, coarse, common.coarse), min(common.far, common.coarse)
+    moments = coarse.points.sum(slice(0, len(coarse.cells)))[at]
+    sampled = prepared.levels[depth]
+    samples = sample_cells(sampled, _ancestors(own, sampled, depth))
+    vertices = corners_at(own, common.coarse)
+    return coarse.cells[at], moments, coarse.squares[at], vertices, *samples, len(own)
 
 
-def sample_cells(level: Level) -> tuple[IntArray, FloatArray]:
+def sample_cells(level: Level, rows: IntArray | None = None) -> tuple[IntArray, FloatArray]:
     """Return what the far field is made of.
 
     Parameters
     ----------
     level : Level
+    rows : ndarray of int64, optional
+        Of the level's cells; by default all.
 
     Returns
     -------
@@ -207,12 +264,15 @@ def sample_cells(level: Level) -> tuple[IntArray, FloatArray]:
         Of 1, the positions and the normals of the points in each (see `moments`).
     """
     moments = level.points.sum(slice(0, len(level.cells)))
-    return level.cells, np.concatenate([moments[:, :4], moments[:, 35:38]], axis=1)
+    sums = np.concatenate([moments[:, :4], moments[:, 35:38]], axis=1)
+    return (level.cells, sums) if rows is None else (level.cells[rows], sums[rows])
 
 
+@declare(cost=lambda _plan, points, *_: estimate_work(points))
 def mesh_tile(
     plan: Values,
     points: CellPoints,
+    ticket: str | None,
     coarse: Values,
     keep: tuple[str, str] | None = None,
     threads: int = 1,
@@ -225,6 +285,8 @@ def mesh_tile(
         Of a `Plan`.
     points : tuple
         `CellPoints` of the tile, and of its halo those that belong to tiles before and after it.
+    ticket : str or None
+        See `sum_tile`.
     coarse : tuple
         Of the `CoarseLevels` around it.
     keep : tuple of str, optional
@@ -242,13 +304,17 @@ def mesh_tile(
         Bricks where the surface leaves the tile and there are no points (see `bricks`).
     """
     common = Plan(*plan)
-    clouds = _take(points, common)
-    kinds = plan_tile(common.grid, *(cloud.positions for cloud in clouds))
-    if kinds is None:
+    prepared = _waiting.pop(ticket, None) if ticket is not None else None
+    if prepared is None:
+        prepared = _prepare(common, points, True, threads)
+    if prepared.kinds is None:
         return _give(MeshPart.empty(), np.empty(0, np.int64), keep)
-    return _give(*_mesh_region(common, _join(clouds), kinds, coarse, threads), keep)
+    kinds, levels = prepared.kinds, prepared.levels[: common.coarse]
+    del prepared
+    return _give(*_mesh_region(common, levels, kinds, coarse, threads), keep)
 
 
+@declare(cost=lambda _plan, exits, points, *_: len(exits) + estimate_work(points))
 def mesh_gap(
     plan: Values,
     exits: IntArray,
@@ -283,11 +349,14 @@ def mesh_gap(
         As those of `mesh_tile`.
     """
     common = Plan(*plan)
-    (cloud,) = _take(points, common)
+    cloud = take_points(points, common.arrangement, common.origin, common.coarse_size).cloud
     low = common.origin + common.coarse_size * unpack_keys(missing)
-    reach = common.coarse_size + 2.0 * common.cell_size
-    kinds = plan_gap(common.grid, exits, cloud.positions, low, common.coarse_size, reach)
-    return _give(*_mesh_region(common, cloud, kinds, coarse, threads), keep)
+    kinds = plan_gap(common.grid, exits, cloud.positions, low, common.coarse_size, common.reach)
+    levels = []
+    if len(cloud):
+        finest = sort_level(cloud, common.origin, common.cell_size)
+        levels = raise_levels(finest, common.coarse, threads)
+    return _give(*_mesh_region(common, levels, kinds, coarse, threads), keep)
 
 
 def find_trust(
@@ -328,20 +397,35 @@ def find_trust(
     return tuple(found)
 
 
+def _prepare(plan: Plan, points: CellPoints, with_kinds: bool, threads: int) -> _Prepared:
+    """Put a tile's points into their cells, and sum these up to the coarse level."""
+    taken = take_points(points, plan.arrangement, plan.origin, plan.coarse_size)
+    kinds = None
+    if with_kinds:
+        kinds = plan_tile(plan.grid, *(taken.positions(group) for group in range(3)))
+    finest = sort_level(taken.cloud, plan.origin, plan.cell_size)
+    return _Prepared(kinds, taken.groups, raise_levels(finest, plan.coarse + 1, threads))
+
+
+def _ancestors(cells: IntArray, level: Level, depth: int) -> IntArray:
+    """Return the rows of a level that are ancestors of some of the finest cells."""
+    found = kernels.find_keys(level.cells, pack_places(unpack_keys(cells) >> depth))
+    is_ancestor = np.zeros(len(level.cells), np.bool_)
+    is_ancestor[found] = True
+    return np.flatnonzero(is_ancestor)
+
+
 def _mesh_region(
-    plan: Plan, cloud: PointCloud, kinds: BrickKinds, coarse: Values, threads: int
+    plan: Plan, raised: list[Level], kinds: BrickKinds, coarse: Values, threads: int
 ) -> tuple[MeshPart, IntArray]:
     """Fit the fine levels where bricks may be evaluated, and extract the surface there."""
     above = CoarseLevels.from_values(coarse)
     far = restore_far_field(above.far)
     levels = tuple(_NO_LEVEL for _ in range(min(plan.coarse, FIELD_LEVELS)))
-    if len(cloud):
-        finest = sort_level(cloud, plan.origin, plan.cell_size)
-        vertices = _lay_near(finest.cells, plan, kinds)
-        raised = raise_levels(finest, plan.coarse, threads)
+    if raised:
+        vertices = _lay_near(raised[0].cells, plan, kinds)
         pyramid = Pyramid(plan.origin, plan.cell_size, raised, vertices, 0, plan.height)
-        weights = weigh_levels(plan.cell_size, plan.height, plan.noise)
-        quadrics, _ = fit_levels(pyramid, weights, above.parents, threads)
+        quadrics = fit_levels(pyramid, plan.weights, above.parents, threads)[0]
         levels = find_trust(pyramid, quadrics, far)
     field = Field(plan.origin, plan.cell_size, levels + above.levels, far)
     mesh = kernels.grow_surface(field, plan.grid, kinds, threads)
@@ -358,7 +442,7 @@ def _give(
     if keep is None:
         return values, summary, exits
     place, name = keep
-    open_store(place).put(name, (values, summary, exits))
+    hold_store(place).put(name, (values, summary, exits))
     return None, summary, exits
 
 
@@ -366,26 +450,14 @@ def _lay_near(cells: IntArray, plan: Plan, kinds: BrickKinds) -> list[IntArray]:
     """Return the corners of each fine level that the bricks of a tile ask for, and ancestors.
 
     A node asks for the corners around it, up to a cell of their level away, and these are there
-    because of finest cells whose middle lies as far again, and half a finest cell, from them.
+    because of finest cells whose middle lies as far again, and half a finest cell, from them. On
+    coarser levels, which have few corners, those that the coarsest asks for are laid, and those
+    that points are weighed by.
     """
+    weighing = 0.0 if np.isinf(plan.tolerance) else 4.0
     places = plan.origin + plan.cell_size * (unpack_keys(cells) + 0.5)
-    laid: list[IntArray] = []
-    for depth in range(plan.coarse):
-        reach = plan.cell_size * (2.0 ** (depth + 1) + 0.75)
-        corners = corners_at(cells[near_bricks(kinds, plan.grid, places, reach)], depth)
-        parents = kernels.parent_keys(laid[-1]) if laid else corners
-        laid.append(kernels.unite_keys(corners, parents))
-    return laid
-
-
-def _take(points: CellPoints, plan: Plan) -> list[PointCloud]:
-    """Return the points that a task has been given."""
-    return take_points(points, plan.arrangement, plan.origin, plan.coarse_size)
-
-
-def _join(clouds: list[PointCloud]) -> PointCloud:
-    """Return the points of some clouds with normals, one after the other."""
-    normals = [cloud.normals for cloud in clouds if cloud.normals is not None]
-    return PointCloud(
-        np.concatenate([cloud.positions for cloud in clouds]), np.concatenate(normals)
+    near, wide = (
+        kernels.spread_keys(cells[near_bricks(kinds, plan.grid, places, reach)], -1, 2)
+        for reach in plan.cell_size * np.array([2.75, 2.0**plan.coarse + 0.75 + weighing])
     )
+    return [near, *lay_vertices(wide, plan.coarse)[1:]]

@@ -1,7 +1,8 @@
 """One PLY file that many write to: every part knows where its rows are.
 
 The rows of a binary PLY file have one size each. Whoever opens the file writes its header and makes
-it as long as it will be; then each worker writes the bricks of its own part.
+it as long as it will be; then each worker writes the bricks of its own part. Rows have one place
+each, so that a part that is written twice, as after the loss of a worker, gives the same bytes.
 """
 
 from __future__ import annotations
@@ -13,13 +14,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.errors import OutputError
+from hpccomponent.store import hold_store
 from hpccomponent.surface.mesh_part import MeshPart
-from hpccomponent.surface.part_places import PartPlaces, place_faces, place_vertices
+from hpccomponent.surface.part_places import PartPlaces, Runs, place_faces, place_vertices
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["FACE_SIZE", "SharedPly", "face_rows", "vertex_rows", "vertex_size", "write_part"]
+__all__ = [
+    "FACE_SIZE",
+    "SharedPly",
+    "face_rows",
+    "mesh_header",
+    "ply_header",
+    "vertex_rows",
+    "vertex_size",
+    "write_kept",
+    "write_part",
+]
 
-_FACE = np.dtype([("n", "u1"), ("corners", "<i4", (3,))])
+_CORNERS = np.dtype("V12")  # three int32, moved as one
+_FACE = np.dtype([("n", "u1"), ("corners", _CORNERS)])
 
 FACE_SIZE = _FACE.itemsize
 """Bytes of a face."""
@@ -33,6 +47,8 @@ class SharedPly:
     ----------
     path : str
         The file, under the name that it has while it is written.
+    target : str
+        The name that it will have: what messages call it.
     vertex_start, face_start : int
         The byte at which the vertices and the faces begin.
     is_double : bool
@@ -42,6 +58,7 @@ class SharedPly:
     """
 
     path: str
+    target: str
     vertex_start: int
     face_start: int
     is_double: bool
@@ -55,6 +72,25 @@ class SharedPly:
     def from_values(cls, values: tuple[Any, ...]) -> SharedPly:
         """Return what `to_values` took apart."""
         return cls(*values)
+
+
+def ply_header(element_lines: list[str]) -> bytes:
+    """Return the header of a binary little-endian PLY file, of what its elements are."""
+    start = ["ply", "format binary_little_endian 1.0", "comment hpcapp"]
+    return "\n".join([*start, *element_lines, "end_header", ""]).encode("ascii")
+
+
+def mesh_header(vertex_count: int, face_count: int, is_double: bool) -> bytes:
+    """Return the header of a mesh."""
+    kind = "double" if is_double else "float"
+    return ply_header(
+        [
+            f"element vertex {vertex_count}",
+            *(f"property {kind} {name}" for name in "xyz"),
+            f"element face {face_count}",
+            "property list uchar int vertex_indices",
+        ]
+    )
 
 
 def vertex_size(is_double: bool) -> int:
@@ -76,8 +112,11 @@ def vertex_rows(vertices: FloatArray, origin: FloatArray, is_double: bool) -> ND
     -------
     ndarray of float64 or float32, shape (v, 3)
     """
-    rows = np.empty((len(vertices), 3), "<f8" if is_double else "<f4")
+    kind = "<f8" if is_double else "<f4"
     with np.errstate(over="ignore"):  # what float cannot hold becomes infinite
+        if not origin.any():
+            return vertices.astype(kind, copy=False)
+        rows = np.empty((len(vertices), 3), kind)
         for axis, shift in enumerate(origin):
             column = vertices[:, axis]
             rows[:, axis] = column + shift if shift else column
@@ -89,7 +128,7 @@ def face_rows(faces: IntArray) -> NDArray[Any]:
 
     Parameters
     ----------
-    faces : ndarray of int64, shape (f, 3)
+    faces : ndarray of int, shape (f, 3)
 
     Returns
     -------
@@ -97,11 +136,11 @@ def face_rows(faces: IntArray) -> NDArray[Any]:
     """
     rows = np.empty(len(faces), _FACE)
     rows["n"] = 3
-    rows["corners"] = faces
+    rows["corners"] = np.ascontiguousarray(faces, "<i4").view(_CORNERS)[:, 0]
     return rows
 
 
-def write_part(part: MeshPart, places: PartPlaces, shared: SharedPly) -> int:
+def write_part(part: MeshPart, places: PartPlaces, shared: SharedPly) -> None:
     """Write what a part gives to the mesh into the file that all parts share.
 
     Parameters
@@ -112,38 +151,83 @@ def write_part(part: MeshPart, places: PartPlaces, shared: SharedPly) -> int:
     shared : SharedPly
         The file is there and long enough.
 
-    Returns
-    -------
-    int
-        Bytes written.
-
     Raises
     ------
     OSError
         The file cannot be written.
     """
-    bricks = np.flatnonzero(places.face_starts >= 0)
-    vertices, vertex_numbers = place_vertices(part, places, bricks)
-    _, faces, face_numbers = place_faces(part, places, bricks)
     file = os.open(shared.path, os.O_WRONLY)
     try:
-        rows = vertex_rows(vertices, shared.origin, shared.is_double)
-        written = _write_runs(file, rows, vertex_numbers, shared.vertex_start)
-        return written + _write_runs(file, face_rows(faces), face_numbers, shared.face_start)
+        _write_rows(file, part, places, shared)
     finally:
         os.close(file)
 
 
-def _write_runs(file: int, rows: NDArray[Any], numbers: IntArray, start: int) -> int:
-    """Write rows to their places; those with consecutive numbers at once."""
+def write_kept(kept: tuple[str, str], places: tuple[Any, ...], shared: tuple[Any, ...]) -> bool:
+    """Write a part that is kept into the file that all parts share (a task).
+
+    Parameters
+    ----------
+    kept : tuple of str
+        The store (see `hpccomponent.store`) and the name of what `region.mesh_tile` put there.
+    places : tuple
+        Of its `PartPlaces`.
+    shared : tuple
+        Of the `SharedPly`.
+
+    Returns
+    -------
+    bool
+        Whether it was written: not where this process does not see the part, or sees no such file
+        or may not write it.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    JobError, CloudError
+        The part cannot be read.
+    """
+    ply, (place, name) = SharedPly.from_values(shared), kept
+    try:
+        file = os.open(ply.path, os.O_WRONLY)
+    except OSError:
+        return False
+    try:
+        try:
+            store = hold_store(place)
+            if not store.has(name):
+                return False
+            part = MeshPart.from_values(store.get(name)[0])
+            _write_rows(file, part, PartPlaces.from_values(places), ply)
+        finally:
+            os.close(file)  # what a network has to say, it says here
+    except OSError as error:
+        raise OutputError(
+            f"{ply.target}: cannot be written: {error.strerror or error}",
+            "check that its folder has room and lets you write",
+        ) from error
+    return True
+
+
+def _write_rows(file: int, part: MeshPart, places: PartPlaces, shared: SharedPly) -> None:
+    """Write the vertices and faces of the bricks that are taken from a part."""
+    bricks = np.flatnonzero(places.face_starts >= 0)
+    vertices, runs = place_vertices(part, places, bricks)
+    rows = vertex_rows(vertices, shared.origin, shared.is_double)
+    _write_runs(file, rows, runs, shared.vertex_start)
+    _, corners, runs = place_faces(part, places, bricks)
+    _write_runs(file, face_rows(corners), runs, shared.face_start)
+
+
+def _write_runs(file: int, rows: NDArray[Any], runs: Runs, start: int) -> None:
+    """Write rows to their places."""
     if not len(rows):
-        return 0
+        return
     size = rows.nbytes // len(rows)
-    cuts = np.flatnonzero(np.diff(numbers) != 1) + 1
     raw = rows.view(np.uint8).reshape(-1).data
-    for first, last in zip(np.r_[0, cuts].tolist(), np.r_[cuts, len(rows)].tolist(), strict=True):
-        run, at = raw[first * size : last * size], start + int(numbers[first]) * size
+    for first, last, number in runs:
+        run, at = raw[first * size : last * size], start + number * size
         while run:
             done = os.pwrite(file, run, at)
             run, at = run[done:], at + done
-    return rows.nbytes

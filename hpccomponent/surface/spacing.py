@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from math import sqrt
 
 import numpy as np
@@ -13,17 +13,20 @@ from hpccomponent.surface.lattice import cells_of, pack_places, unique_keys
 from hpccomponent.surface.points import FloatArray, IntArray, bounding_box
 
 __all__ = [
-    "Groups",
+    "Count",
     "bound_points",
     "count_boxes",
-    "estimate_group_spacing",
     "estimate_spacing",
+    "guess_boxes",
     "is_sampled",
     "sample_box_keys",
     "sample_boxes",
+    "search_spacing",
 ]
 
-Groups = Callable[[], Iterable[FloatArray]]
+Count = Callable[[float, int, bool], tuple[int, int]]
+"""Given the edge of boxes, how many of them make one sampled, and whether points at one place count
+as one, returns the points in the sample and the boxes that hold some."""
 
 _FEW, _MANY = 3.0, 20.0
 _SAMPLED_POINTS = 200_000
@@ -70,14 +73,13 @@ def estimate_spacing(positions: FloatArray) -> float:
     return edge / sqrt(occupancy)
 
 
-def estimate_group_spacing(groups: Groups, points: int, low: FloatArray, high: FloatArray) -> float:
-    """Estimate the spacing of a cloud that comes in groups; see `estimate_spacing`.
+def search_spacing(count: Count, points: int, low: FloatArray, high: FloatArray) -> float:
+    """Estimate the spacing of a cloud that somebody else counts; see `estimate_spacing`.
 
     Parameters
     ----------
-    groups : callable
-        Gives the positions of the cloud, some at a time; equal ones must be in one group. It is
-        called for each size of boxes, three times or so.
+    count : callable
+        See `Count`. It is called for each size of boxes, three times or so.
     points : int
     low, high : ndarray of float64, shape (3,)
         Corners of the box around all points.
@@ -92,20 +94,31 @@ def estimate_group_spacing(groups: Groups, points: int, low: FloatArray, high: F
     InputError
         All points are the same.
     """
+    longest = float((high - low).max())
 
-    def count(edge: float, one_in: int) -> tuple[int, int]:
-        counted = [sample_box_keys(some, low, edge, one_in) for some in groups()]
-        boxes = unique_keys(np.concatenate([keys for _, keys in counted]))
-        return sum(held for held, _ in counted), len(boxes)
+    def search(points: int, is_distinct: bool) -> float:
+        edge, occupancy, is_stalled = _search_edge(
+            lambda edge, one_in: count(edge, one_in, is_distinct), points, longest
+        )
+        if is_stalled and not is_distinct:
+            distinct, _ = count(longest, 1, True)
+            if distinct < points:
+                return search(distinct, True)
+        return edge / sqrt(occupancy)
 
-    edge, occupancy, is_stalled = _search_edge(count, points, float((high - low).max()))
-    if is_stalled:
-        distinct = sum(len(np.unique(some, axis=0)) for some in groups())
-        if distinct < points:
-            return estimate_group_spacing(
-                lambda: (np.unique(some, axis=0) for some in groups()), distinct, low, high
-            )
-    return edge / sqrt(occupancy)
+    return search(points, False)
+
+
+def guess_boxes(points: int, longest: float) -> tuple[float, int]:
+    """Return the edge of boxes to begin with, and how many boxes make one sampled.
+
+    Parameters
+    ----------
+    points : int
+    longest : float
+        Longest side of the box around them, in length units of the input.
+    """
+    return longest * min(0.5, 3.0 / sqrt(points)), points // _SAMPLED_POINTS + 1
 
 
 def sample_box_keys(
@@ -148,13 +161,12 @@ def _search_edge(
     """
     if longest <= 0.0:
         raise InputError(f"all {points} points lie at one place", "scan something with an extent")
-    one_in = points // _SAMPLED_POINTS + 1
+    edge, one_in = guess_boxes(points, longest)
 
     def measure(edge: float) -> float:
         held, boxes = count(edge, one_in)
         return held / max(1, boxes)
 
-    edge = longest * min(0.5, 3.0 / sqrt(points))
     occupancy = measure(edge)
     for _ in range(_ROUNDS):
         if _FEW <= occupancy <= _MANY or (occupancy < _FEW and edge >= longest):

@@ -5,10 +5,12 @@ Who may import it: the tasks of `region`, and the master that cuts the tiles.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.arranged_cloud import ArrangedCloud
@@ -22,7 +24,10 @@ from hpccomponent.surface.disk_cloud import open_disk_cloud
 from hpccomponent.surface.lattice import find_keys, pack_places, unique_keys, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 
-__all__ = ["CellPoints", "pack_cloud", "read_cells", "take_points"]
+__all__ = ["CellPoints", "TilePoints", "estimate_work", "pack_cloud", "read_cells", "take_points"]
+
+_NO_GROUP = 255
+_BYTES_PER_POINT = 24.0
 
 CellPoints = tuple[Any, ...]
 """Points in some groups of coarse cells, as a task is given them: ``("sent", packed, ...)`` with
@@ -30,10 +35,64 @@ the arrays of a `PackedPoints` for each group; or ``("there", cloud, cells, ...)
 each group's cells, and a folder that the worker sees, or in this process the cloud itself."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TilePoints:
+    """Points in some groups of coarse cells.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        With normals; within a cell in the order of the whole cloud.
+    groups : ndarray of uint8, shape (n,)
+        The group of each point.
+    """
+
+    cloud: PointCloud
+    groups: NDArray[np.uint8]
+
+    def positions(self, group: int) -> FloatArray:
+        """Return the positions of a group."""
+        return self.cloud.positions.take(np.flatnonzero(self.groups == group), axis=0)
+
+
+def estimate_work(points: CellPoints) -> float:
+    """Return how much work the points that a task is given are, for the master.
+
+    Parameters
+    ----------
+    points : CellPoints
+        It, or parts of it, may be what stands for a shared value.
+
+    Returns
+    -------
+    float
+        Their number where they are sent; else, since nobody has looked at them, that of their
+        coarse cells, which have as much surface each. One job's tasks are given one form.
+
+    Examples
+    --------
+    >>> estimate_work(("there", "/folder", np.arange(5), np.arange(2)))
+    8.0
+    """
+    if not isinstance(points, tuple):  # all of it is shared
+        return 1.0 + _count_bytes(points) / _BYTES_PER_POINT
+    form, *groups = points
+    if form == "there":
+        return 1.0 + sum(map(len, groups[1:]))
+    sent = (part for group in groups for part in (group if isinstance(group, tuple) else (group,)))
+    return 1.0 + sum(_count_bytes(part) for part in sent) / _BYTES_PER_POINT
+
+
+def _count_bytes(value: Any) -> int:
+    """Return the bytes of an array, or of what stands for a shared value."""
+    size: int = value.nbytes if isinstance(value, np.ndarray) else value.size_bytes
+    return size
+
+
 def take_points(
     points: CellPoints, arrangement: Arrangement, origin: FloatArray, size: float
-) -> list[PointCloud]:
-    """Return the points of each group, as a task has been given them.
+) -> TilePoints:
+    """Return the points that a task has been given.
 
     Parameters
     ----------
@@ -46,20 +105,24 @@ def take_points(
 
     Returns
     -------
-    list of PointCloud
+    TilePoints
     """
     form, *groups = points
-    if form == "sent":
-        return [PointCloud(*unpack_points(arrangement, PackedPoints(*group))) for group in groups]
-    cloud, *cells = groups
-    if isinstance(cloud, str):
-        cloud = open_disk_cloud(Path(cloud))
-    return read_cells(cloud, origin, size, cells)
+    if form == "there":
+        cloud, *cells = groups
+        if isinstance(cloud, str):
+            cloud = open_disk_cloud(Path(cloud))
+        return read_cells(cloud, origin, size, cells)
+    taken = [unpack_points(arrangement, PackedPoints(*group)) for group in groups]
+    positions, normals = (np.concatenate(some) for some in zip(*taken, strict=True))
+    counts = [len(some) for some, _ in taken]
+    numbers = np.repeat(np.arange(len(taken), dtype=np.uint8), counts)
+    return TilePoints(PointCloud(positions, normals), numbers)
 
 
 def read_cells(
     cloud: ArrangedCloud, origin: FloatArray, size: float, groups: list[IntArray]
-) -> list[PointCloud]:
+) -> TilePoints:
     """Return the points in some groups of coarse cells.
 
     Parameters
@@ -74,21 +137,20 @@ def read_cells(
 
     Returns
     -------
-    list of PointCloud
+    TilePoints
         In the cloud's order.
     """
     wanted = unique_keys(np.concatenate(groups))
+    group_of = np.full(len(wanted) + 1, _NO_GROUP, np.uint8)
+    for number, group in enumerate(groups):
+        group_of[find_keys(wanted, group)] = number
     positions, normals = cloud.take_blocks(_find_blocks(cloud.arrangement, wanted, origin, size))
-    if not len(positions):
-        return [PointCloud(positions, normals) for _ in groups]
-    cells, offsets, rows = kernels.sort_points(positions, origin, size)
-    found = []
-    for group in groups:
-        runs = np.flatnonzero(find_keys(group, cells) < len(group))
-        parts = [rows[offsets[run] : offsets[run + 1]] for run in runs.tolist()]
-        chosen = np.sort(np.concatenate([rows[:0], *parts]))
-        found.append(PointCloud(positions[chosen], normals[chosen]))
-    return found
+    found = group_of[kernels.find_cells(positions, origin, size, wanted)]
+    rows = np.flatnonzero(found != _NO_GROUP)
+    if len(rows) == len(found):
+        return TilePoints(PointCloud(positions, normals), found)
+    chosen = PointCloud(positions.take(rows, axis=0), normals.take(rows, axis=0))
+    return TilePoints(chosen, found[rows])
 
 
 def pack_cloud(arrangement: Arrangement, cloud: PointCloud) -> tuple[Any, ...]:

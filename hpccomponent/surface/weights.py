@@ -59,15 +59,20 @@ class Weights:
         Variance of the positions along the normals, in cells of the level squared.
     least_mu, most_mu : float
         Between which the weight of a prior lies, in points.
+    tolerance : float
+        How far off a point may lie until it counts half, in variances (see `robust`).
     """
 
     lam: float
     noise: float
     least_mu: float
     most_mu: float
+    tolerance: float = np.inf
 
 
-def weigh_levels(cell_size: float, levels: int, noise: float) -> list[Weights]:
+def weigh_levels(
+    cell_size: float, levels: int, noise: float, tolerance: float = np.inf
+) -> list[Weights]:
     """Choose the weights of every level's fits.
 
     Parameters
@@ -77,6 +82,8 @@ def weigh_levels(cell_size: float, levels: int, noise: float) -> list[Weights]:
     levels : int
     noise : float
         Standard deviation of the positions along the normals, in length units of the input.
+    tolerance : float
+        See `Weights`.
 
     Returns
     -------
@@ -94,7 +101,7 @@ def weigh_levels(cell_size: float, levels: int, noise: float) -> list[Weights]:
         least = _LEAST_COARSE_LAM if depth else _LEAST_LAM
         lam = min(max(_LAM_PER_NOISE * variance, least), _MOST_LAM)
         most_mu = _MOST_MU if depth < levels - 1 else LEAST_MU
-        weights.append(Weights(lam, variance, LEAST_MU, most_mu))
+        weights.append(Weights(lam, variance, LEAST_MU, most_mu, tolerance))
     return weights
 
 

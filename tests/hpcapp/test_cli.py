@@ -324,7 +324,11 @@ def are_gone(pids: set[int]) -> bool:
     return True
 
 
-BACKENDS = (["--backend", "threads"], ["--backend", "processes"], ["--workers", "2"])
+BACKENDS = (
+    ["--backend", "threads"],
+    ["--backend", "processes"],
+    ["--backend", "zmq", "--workers", "2"],
+)
 
 
 @pytest.mark.parametrize("backend", BACKENDS, ids=" ".join)

@@ -145,7 +145,7 @@ def test_a_job_on_a_cluster_gives_the_bytes_of_a_local_one(
     assert code == 0, errors
     code, output, errors = run_command(
         "reconstruct", str(sphere_file), "-o", "remote.ply", *options,
-        "--cluster", str(cluster.inventory), "--events", "events.jsonl",
+        "--cluster", str(cluster.inventory), "--backend", "zmq", "--events", "events.jsonl",
     )  # fmt: skip
     assert code == 0, errors
     assert (tmp_path / "remote.ply").read_bytes() == (tmp_path / "local.ply").read_bytes()

@@ -8,6 +8,7 @@ import os
 import socket
 import sys
 import threading
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpccomponent.errors import CloudError, JobError, OutputError, UsageError
-from hpccomponent.store import FolderStore, Store, open_store
+from hpccomponent.store import FolderStore, Store, hold_store, open_store
 from hpccomponent.stored_value import DamagedError, from_bytes, to_buffers
 
 pytest_plugins = ["lab_bucket"]
@@ -132,7 +133,7 @@ def test_any_changed_byte_is_found_out(at: int, change: int) -> None:
 
 @given(st.binary(max_size=200), st.integers(0, 200))
 def test_other_bytes_are_no_value(junk: bytes, kept: int) -> None:
-    for content in (junk, b"hpcvalue" + junk, _content(7)[: min(kept, len(_content(7)) - 1)]):
+    for content in (junk, b"hpcvalue2" + junk, _content(7)[: min(kept, len(_content(7)) - 1)]):
         with pytest.raises(DamagedError):
             from_bytes(memoryview(content))
 
@@ -146,6 +147,26 @@ def test_a_damaged_value_is_named(bucket: Any, tmp_path: Path) -> None:
         with pytest.raises(JobError, match=f"/{name} .*(checksum|empty)") as refusal:
             open_store(place).get(name)
         assert refusal.value.exit_code == 1
+
+
+def test_a_file_is_checked_when_it_is_first_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked: list[int] = []
+
+    def check(content: memoryview) -> int:
+        checked.append(len(content))
+        return crc32(content)
+
+    crc32 = zlib.crc32
+    store = FolderStore(tmp_path)
+    for value in (1, 2):  # another file of the same name is checked anew
+        store.put("a", np.full(10_000, value))
+        with monkeypatch.context() as patch:
+            patch.setattr(zlib, "crc32", check)
+            found = [store.get("a") for _ in range(3)]
+        assert [values.tolist() for values in found] == [[value] * 10_000] * 3
+        assert len(checked) == value
 
 
 def test_arrays_of_a_folder_are_mapped_and_let_go(tmp_path: Path) -> None:
@@ -184,6 +205,16 @@ def test_a_folder_that_cannot_be(tmp_path: Path) -> None:
 def test_places_of_other_kinds_are_refused(place: str) -> None:
     with pytest.raises(UsageError, match="no store is known"):
         open_store(place)
+
+
+def test_tasks_share_a_client(bucket: Any, tmp_path: Path) -> None:
+    assert hold_store("s3://lab/a") is hold_store("s3://lab/a")
+    assert hold_store("s3://lab/a") is not hold_store("s3://lab/b")
+    hold_store("s3://lab/a").put("x", 1)
+    assert open_store("s3://lab/a").get("x") == 1
+    for _ in range(2):  # what could not be opened is tried again
+        with pytest.raises(CloudError, match="there is no bucket 'other'"):
+            hold_store("s3://other/prefix")
 
 
 def test_a_bucket_must_have_a_name_and_be_there(bucket: Any) -> None:

@@ -23,6 +23,7 @@ from machines.servers import Machines, Server
 
 FOLDER = "hpcapp/lab"
 WAITING = "waiting for the cluster's present job"
+ON_WORKERS = ("--backend", "zmq")  # so small a cloud would wait for nobody
 
 
 @pytest.fixture
@@ -79,7 +80,8 @@ def test_a_job_outlives_a_cut_connection_and_is_attached_to_again(
     head = hosts[0]
     with open_cluster(held) as cluster, on_waiting(caplog, lambda: machines.stop(head)):
         jobs = open_jobs(cluster)
-        status = jobs.submit("reconstruct", held.parent / "sphere.xyz", "mesh.ply")
+        points = held.parent / "sphere.xyz"
+        status = jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
         with pytest.raises(CloudError, match="connection was lost") as cut:
             cluster_job.watch(cluster, jobs, status)
     assert f"hpcapp attach {held} {status.job}" in str(cut.value)
@@ -102,7 +104,8 @@ def test_a_cluster_that_goes_ends_its_jobs_on_the_head(
 
     with open_cluster(held) as cluster, on_waiting(caplog, take_away):
         jobs = open_jobs(cluster)
-        status = jobs.submit("reconstruct", held.parent / "sphere.xyz", "mesh.ply")
+        points = held.parent / "sphere.xyz"
+        status = jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
         runner = jobs.find(status.job).runner
         status = cluster_job.watch(cluster, jobs, status)
     assert status.state is JobState.CANCELLED

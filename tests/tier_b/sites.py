@@ -15,7 +15,7 @@ from testbed.network import missing
 
 CLUSTER = "bunny"
 POINTS = Path(__file__).parents[2] / "examples/knot.ply"
-OPTIONS = ("--grid", "48")
+OPTIONS = ("--grid", "48", "--backend", "zmq")
 
 
 def reason_to_skip() -> str:

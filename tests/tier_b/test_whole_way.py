@@ -22,7 +22,7 @@ def shared_points() -> Path:
 
 def test_head_and_three_workers(site: Site, tmp_path: Path) -> None:
     points = shared_points()
-    options = OPTIONS if points == POINTS else ()
+    options = OPTIONS if points == POINTS else OPTIONS[2:]
     site.write(workers={"count": 3})
     said = []
     with ProcessList() as command_lines:

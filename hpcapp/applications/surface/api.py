@@ -17,28 +17,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hpcapp.applications.surface.job import warn
-from hpcapp.applications.surface.loading import clean_points
-from hpcapp.applications.surface.memory import check_memory
-from hpcapp.applications.surface.pipeline import Reconstruction
-from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
+from hpcapp.applications.surface.loading import Loaded, clean_points
+from hpcapp.applications.surface.opening import approach_workers
 from hpcapp.applications.surface.settings import (
     DEFAULT_GRID,
     MAX_GRID,
     MIN_GRID,
     Settings,
-    choose_backend,
-    choose_grid,
-    choose_method,
-    choose_threads,
 )
-from hpcapp.backends import open_backend
+from hpcapp.applications.surface.steps import run_memory
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
+from hpcapp.io.usable import Dropped
 from hpcapp.progress import Progress, SilentProgress, StageClock
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.points import FloatArray, PointCloud
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -131,27 +125,13 @@ def reconstruct(
     _check_settings(settings)
     cloud = _check_cloud(points, normals)
     clock = StageClock(SilentProgress() if progress is None else _Calls(progress))
-    mesh = _run(settings, cloud, executor, clock).surface.mesh()
+    given = None if isinstance(executor, str) else executor
+    with approach_workers(settings) as opener:
+        cloud, cleaned = clean_points(settings, cloud, clock)
+        loaded = Loaded(cloud, Dropped(0, 0), cleaned)
+        with run_memory(settings, loaded, opener, clock, executor=given) as outcome:
+            mesh = outcome.result.surface.mesh()
     return Mesh(mesh.vertices + mesh.origin, mesh.faces)
-
-
-def _run(
-    settings: Settings,
-    cloud: PointCloud,
-    executor: str | Executor | Client | None,
-    clock: StageClock,
-) -> Reconstruction:
-    """Take a cloud through the job's steps, from its cleaning to the warnings."""
-    cloud, _ = clean_points(settings, cloud, clock)
-    grid = choose_grid(settings, *bounding_box(cloud.positions))
-    check_memory(settings.method, grid, cloud)
-    method = choose_method(settings, grid, choose_threads(len(cloud)))
-    if executor is None:
-        executor = choose_backend(settings, len(cloud))
-    with open_backend(executor, workers=settings.workers) as backend:
-        result = run_pipeline(cloud, method, backend.workforce, clock)
-    warn(settings, grid, cloud, result)
-    return result
 
 
 class _Calls(Progress):

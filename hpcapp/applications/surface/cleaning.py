@@ -8,21 +8,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface.arranged_cloud import arrange_cloud
 from hpccomponent.surface.normals import mend_normals
 from hpccomponent.surface.outliers import find_outliers
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 from hpccomponent.surface.spacing import estimate_spacing
+from hpccomponent.surface.usable_points import Reach
 
 __all__ = [
     "Cleaned",
     "EvenSample",
-    "Reach",
     "arrange_points",
     "clean_cloud",
     "drop_far",
+    "even_step",
     "find_reach",
 ]
 
@@ -98,6 +98,14 @@ def drop_far(cloud: PointCloud) -> PointCloud:
     return cloud.take(reach.find_near(cloud.positions))
 
 
+def even_step(points: int) -> int:
+    """Return the power of two of which every so many-th point of a cloud is in an even sample."""
+    step = 1
+    while points > _SAMPLE * step:
+        step *= 2
+    return step
+
+
 class EvenSample:
     """Every so many-th point of a cloud, of which there may be more to come.
 
@@ -117,37 +125,11 @@ class EvenSample:
 
     def add(self, positions: FloatArray) -> None:
         """Take the next points of the cloud, of shape (n, 3)."""
-        while self._seen + len(positions) > _SAMPLE * self._step:
-            self._positions = self._positions[::2]
-            self._step *= 2
+        step = even_step(self._seen + len(positions))
+        self._positions, self._step = self._positions[:: step // self._step], step
         taken = positions[-self._seen % self._step :: self._step]
         self._positions = np.concatenate([self._positions, taken])
         self._seen += len(positions)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reach:
-    """How far from the middle of a cloud points may lie.
-
-    Parameters
-    ----------
-    middle : ndarray of float64, shape (3,)
-    distance : float
-        Along each axis, in length units of the input; infinite where the core has no extent.
-    """
-
-    middle: FloatArray
-    distance: float
-
-    def holds(self, low: FloatArray, high: FloatArray) -> bool:
-        """Tell whether all of a box lies within."""
-        return bool((np.abs(np.stack([low, high]) - self.middle) <= self.distance).all())
-
-    def find_near(self, positions: FloatArray) -> NDArray[np.bool_]:
-        """Tell which points (n, 3) lie within."""
-        away: FloatArray = np.abs(positions - self.middle)
-        near: NDArray[np.bool_] = np.all(away <= self.distance, axis=1)
-        return near
 
 
 def find_reach(sample: FloatArray) -> Reach:

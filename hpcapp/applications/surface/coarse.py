@@ -23,7 +23,6 @@ from hpccomponent.surface.pyramid import (
 )
 from hpccomponent.surface.reach import HALO_STEPS, surround
 from hpccomponent.surface.region import CoarseLevels, Plan, find_trust, sample_cells
-from hpccomponent.surface.weights import weigh_levels
 
 __all__ = ["Coarse", "far_level", "fit_coarse", "solve_far"]
 
@@ -147,8 +146,7 @@ def fit_coarse(plan: Plan, sums: list[tuple[Any, ...]], threads: int) -> Coarse:
     far = solve_far(plan, far_cells, far_sums, threads)
     laid = lay_vertices(vertices, height)
     pyramid = Pyramid(plan.origin, plan.cell_size, levels, laid, plan.coarse, plan.height)
-    weights = weigh_levels(plan.cell_size, plan.height, plan.noise)
-    quadrics, parents = fit_levels(pyramid, weights, None, threads)
+    quadrics, parents = fit_levels(pyramid, plan.weights, None, threads)
     return Coarse(plan, parents, find_trust(pyramid, quadrics, far), far)
 
 
@@ -171,7 +169,7 @@ def _sort(parts: list[IntArray]) -> tuple[IntArray, IntArray]:
 
 def _find_around(keys: IntArray, cells: IntArray, wide: int) -> IntArray:
     """Return the rows of the corners that lie within so many cells of some cells."""
-    reached = kernels.spread_keys(surround(cells, wide), 0, 1)
+    reached = kernels.spread_keys(surround(cells, wide, wide), 0, 1)
     found: IntArray = np.flatnonzero(find_keys(reached, keys) < len(reached))
     return found
 

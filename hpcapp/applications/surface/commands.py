@@ -49,12 +49,17 @@ def _only_without_patches(ctx: click.Context) -> None:
 
 def _only_without_cluster(ctx: click.Context) -> None:
     """Raise UsageError where workers were asked for beside those of the cluster."""
-    for name in ("backend", "workers"):
-        if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
-            raise UsageError(
-                f"--cluster and --{name} exclude each other",
-                "the workers of a cluster are those of its file",
-            )
+    if ctx.get_parameter_source("workers") is click.core.ParameterSource.COMMANDLINE:
+        raise UsageError(
+            "--cluster and --workers exclude each other",
+            "the workers of a cluster are those of its file",
+        )
+    backend = ctx.params["backend"]
+    if backend not in ("auto", "zmq"):
+        raise UsageError(
+            f"--cluster and --backend {backend} exclude each other",
+            "--backend zmq uses the cluster's workers, auto where they pay",
+        )
 
 
 PAPER_OPTIONS = ("delta", "max_points", "cone", "patches", "norm")
@@ -126,14 +131,14 @@ def check_flags(ctx: click.Context) -> None:
     default="auto",
     metavar="NAME",
     show_default=True,
-    help="Where batches run: auto, serial, threads, processes, zmq, dask=ADDRESS, mpi, or "
-    "MODULE:FUNCTION that makes an Executor.",
+    help="Where batches run: auto (where it should be fastest), serial, threads, processes, zmq, "
+    "dask=ADDRESS, mpi, or MODULE:FUNCTION that makes an Executor.",
 )
 @click.option(
     "--workers",
     type=click.IntRange(1, 1024),
     metavar="W",
-    help="How many workers; with --backend auto this starts them as real processes.",
+    help="How many workers; with --backend auto at most so many, as many as pay.",
 )
 @click.option(
     "--policy",

@@ -10,7 +10,7 @@ import numpy as np
 
 from hpcapp.applications.surface.surface import Surface
 from hpccomponent.surface import kernels
-from hpccomponent.surface.arranged_cloud import ArrangedCloud
+from hpccomponent.surface.disk_cloud import DiskCloud
 from hpccomponent.surface.lattice import pack_places
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
@@ -18,7 +18,6 @@ __all__ = ["doubt_closure", "doubt_normals", "doubt_resolution", "sample_cloud"]
 
 #: Points are judged on a sample of about so many.
 SAMPLE = 30_000
-_POINTS_AT_ONCE = 2_000_000
 #: Fewer points than these are too far apart to be called neighbours.
 FEWEST_JUDGED = 100
 #: Boxes along the longest side, in which neighbouring normals are compared.
@@ -31,12 +30,9 @@ INWARD = -0.1
 OUTSIDE = 0.02
 
 
-def sample_cloud(cloud: ArrangedCloud) -> PointCloud:
+def sample_cloud(cloud: DiskCloud) -> PointCloud:
     """Return as many points of a cloud, evenly, as are looked at here."""
-    every = slice(None, None, -(-len(cloud) // SAMPLE))
-    parts = [(p[every], n[every]) for p, n in cloud.groups(_POINTS_AT_ONCE)]
-    positions, normals = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    return PointCloud(positions, normals)
+    return PointCloud(*cloud.take_every(-(-len(cloud) // SAMPLE)))
 
 
 def doubt_normals(cloud: PointCloud) -> list[str]:

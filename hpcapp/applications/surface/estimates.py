@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,9 @@ import numpy as np
 from hpccomponent.errors import InputError
 from hpccomponent.surface import kernels
 from hpccomponent.surface.arranged_cloud import ArrangedCloud, Points
-from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, bounding_box
+from hpccomponent.surface.cell_points import SortedPoints
+from hpccomponent.surface.disk_cloud import DiskCloud
+from hpccomponent.surface.points import IntArray, PointCloud, bounding_box
 from hpccomponent.surface.pyramid import (
     Level,
     VertexQuadrics,
@@ -18,10 +20,19 @@ from hpccomponent.surface.pyramid import (
     count_levels,
     fit_levels,
 )
-from hpccomponent.surface.spacing import estimate_group_spacing, estimate_spacing
+from hpccomponent.surface.robust import find_tolerance, measure_points, tell_kurtosis
+from hpccomponent.surface.spacing import estimate_spacing
 from hpccomponent.surface.weights import LEAST_MU, Weights, tell_noise
 
-__all__ = ["Scale", "choose_scale", "estimate_noise", "probe_noise", "sample_groups"]
+__all__ = [
+    "SAMPLED_BOX",
+    "Scale",
+    "choose_scale",
+    "draw_sample",
+    "estimate_noise",
+    "first_share",
+    "probe_noise",
+]
 
 _PROBE_SPACINGS = 2.0
 _PROBE_LAM = 0.3
@@ -29,10 +40,12 @@ _PROBE_SHARE = 0.15
 _PROBE_ROUNDS = 5
 _PROBE_POINTS = 14, 24  # in the finer and in the coarser cells of a probe
 _SAMPLED_POINTS = 15_000
-_SAMPLED_BOX = 24.0  # spacings: large against the cells of a probe
+SAMPLED_BOX = 24.0
+"""Spacings: large against the cells of a probe."""
+
 _QUANTILE, _TO_MEDIAN = 0.25, 1.0
 _FREE = 10
-_POINTS_AT_ONCE = 2_000_000
+_NOISE_SHARE = 0.5  # of residuals: what remains is detail, and no point of it is wrong
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +56,40 @@ class Scale:
     ----------
     spacing, noise, cell_size : float
         In length units of the input; the noise is a standard deviation along the normal.
+    tolerance : float
+        How far off a point may lie until it counts half, in variances of the noise.
     """
 
     spacing: float
     noise: float
     cell_size: float
+    tolerance: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Noise:
+    """What a probe finds: see `Scale`."""
+
+    deviation: float
+    tolerance: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Residuals:
+    """What fits leave over in cells of a size and of its double.
+
+    Parameters
+    ----------
+    finer, coarser : float
+        Lower quartiles of their variances, in length units of the input squared; 0 where no vertex
+        has enough points.
+    kurtosis : float
+        In the finer cells.
+    """
+
+    finer: float
+    coarser: float
+    kurtosis: float
 
 
 def estimate_noise(cloud: PointCloud, spacing: float, threads: int = 1) -> float:
@@ -76,70 +118,77 @@ def estimate_noise(cloud: PointCloud, spacing: float, threads: int = 1) -> float
     finer cells, they cut its tails off, and a probe with larger ones is made. Large clouds are
     sampled by whole boxes.
     """
-    if cloud.normals is None:
-        raise InputError("the cloud has no normals", "give oriented points")
-    points = cloud.positions, cloud.normals
-    low, _ = bounding_box(cloud.positions)
-    return probe_noise(sample_groups(lambda: [points], len(cloud), low, spacing), spacing, threads)
+    return _probe(_sample_cloud(cloud, spacing), spacing, threads).deviation
 
 
 def probe_noise(sample: PointCloud, spacing: float, threads: int = 1) -> float:
-    """Estimate the noise of a cloud by a sample of it; see `estimate_noise`, `sample_groups`."""
+    """Estimate the noise of a cloud by a sample of it; see `estimate_noise`, `draw_sample`."""
+    return _probe(sample, spacing, threads).deviation
+
+
+def _probe(sample: PointCloud, spacing: float, threads: int) -> _Noise:
+    """Estimate the noise, and how heavy its tails are where it is what most residuals are of."""
     cell_size = _PROBE_SPACINGS * spacing
-    finer, coarser = _probe_variances(sample, cell_size, threads)
+    left = _fit_probe(sample, cell_size, threads)
+    tolerance = find_tolerance(left.kurtosis)  # larger cells leave detail, too
     for _ in range(_PROBE_ROUNDS):
-        if finer <= (_PROBE_SHARE * cell_size) ** 2:
+        if left.finer <= (_PROBE_SHARE * cell_size) ** 2:
             break
         cell_size *= 2.0
-        finer, coarser = _probe_variances(sample, cell_size, threads)
-    noise = tell_noise(np.array(finer), np.array(coarser))
-    return _TO_MEDIAN * float(np.sqrt(noise))
+        left = _fit_probe(sample, cell_size, threads)
+    variance = float(tell_noise(np.array(left.finer), np.array(left.coarser)))
+    is_noise = variance > _NOISE_SHARE * left.finer
+    return _Noise(_TO_MEDIAN * float(np.sqrt(variance)), tolerance if is_noise else np.inf)
 
 
-def sample_groups(
-    groups: Callable[[], Iterable[Points]], points: int, low: FloatArray, spacing: float
-) -> PointCloud:
-    """Return the points in a sample of boxes: what `probe_noise` looks at.
+def _sample_cloud(cloud: PointCloud, spacing: float) -> PointCloud:
+    """Return a sample of a cloud with normals."""
+    if cloud.normals is None:
+        raise InputError("the cloud has no normals", "give oriented points")
+    positions, normals = cloud.positions, cloud.normals
+    low, _ = bounding_box(positions)
+
+    def draw(one_in: int) -> Points:
+        if one_in == 1:
+            return positions, normals
+        rows = kernels.sample_boxes(positions, low, SAMPLED_BOX * spacing, one_in)
+        return positions[rows], normals[rows]
+
+    return PointCloud(*draw_sample(draw, len(cloud)))
+
+
+def first_share(points: int) -> int:
+    """Return how many boxes make one sampled, to begin with; of a small cloud all points are."""
+    return max(points // _SAMPLED_POINTS, 1)
+
+
+def draw_sample(draw: Callable[[int], Points], points: int) -> Points:
+    """Draw a sample of boxes that holds enough points for `probe_noise`.
 
     Parameters
     ----------
-    groups : callable
-        Gives the points of the cloud, some at a time.
+    draw : callable
+        Given how many boxes of edge `SAMPLED_BOX` make one sampled, returns the points in them, in
+        the cloud's order.
     points : int
-        In all.
-    low : ndarray of float64, shape (3,)
-        The least coordinates of all.
-    spacing : float
-        In length units of the input.
+        Of the cloud.
 
     Returns
     -------
-    PointCloud
-        About 15,000 points; of a cloud in few boxes more, and all of a small one.
+    positions, normals : ndarray of float64, shape (n, 3)
+        Of about 15,000 points; of a cloud in few boxes more, and all of a small one.
     """
-    one_in = points // _SAMPLED_POINTS
+    one_in = first_share(points)
     while one_in > 1:
-        sample = [
-            (positions[rows], normals[rows])
-            for positions, normals in groups()
-            for rows in [kernels.sample_boxes(positions, low, _SAMPLED_BOX * spacing, one_in)]
-        ]
-        if sum(len(positions) for positions, _ in sample) > _SAMPLED_POINTS // 4:
-            break
+        sample = draw(one_in)
+        if len(sample[0]) > _SAMPLED_POINTS // 4:
+            return sample
         one_in //= 8
-    else:
-        sample = list(groups())
-    if len(sample) == 1:
-        return PointCloud(*sample[0])
-    positions, normals = (np.concatenate(parts) for parts in zip(*sample, strict=True))
-    return PointCloud(positions, normals)
+    return draw(1)
 
 
-def _probe_variances(cloud: PointCloud, cell_size: float, threads: int) -> tuple[float, float]:
-    """Return the lower quartiles of the residual variances in cells of a size and of its double.
-
-    In length units of the input squared; 0 where no vertex has enough points.
-    """
+def _fit_probe(cloud: PointCloud, cell_size: float, threads: int) -> _Residuals:
+    """Fit quadrics in cells of a size and of its double."""
     low, high = bounding_box(cloud.positions)
     height = count_levels(float((high - low).max()), cell_size)
     pyramid = build_pyramid(cloud, low, cell_size, height, threads)
@@ -152,7 +201,17 @@ def _probe_variances(cloud: PointCloud, cell_size: float, threads: int) -> tuple
             zip(levels, pyramid.vertices, quadrics, _PROBE_POINTS, strict=False)
         )
     ]
-    return variances[0], variances[-1] or variances[0]
+    kurtosis = _find_kurtosis(levels[0], pyramid.vertices[0], quadrics[0])
+    return _Residuals(variances[0], variances[-1] or variances[0], kurtosis)
+
+
+def _find_kurtosis(level: Level, vertices: IntArray, quadrics: VertexQuadrics) -> float:
+    """Return that of the points' distances from the blend of a level's quadrics."""
+    points = level.points
+    assert isinstance(points, SortedPoints)  # noqa: S101 - the finest level has points
+    blend = vertices, quadrics.coefficients, np.ones(len(vertices), np.float32)
+    squares = measure_points(level.cells, points, slice(0, len(level.cells)), 0, blend)
+    return tell_kurtosis(squares, level.cells, points.offsets)
 
 
 def _lower_quartile(
@@ -182,8 +241,8 @@ def choose_scale(
 
     Parameters
     ----------
-    cloud : PointCloud
-        With normals.
+    cloud : PointCloud or ArrangedCloud
+        With normals; one that is not in memory has been measured.
     step : float
         Of the evaluation grid, in length units of the input; no cell is smaller, because the
         lattice must reach the nodes on both sides of the surface.
@@ -203,24 +262,15 @@ def choose_scale(
     InputError
         All points are the same.
     """
-    if isinstance(cloud, PointCloud):
-        spacing = estimate_spacing(cloud.positions)
-        noise = estimate_noise(cloud, spacing, threads)
+    if isinstance(cloud, DiskCloud) and cloud.measured is not None:
+        spacing, sample = cloud.measured.spacing, cloud.measured.sample
     else:
-        spacing, noise = _estimate_parts(cloud, threads)
-    wanted = max(1.5 * spacing, 6.0 * noise * smoothness) / detail
+        points = (
+            cloud if isinstance(cloud, PointCloud) else PointCloud(*cloud.take_blocks(cloud.keys))
+        )
+        spacing = estimate_spacing(points.positions)
+        sample = _sample_cloud(points, spacing)
+    noise = _probe(sample, spacing, threads)
+    wanted = max(1.5 * spacing, 6.0 * noise.deviation * smoothness) / detail
     cell_size = max(wanted, step)
-    return Scale(spacing, noise, cell_size)
-
-
-def _estimate_parts(cloud: ArrangedCloud, threads: int) -> tuple[float, float]:
-    """Return spacing and noise of a cloud that is never in memory as a whole."""
-
-    def groups() -> Iterator[Points]:
-        return cloud.groups(_POINTS_AT_ONCE)
-
-    count = len(cloud)
-    spacing = estimate_group_spacing(
-        lambda: (positions for positions, _ in groups()), count, cloud.low, cloud.high
-    )
-    return spacing, probe_noise(sample_groups(groups, count, cloud.low, spacing), spacing, threads)
+    return Scale(spacing, noise.deviation, cell_size, noise.tolerance)

@@ -32,8 +32,7 @@ from hpccomponent.surface.part_summary import summarize_part
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 from hpccomponent.surface.pyramid import build_pyramid, count_levels, fit_levels
 from hpccomponent.surface.reach import plan_whole
-from hpccomponent.surface.region import Plan, find_trust, sample_cells, sum_tile
-from hpccomponent.surface.weights import weigh_levels
+from hpccomponent.surface.region import KEPT_TILES, Plan, find_trust, sample_cells, sum_tile
 
 __all__ = ["MARGIN", "TILE_POINTS", "HierarchicalMethod", "HierarchicalPartition", "plan_grid"]
 
@@ -41,8 +40,11 @@ MARGIN = 4
 """Cells of the grid that stay free on each side of the cloud."""
 
 _LEAST_GRID = 16
+_ROBUST_LEVELS = 2  # whose fits ask the points themselves, where these are weighed
 TILE_POINTS = 1_500_000
 """Of a tile where nothing else asks for smaller ones: what it takes stays below half a gigabyte."""
+# Smaller tiles cost more for their halos than is gained by handing them to whoever is free.
+_LARGE_TILE = 1_000_000
 
 
 @dataclass(slots=True, eq=False)
@@ -148,19 +150,22 @@ class HierarchicalMethod:
         height = count_levels(float((high - low).max()), scale.cell_size)
         far = far_level(grid, scale.cell_size, height)
         count = self._count_tiles(cloud, height, workforce)
-        coarse = max(1, min(far, height - 1)) if count else height
+        tolerance = scale.tolerance if height > _ROBUST_LEVELS else np.inf
+        least = 1 if np.isinf(tolerance) else _ROBUST_LEVELS
+        coarse = max(least, min(far, height - 1)) if count else height
         blocks = choose_arrangement(low, high)
         plan = Plan(
             low, scale.cell_size, height, coarse, scale.noise * self.smoothness,
-            grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far,
+            grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far, tolerance,
         )  # fmt: skip
         if not count:
             return HierarchicalPartition(cloud, scale, plan, None)
         keeping = self.keeping
         can_read = isinstance(cloud, DiskCloud) and keeping is not None and keeping.holds_files
-        share = None if workforce.in_process or can_read else workforce.share
         arranged = arrange_cloud(cloud) if isinstance(cloud, PointCloud) else cloud
-        tiling = Tiling(arranged, plan, count, share)
+        are_read = workforce.in_process or can_read
+        kept = KEPT_TILES if self.tile_points is None else 1  # else memory is short
+        tiling = Tiling(arranged, plan, count, workforce, are_read, kept)
         return HierarchicalPartition(cloud, scale, plan, tiling)
 
     def fit(
@@ -171,7 +176,9 @@ class HierarchicalMethod:
         if tiling is None:
             return None
         values = plan.to_values()
-        batches = ((values, tiling.core(index)) for index in range(len(tiling)))
+        batches = (
+            (values, tiling.core(index), ticket) for index, ticket in enumerate(tiling.tickets)
+        )
         sums = []
         for _, found in stream_batches(workforce, sum_tile, batches, 2 * workforce.workers):
             sums.append(found)
@@ -219,7 +226,8 @@ class HierarchicalMethod:
             return 0
         if workforce.in_process:
             return needed
-        return max(needed, workforce.workers * workforce.batches_per_worker)
+        each = min(workforce.batches_per_worker, len(cloud) // (workforce.workers * _LARGE_TILE))
+        return max(needed, workforce.workers * max(1, each))
 
     def _mesh_whole(self, partition: HierarchicalPartition) -> MeshPart:
         """Make a mesh of a cloud that is one tile; what is done with makes room for what comes."""
@@ -228,8 +236,7 @@ class HierarchicalMethod:
         pyramid = build_pyramid(cloud, plan.origin, plan.cell_size, plan.height, self.threads)
         partition.patches = len(pyramid.levels[0].cells)
         far = solve_far(plan, *sample_cells(pyramid.levels[plan.far]), self.threads)
-        weights = weigh_levels(plan.cell_size, plan.height, plan.noise)
-        quadrics, _ = fit_levels(pyramid, weights, None, self.threads)
+        quadrics = fit_levels(pyramid, plan.weights, None, self.threads)[0]
         field = Field(plan.origin, plan.cell_size, find_trust(pyramid, quadrics, far), far)
         del pyramid, quadrics
         kinds = plan_whole(plan.grid, cloud.positions)
@@ -246,7 +253,7 @@ class HierarchicalMethod:
             "spacing": partition.scale.spacing,
             "noise": partition.scale.noise,
             "cell_size": plan.cell_size,
-            "lam": weigh_levels(plan.cell_size, plan.height, plan.noise)[0].lam,
+            "lam": plan.weights[0].lam,
             "levels": plan.height,
             "tiles": 1 if partition.tiling is None else len(partition.tiling),
         }

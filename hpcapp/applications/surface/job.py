@@ -13,40 +13,33 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hpcapp.applications.surface.doubts import (
-    doubt_closure,
-    doubt_normals,
-    doubt_resolution,
-    sample_cloud,
-)
+from hpcapp.applications.surface.choice import Job
+from hpcapp.applications.surface.folder import may_pay_in_folder, plan_passes
 from hpcapp.applications.surface.hierarchical import TILE_POINTS
 from hpcapp.applications.surface.keeping import Keeping, digest
 from hpcapp.applications.surface.loading import Loaded, load_folder, load_memory
-from hpcapp.applications.surface.memory import check_memory, fits_memory, fitting_tile
+from hpcapp.applications.surface.memory import check_memory, count_most_points, fits_memory
+from hpcapp.applications.surface.opening import approach_workers
 from hpcapp.applications.surface.output import open_output
-from hpcapp.applications.surface.pipeline import Reconstruction
-from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
 from hpcapp.applications.surface.settings import (
+    DEFAULT_GRID,
     Settings,
-    choose_backend,
     choose_grid,
-    choose_method,
-    choose_steps,
-    choose_threads,
+    name_backend,
 )
+from hpcapp.applications.surface.steps import Outcome, choose_tile, run_loaded, run_memory
 from hpcapp.applications.surface.topology import Topology
-from hpcapp.backends import BACKENDS, Backend, open_executor
+from hpcapp.backends import BACKENDS, Backend
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.arranged_cloud import ArrangedCloud
 from hpccomponent.surface.build import kernel_id
-from hpccomponent.surface.points import PointCloud, bounding_box
+from hpccomponent.surface.points import PointCloud
 
-__all__ = ["Settings", "run_job", "warn"]
+__all__ = ["Settings", "run_job"]
 
 log = logging.getLogger("hpcapp")
 
@@ -74,9 +67,7 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
     clock = StageClock(progress)
     with open_output(settings.output, settings.points) as target, _open_room(settings) as room:
         run = _run_in_memory if room.folder is None else _run_in_folder
-        report, surface = run(settings, room, clock)
-        with clock.stage("write"):
-            surface.write(target)
+        report = run(settings, room, target, clock)
     report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
     return report
 
@@ -91,10 +82,13 @@ class _Room:
         Where finished tiles are kept.
     folder : Path or None
         Where the points lie; None where they are in memory.
+    is_needed : bool
+        Whether memory is too small for them; else they lie there for other processes only.
     """
 
     keeping: Keeping | None
     folder: Path | None
+    is_needed: bool = True
 
 
 @contextmanager
@@ -102,23 +96,25 @@ def _open_room(settings: Settings) -> Iterator[_Room]:
     """Find room for a job; what it keeps is taken away when it has been done."""
     if settings.resume and settings.temp_dir is None:
         raise UsageError("--resume goes on from what lies in --temp-dir", "give that too")
-    in_memory = settings.method == "paper" or fits_memory(settings.points, settings.max_memory)
+    is_needed = not fits_memory(settings.points, settings.max_memory)
+    in_memory = settings.method == "paper" or not (is_needed or may_pay_in_folder(settings))
     if settings.method == "paper" or (in_memory and settings.temp_dir is None):
         yield _Room(None, None)
         return
     job, place = _name_job(settings), settings.temp_dir
     if place is None or "://" in place:
-        is_shared = place is not None or choose_backend(settings, TILE_POINTS) in BACKENDS
+        is_here = settings.cluster is None and (name_backend(settings) or "zmq") in BACKENDS
+        is_shared = place is not None or is_here
         with tempfile.TemporaryDirectory(prefix="hpcapp-") as room:
             keeping = Keeping(place or room, job, settings.resume, is_shared)
             keeping.check()
-            yield _Room(keeping, None if in_memory else Path(room) / job / "points")
+            yield _Room(keeping, None if in_memory else Path(room) / job / "points", is_needed)
             keeping.clear()
         return
     folder = Path(place.removeprefix("folder:")).resolve()
     keeping = Keeping(str(folder), job, settings.resume)
     keeping.check()
-    yield _Room(keeping, None if in_memory else folder / job / "points")
+    yield _Room(keeping, None if in_memory else folder / job / "points", is_needed)
     keeping.clear()
     shutil.rmtree(folder / job, ignore_errors=True)
 
@@ -139,98 +135,73 @@ def _name_job(settings: Settings) -> str:
 
 
 def _run_in_memory(
-    settings: Settings, room: _Room, clock: StageClock
-) -> tuple[dict[str, Any], Any]:
+    settings: Settings, room: _Room, target: Path, clock: StageClock
+) -> dict[str, Any]:
     """Run a job whose points are in memory."""
-    loaded = load_memory(settings, clock)
-    loaded.report(settings.points)
-    cloud = loaded.cloud
-    assert isinstance(cloud, PointCloud)  # noqa: S101 - it is the one in memory
-    grid = choose_grid(settings, *bounding_box(cloud.positions))
-    check_memory(settings.method, grid, cloud)
-    name = choose_backend(settings, len(cloud))
-    with open_executor(name, workers=settings.workers, policy=settings.policy) as backend:
-        return _reconstruct(settings, room, loaded, grid, backend, clock)
+    with approach_workers(settings, _guess_job(settings, room)) as opener:
+        loaded = load_memory(settings, clock)
+        loaded.report(settings.points)
+        with run_memory(settings, loaded, opener, clock, room.keeping) as outcome:
+            return _write(settings, loaded, outcome, target, clock)
 
 
 def _run_in_folder(
-    settings: Settings, room: _Room, clock: StageClock
-) -> tuple[dict[str, Any], Any]:
-    """Run a job whose points are in a folder."""
+    settings: Settings, room: _Room, target: Path, clock: StageClock
+) -> dict[str, Any]:
+    """Run a job whose points are in a folder, if memory asks for it or other processes do."""
+    guess = _guess_job(settings, room)
+    with approach_workers(settings) as opener, opener.open(guess) as (backend, choice):
+        if backend.workforce.in_process and not room.is_needed:
+            keeping = None if settings.temp_dir is None else room.keeping
+            loaded = load_memory(settings, clock)
+        else:
+            loaded, keeping = _load_there(settings, room, backend, clock)
+        loaded.report(settings.points)
+        grid = choose_grid(settings, *loaded.box)
+        if isinstance(loaded.cloud, PointCloud):
+            check_memory(settings.method, grid, loaded.cloud)
+        outcome = run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
+        return _write(settings, loaded, outcome, target, clock)
+
+
+def _load_there(
+    settings: Settings, room: _Room, backend: Backend, clock: StageClock
+) -> tuple[Loaded, Keeping | None]:
+    """Put the points into the folder; return how tiles are kept where workers may not see it."""
     assert room.folder is not None  # noqa: S101 - or this would not be called
     log.info("the points are put into %s", room.folder)
-    name = choose_backend(settings, TILE_POINTS)
-    with open_executor(name, workers=settings.workers, policy=settings.policy) as backend:
-        points = _choose_tile(settings, backend) or TILE_POINTS
-        loaded = load_folder(settings, room.folder, points, backend.workforce, clock)
-        loaded.report(settings.points)
-        assert not isinstance(loaded.cloud, PointCloud)  # noqa: S101 - it is the one on disk
-        grid = choose_grid(settings, loaded.cloud.low, loaded.cloud.high)
-        return _reconstruct(settings, room, loaded, grid, backend, clock)
+    points = choose_tile(settings, backend) or TILE_POINTS
+    passes, keeping = plan_passes(settings.points, room.folder, backend, points), room.keeping
+    if keeping is not None and keeping.holds_files and not passes.workers_see:
+        keeping = replace(keeping, is_shared=False)
+    return load_folder(settings, room.folder, passes, clock), keeping
 
 
-def _reconstruct(
-    settings: Settings,
-    room: _Room,
-    loaded: Loaded,
-    grid: int,
-    backend: Backend,
-    clock: StageClock,
-) -> tuple[dict[str, Any], Any]:
-    """Run the pipeline, and describe what came of it."""
-    workforce, cloud = backend.workforce, loaded.cloud
-    tile_points = _choose_tile(settings, backend)
-    method = choose_method(settings, grid, choose_threads(len(cloud)), tile_points, room.keeping)
-    log.info(
-        "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
-        method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),
-    )  # fmt: skip
-    result = run_pipeline(cloud, method, workforce, clock, choose_steps(settings))
-    report = _describe(settings, grid, result, backend)
-    report["warnings"] = warn(settings, grid, cloud, result)
+def _guess_job(settings: Settings, room: _Room) -> Job:
+    """Return what can be known of a job before its points are read: as much as it may be."""
+    points = count_most_points(settings.points)
+    grid = DEFAULT_GRID if settings.depth is None else 2**settings.depth
+    is_kept = room.keeping is not None and (room.is_needed or settings.temp_dir is not None)
+    is_cut = is_kept or settings.max_memory is not None
+    is_shared = room.folder is not None and room.keeping is not None and room.keeping.holds_files
+    return Job(points, settings.grid or grid, is_cut, is_shared)
+
+
+def _write(
+    settings: Settings, loaded: Loaded, outcome: Outcome, target: Path, clock: StageClock
+) -> dict[str, Any]:
+    """Write the mesh, and describe what came of the job."""
+    with clock.stage("write"):
+        outcome.result.surface.write(target, outcome.backend.workforce)
+    report = _describe(settings, outcome)
+    report["warnings"] = outcome.warnings
     report["dropped"] = {
         "non_finite_points": loaded.dropped.non_finite_points,
         "bad_normals": loaded.dropped.bad_normals,
         "outliers": loaded.cleaned.outliers,
     }
     report["turned_normals"] = loaded.cleaned.flipped
-    return report, result.surface
-
-
-def _choose_tile(settings: Settings, backend: Backend) -> int | None:
-    """Return how many points a tile may have so that a process keeps to its memory."""
-    if settings.max_memory is None:
-        return None
-    workforce = backend.workforce
-    return fitting_tile(settings.max_memory, workforce.workers if workforce.in_process else 1)
-
-
-def warn(
-    settings: Settings, grid: int, cloud: PointCloud | ArrangedCloud, result: Reconstruction
-) -> list[str]:
-    """Log what should make the user doubt the mesh, and return it for the report.
-
-    Parameters
-    ----------
-    settings : Settings
-    grid : int
-        Cells along the longest side.
-    cloud : PointCloud or ArrangedCloud
-    result : Reconstruction
-    """
-    if isinstance(cloud, PointCloud):
-        low, high = bounding_box(cloud.positions)
-    else:
-        low, high, cloud = cloud.low, cloud.high, sample_cloud(cloud)
-    step = float((high - low).max()) / grid
-    doubts = doubt_resolution(cloud, step)  # explains all that the others would find
-    if not doubts:
-        doubts = doubt_normals(cloud)
-        if settings.method != "paper":  # which leaves sheets in its boxes wherever a patch ends
-            doubts += doubt_closure(low, high, result.surface, step)
-    for doubt in doubts:
-        log.warning("warning: %s", doubt)
-    return doubts
+    return report
 
 
 def _summarize(topology: Topology) -> str:
@@ -242,9 +213,8 @@ def _summarize(topology: Topology) -> str:
     )
 
 
-def _describe(
-    settings: Settings, grid: int, result: Reconstruction, backend: Backend
-) -> dict[str, Any]:
+def _describe(settings: Settings, outcome: Outcome) -> dict[str, Any]:
+    result, backend = outcome.result, outcome.backend
     traffic = backend.traffic()
     topology = result.topology
     return {
@@ -253,7 +223,7 @@ def _describe(
         "kernels": kernel_id(),
         "points": result.points,
         **result.facts,
-        "grid": grid,
+        "grid": outcome.grid,
         "vertices": topology.vertices,
         "faces": topology.faces,
         "watertight": topology.watertight,
@@ -263,6 +233,7 @@ def _describe(
         "genus": topology.genus,
         "backend": backend.name,
         "workers": backend.workforce.workers,
+        "choice": outcome.choice.to_json(),
         "policy": settings.policy,
         "bytes_sent": traffic.bytes_sent,
         "bytes_received": traffic.bytes_received,

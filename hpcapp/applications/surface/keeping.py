@@ -74,9 +74,14 @@ class Keeping:
         self.store.has(f"{self.job}/tile")
 
     @property
+    def is_folder(self) -> bool:
+        """Whether it is a folder, not a bucket."""
+        return "://" not in self.place
+
+    @property
     def holds_files(self) -> bool:
         """Whether it is a folder that workers see."""
-        return self.is_shared and "://" not in self.place
+        return self.is_shared and self.is_folder
 
     def name(self, *values: Any) -> str:
         """Return the name of what is made of some values."""

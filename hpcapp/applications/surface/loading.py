@@ -13,14 +13,14 @@ from pathlib import Path
 
 from hpcapp.applications.surface.cleaning import Cleaned, arrange_points, clean_cloud, drop_far
 from hpcapp.applications.surface.ingest import ingest_file
-from hpcapp.applications.surface.region_cleaning import clean_regions
+from hpcapp.applications.surface.passes import Passes, measure_spacing
+from hpcapp.applications.surface.region_cleaning import clean_regions, measure_cloud
 from hpcapp.applications.surface.settings import Settings
-from hpcapp.batches import Workforce
 from hpcapp.io import drop_unusable, open_points, read_points
 from hpcapp.io.usable import Dropped
 from hpcapp.progress import StageClock
 from hpccomponent.surface.disk_cloud import DiskCloud, open_disk_cloud
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
 __all__ = ["Loaded", "clean_points", "load_folder", "load_memory"]
 
@@ -43,6 +43,13 @@ class Loaded:
     cloud: PointCloud | DiskCloud
     dropped: Dropped
     cleaned: Cleaned
+
+    @property
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Corners of the box around all points."""
+        if isinstance(self.cloud, PointCloud):
+            return bounding_box(self.cloud.positions)
+        return self.cloud.low, self.cloud.high
 
     def report(self, path: Path) -> None:
         """Log what was left out of a file."""
@@ -104,9 +111,7 @@ def clean_points(
     return cloud, replace(cleaned, outliers=far + cleaned.outliers)
 
 
-def load_folder(
-    settings: Settings, folder: Path, points: int, workforce: Workforce, clock: StageClock
-) -> Loaded:
+def load_folder(settings: Settings, folder: Path, passes: Passes, clock: StageClock) -> Loaded:
     """Put a file's points into a folder, and clean them there.
 
     Parameters
@@ -115,16 +120,14 @@ def load_folder(
         With `resume`, what is in the folder is taken, if it is whole.
     folder : Path
         Is made where there is none; 24 bytes a point are written, or 48.
-    points : int
-        How many may be in memory at once, here and on each worker.
-    workforce : Workforce
-        Cleans region by region.
+    passes : Passes
+        Who goes through the points; so many may be in memory at once, here and on each worker.
     clock : StageClock
 
     Returns
     -------
     Loaded
-        The same points as `load_memory` gives, bit for bit.
+        The same points as `load_memory` gives, bit for bit; measured.
     """
     note = folder / _NOTE
     if settings.resume and note.exists():
@@ -135,16 +138,18 @@ def load_folder(
     arranged, cleaned_folder = folder / "arranged", folder / "cleaned"
     arranged.mkdir(parents=True)
     with clock.stage("read"):
-        read = ingest_file(
-            open_points(settings.points), arranged, drop_far=settings.clean, rows=points
-        )
-    loaded = Loaded(read.cloud, read.dropped, Cleaned(0, 0))
+        read = ingest_file(open_points(settings.points), arranged, passes, drop_far=settings.clean)
+    cloud, cleaned = read.cloud, Cleaned(0, 0)
     if settings.clean:
         cleaned_folder.mkdir()
         with clock.stage("clean"):
-            cloud, cleaned = clean_regions(read.cloud, cleaned_folder, workforce, points)
-        loaded = Loaded(cloud, read.dropped, replace(cleaned, outliers=read.far + cleaned.outliers))
+            cloud, cleaned = clean_regions(cloud, cleaned_folder, passes, read.boxes)
         shutil.rmtree(arranged)
+    else:
+        box = len(cloud), cloud.low, cloud.high
+        spacing = measure_spacing(cloud, passes, box, (), read.boxes)
+        cloud = measure_cloud(cloud, passes, spacing)
+    loaded = Loaded(cloud, read.dropped, replace(cleaned, outliers=read.far + cleaned.outliers))
     told = {
         "cloud": "cleaned" if settings.clean else "arranged",
         "dropped": asdict(loaded.dropped),

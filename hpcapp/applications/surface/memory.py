@@ -18,6 +18,7 @@ from hpccomponent.surface.spacing import estimate_spacing
 __all__ = [
     "available_memory",
     "check_memory",
+    "count_most_points",
     "estimate_memory",
     "fits_memory",
     "fitting_tile",
@@ -85,11 +86,22 @@ def fits_memory(path: Path, limit: float | None) -> bool:
         In bytes; what is available where it is None.
     """
     available = available_memory() if limit is None else limit
-    try:
-        points = path.stat().st_size / BYTES_PER_RECORD
-    except OSError:
-        return True  # who reads it says what is wrong
+    points = count_most_points(path)
     return available is None or BYTES_OF_PROGRAM + BYTES_PER_POINT * points <= available
+
+
+def count_most_points(path: Path) -> int:
+    """Return how many points a file holds at most, judged by its size.
+
+    Parameters
+    ----------
+    path : Path
+        None are in one that cannot be read: who reads it says what is wrong.
+    """
+    try:
+        return path.stat().st_size // BYTES_PER_RECORD
+    except OSError:
+        return 0
 
 
 def fitting_tile(limit: float, at_once: int) -> int:

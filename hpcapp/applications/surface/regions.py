@@ -144,7 +144,8 @@ def mesh_regions(
         for index in range(len(tiling)):
             name = "" if keeping is None else keeping.name(values, *tiling.groups(index))
             around = coarse.around(tiling.own(index))
-            yield name, (values, tiling.tile(index), around.to_values())
+            points = tiling.tile(index)
+            yield name, (values, points, tiling.tickets[index], around.to_values())
 
     regions.run(mesh_tile, tiles(), len(tiling), advance)
     for _ in range(_MOST_ROUNDS):

@@ -16,6 +16,7 @@ from hpcapp.applications.surface.keeping import Keeping
 from hpcapp.applications.surface.method import Method
 from hpcapp.applications.surface.pipeline import Preprocess
 from hpcapp.backends import available_cores
+from hpcapp.batches import Workforce
 from hpccomponent.errors import UsageError
 from hpccomponent.surface.points import FloatArray
 
@@ -24,11 +25,12 @@ __all__ = [
     "MAX_GRID",
     "MIN_GRID",
     "Settings",
-    "choose_backend",
     "choose_grid",
+    "choose_local",
     "choose_method",
     "choose_steps",
     "choose_threads",
+    "name_backend",
 ]
 
 DEFAULT_GRID = 256
@@ -50,9 +52,9 @@ class Settings:
     grid, depth, voxel_size : int, int, float or None
         The resolution; at most one of the three. `voxel_size` in length units of the input.
     backend, workers, policy : str, int or None, str
-        Where batches run.
+        Where batches run; with the backend ``auto``, the most workers that may be used.
     cluster : Path or None
-        The inventory of a cluster, in place of the backend.
+        The inventory of a cluster, whose workers may be used; with the backend ``zmq`` they are.
     max_memory : float or None
         Of this process and of each worker, in bytes.
     temp_dir : str or None
@@ -155,18 +157,30 @@ def choose_steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:
     return tuple((name, step) for is_wanted, name, step in wanted if is_wanted)
 
 
-def choose_backend(settings: Settings, points: int) -> str:
-    """Return the backend: the user's, else processes for `--workers`, else what pays here."""
-    if settings.cluster is not None:
+def choose_local(settings: Settings, points: int) -> tuple[str, int]:
+    """Return the backend of this process that pays for so many points, and its workers.
+
+    Parameters
+    ----------
+    settings : Settings
+        Whose `workers` are the most that may be used.
+    points : int
+    """
+    threads = min(settings.workers or available_cores(), available_cores())
+    if points < THREADS_FROM_POINTS or threads == 1:
+        return "serial", 1
+    return "threads", threads
+
+
+def name_backend(settings: Settings) -> str | None:
+    """Return the backend that the user names; None where it is to be chosen."""
+    if settings.cluster is not None and settings.backend == "zmq":
         return str(settings.cluster)
-    if settings.backend != "auto":
-        return settings.backend
-    if settings.workers is not None:
-        return "zmq"
-    enough = points >= THREADS_FROM_POINTS and available_cores() > 1
-    return "threads" if enough else "serial"
+    return None if settings.backend == "auto" else settings.backend
 
 
-def choose_threads(points: int) -> int:
-    """Return how many threads pay for so many points."""
-    return available_cores() if points >= THREADS_FROM_POINTS else 1
+def choose_threads(workforce: Workforce, points: int) -> int:
+    """Return how many threads pay for so many points in this process."""
+    if points < THREADS_FROM_POINTS:
+        return 1
+    return workforce.workers if workforce.in_process else available_cores()

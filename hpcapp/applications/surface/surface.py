@@ -5,21 +5,41 @@ Who may import it: the pipeline, the methods and the job.
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from hpcapp.applications.surface.keeping import Keeping
 from hpcapp.applications.surface.topology import Topology, check_mesh
 from hpcapp.applications.surface.weld import WeldPlan, plan_weld
-from hpcapp.applications.surface.welded import assemble_mesh, stream_mesh, stream_tiles
-from hpcapp.io import TILES_SUFFIX, write_mesh, write_tiles
+from hpcapp.applications.surface.welded import (
+    LoadPart,
+    assemble_mesh,
+    stream_mesh,
+    stream_tiles,
+    take_tile,
+)
+from hpcapp.batches import Workforce, stream_batches
+from hpcapp.io import (
+    TILES_SUFFIX,
+    needs_double,
+    shared_ply,
+    shared_tiles,
+    write_mesh,
+    write_tiles,
+)
+from hpccomponent.store import FolderStore
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.mesh_part import MeshPart
 from hpccomponent.surface.part_summary import PartSummary
 from hpccomponent.surface.points import FloatArray
+from hpccomponent.surface.shared_ply import write_kept, write_part
+from hpccomponent.surface.tile_ply import write_kept_tile
 
 __all__ = ["PartSurface", "Surface", "WholeSurface"]
 
@@ -39,7 +59,7 @@ class Surface(Protocol):
         """Return all of it."""
         ...
 
-    def write(self, path: Path) -> None:
+    def write(self, path: Path, workforce: Workforce) -> None:
         """Write it to a file, whose suffix chooses the format."""
         ...
 
@@ -67,8 +87,9 @@ class WholeSurface:
         """Return all of it."""
         return self.whole
 
-    def write(self, path: Path) -> None:
+    def write(self, path: Path, workforce: Workforce) -> None:
         """Write it to a file, whose suffix chooses the format."""
+        del workforce  # it is here already
         write_mesh(path, self.whole)
 
 
@@ -128,12 +149,80 @@ class PartSurface:
         """Return all of it."""
         return assemble_mesh(self.plan, self.load, self.origin)
 
-    def write(self, path: Path) -> None:
-        """Write it to a file, whose suffix chooses the format, block after block."""
-        if path.suffix.lower() == TILES_SUFFIX:
-            write_tiles(path, stream_tiles(self.plan, self.load, self.origin))
-        else:
-            write_mesh(path, stream_mesh(self.plan, self.load, self.origin))
+    def write(self, path: Path, workforce: Workforce) -> None:
+        """Write it to a file, whose suffix chooses the format.
+
+        Workers write their parts of a PLY, or their tiles, themselves where they have put their
+        parts away themselves; what they do not see, and every other format, is written here.
+        """
+        suffix = path.suffix.lower()
+        if suffix in (".ply", TILES_SUFFIX) and self.keeping is not None and self.keeping.is_shared:
+            write = self._share_ply if suffix == ".ply" else self._share_tiles
+            write(path, workforce, self.keeping.place)
+            return
+        with self._fetched() as load:
+            if suffix == TILES_SUFFIX:
+                write_tiles(path, stream_tiles(self.plan, load, self.origin))
+            else:
+                write_mesh(path, stream_mesh(self.plan, load, self.origin))
+
+    @contextmanager
+    def _fetched(self) -> Iterator[LoadPart]:
+        """Yield what loads a part at little cost, again and again: from a bucket they are fetched.
+
+        A block of the mesh needs a little of many parts.
+        """
+        if self.keeping is None or self.keeping.is_folder:
+            yield self.load
+            return
+        with tempfile.TemporaryDirectory(prefix="hpcapp-") as folder:
+            near = FolderStore(Path(folder))
+            for index in range(len(self.parts)):
+                near.put(str(index), self.load(index).to_values())
+            yield lambda index: MeshPart.from_values(near.get(str(index)))
+
+    def _share_ply(self, path: Path, workforce: Workforce, place: str) -> None:
+        """Let the workers write a PLY."""
+        plan = self.plan
+        counts = (plan.vertex_count, plan.face_count)
+        with shared_ply(path, counts, self.origin, plan.box) as shared:
+            values = shared.to_values()
+            batches = (
+                ((place, name), plan.places(index).to_values(), values)
+                for index, name in enumerate(self.parts)
+            )
+            for index in _left_undone(workforce, write_kept, batches):
+                write_part(self.load(index), plan.places(index), shared)
+
+    def _share_tiles(self, path: Path, workforce: Workforce, place: str) -> None:
+        """Let the workers write a folder of tiles."""
+        plan = self.plan
+        is_double = needs_double(plan.box, self.origin)
+        with shared_tiles(path) as file_of:
+
+            def batch(index: int) -> tuple[Any, ...]:
+                foreign = np.arange(len(plan.summaries[index].foreign_bricks))
+                parts, rows = plan.locate_foreign(index, foreign)
+                near, owners = np.unique(parts, return_inverse=True)
+                names = tuple(self.parts[part] for part in near.tolist())
+                file = (str(file_of(index)), str(path), is_double, self.origin)
+                values = plan.places(index).to_values()
+                return (place, self.parts[index]), values, (names, owners, rows), file
+
+            batches = map(batch, range(len(self.parts)))
+            for index in _left_undone(workforce, write_kept_tile, batches):
+                tile = take_tile(plan, self.load, self.origin, index)
+                if tile.face_count:
+                    write_mesh(file_of(index), tile)
+
+
+def _left_undone(
+    workforce: Workforce, task: Callable[..., bool], batches: Iterable[tuple[Any, ...]]
+) -> Iterator[int]:
+    """Run a task for each part, and yield those that a worker could not write."""
+    for index, is_written in stream_batches(workforce, task, batches, 2 * workforce.workers):
+        if not is_written:
+            yield index
 
 
 def _count_outside(vertices: FloatArray, low: FloatArray, high: FloatArray) -> int:

@@ -1,22 +1,25 @@
-"""Tiles: ranges of coarse cells along a Morton curve, equal in estimated work.
+"""Tiles: compact sets of coarse cells, equal in estimated work.
 
 The paper's equal batches, by work instead of by count. Who may import it: the default method.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import secrets
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface import kernels
+from hpcapp.applications.surface.passes import Passes
+from hpcapp.batches import Workforce
 from hpccomponent.surface.arranged_cloud import ArrangedCloud
+from hpccomponent.surface.block_tasks import count_cells, merge_cells
 from hpccomponent.surface.disk_cloud import DiskCloud
-from hpccomponent.surface.lattice import BITS, find_keys, unique_keys, unpack_keys
+from hpccomponent.surface.field import BRICK
+from hpccomponent.surface.lattice import BITS, find_keys, unpack_keys
 from hpccomponent.surface.points import IntArray
-from hpccomponent.surface.reach import HALO_STEPS, surround
+from hpccomponent.surface.reach import surround
 from hpccomponent.surface.region import Plan
 from hpccomponent.surface.tile_points import CellPoints, pack_cloud, read_cells
 
@@ -68,13 +71,19 @@ class Tiling:
     plan : Plan
     count : int
         How many tiles there shall be; fewer where there are fewer coarse cells.
-    share : callable, optional
-        What offers a tile's own points to all workers, where they are sent with the tasks.
+    workforce : Workforce
+    are_read : bool
+        Whether tasks read their points where the cloud lies; else these are sent.
+    kept_tiles : int
+        So many tiles may wait in a worker, prepared, until they are meshed.
 
     Attributes
     ----------
     cells : ndarray of int64, shape (c,)
         Sorted keys of the coarse cells that hold points.
+    tickets : list of str or None
+        Of the tiles, where workers may keep them: each prepares its points once then (see
+        `region.sum_tile`). Not where they are sent from a disk, which is done twice.
     """
 
     def __init__(
@@ -82,14 +91,22 @@ class Tiling:
         cloud: ArrangedCloud,
         plan: Plan,
         count: int,
-        share: Callable[[Any], Any] | None,
+        workforce: Workforce,
+        are_read: bool,
+        kept_tiles: int,
     ) -> None:
-        self.cells, self._counts = _count_cells(cloud, plan)
+        passes = Passes(workforce, are_read, _POINTS_AT_ONCE)
+        self.cells, self._counts = _count_cells(cloud, plan, passes)
         self._cloud = cloud
         self._plan = plan
         self._tile_of = cut_tiles(self.cells, self._counts, count)
-        self._share = share
-        self._cores: dict[int, Any] = {}
+        self._share = workforce.share
+        self._are_read = are_read
+        self._shared: dict[int, Any] = {}
+        is_once = are_read or not isinstance(cloud, DiskCloud)
+        most = 0 if workforce.in_process else kept_tiles * workforce.workers
+        is_kept = is_once and len(self) <= most
+        self.tickets = [secrets.token_hex(8) if is_kept else None for _ in range(len(self))]
 
     def __len__(self) -> int:
         return int(self._tile_of.max()) + 1
@@ -100,7 +117,9 @@ class Tiling:
         return own
 
     def core(self, index: int) -> CellPoints:
-        """Return the points of a tile, as a task is given them."""
+        """Return the points of a tile, as `sum_tile` is given them."""
+        if self.tickets[index] is not None:
+            return self.tile(index)
         return self._give([self.own(index)], index)
 
     def groups(self, index: int) -> list[IntArray]:
@@ -112,7 +131,12 @@ class Tiling:
 
     def tile(self, index: int) -> CellPoints:
         """Return the points in the `groups` of a tile, as a task is given them."""
-        return self._give(self.groups(index), index)
+        if self.tickets[index] is None:
+            return self._give(self.groups(index), index)
+        if index not in self._shared:  # whoever has summed it is the first to be asked again
+            self._shared[index] = self._share(self._give(self.groups(index), None))
+        shared: CellPoints = self._shared[index]
+        return shared
 
     def around(self, cells: IntArray) -> CellPoints:
         """Return the points in some coarse cells."""
@@ -120,36 +144,37 @@ class Tiling:
 
     def near(self, cells: IntArray) -> NDArray[np.bool_]:
         """Tell which coarse cells with points lie around some cells, near enough to matter."""
-        reached = surround(cells, halo_cells(self._plan))
+        reached = surround(cells, *halo_cells(self._plan, cells))
         found: NDArray[np.bool_] = np.less(find_keys(reached, self.cells), len(reached))
         return found
 
     def _give(self, groups: list[IntArray], index: int | None) -> CellPoints:
-        if self._share is None:
+        if self._are_read:
             there = self._cloud
             return ("there", str(there.folder) if isinstance(there, DiskCloud) else there, *groups)
         plan = self._plan
-        clouds = read_cells(self._cloud, plan.origin, plan.coarse_size, groups)
-        packed = [pack_cloud(plan.arrangement, cloud) for cloud in clouds]
+        read = read_cells(self._cloud, plan.origin, plan.coarse_size, groups)
+        packed = [
+            pack_cloud(plan.arrangement, read.cloud.take(np.flatnonzero(read.groups == number)))
+            for number in range(len(groups))
+        ]
         if index is not None and not isinstance(self._cloud, DiskCloud):
-            packed[0] = self._cores.setdefault(index, self._share(packed[0]))
+            if index not in self._shared:
+                self._shared[index] = self._share(packed[0])
+            packed[0] = self._shared[index]
         return ("sent", *packed)
 
 
-def _count_cells(cloud: ArrangedCloud, plan: Plan) -> tuple[IntArray, IntArray]:
+def _count_cells(cloud: ArrangedCloud, plan: Plan, passes: Passes) -> tuple[IntArray, IntArray]:
     """Return the coarse cells that hold points, and how many."""
-    keys, counts = [], []
-    for positions, _ in cloud.groups(_POINTS_AT_ONCE):
-        cells, offsets, _ = kernels.sort_points(positions, plan.origin, plan.coarse_size)
-        keys.append(cells)
-        counts.append(np.diff(offsets))
-    every = unique_keys(np.concatenate(keys))
-    rows = np.searchsorted(every, np.concatenate(keys))
-    return every, np.bincount(rows, np.concatenate(counts), len(every)).astype(np.int64)
+    if isinstance(cloud, DiskCloud):
+        return passes.count_cells(cloud, plan.origin, plan.coarse_size)
+    points = cloud.groups(_POINTS_AT_ONCE)
+    return merge_cells([count_cells(some, plan.origin, plan.coarse_size) for some, _ in points])
 
 
 def cut_tiles(cells: IntArray, work: IntArray, count: int) -> IntArray:
-    """Cut cells along a Morton curve into runs of equal work.
+    """Cut cells into compact tiles of equal work, by halving across the longest side.
 
     Parameters
     ----------
@@ -164,21 +189,52 @@ def cut_tiles(cells: IntArray, work: IntArray, count: int) -> IntArray:
     -------
     ndarray of int64, shape (c,)
         The tile of each cell: numbers from 0 on, none left out.
+
+    Notes
+    -----
+    The halos of runs along a Morton curve hold a half more (`docs/tiles.md`).
     """
-    order = np.argsort(morton_codes(cells))
-    before = np.cumsum(work[order]) - 0.5 * work[order]
-    wanted = np.floor(before * (count / work.sum())).astype(np.int64)
-    tiles = np.empty(len(cells), np.int64)
-    tiles[order] = np.unique(np.clip(wanted, 0, count - 1), return_inverse=True)[1]
+    places = unpack_keys(cells)
+    tiles = np.zeros(len(cells), np.int64)
+    pending = [(np.arange(len(cells)), 0, min(count, len(cells)))]
+    while pending:
+        rows, first, parts = pending.pop()
+        tiles[rows] = first
+        if parts == 1:
+            continue
+        near = places[rows]
+        axis = int(np.argmax(near.max(axis=0) - near.min(axis=0)))
+        rows = rows[np.argsort(near[:, axis], kind="stable")]
+        own, lower = work[rows], parts // 2
+        middles = np.cumsum(own) - 0.5 * own
+        cut = int(np.searchsorted(middles, own.sum() * (lower / parts)))
+        cut = min(max(cut, lower), len(rows) - (parts - lower))  # a cell for each tile
+        pending += [(rows[:cut], first, lower), (rows[cut:], first + lower, parts - lower)]
     return tiles
 
 
-def halo_cells(plan: Plan) -> int:
-    """Return how many coarse cells around a tile its quadrics depend on.
+def halo_cells(plan: Plan, cells: IntArray) -> tuple[IntArray, IntArray]:
+    """Return how many coarse cells below and above a tile's its quadrics depend on.
 
-    Nodes of its bricks lie up to `HALO_STEPS` from its points. Quadrics there ask for vertices
-    and parents up to half a coarse cell away, these for points half a coarse cell further on, and
-    for cells whose corners exist because of points two finest cells beyond.
+    Its own bricks are among those that its cells overlap, and what it evaluates lies two bricks
+    further at most; from there its quadrics reach as far as `Plan.reach` says.
+
+    Parameters
+    ----------
+    plan : Plan
+    cells : ndarray of int64, shape (c,)
+        Keys of the tile's cells.
+
+    Returns
+    -------
+    low, high : ndarray of int64, shape (3,)
+        Along each axis.
     """
-    reach = HALO_STEPS * plan.step + plan.coarse_size + 2.0 * plan.cell_size
-    return int(np.ceil(reach / plan.coarse_size))
+    size, edge, far = plan.coarse_size, BRICK * plan.step, plan.reach
+    places = unpack_keys(cells)
+    corners = (plan.origin - plan.grid_origin) + size * places
+    first = edge * (np.floor(corners / edge) - 2.0) - far
+    last = edge * (np.floor((corners + size) / edge) + 3.0) + far
+    low = places - np.floor((first + plan.grid_origin - plan.origin) / size).astype(np.int64)
+    high = np.floor((last + plan.grid_origin - plan.origin) / size).astype(np.int64) - places
+    return low.max(axis=0), high.max(axis=0)

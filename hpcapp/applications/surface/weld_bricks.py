@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hpccomponent.errors import JobError
 from hpccomponent.surface import kernels
-from hpccomponent.surface.lattice import unpack_keys
+from hpccomponent.surface.lattice import find_keys, unique_keys, unpack_keys
 from hpccomponent.surface.part_places import starts_of
 from hpccomponent.surface.part_summary import PartSummary
 from hpccomponent.surface.points import IntArray
@@ -164,8 +164,10 @@ def missing_bricks(summaries: Sequence[PartSummary]) -> IntArray:
     ndarray of int64, shape (m,)
         Sorted, unique keys.
     """
-    wanted = np.unique(np.concatenate([s.foreign_bricks for s in summaries]))
-    return np.setdiff1d(wanted, np.concatenate([s.bricks for s in summaries]))
+    wanted = unique_keys(np.concatenate([s.foreign_bricks for s in summaries]))
+    held = unique_keys(np.concatenate([s.bricks for s in summaries]))
+    missing: IntArray = wanted[find_keys(held, wanted) == len(held)]
+    return missing
 
 
 def check_foreign(summaries: Sequence[PartSummary], bricks: PartBricks) -> None:
@@ -210,9 +212,11 @@ def join_labels(summaries: Sequence[PartSummary], bricks: PartBricks) -> IntArra
         there = bricks.taken[np.searchsorted(bricks.keys, summary.foreign_bricks)]
         left.append(start + summary.foreign_labels)
         right.append(bricks.labels_at(there, summary.foreign_numbers))
-    pairs = np.unique(np.stack([np.concatenate(left), np.concatenate(right)], axis=1), axis=0)
-    edges = np.concatenate([pairs, pairs[:, 1:]], axis=1)  # edges as faces with a corner twice
-    component = kernels.label_components(edges, int(bricks.label_starts[-1]))[1]
+    count = int(bricks.label_starts[-1])
+    pairs = unique_keys(np.concatenate(left) * count + np.concatenate(right))
+    one, other = pairs // max(count, 1), pairs % max(count, 1)
+    edges = np.stack([one, other, other], axis=1)  # edges as faces with a corner twice
+    component = kernels.label_components(edges, count)[1]
     return component.astype(np.int64, copy=False)
 
 

@@ -221,15 +221,16 @@ def _judge_seams(seams: _Seams, faces: IntArray) -> _Verdict:
     backward = np.add.reduceat((tails > heads)[order].astype(np.int64), first) if len(first) else 0
     degenerate = (low == high)[order[first]]
     fans = _count_fans(seams, order, first[counts >= 2], piece)
-    closed_elsewhere = np.setdiff1d(vertices, seams.pieces[seams.piece_owners])
-    closed_elsewhere = np.setdiff1d(closed_elsewhere, seams.bare)
+    is_closed_elsewhere = np.ones(len(vertices), np.bool_)
+    is_closed_elsewhere[piece[seams.piece_owners]] = False
+    is_closed_elsewhere[np.isin(vertices, seams.bare)] = False
     inner = 3 * faces - np.bincount(seams.components, minlength=len(faces))
     outer = np.bincount(seams.components[order[first]], minlength=len(faces))
     return _Verdict(
         int((counts == 1).sum()),
         not (counts > 2).any() and not degenerate.any(),
         not ((backward > 1) | (counts - backward > 1)).any(),
-        fans + len(closed_elsewhere) - len(vertices),
+        fans + int(is_closed_elsewhere.sum()) - len(vertices),
         inner // 2 + outer,
     )
 

@@ -7,10 +7,8 @@ disk that are mapped.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpcapp.applications.surface.weld import WeldPlan
 from hpcapp.io import MeshStream
@@ -18,8 +16,9 @@ from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.mesh_part import Int32Array, MeshPart
 from hpccomponent.surface.part_places import PartPlaces, place_faces, place_vertices
 from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.tile_ply import cut_tile
 
-__all__ = ["LoadPart", "assemble_mesh", "stream_mesh", "stream_tiles"]
+__all__ = ["LoadPart", "assemble_mesh", "stream_mesh", "stream_tiles", "take_tile"]
 
 LoadPart = Callable[[int], MeshPart]
 
@@ -46,10 +45,10 @@ def assemble_mesh(plan: WeldPlan, load: LoadPart, origin: FloatArray) -> Mesh:
     for index in range(len(plan.summaries)):
         part, places = load(index), plan.places(index)
         bricks = np.flatnonzero(places.face_starts >= 0)
-        found, numbers = place_vertices(part, places, bricks)
-        _put(vertices, numbers, found)
-        _, found_faces, numbers = place_faces(part, places, bricks)
-        _put(faces, numbers, found_faces)
+        found, runs = place_vertices(part, places, bricks)
+        runs.put(found, vertices)
+        _, corners, runs = place_faces(part, places, bricks)
+        runs.put(corners, faces)
     return Mesh(vertices, faces, origin)
 
 
@@ -102,14 +101,19 @@ def stream_tiles(
         Vertices on a seam are in each of its tiles, at the very same place.
     """
     for index in range(len(plan.summaries)):
-        part, places = load(index), plan.places(index)
-        rows, _, _ = place_faces(part, places, np.flatnonzero(places.face_starts >= 0))
-        if not len(rows):
-            continue
-        used, corners = np.unique(part.faces[rows], return_inverse=True)
-        vertices = _positions(plan, load, index, used.astype(np.int32))
-        tile = Mesh(vertices, corners.reshape(-1, 3), origin)
-        yield index, _whole(tile, plan.box)
+        tile = take_tile(plan, load, origin, index)
+        if tile.face_count:
+            yield index, tile
+
+
+def take_tile(plan: WeldPlan, load: LoadPart, origin: FloatArray, index: int) -> MeshStream:
+    """Return one of the tiles of `stream_tiles`, which may have no faces."""
+    vertices, faces = cut_tile(
+        load(index),
+        plan.places(index),
+        lambda foreign: _positions(plan, load, index, ~foreign),
+    )
+    return _whole(Mesh(vertices, faces, origin), plan.box)
 
 
 def _whole(mesh: Mesh, box: FloatArray) -> MeshStream:
@@ -125,7 +129,9 @@ def _whole(mesh: Mesh, box: FloatArray) -> MeshStream:
     )
 
 
-def _positions(plan: WeldPlan, load: LoadPart, index: int, vertices: Int32Array) -> FloatArray:
+def _positions(
+    plan: WeldPlan, load: LoadPart, index: int, vertices: IntArray | Int32Array
+) -> FloatArray:
     """Return where vertices of a part are, as `MeshPart.faces` names them; foreign ones, too."""
     positions = np.empty((len(vertices), 3))
     own = vertices >= 0
@@ -148,46 +154,36 @@ class _Blocks:
 
     def vertices(self) -> Iterator[FloatArray]:
         for first, last in _cut(self._plan.vertex_starts):
-            start = self._plan.vertex_starts[first]
+            start = int(self._plan.vertex_starts[first])
             block = np.empty((int(self._plan.vertex_starts[last] - start), 3))
             for index, bricks in self._plan.givers(first, last):
-                found, numbers = place_vertices(self._load(index), self._places_of(index), bricks)
-                _put(block, numbers - start, found)
+                found, runs = place_vertices(self._load(index), self._places_of(index), bricks)
+                runs.put(found, block, start)
             yield block
 
     def faces(self) -> Iterator[IntArray]:
         for first, last in _cut(self._plan.face_starts):
-            start = self._plan.face_starts[first]
+            start = int(self._plan.face_starts[first])
             block = np.empty((int(self._plan.face_starts[last] - start), 3), np.int64)
             for index, bricks in self._plan.givers(first, last):
-                _, found, numbers = place_faces(self._load(index), self._places_of(index), bricks)
-                _put(block, numbers - start, found)
+                _, found, runs = place_faces(self._load(index), self._places_of(index), bricks)
+                runs.put(found, block, start)
             yield block
 
     def corners(self) -> Iterator[FloatArray]:
         for first, last in _cut(self._plan.face_starts):
-            start = self._plan.face_starts[first]
+            start = int(self._plan.face_starts[first])
             block = np.empty((int(self._plan.face_starts[last] - start), 3, 3))
             for index, bricks in self._plan.givers(first, last):
-                part = self._load(index)
-                rows, _, numbers = place_faces(part, self._places_of(index), bricks)
-                corners = part.faces[rows].reshape(-1)
-                found = _positions(self._plan, self._load, index, corners)
-                _put(block, numbers - start, found.reshape(-1, 3, 3))
+                faces, _, runs = place_faces(self._load(index), self._places_of(index), bricks)
+                found = _positions(self._plan, self._load, index, faces.reshape(-1))
+                runs.put(found.reshape(-1, 3, 3), block, start)
             yield block
 
     def _places_of(self, index: int) -> PartPlaces:
         if index not in self._places:
             self._places[index] = self._plan.places(index)
         return self._places[index]
-
-
-def _put(rows: NDArray[Any], numbers: IntArray, values: NDArray[Any]) -> None:
-    """Put values into rows whose numbers rise."""
-    if len(numbers) and numbers[-1] - numbers[0] == len(numbers) - 1:
-        rows[numbers[0] : numbers[-1] + 1] = values
-    else:
-        rows[numbers] = values
 
 
 def _cut(starts: IntArray) -> Iterator[tuple[int, int]]:

@@ -12,6 +12,9 @@ const int64_t* check_sides(const Input& bricks);
 // Return the points' rows in the order of their cells, stably, and the cells' squeezed keys.
 Ranking rank_points(const double* points, int64_t count, const double* origin, double size, Span& span);
 
+// Check that cell i holds the points offsets[i] to offsets[i + 1], and that these are all.
+const int64_t* check_offsets(const Input& offsets, int64_t cells, int64_t points);
+
 // Faces whose vertices are all there.
 const int64_t* check_faces(const Input& faces, int64_t vertices);
 
@@ -26,6 +29,7 @@ void bind_poisson(nb::module_& module);
 void bind_field(nb::module_& module);
 void bind_surface(nb::module_& module);
 void bind_topology(nb::module_& module);
+void bind_robust(nb::module_& module);
 void bind_seams(nb::module_& module);
 void bind_balance(nb::module_& module);
 

@@ -30,6 +30,13 @@ inline void give_back_large_arrays() {
 #endif
 }
 
+// Give back what smaller arrays leave behind: before a step that asks only for large ones.
+inline void give_back_free_memory() {
+#if defined(__GLIBC__)
+  malloc_trim(0);
+#endif
+}
+
 inline void* take_memory(size_t bytes) {
 #if defined(__linux__)
   if (bytes >= 2 * HUGE_PAGE) {

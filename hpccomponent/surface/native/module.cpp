@@ -15,6 +15,7 @@ NB_MODULE(_native, module) {
   hpc::bind_field(module);
   hpc::bind_surface(module);
   hpc::bind_topology(module);
+  hpc::bind_robust(module);
   hpc::bind_seams(module);
   hpc::bind_balance(module);
 }

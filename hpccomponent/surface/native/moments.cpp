@@ -54,8 +54,8 @@ HPC_INLINE void add_points(const Points& p, Block& sums) {
   }
 }
 
-// Each lane sums the points of one cell, in their order.
-HPC_CLONES void sum_cells(const double* local, const double* normals, const int64_t* offsets,
+// Each lane sums the points of one cell, in their order; without weights each counts 1.
+HPC_CLONES void sum_cells(const double* local, const double* normals, const double* weights, const int64_t* offsets,
                           int64_t start, int64_t stop, double* moments) {
   for (; start < stop; start += LANES) {
     const int width = static_cast<int>(std::min<int64_t>(LANES, stop - start));
@@ -68,10 +68,11 @@ HPC_CLONES void sum_cells(const double* local, const double* normals, const int6
       for (int lane = 0; lane < width; ++lane) {
         const int64_t i = offsets[start + lane] + turn;
         const bool present = i < offsets[start + lane + 1];
-        points.one[lane] = present ? 1.0 : 0.0;
+        const double weight = present ? weights ? weights[i] : 1.0 : 0.0;
+        points.one[lane] = weight;
         for (int axis = 0; axis < 3; ++axis) {
           points.u[axis][lane] = present ? local[3 * i + axis] : 0.0;
-          points.n[axis][lane] = present ? normals[3 * i + axis] : 0.0;
+          points.n[axis][lane] = present ? weight * normals[3 * i + axis] : 0.0;
         }
       }
       add_points(points, sums);
@@ -82,25 +83,31 @@ HPC_CLONES void sum_cells(const double* local, const double* normals, const int6
   }
 }
 
-Output<double> accumulate_moments(Input local_of, Input normals_of, Input offsets_of, int64_t threads) {
+Output<double> sum_points(const Input& local_of, const Input& normals_of, const double* weights, const Input& offsets_of,
+                          int64_t threads) {
   const double* local = check<double>(local_of, "local_positions", {ANY, 3});
   const int64_t points = rows_of(local_of);
   const double* normals = check<double>(normals_of, "normals", {points, 3});
-  const int64_t* offsets = check<int64_t>(offsets_of, "offsets", {ANY});
+  const int64_t* offsets = check_offsets(offsets_of, ANY, points);
   const int64_t cells = rows_of(offsets_of) - 1;
   const int workers = check_threads(threads);
-  if (cells < 0 || offsets[0] != 0 || offsets[cells] != points)
-    refuse("offsets: expected to run from 0 to the number of points");
-  for (int64_t cell = 0; cell < cells; ++cell)
-    if (offsets[cell] > offsets[cell + 1]) refuse("offsets: expected to rise");
   auto moments = make_buffer<double>(cells * COLUMNS);
   {
     nb::gil_scoped_release unlocked;
     run_ranges(cells, workers, [&](int64_t start, int64_t stop) {
-      sum_cells(local, normals, offsets, start, stop, moments.get());
+      sum_cells(local, normals, weights, offsets, start, stop, moments.get());
     });
   }
   return give(std::move(moments), {static_cast<size_t>(cells), COLUMNS});
+}
+
+Output<double> accumulate_moments(Input local_of, Input normals_of, Input offsets_of, int64_t threads) {
+  return sum_points(local_of, normals_of, nullptr, offsets_of, threads);
+}
+
+Output<double> accumulate_weighted(Input local_of, Input normals_of, Input weights_of, Input offsets_of, int64_t threads) {
+  const double* weights = check<double>(weights_of, "weights", {local_of.ndim() ? rows_of(local_of) : 0});
+  return sum_points(local_of, normals_of, weights, offsets_of, threads);
 }
 
 HPC_CLONES void shift_rows(const double* from, int64_t count, const double* step, double* to) {
@@ -242,8 +249,19 @@ nb::tuple merge_cells(Input cells_of, Input moments_of) {
 
 }  // namespace
 
+const int64_t* check_offsets(const Input& offsets_of, int64_t cells, int64_t points) {
+  const int64_t* offsets = check<int64_t>(offsets_of, "offsets", {cells == ANY ? ANY : cells + 1});
+  cells = rows_of(offsets_of) - 1;
+  if (cells < 0 || offsets[0] != 0 || offsets[cells] != points)
+    refuse("offsets: expected to run from 0 to the number of points");
+  for (int64_t cell = 0; cell < cells; ++cell)
+    if (offsets[cell] > offsets[cell + 1]) refuse("offsets: expected to rise");
+  return offsets;
+}
+
 void bind_moments(nb::module_& module) {
   module.def("accumulate_moments", &accumulate_moments);
+  module.def("accumulate_weighted", &accumulate_weighted);
   module.def("shift_moments", &shift_moments);
   module.def("scale_moments", &scale_moments);
   module.def("merge_cells", &merge_cells);

@@ -201,6 +201,52 @@ nb::tuple sort_points(Input positions, Input origin_of, double size) {
                         give(std::move(rows), {static_cast<size_t>(count)}));
 }
 
+// Finds the rows of sorted keys, in any order.
+class KeyRows {
+ public:
+  KeyRows(const int64_t* keys, int64_t count) : keys_(keys), none_(static_cast<uint32_t>(count)) {
+    size_t size = 64;
+    while (size < 2 * static_cast<size_t>(count)) size *= 2;
+    slots_.assign(size, none_);
+    for (uint32_t row = 0; row < none_; ++row) {
+      size_t at = slot(keys[row]);
+      while (slots_[at] != none_) at = (at + 1) & (slots_.size() - 1);
+      slots_[at] = row;
+    }
+  }
+
+  uint32_t find(int64_t key) const {
+    size_t at = slot(key);
+    while (slots_[at] != none_ && keys_[slots_[at]] != key) at = (at + 1) & (slots_.size() - 1);
+    return slots_[at];
+  }
+
+ private:
+  size_t slot(int64_t key) const {
+    return (static_cast<uint64_t>(key) * 0x9E3779B97F4A7C15u >> 20) & (slots_.size() - 1);
+  }
+
+  const int64_t* keys_;
+  uint32_t none_;
+  std::vector<uint32_t> slots_;
+};
+
+Output<uint32_t> find_cells(Input positions, Input origin_of, double size, Input cells_of) {
+  const double* point = check<double>(positions, "positions", {ANY, 3});
+  const double* origin = check<double>(origin_of, "origin", {3});
+  check_positive(size, "cell_size");
+  const int64_t* cells = check_keys(cells_of, "cells");
+  const int64_t count = rows_of(positions), known = rows_of(cells_of);
+  if (known >= UINT32_MAX) refuse("cells: expected fewer than 2^32 - 1");
+  auto rows = make_buffer<uint32_t>(count);
+  {
+    nb::gil_scoped_release unlocked;
+    const KeyRows table(cells, known);
+    visit_places(point, count, origin, size, [&](int64_t i, const Place& place) { rows[i] = table.find(pack(place)); });
+  }
+  return give(std::move(rows), {static_cast<size_t>(count)});
+}
+
 // Express points relative to the centres of their cells, in cells.
 HPC_CLONES void centre_points(double* points, int64_t count, const double* origin, double size) {
   constexpr int WIDTH = 24;
@@ -286,6 +332,7 @@ void bind_points(nb::module_& module) {
   module.def("count_boxes", &count_boxes);
   module.def("sample_boxes", &sample_boxes);
   module.def("sort_points", &sort_points);
+  module.def("find_cells", &find_cells);
   module.def("gather_points", &gather_points);
   module.def("seed_bricks", &seed_bricks);
 }

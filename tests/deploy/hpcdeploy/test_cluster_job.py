@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 OPTIONS = ("--grid", "32")
+ON_WORKERS = ("--backend", "zmq")  # however little work it is
 SUBMIT = ("submit", "cluster.yaml", "sphere.xyz", "-o")
 WAITING = "waiting for the cluster's present job"
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -93,8 +94,8 @@ def cluster(place: Place) -> Place:
 
 def test_a_job_on_a_cluster_that_is_not_up_leaves_nothing(place: Place) -> None:
     output, errors = place.run(
-        "reconstruct", "sphere.xyz", "-o", "mesh.ply", *OPTIONS, "--cluster", "cluster.yaml",
-        "--json",
+        "reconstruct", "sphere.xyz", "-o", "mesh.ply", *OPTIONS, *ON_WORKERS, "--cluster",
+        "cluster.yaml", "--json",
     )  # fmt: skip
     report = json.loads(output)
     assert (report["backend"], report["grid"], report["workers"]) == ("cluster", 32, 2)
@@ -134,7 +135,7 @@ def test_points_that_will_not_do_bring_nothing_up(place: Place) -> None:
 def test_a_job_is_submitted_listed_attached_to_and_fetched(cluster: Place) -> None:
     output, errors = cluster.run(
         "submit", "cluster.yaml", "sphere.xyz", "-o", "there.ply", "--detach", "--json", "--",
-        *OPTIONS,
+        *OPTIONS, *ON_WORKERS,
     )  # fmt: skip
     job = json.loads(output)["job"]
     assert f"hpcapp attach cluster.yaml {job}" in errors
@@ -168,7 +169,7 @@ def test_a_cluster_that_was_up_stays_up(cluster: Place) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_a_job_outlives_the_client(cluster: Place, number: signal.Signals) -> None:
     with cluster.held():
-        client = cluster.start("submit", "cluster.yaml", "sphere.xyz", "-o", "m.ply")
+        client = cluster.start(*SUBMIT, "m.ply", "--", *ON_WORKERS)
         assert client.stderr is not None
         assert any(WAITING in line for line in client.stderr)
         client.send_signal(number)
@@ -214,7 +215,7 @@ def test_what_cannot_be_is_one_line_and_no_job(cluster: Place) -> None:
 def test_down_ends_the_jobs_that_run_and_wait(cluster: Place) -> None:
     with cluster.held():
         for _ in range(2):
-            cluster.run("submit", "cluster.yaml", "sphere.xyz", "-o", "m.ply", "--detach")
+            cluster.run(*SUBMIT, "m.ply", "--detach", "--", *ON_WORKERS)
         with cluster.start("attach", "cluster.yaml") as client:
             output, _ = cluster.run("jobs", "cluster.yaml", "--json")
             runners = [json.loads(line)["runner"] for line in output.splitlines()[-2:]]

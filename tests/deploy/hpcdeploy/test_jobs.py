@@ -28,6 +28,7 @@ from hpcdeploy.providers.memory import MemoryProvider
 
 PATIENCE_S = 60.0
 OPTIONS = ("--grid", "32")
+ON_WORKERS = ("--backend", "zmq")  # however little work it is
 
 
 class Seen(JobDisplay):
@@ -105,7 +106,7 @@ def test_a_job_gives_the_bytes_of_a_local_run(
     jobs: Jobs, folder: Path, points: Path, tmp_path: Path, standing_cluster: Callable[..., Any]
 ) -> None:
     standing_cluster(folder)
-    status = jobs.submit("reconstruct", points, "mesh.ply", OPTIONS)
+    status = jobs.submit("reconstruct", points, "mesh.ply", (*OPTIONS, *ON_WORKERS))
     assert (status.job, status.title) == ("1", "sphere.xyz")
     seen = Seen()
     status = jobs.follow("1", seen)
@@ -122,7 +123,7 @@ def test_a_job_gives_the_bytes_of_a_local_run(
     )
     assert (tmp_path / "mesh.ply").read_bytes() == (tmp_path / "local.ply").read_bytes()
     assert jobs.log("1") == seen.lines
-    again = jobs.submit("reconstruct", points, "mesh.ply", ("--grid", "20"))
+    again = jobs.submit("reconstruct", points, "mesh.ply", ("--grid", "20", *ON_WORKERS))
     assert jobs.follow(again.job, Seen()).state is JobState.DONE
     assert len(list((folder / "points").iterdir())) == 1
 
@@ -130,7 +131,7 @@ def test_a_job_gives_the_bytes_of_a_local_run(
 def test_nobody_else_may_read_what_a_job_leaves(
     jobs: Jobs, folder: Path, points: Path, held: subprocess.Popen[bytes]
 ) -> None:
-    jobs.submit("reconstruct", points, "mesh.ply")
+    jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     for path in [folder / "points", folder / "jobs", folder / "jobs/1/job.json"]:
         assert path.stat().st_mode & 0o077 == 0
 
@@ -157,7 +158,7 @@ def test_jobs_run_one_after_the_other_in_their_order(
     jobs: Jobs, folder: Path, points: Path, held: subprocess.Popen[bytes]
 ) -> None:
     for _ in range(3):
-        jobs.submit("reconstruct", points, "mesh.ply")
+        jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     seen = Seen(WAITING, lambda: jobs.cancel("1"))
     assert jobs.follow("1", seen).state is JobState.CANCELLED
     jobs.cancel("3")
@@ -172,7 +173,7 @@ def test_jobs_run_one_after_the_other_in_their_order(
 def test_a_cancelled_job_leaves_no_process_and_no_mesh(
     jobs: Jobs, folder: Path, points: Path, held: subprocess.Popen[bytes], tmp_path: Path
 ) -> None:
-    jobs.submit("reconstruct", points, "mesh.ply")
+    jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     seen = Seen(WAITING, lambda: jobs.cancel("1"))
     status = jobs.follow("1", seen)
     assert not list((folder / "jobs/1").glob("*mesh*"))
@@ -198,7 +199,7 @@ def members(group: int) -> list[int]:
 def test_a_frozen_job_can_be_cancelled(
     jobs: Jobs, points: Path, held: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    jobs.submit("reconstruct", points, "mesh.ply")
+    jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     runner: list[int] = []
 
     def freeze_and_cancel() -> None:
@@ -215,8 +216,8 @@ def test_a_frozen_job_can_be_cancelled(
 def test_a_killed_runner_takes_its_verb_along_and_the_status_says_so(
     jobs: Jobs, folder: Path, points: Path, held: subprocess.Popen[bytes]
 ) -> None:
-    jobs.submit("reconstruct", points, "mesh.ply")
-    jobs.submit("reconstruct", points, "mesh.ply")
+    jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
+    jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
 
     def kill() -> None:
         os.kill(jobs.find("1").runner, signal.SIGKILL)
@@ -232,7 +233,7 @@ def test_a_killed_runner_takes_its_verb_along_and_the_status_says_so(
 def test_a_job_outlives_the_client_that_follows_it(
     jobs: Jobs, folder: Path, points: Path, held: subprocess.Popen[bytes]
 ) -> None:
-    jobs.submit("reconstruct", points, "mesh.ply")
+    jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     command = [sys.executable, "-P", "-m", "hpcdeploy.runner", "--folder", str(folder)]
     client = subprocess.Popen([*command, "follow", "1"], stdout=subprocess.PIPE, text=True)
     assert client.stdout is not None
@@ -270,7 +271,7 @@ def test_a_status_of_a_later_release_is_read() -> None:
 def test_an_unfinished_job_cannot_be_fetched(
     jobs: Jobs, points: Path, held: subprocess.Popen[bytes], tmp_path: Path
 ) -> None:
-    status = jobs.submit("reconstruct", points, "mesh.ply")
+    status = jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     with pytest.raises(JobError, match="hpcapp attach"):
         jobs.fetch(status, tmp_path / "mesh.ply")
 
@@ -291,7 +292,7 @@ def test_a_worker_that_vanishes_is_replaced_while_somebody_watches(
     cloud = MemoryProvider()
     cluster = make_cluster(make_spec(2), cloud)
     bring_up(cluster, lambda _: None)
-    status = jobs.submit("reconstruct", points, "mesh.ply")
+    status = jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     set_up.during = lambda: jobs.cancel(status.job)
 
     def interrupt(record: logging.LogRecord) -> bool:

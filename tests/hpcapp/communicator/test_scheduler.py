@@ -311,6 +311,25 @@ def test_workers_get_tasks_whose_blobs_they_have_and_never_wait_for_them(
     assert transfers <= 9  # where 16 are possible
 
 
+def test_an_idle_worker_that_has_the_blobs_of_a_task_gets_it(scheduler: Scheduler) -> None:
+    """Though tasks come one by one, and each could go to the first that is idle."""
+    names = [b"a", b"b", b"c"]
+    for name in names:
+        scheduler.register(name, introduce(name.decode()))
+    for number in range(3):
+        scheduler.submit(number, "t", 10, (blob(number),))
+    first = scheduler.dispatch()
+    had = {tasks[0]: worker for worker, tasks in assigned(first)}
+    assert sorted(had.values()) == names
+    for assign in first:
+        finish(scheduler, assign)
+    for number in (2, 0, 1):
+        scheduler.submit(3 + number, "t", 10, (blob(number),))
+        actions = scheduler.dispatch()
+        assert assigned(actions) == [(had[number], (3 + number,))]
+        assert sent_blobs(actions) == [(had[number], [])]
+
+
 def test_blobs_that_must_travel_count_as_bytes_of_the_batch(scheduler: Scheduler) -> None:
     scheduler.register(b"a", introduce())
     for number in range(200):

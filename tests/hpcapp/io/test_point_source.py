@@ -13,6 +13,7 @@ import pytest
 
 from hpcapp.io import PointSource, open_points, read_points, write_points
 from hpccomponent.errors import InputError
+from hpccomponent.surface.point_records import PointRecords
 from hpccomponent.surface.points import PointCloud
 
 Make = Callable[..., Path]
@@ -89,10 +90,10 @@ def test_lists_anywhere(
     assert _join(source, rows).positions.tolist() == points.tolist()
     assert source.is_double
     if len({len(s) for s in lists}) == 1:
-        assert source.range(1, 3).positions.tolist() == points[1:].tolist()
+        assert source.records is not None
+        assert source.records.read(1, 3).positions.tolist() == points[1:].tolist()
     else:
-        with pytest.raises(InputError, match="middle of the file"):
-            source.range(1, 3)
+        assert source.records is None
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(InputError, match="truncated: element 'face'"):
         _join(open_points(path), rows)
@@ -101,9 +102,11 @@ def test_lists_anywhere(
 @pytest.mark.parametrize("rows", [1, 2, 3, 100])
 def test_ranges_are_runs_of_the_file(tmp_path: Path, cloud: PointCloud, rows: int) -> None:
     write_points(tmp_path / "a.ply", cloud)
-    source = open_points(tmp_path / "a.ply")
+    records = open_points(tmp_path / "a.ply").records
+    assert records is not None
+    records = PointRecords(*records.to_values())  # as it travels
     for start in range(0, len(cloud), rows):
-        part = source.range(start, min(start + rows, len(cloud)))
+        part = records.read(start, min(start + rows, len(cloud)))
         _assert_same(part, cloud.take(np.arange(start, min(start + rows, len(cloud)))))
 
 
@@ -148,6 +151,24 @@ def test_a_binary_file_that_is_cut_or_too_long(
     path.write_bytes(whole + b"x" * cut)
     with pytest.raises(InputError, match="bytes follow after the last element"):
         _join(open_points(path), rows)
+    with pytest.raises(InputError, match="bytes follow after the last element"):
+        open_points(path).check()
+
+
+def test_a_file_that_is_cut_while_it_is_read(tmp_path: Path, cloud: PointCloud) -> None:
+    """Who meets it says the same, whichever range was asked for."""
+    path = tmp_path / "a.ply"
+    write_points(path, cloud)
+    records = open_points(path).records
+    assert records is not None
+    path.write_bytes(path.read_bytes()[: records.start + records.length])
+    assert len(records.read(0, 1)) == 1
+    for start in range(len(cloud)):
+        with pytest.raises(InputError, match=r"a\.ply: truncated: it has become shorter"):
+            records.read(start, len(cloud))
+    path.unlink()
+    with pytest.raises(InputError, match=r"a\.ply: cannot be read"):
+        records.read(0, 1)
 
 
 def test_a_file_without_points_is_one_empty_part(make_ply: Make) -> None:

@@ -4,7 +4,7 @@ import pytest
 from hpccomponent.errors import InputError
 from hpccomponent.surface.arranged_cloud import arrange_cloud
 from hpccomponent.surface.points import PointCloud
-from hpccomponent.surface.spacing import estimate_group_spacing, estimate_spacing
+from hpccomponent.surface.spacing import estimate_spacing, sample_box_keys, search_spacing
 
 
 def sphere(count, seed=0):
@@ -50,15 +50,19 @@ def test_points_at_one_place_are_refused():
 def test_groups_have_the_spacing_of_the_whole(count, times, group):
     points = sphere(count // times) * (1.0, 0.5, 0.1)
     cloud = arrange_cloud(PointCloud(np.repeat(points, times, axis=0), np.repeat(points, times, 0)))
-    found = estimate_group_spacing(
-        lambda: (positions for positions, _ in cloud.groups(group)),
-        len(cloud),
-        cloud.low,
-        cloud.high,
-    )
+
+    def count_boxes(edge, one_in, is_distinct):
+        some = [positions for positions, _ in cloud.groups(group)]
+        if is_distinct:
+            some = [np.unique(positions, axis=0) for positions in some]
+        counted = [sample_box_keys(positions, cloud.low, edge, one_in) for positions in some]
+        boxes = np.unique(np.concatenate([keys for _, keys in counted]))
+        return sum(held for held, _ in counted), len(boxes)
+
+    found = search_spacing(count_boxes, len(cloud), cloud.low, cloud.high)
     assert found == estimate_spacing(cloud.cloud.positions)
 
 
 def test_groups_at_one_place_are_refused():
     with pytest.raises(InputError, match="all 7 points lie at one place"):
-        estimate_group_spacing(lambda: [np.ones((7, 3))], 7, np.ones(3), np.ones(3))
+        search_spacing(lambda *_: (7, 1), 7, np.ones(3), np.ones(3))

@@ -3,11 +3,11 @@ import pytest
 
 from hpcapp.applications.surface.estimates import (
     choose_scale,
+    draw_sample,
     estimate_noise,
-    probe_noise,
-    sample_groups,
+    first_share,
 )
-from hpccomponent.surface.arranged_cloud import arrange_cloud
+from hpccomponent.surface import kernels
 from hpccomponent.surface.points import PointCloud
 from hpccomponent.surface.spacing import estimate_spacing
 
@@ -58,14 +58,15 @@ def test_no_cell_is_smaller_than_a_step_of_the_grid():
 
 
 @pytest.mark.parametrize("count", [20_000, 200_000])
-@pytest.mark.parametrize("group", [3_000, 10**9])
-def test_groups_have_the_noise_of_the_whole(count, group):
-    arranged = arrange_cloud(noisy_sphere(0.01, count))
-    spacing = estimate_spacing(arranged.cloud.positions)
-    sample = sample_groups(lambda: arranged.groups(group), count, arranged.low, spacing)
-    assert (len(sample) < count) == (count > 20_000)
-    found = probe_noise(sample, spacing)
-    assert found == estimate_noise(arranged.cloud, spacing)
+def test_large_clouds_are_judged_by_a_sample(count):
+    drawn = []
+
+    def draw(one_in):
+        drawn.append(one_in)
+        return np.zeros((count // one_in, 3)), np.zeros((count // one_in, 3))
+
+    assert len(draw_sample(draw, count)[0]) <= 20_000
+    assert drawn == [max(count // 15_000, 1)]
 
 
 def test_a_sample_of_few_boxes_is_drawn_anew():
@@ -74,5 +75,10 @@ def test_a_sample_of_few_boxes_is_drawn_anew():
     lumps += np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])[
         np.arange(len(lumps)) % 8
     ]
-    sample = sample_groups(lambda: [(lumps, lumps)], len(lumps), lumps.min(axis=0), 0.01)
-    assert len(sample) > 15_000 // 4
+
+    def draw(one_in):
+        rows = kernels.sample_boxes(lumps, lumps.min(axis=0), 24 * 0.01, one_in)
+        return lumps[rows], lumps[rows]
+
+    assert len(draw(first_share(len(lumps)))[0]) <= 15_000 // 4
+    assert len(draw_sample(draw, len(lumps))[0]) > 15_000 // 4

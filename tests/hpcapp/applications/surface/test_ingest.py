@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hpcapp.applications.surface import ingest
 from hpcapp.applications.surface.cleaning import EvenSample, drop_far
 from hpcapp.applications.surface.ingest import ingest_file
+from hpcapp.applications.surface.passes import Passes
+from hpcapp.backends import SerialExecutor
+from hpcapp.batches import Workforce
 from hpcapp.io import drop_unusable, open_points, read_points, write_points
 from hpccomponent.errors import InputError
 from hpccomponent.surface.arranged_cloud import arrange_cloud
+from hpccomponent.surface.kernels import count_boxes
 from hpccomponent.surface.points import FloatArray, PointCloud
+
+
+def _passes(points: int = 1 << 20) -> Passes:
+    return Passes(Workforce(SerialExecutor(), in_process=True), True, points)
 
 
 def _scan(points: int = 5_000) -> PointCloud:
@@ -52,7 +63,7 @@ def test_parts_arranged_on_disk_are_the_cloud_in_memory(
     near = drop_far(usable) if far else usable
     expected = arrange_cloud(near)
     (tmp_path / "parts").mkdir()
-    found = ingest_file(open_points(path), tmp_path / "parts", drop_far=far, rows=rows)
+    found = ingest_file(open_points(path), tmp_path / "parts", _passes(rows), drop_far=far)
     assert found.dropped == dropped
     assert found.far == len(usable) - len(near)
     assert found.cloud.arrangement.edge == expected.arrangement.edge
@@ -62,6 +73,37 @@ def test_parts_arranged_on_disk_are_the_cloud_in_memory(
         found.cloud.take_blocks(expected.keys), expected.take_blocks(expected.keys), strict=True
     ):
         assert mine.tobytes() == its.tobytes()
+    edges = list(found.boxes)
+    assert len(edges) == 2
+    for edge in edges:
+        counted = count_boxes(expected.cloud.positions, expected.low, edge, 1)
+        assert found.boxes[edge] == counted
+
+
+@pytest.mark.parametrize("workers_see", [True, False])
+def test_workers_read_their_ranges(tmp_path: Path, workers_see: bool) -> None:
+    """Many of them, none of which knows how many unusable points lie before its own."""
+    path = tmp_path / "a.ply"
+    write_points(path, _spoil(_scan(60_000)))
+    expected = arrange_cloud(drop_far(drop_unusable(read_points(path))[0]))
+    (tmp_path / "parts").mkdir()
+    with ThreadPoolExecutor(4) as executor:
+        workforce = Workforce(executor, 4, 4)
+        passes = Passes(workforce, True, 7_000, workers_see)
+        found = ingest_file(open_points(path), tmp_path / "parts", passes)
+    assert len(found.cloud.parts) == 9
+    one, other = (cloud.take_blocks(expected.keys) for cloud in (found.cloud, expected))
+    assert [column.tobytes() for column in one] == [column.tobytes() for column in other]
+
+
+def test_the_sample_of_ranges_is_that_of_parts(tmp_path: Path) -> None:
+    """As the far points and lines that are looked for in it."""
+    write_points(tmp_path / "a.ply", _spoil(_scan(90_000)))
+    source = open_points(tmp_path / "a.ply")
+    ranges = ingest._survey_records(source, _passes(11_000))
+    parts = ingest._survey_parts(replace(source, records=None), _passes(11_000))
+    assert ranges.sample.tobytes() == parts.sample.tobytes()
+    assert 10_000 < len(parts.sample) <= 20_000
 
 
 def test_markers_are_found_in_a_large_sample_as_in_parts() -> None:
@@ -98,7 +140,7 @@ def test_clouds_without_a_surface_are_refused_as_from_memory(
     with pytest.raises(InputError, match=said) as whole:
         drop_unusable(read_points(path), str(path))
     with pytest.raises(InputError, match=said) as parts:
-        ingest_file(open_points(path), tmp_path, rows=7_000)
+        ingest_file(open_points(path), tmp_path, _passes(7_000))
     assert str(parts.value) == str(whole.value)
 
 
@@ -106,10 +148,10 @@ def test_a_line_is_told_from_all_points_where_the_sample_does_not_tell(tmp_path:
     positions = _line(50_000)
     positions[1] += (0.0, 0.0, 0.5)  # is not in the sample, which has every fourth
     write_points(tmp_path / "a.ply", PointCloud(positions, np.ones_like(positions)))
-    assert len(ingest_file(open_points(tmp_path / "a.ply"), tmp_path).cloud) == 50_000
+    assert len(ingest_file(open_points(tmp_path / "a.ply"), tmp_path, _passes()).cloud) == 50_000
 
 
 def test_a_cloud_without_normals_is_refused(tmp_path: Path) -> None:
     write_points(tmp_path / "a.ply", PointCloud(_scan().positions))
     with pytest.raises(InputError, match=r"a\.ply has no normals"):
-        ingest_file(open_points(tmp_path / "a.ply"), tmp_path)
+        ingest_file(open_points(tmp_path / "a.ply"), tmp_path, _passes())

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface import job, regions
+from hpcapp.applications.surface import folder, job, regions, steps, surface
 from hpcapp.applications.surface.job import run_job
 from hpcapp.applications.surface.memory import fitting_tile, parse_size
 from hpcapp.applications.surface.settings import Settings
 from hpcapp.io import read_mesh, write_points
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import JobError, OutputError, UsageError
-from hpccomponent.surface import region
+from hpccomponent.surface import region, shared_ply, tile_ply
+from hpccomponent.surface.mesh_part import MeshPart
 from hpccomponent.surface.points import PointCloud
 
 pytest_plugins = ["lab_bucket"]
@@ -69,7 +72,8 @@ def whole(scan: Path) -> bytes:
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let so many points be too many for memory, and tiles be small."""
     monkeypatch.setattr(job, "fits_memory", lambda *_: False)
-    monkeypatch.setattr(job, "_choose_tile", lambda *_: 6_000)
+    for module in (job, steps):
+        monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
 
 
 @pytest.mark.usefixtures("small", "standing_helpers")
@@ -88,6 +92,17 @@ def test_a_cloud_on_disk_gives_the_bytes_of_one_in_memory(
     assert report["tiles"] > 1
     assert report["dropped"]["outliers"] > 0
     assert list(room.rglob("*")) == []  # what was kept is taken away
+
+
+@pytest.mark.usefixtures("standing_helpers")
+def test_workers_read_a_cloud_that_memory_would_hold(
+    scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(folder, "FOLDER_FROM_POINTS", 10_000)
+    monkeypatch.setattr(job, "load_memory", None)
+    output = tmp_path / "mesh.ply"
+    run_job(Settings(scan, str(output), grid=96, backend="zmq", workers=2), SILENT)
+    assert output.read_bytes() == whole
 
 
 @pytest.mark.usefixtures("small")
@@ -169,7 +184,7 @@ def test_a_job_that_was_killed_goes_on_where_it_was(
     output, room = tmp_path / "mesh.ply", tmp_path / "room"
     command = [
         sys.executable, "-m", "hpcapp", "reconstruct", str(scan), "-o", str(output),
-        "--grid", "96", "--workers", "2", "--temp-dir", str(room),
+        "--grid", "96", "--backend", "zmq", "--workers", "2", "--temp-dir", str(room),
     ]  # fmt: skip
     first = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True)
     try:
@@ -197,6 +212,127 @@ def test_a_job_that_was_killed_goes_on_where_it_was(
 def _kept(room: Path) -> list[Path]:
     """Return the tiles that are whole."""
     return [path for path in room.rglob("*") if path.is_file() and not path.name.startswith(".")]
+
+
+@pytest.mark.usefixtures("small", "standing_helpers")
+def test_workers_write_the_mesh_themselves(
+    scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def load(*_: object) -> MeshPart:
+        raise AssertionError
+
+    monkeypatch.setattr(surface.PartSurface, "load", load)
+    output = tmp_path / "mesh.ply"
+    run_job(Settings(scan, str(output), grid=96, backend="zmq", workers=2), SILENT)
+    assert output.read_bytes() == whole
+
+
+class Memory(SilentProgress):
+    """Measures what this process has more at most, from the extraction's end on, than before it."""
+
+    def begin(self, stage: str) -> None:
+        """Take note of the memory before the extraction."""
+        if stage == "extract":
+            self._before = tracemalloc.get_traced_memory()[0]
+
+    def end(self, stage: str, seconds: float) -> None:
+        """Look only at what comes after the extraction."""
+        if stage == "extract":
+            tracemalloc.reset_peak()
+        self.growth = tracemalloc.get_traced_memory()[1] - getattr(self, "_before", 0)
+
+
+@pytest.mark.usefixtures("small", "standing_helpers")
+def test_the_memory_does_not_grow_with_the_mesh(scan: Path, tmp_path: Path) -> None:
+    output = tmp_path / "mesh.ply"
+    sizes, growths = [], []
+    for grid in (64, 192):
+        memory = Memory()
+        tracemalloc.start()
+        run_job(Settings(scan, str(output), grid=grid, backend="zmq", workers=2), memory)
+        tracemalloc.stop()
+        sizes.append(output.stat().st_size)
+        growths.append(memory.growth)
+    assert sizes[1] > sizes[0] + 2e6
+    assert growths[1] - growths[0] < 0.2 * (sizes[1] - sizes[0])  # bricks and seams
+
+
+@pytest.mark.usefixtures("small")
+def test_what_a_worker_cannot_write_is_written_here(
+    scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, str]] = []
+
+    def write_kept(kept: tuple[str, str], *values: Any) -> bool:
+        asked.append(kept)
+        return len(asked) % 2 == 0 and shared_ply.write_kept(kept, *values)
+
+    monkeypatch.setattr(surface, "write_kept", write_kept)
+    output = tmp_path / "mesh.ply"
+    run_job(Settings(scan, str(output), grid=96, backend="serial"), SILENT)
+    assert output.read_bytes() == whole
+    assert len(asked) > 2
+
+
+@pytest.mark.usefixtures("small")
+@pytest.mark.parametrize("backend", ["serial", "threads"])
+def test_a_full_disk_leaves_the_old_mesh(
+    backend: str, scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "pwrite", write)
+    output = tmp_path / "mesh.ply"
+    output.write_bytes(b"the mesh of yesterday")
+    with pytest.raises(OutputError, match=f"^{output}: cannot be written: No space left"):
+        run_job(Settings(scan, str(output), grid=96, backend=backend), SILENT)
+    assert output.read_bytes() == b"the mesh of yesterday"
+    assert list(tmp_path.iterdir()) == [output]
+
+
+@pytest.mark.usefixtures("bucket", "standing_helpers")
+@pytest.mark.leaks_allowed  # boto3 closes its connections when it is collected
+@pytest.mark.parametrize("name", ["mesh.obj", "mesh.tiles"])
+def test_what_is_kept_is_written_in_other_formats_too(
+    name: str, scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(steps, "choose_tile", lambda *_: 6_000)
+    room = str(tmp_path / "room")
+    places = ((None, "serial"), (room, "serial"), (room, "processes"), ("s3://lab/tiles", "serial"))
+    meshes = []
+    for index, (place, backend) in enumerate(places):  # the first leaves parts in memory
+        output = tmp_path / str(index) / name
+        output.parent.mkdir()
+        settings = Settings(scan, str(output), grid=48, backend=backend, temp_dir=place)
+        run_job(settings, SILENT)
+        files = [output] if output.is_file() else sorted(output.iterdir())
+        meshes.append({file.name: file.read_bytes() for file in files})
+        assert list(output.parent.iterdir()) == [output]
+    assert meshes[0] == meshes[1] == meshes[3]
+    if name == "mesh.obj":
+        assert meshes[2] == meshes[0]
+    else:  # how many there are depends on the workers
+        assert len(meshes[2]) > 1
+
+
+@pytest.mark.usefixtures("small")
+def test_a_tile_that_a_worker_cannot_write_is_written_here(
+    scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write_some(kept: tuple[str, str], *values: Any) -> bool:
+        asked.append(kept)
+        return len(asked) % 2 == 0 and tile_ply.write_kept_tile(kept, *values)
+
+    meshes = []
+    for write in (tile_ply.write_kept_tile, write_some):
+        asked: list[tuple[str, str]] = []
+        monkeypatch.setattr(surface, "write_kept_tile", write)
+        output = tmp_path / f"{len(meshes)}.tiles"
+        run_job(Settings(scan, str(output), grid=48, backend="serial"), SILENT)
+        meshes.append({file.name: file.read_bytes() for file in output.iterdir()})
+    assert len(asked) > 2
+    assert meshes[0] == meshes[1]
 
 
 @pytest.mark.usefixtures("small")

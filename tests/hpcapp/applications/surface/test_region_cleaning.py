@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.cleaning import Cleaned, clean_cloud
+from hpcapp.applications.surface.estimates import choose_scale
+from hpcapp.applications.surface.passes import Passes
 from hpcapp.applications.surface.region_cleaning import clean_regions
 from hpcapp.applications.surface.scan_settings import ScanSettings
 from hpcapp.applications.surface.scanner import simulate_scan
 from hpcapp.applications.surface.shapes import SHAPES
 from hpcapp.backends import SerialExecutor
 from hpcapp.batches import Workforce
-from hpccomponent.surface.arranged_cloud import MemoryCloud, arrange_cloud
+from hpccomponent.surface.arranged_cloud import arrange_cloud
 from hpccomponent.surface.disk_cloud import DiskCloudWriter
 from hpccomponent.surface.points import FloatArray, PointCloud
 
@@ -81,12 +83,20 @@ CLOUDS: dict[str, Callable[[Random], PointCloud]] = {
 SPOILT = set(CLOUDS) - {"clean", "repeated", "fog"}
 
 
-def _assert_cleaned_alike(
-    arranged: MemoryCloud, folder: Path, workforce: Workforce, points: int
-) -> Cleaned:
+def _assert_cleaned_alike(scan: PointCloud, folder: Path, passes: Passes) -> Cleaned:
+    arranged = arrange_cloud(scan)
     expected, cleaned = clean_cloud(arranged.cloud)
-    found, told = clean_regions(arranged, folder, workforce, points)
+    there = folder / "arranged"
+    there.mkdir()
+    writer = DiskCloudWriter(there, arranged.arrangement, scan.origin)
+    assert scan.normals is not None
+    for some in np.array_split(np.arange(len(scan)), 5):
+        writer.add(scan.positions[some], scan.normals[some])
+    found, told = clean_regions(writer.finish(), folder, passes)
     assert told == cleaned
+    assert choose_scale(found, 0.0, 1.0, 1.0) == choose_scale(expected, 0.0, 1.0, 1.0)
+    assert found.low.tolist() == expected.positions.min(axis=0).tolist()
+    assert found.high.tolist() == expected.positions.max(axis=0).tolist()
     assert len(found) == len(expected)
     positions, normals = found.take_blocks(found.keys)
     assert positions.tobytes() == expected.positions.tobytes()
@@ -95,24 +105,21 @@ def _assert_cleaned_alike(
     return cleaned
 
 
-@pytest.fixture
-def serial() -> Workforce:
-    return Workforce(SerialExecutor())
+def _serial(points: int) -> Passes:
+    return Passes(Workforce(SerialExecutor(), in_process=True), True, points)
 
 
 @pytest.mark.parametrize("name", CLOUDS)
 @pytest.mark.parametrize("points", [5_000, 100_000])
-def test_regions_of_any_size_are_the_whole(
-    tmp_path: Path, serial: Workforce, name: str, points: int
-) -> None:
+def test_regions_of_any_size_are_the_whole(tmp_path: Path, name: str, points: int) -> None:
     cloud = CLOUDS[name](np.random.default_rng(5))
-    cleaned = _assert_cleaned_alike(arrange_cloud(cloud), tmp_path, serial, points)
+    cleaned = _assert_cleaned_alike(cloud, tmp_path, _serial(points))
     if name in SPOILT:
         assert cleaned.outliers or cleaned.flipped
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_any_mixture_is_cleaned_alike(tmp_path: Path, serial: Workforce, seed: int) -> None:
+def test_any_mixture_is_cleaned_alike(tmp_path: Path, seed: int) -> None:
     """Sheets, lumps, lines and single points, of densities that differ by orders of magnitude."""
     random = np.random.default_rng(seed)
     pieces = []
@@ -122,23 +129,12 @@ def test_any_mixture_is_cleaned_alike(tmp_path: Path, serial: Workforce, seed: i
         pieces.append(random.normal(size=(points, 3)) * extent + random.uniform(-1, 1, 3))
     positions = np.concatenate([*pieces, random.uniform(-3, 3, (50, 3))])
     cloud = _oriented(positions[random.permutation(len(positions))])
-    _assert_cleaned_alike(arrange_cloud(cloud), tmp_path, serial, 1_500)
+    _assert_cleaned_alike(cloud, tmp_path, _serial(1_500))
 
 
-def test_workers_and_the_disk_do_not_show(tmp_path: Path) -> None:
-    scan = CLOUDS["spoilt"](np.random.default_rng(5))
-    arranged = arrange_cloud(scan)
-    (tmp_path / "in").mkdir()
-    writer = DiskCloudWriter(tmp_path / "in", arranged.arrangement, scan.origin)
-    assert scan.normals is not None
-    for some in np.array_split(np.arange(len(scan)), 7):
-        writer.add(scan.positions[some], scan.normals[some])
-    expected, cleaned = clean_cloud(arranged.cloud)
+@pytest.mark.parametrize("workers_see", [True, False])
+def test_workers_do_not_show(tmp_path: Path, workers_see: bool) -> None:
+    """Whether they see the folder, and write to it, or are sent points."""
     with ThreadPoolExecutor(3) as executor:
-        workforce = Workforce(executor, workers=3)
-        found, told = clean_regions(writer.finish(), tmp_path, workforce, 4_000)
-    assert told == cleaned
-    positions, normals = found.take_blocks(found.keys)
-    assert positions.tobytes() == expected.positions.tobytes()
-    assert expected.normals is not None
-    assert normals.tobytes() == expected.normals.tobytes()
+        passes = Passes(Workforce(executor, 3, 4), workers_see, 4_000)
+        _assert_cleaned_alike(CLOUDS["spoilt"](np.random.default_rng(5)), tmp_path, passes)

@@ -21,6 +21,7 @@ from hpccomponent.surface import (
     hermite,
     lattice,
     moments,
+    robust,
     spacing,
 )
 from hpccomponent.surface.case_table import case_triangles
@@ -64,6 +65,10 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
     expected = cells.sort_points(positions, origin, size)
     for found, wanted in zip(native.sort_points(positions, origin, size), expected, strict=True):
         np.testing.assert_array_equal(found, wanted)
+    for some in (expected[0], expected[0][::2].copy(), expected[0][:0]):
+        found = native.find_cells(positions, origin, size, some)
+        np.testing.assert_array_equal(found, cells.find_cells(positions, origin, size, some))
+    assert (native.find_cells(positions, origin, size, expected[0]) < len(expected[0])).all()
     points = (positions, normals, expected[2], origin, size)
     for found, wanted in zip(
         native.gather_points(*points), cells.gather_points(*points), strict=True
@@ -87,11 +92,29 @@ def test_moments_of_points(native: ModuleType, seed: int, counts: list[int]) -> 
     normals = random.normal(size=(offsets[-1], 3))
     found = native.accumulate_moments(local, normals, offsets, 1)
     np.testing.assert_array_equal(found, moments.accumulate_moments(local, normals, offsets))
+    weights = random.uniform(size=offsets[-1])
+    weighted = native.accumulate_weighted(local, normals, weights, offsets, 1)
+    wanted = moments.accumulate_moments(local, normals, offsets, weights)
+    np.testing.assert_array_equal(weighted, wanted)
     shift = random.normal(size=3)
     scale = 1e-12 * max(1.0, np.abs(found).max())
     shifted = native.shift_moments(found, shift)
     np.testing.assert_allclose(shifted, moments.shift_moments(found, shift), 1e-10, scale * 100)
     np.testing.assert_array_equal(native.scale_moments(found), moments.scale_moments(found))
+
+
+@pytest.mark.parametrize("depth", [0, 1])
+def test_distances_from_a_blend(native: ModuleType, cloud: Any, depth: int) -> None:
+    random = np.random.default_rng(depth)
+    above = lattice.unique_keys(lattice.pack_places(lattice.unpack_keys(cloud.cells) >> depth))
+    corners = lattice.spread_keys(above, 0, 1)[3:]  # some cells lack one
+    coefficients = random.normal(size=(len(corners), 10)).astype(np.float32)
+    variances = random.uniform(size=len(corners)).astype(np.float32)
+    level = cloud.local, cloud.offsets, cloud.cells, depth, corners, coefficients, variances
+    found = native.rate_points(*level, 1)
+    np.testing.assert_allclose(found, robust.rate_points(*level), rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(found, native.rate_points(*level, 3))
+    assert (found == 0.0).any()
 
 
 def test_moments_of_cells(native: ModuleType, cloud: Any) -> None:

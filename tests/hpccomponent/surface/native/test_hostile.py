@@ -16,12 +16,12 @@ from hpccomponent.surface.case_table import case_triangles
 KERNELS = (
     "accumulate_moments", "balance_vertices", "corner_moments", "count_boxes", "count_cells",
     "evaluate_bricks", "poll_normals", "sum_neighbours",
-    "evaluate_residuals", "find_keys", "fit_corners", "grow_surface",
+    "evaluate_residuals", "find_cells", "find_keys", "fit_corners", "grow_surface",
     "inherit_level", "label_components", "merge_cells",
     "parent_keys", "sample_grid", "scale_moments", "seed_bricks", "shift_moments",
     "signed_volume", "sort_points", "spread_keys", "survey_mesh", "unite_keys", "gather_points",
     "bound_points", "sample_boxes", "integrate_normals", "sample_corners",
-    "find_seams", "sum_bricks",
+    "find_seams", "sum_bricks", "accumulate_weighted", "rate_points",
 )  # fmt: skip
 
 numbers = st.one_of(
@@ -71,6 +71,8 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
     means = np.ones((len(keys), 10), np.float32)
     calls = [
         ("accumulate_moments", points, points, random.integers(-9, 30, size=5), 1),
+        ("accumulate_weighted", points, points, points[:, 0].copy(), np.array([0, rows]), 1),
+        ("rate_points", points, np.arange(len(keys) + 1), keys, 1, keys, means, means[:, 0], 1),
         ("sort_points", points, points[0] if rows else np.zeros(3), 0.1),
         (
             "gather_points",

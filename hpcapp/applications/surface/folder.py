@@ -1,0 +1,67 @@
+"""Whether a cloud goes through a folder, and who works there. Who may import it: the job."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+from hpcapp.applications.surface.memory import count_most_points
+from hpcapp.applications.surface.passes import Passes
+from hpcapp.applications.surface.settings import Settings, choose_steps, name_backend
+from hpcapp.backends import BACKENDS, Backend, available_cores
+from hpcapp.io import open_points
+from hpcapp.shared_files import workers_see
+
+__all__ = ["may_pay_in_folder", "plan_passes"]
+
+FOLDER_FROM_POINTS = 200_000
+"""With fewer, what is saved by workers that read for themselves is less than what files cost."""
+_BYTES_PER_POINT = 200  # of room in the folder: two copies of the points, and finished tiles
+
+
+def may_pay_in_folder(settings: Settings) -> bool:
+    """Tell whether points that fit into memory should lie where other processes read them.
+
+    That is where workers may be processes that will see the folder: those of this machine see any,
+    others one that was named, and where they can read the input from the middle.
+
+    Parameters
+    ----------
+    settings : Settings
+    """
+    points = count_most_points(settings.points)
+    name, place = name_backend(settings), settings.temp_dir
+    is_here = settings.cluster is None and (name or "zmq") in BACKENDS
+    if name is None and is_here:
+        name = "zmq" if (settings.workers or available_cores()) > 1 else "serial"
+    if points < FOLDER_FROM_POINTS or name in ("serial", "threads") or choose_steps(settings):
+        return False
+    if place is None or "://" in place:
+        free = shutil.disk_usage(tempfile.gettempdir()).free
+        if not is_here or free < _BYTES_PER_POINT * points:
+            return False
+    is_ply = settings.points.suffix.lower() == ".ply"
+    return is_ply and open_points(settings.points).records is not None
+
+
+def plan_passes(path: Path, folder: Path, backend: Backend, points: int) -> Passes:
+    """Find out who can go through a cloud in a folder.
+
+    Parameters
+    ----------
+    path : Path
+        Of the input.
+    folder : Path
+        Need not exist; the folder around it is made.
+    backend : Backend
+    points : int
+        How many a task may hold at most, about.
+    """
+    if backend.name in BACKENDS:  # on this machine
+        return Passes(backend.workforce, True, points)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=folder.parent) as sign:
+        sees = workers_see(backend.workforce, Path(sign.name))
+        sees_input = sees and workers_see(backend.workforce, Path(sign.name), path)
+    return Passes(backend.workforce, sees, points, sees_input)

@@ -1,0 +1,167 @@
+"""The steps from a loaded cloud to its surface: the same for files and for arrays.
+
+Who may import it: the job and the interface for Python.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hpcapp.applications.surface.choice import Choice, Job
+from hpcapp.applications.surface.doubts import (
+    doubt_closure,
+    doubt_normals,
+    doubt_resolution,
+    sample_cloud,
+)
+from hpcapp.applications.surface.keeping import Keeping
+from hpcapp.applications.surface.loading import Loaded
+from hpcapp.applications.surface.memory import check_memory, fitting_tile
+from hpcapp.applications.surface.opening import Opener
+from hpcapp.applications.surface.pipeline import Reconstruction
+from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
+from hpcapp.applications.surface.settings import (
+    Settings,
+    choose_grid,
+    choose_method,
+    choose_steps,
+    choose_threads,
+)
+from hpcapp.backends import Backend
+from hpcapp.progress import StageClock
+from hpccomponent.surface.build import kernel_id
+from hpccomponent.surface.disk_cloud import DiskCloud
+from hpccomponent.surface.points import PointCloud, bounding_box
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = ["Outcome", "choose_tile", "run_loaded", "run_memory"]
+
+log = logging.getLogger("hpcapp")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What came of a job, while its backend is open.
+
+    Parameters
+    ----------
+    result : Reconstruction
+    grid : int
+        Cells along the longest side.
+    backend : Backend
+        That the workers are behind, who may write the mesh.
+    choice : Choice
+        Why it is this one.
+    warnings : list of str
+        What should make the user doubt the mesh; logged already.
+    """
+
+    result: Reconstruction
+    grid: int
+    backend: Backend
+    choice: Choice
+    warnings: list[str]
+
+
+@contextmanager
+def run_memory(
+    settings: Settings,
+    loaded: Loaded,
+    opener: Opener,
+    clock: StageClock,
+    keeping: Keeping | None = None,
+    executor: Executor | Client | None = None,
+) -> Iterator[Outcome]:
+    """Choose where a cloud in memory is reconstructed, and do it.
+
+    Parameters
+    ----------
+    settings : Settings
+    loaded : Loaded
+    opener : Opener
+    clock : StageClock
+    keeping : Keeping, optional
+        Where finished tiles are kept.
+    executor : concurrent.futures.Executor or distributed.Client, optional
+        What is open already.
+
+    Yields
+    ------
+    Outcome
+    """
+    cloud = loaded.cloud
+    assert isinstance(cloud, PointCloud)  # noqa: S101 - it is the one in memory
+    grid = choose_grid(settings, *bounding_box(cloud.positions))
+    check_memory(settings.method, grid, cloud)
+    is_cut = keeping is not None or settings.max_memory is not None
+    with opener.open(Job(len(cloud), grid, is_cut), executor) as (backend, choice):
+        yield run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
+
+
+def run_loaded(
+    settings: Settings,
+    loaded: Loaded,
+    grid: int,
+    backend: Backend,
+    choice: Choice,
+    clock: StageClock,
+    keeping: Keeping | None,
+) -> Outcome:
+    """Reconstruct a cloud, wherever it is, on an open backend.
+
+    Parameters
+    ----------
+    settings : Settings
+    loaded : Loaded
+    grid : int
+        Cells along the longest side.
+    backend : Backend
+    choice : Choice
+    clock : StageClock
+    keeping : Keeping or None
+        Where finished tiles are kept.
+    """
+    workforce, cloud = backend.workforce, loaded.cloud
+    threads = choose_threads(workforce, len(cloud))
+    tile_points = choose_tile(settings, backend)
+    method = choose_method(settings, grid, threads, tile_points, keeping)
+    log.info(
+        "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
+        method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),
+    )  # fmt: skip
+    result = run_pipeline(cloud, method, workforce, clock, choose_steps(settings))
+    return Outcome(result, grid, backend, choice, _warn(settings, grid, cloud, result))
+
+
+def choose_tile(settings: Settings, backend: Backend) -> int | None:
+    """Return how many points a tile may have so that a process keeps to its memory."""
+    if settings.max_memory is None:
+        return None
+    workforce = backend.workforce
+    return fitting_tile(settings.max_memory, workforce.workers if workforce.in_process else 1)
+
+
+def _warn(
+    settings: Settings, grid: int, cloud: PointCloud | DiskCloud, result: Reconstruction
+) -> list[str]:
+    """Log what should make the user doubt the mesh, and return it for the report."""
+    if isinstance(cloud, PointCloud):
+        low, high = bounding_box(cloud.positions)
+    else:
+        low, high, cloud = cloud.low, cloud.high, sample_cloud(cloud)
+    step = float((high - low).max()) / grid
+    doubts = doubt_resolution(cloud, step)  # explains all that the others would find
+    if not doubts:
+        doubts = doubt_normals(cloud)
+        if settings.method != "paper":  # which leaves sheets in its boxes wherever a patch ends
+            doubts += doubt_closure(low, high, result.surface, step)
+    for doubt in doubts:
+        log.warning("warning: %s", doubt)
+    return doubts

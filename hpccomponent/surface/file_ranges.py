@@ -1,0 +1,180 @@
+"""The points in a range of a file: surveyed, bounded, and arranged in a folder (tasks).
+
+::
+
+    range ── survey_range ──> counts, boxes, a sample ──> master: frame, reach, arrangement
+    range ── arrange_range ──> points.N in the folder ──> its blocks, boxes that hold points
+
+Who may import it: the master that cuts the ranges.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hpccomponent.surface import kernels
+from hpccomponent.surface.arrangement import (
+    Arrangement,
+    pack_snapped,
+    snap_points,
+)
+from hpccomponent.surface.disk_cloud import write_part
+from hpccomponent.surface.point_records import PointRecords
+from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, bounding_box
+from hpccomponent.surface.spacing import sample_box_keys
+from hpccomponent.surface.usable_points import Dropped, Reach, are_usable, select_usable
+
+__all__ = ["BoxCounts", "FilePoints", "arrange_range", "bound_range", "survey_range"]
+
+FilePoints = tuple[Any, ...]
+"""``("there", records, start, stop)`` with the values of a `PointRecords`, in a file that the
+worker sees; or ``("sent", path, positions, normals)`` with points that were read from it."""
+
+BoxCounts = list[tuple[int, IntArray]]
+"""For each size of boxes the points in a sample of them, and their keys: `sample_box_keys`."""
+
+
+def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
+    """Look through the points of a range (a task).
+
+    Parameters
+    ----------
+    points : tuple
+        `FilePoints`.
+    before : int
+        Usable points in front of the range.
+    step : int
+        Every so many-th usable point of the file is in the sample.
+
+    Returns
+    -------
+    usable, non_finite, bad_normals : int
+        Points of each kind.
+    frame, box : ndarray of float64, shape (2, 3)
+        Around the points with finite positions, and around the usable ones.
+    sample : ndarray of float64, shape (s, 3)
+
+    Raises
+    ------
+    InputError
+        The file has no normals, or cannot be read any more.
+    """
+    cloud = _take(points)
+    dropped, usable = Dropped(), cloud
+    box = frame = _bound(cloud.positions)
+    if not are_usable(cloud):
+        finite = np.isfinite(cloud.positions).all(axis=1)
+        frame = _bound(cloud.positions[finite])
+        usable, dropped = select_usable(cloud, _path_of(points))
+        box = _bound(usable.positions)
+    sample = np.ascontiguousarray(usable.positions[-before % step :: step])
+    return len(usable), dropped.non_finite_points, dropped.bad_normals, frame, box, sample
+
+
+def bound_range(
+    points: FilePoints, origin: FloatArray, reach: tuple[FloatArray, float]
+) -> tuple[int, FloatArray]:
+    """Bound the usable points of a range that are within reach (a task).
+
+    Parameters
+    ----------
+    points : tuple
+        `FilePoints`.
+    origin : ndarray of float64, shape (3,)
+        Of the local frame.
+    reach : tuple
+        Of a `Reach`.
+
+    Returns
+    -------
+    count : int
+    box : ndarray of float64, shape (2, 3)
+    """
+    near = _take_near(points, origin, reach)
+    return len(near), _bound(near.positions)
+
+
+def arrange_range(
+    points: FilePoints,
+    origin: FloatArray,
+    reach: tuple[FloatArray, float] | None,
+    arrangement: tuple[FloatArray, float],
+    target: tuple[str, int],
+    boxes: tuple[FloatArray, tuple[float, ...], int],
+) -> tuple[IntArray, IntArray, BoxCounts]:
+    """Write the usable points of a range into a folder, arranged (a task).
+
+    Parameters
+    ----------
+    points : tuple
+        `FilePoints`.
+    origin : ndarray of float64, shape (3,)
+        Of the local frame.
+    reach : tuple or None
+        Of a `Reach`; points beyond it are left out.
+    arrangement : tuple
+        Of an `Arrangement`.
+    target : tuple of (str, int)
+        The folder, and the number of the part: see `disk_cloud.write_part`.
+    boxes : tuple
+        The least coordinates of the arranged cloud, the edges of boxes to be counted, and how
+        many boxes make one sampled.
+
+    Returns
+    -------
+    keys, counts : ndarray of int64, shape (b,)
+        The blocks of the part, and the points in each.
+    counted : BoxCounts
+
+    Raises
+    ------
+    InputError
+        The file cannot be read any more.
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    near = _take_near(points, origin, reach)
+    low, edges, one_in = boxes
+    if not len(near):
+        none = np.zeros(0, np.int64)
+        return none, none, [(0, none) for _ in edges]
+    assert near.normals is not None  # noqa: S101 - usable points have some
+    blocks = Arrangement(*arrangement)
+    snapped = snap_points(blocks, near.positions)
+    packed = pack_snapped(blocks, snapped, near.normals)
+    write_part(Path(target[0]), target[1], packed)
+    counted = [sample_box_keys(snapped, low, edge, one_in) for edge in edges]
+    return packed.keys, packed.counts, counted
+
+
+def _take(points: FilePoints) -> PointCloud:
+    if points[0] == "sent":
+        return PointCloud(*points[2:])
+    _, values, start, stop = points
+    return PointRecords(*values).read(start, stop)
+
+
+def _path_of(points: FilePoints) -> str:
+    return str(points[1] if points[0] == "sent" else points[1][0])
+
+
+def _take_near(
+    points: FilePoints, origin: FloatArray, reach: tuple[FloatArray, float] | None
+) -> PointCloud:
+    """Return the usable points within reach, in their frame."""
+    usable, _ = select_usable(_take(points), _path_of(points))
+    positions = usable.positions - origin if origin.any() else usable.positions
+    local = PointCloud(positions, usable.normals)
+    if reach is None or not len(local) or Reach(*reach).holds(*bounding_box(positions)):
+        return local
+    return local.take(Reach(*reach).find_near(positions))
+
+
+def _bound(positions: FloatArray) -> FloatArray:
+    """Return a box around points; around none it is one that any other makes larger."""
+    if not len(positions):
+        return np.array([[np.inf] * 3, [-np.inf] * 3])
+    return np.stack(kernels.bound_points(positions))

@@ -1,0 +1,103 @@
+"""The tasks that clean a cloud region by region; each is a pure function of a region's points.
+
+::
+
+    region ── rank_blocks ──> master ── judge_blocks ──> stray cells ── mend_blocks ──> folder
+
+Who may import it: the master that cuts the regions.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hpccomponent.surface import kernels
+from hpccomponent.surface.cloud_regions import RegionPoints, take_region
+from hpccomponent.surface.disk_cloud import write_part
+from hpccomponent.surface.normals import find_turned
+from hpccomponent.surface.outlier_regions import RegionRanks, judge_region, rank_region
+from hpccomponent.surface.points import FloatArray, IntArray
+
+__all__ = ["judge_blocks", "mend_blocks", "rank_blocks"]
+
+
+def rank_blocks(points: RegionPoints, low: FloatArray, spacing: float) -> RegionRanks:
+    """Rank the points of a region (a task); see `outlier_regions.rank_region`.
+
+    Parameters
+    ----------
+    points : tuple
+        `RegionPoints`, with a margin of `outlier_regions.MARGIN` spacings.
+    low, spacing
+        As for `rank_region`, whose results these are.
+    """
+    region = take_region(points)
+    return rank_region(region.positions, region.own, low, spacing)
+
+
+def judge_blocks(points: RegionPoints, low: FloatArray, spacing: float, base: int) -> IntArray:
+    """Find the stray cells of low ranks in a region (a task); see `outlier_regions.judge_region`.
+
+    Parameters
+    ----------
+    points : tuple
+        As for `rank_blocks`.
+    low, spacing, base
+        As for `judge_region`, whose result this is.
+    """
+    region = take_region(points)
+    return judge_region(region.positions, region.own, low, spacing, base)
+
+
+def mend_blocks(
+    points: RegionPoints,
+    low: FloatArray,
+    spacing: float,
+    target: tuple[str, int] | None,
+    sampled: tuple[float, int],
+) -> tuple[Any, ...]:
+    """Turn round the wrong normals of a region, and write its points (a task).
+
+    Parameters
+    ----------
+    points : tuple
+        `RegionPoints`, with a margin of `normals.MARGIN` spacings.
+    low, spacing
+        As for `normals.find_turned`.
+    target : tuple of (str, int), or None
+        The folder, and the number of the part: see `disk_cloud.write_part`. None where the worker
+        does not see it.
+    sampled : tuple of (float, int)
+        The edge of boxes, and how many of them make one sampled: see `kernels.sample_boxes`.
+
+    Returns
+    -------
+    packed : tuple
+        Of a `PackedPoints`: the points in its blocks, or if they were written only their keys and
+        counts.
+    flipped : int
+        Normals that were turned round.
+    sample : ndarray of float64, shape (2, s, 3)
+        Positions and normals of the points in the sample of boxes.
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    region = take_region(points)
+    turned = find_turned(region.positions, region.normals, low, spacing)[region.own]
+    packed = region.pack_own(turned)
+    positions = region.positions[region.own]
+    rows = np.zeros(0, np.int64)
+    if len(positions):
+        rows = kernels.sample_boxes(positions, low, *sampled)
+    sample = np.stack([positions[rows], packed.normals[rows]])
+    values = packed.to_values()
+    if target is not None:
+        write_part(Path(target[0]), target[1], packed)
+        values = values[:2]
+    return values, int(np.count_nonzero(turned)), sample

@@ -1,0 +1,76 @@
+"""Which clouds go through a folder though memory would hold them, and who works there."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hpcapp.applications.surface import folder
+from hpcapp.applications.surface.folder import may_pay_in_folder, plan_passes
+from hpcapp.applications.surface.settings import Settings
+from hpcapp.backends import Backend
+from hpcapp.batches import Workforce
+from hpcapp.io import write_points
+from hpccomponent.surface.points import PointCloud
+
+
+@pytest.fixture
+def scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(folder, "FOLDER_FROM_POINTS", 1_000)
+    normals = np.random.default_rng(1).normal(size=(1_500, 3))
+    for suffix in (".ply", ".xyz"):
+        write_points(tmp_path / f"scan{suffix}", PointCloud(normals, normals))
+    return tmp_path / "scan.ply"
+
+
+@pytest.mark.parametrize(
+    ("asked", "pays"),
+    [
+        ({"backend": "zmq"}, True),
+        ({"backend": "processes"}, True),
+        ({"workers": 2}, True),
+        ({"workers": 1}, False),
+        ({"backend": "serial"}, False),
+        ({"backend": "threads"}, False),
+        ({"backend": "zmq", "denoise": True}, False),
+        ({"backend": "loky:ProcessPoolExecutor"}, False),  # who knows where they are
+        ({"backend": "loky:ProcessPoolExecutor", "temp_dir": "/shared"}, True),
+        ({"backend": "loky:ProcessPoolExecutor", "temp_dir": "s3://bucket"}, False),
+        ({"cluster": Path("cluster.json")}, False),
+        ({"cluster": Path("cluster.json"), "temp_dir": "/shared"}, True),
+    ],
+)
+def test_points_go_where_other_processes_read_them(
+    scan: Path, asked: dict[str, Any], pays: bool
+) -> None:
+    assert may_pay_in_folder(Settings(scan, "mesh.ply", **asked)) == pays
+    text = Settings(scan.with_suffix(".xyz"), "mesh.ply", **asked)
+    assert not may_pay_in_folder(text)
+
+
+def test_few_points_or_no_room_stay_in_memory(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = Settings(scan, "mesh.ply", backend="zmq")
+    monkeypatch.setattr(folder, "_BYTES_PER_POINT", 1 << 60)
+    assert not may_pay_in_folder(settings)
+    monkeypatch.undo()
+    assert not may_pay_in_folder(settings)
+    assert not may_pay_in_folder(Settings(scan.with_name("none.ply"), "mesh.ply", backend="zmq"))
+
+
+@pytest.mark.parametrize("sees", [True, False])
+@pytest.mark.parametrize("sees_input", [True, False])
+def test_workers_elsewhere_are_asked_what_they_see(
+    scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sees: bool, sees_input: bool
+) -> None:
+    """Of a machine on which some of the files are not there."""
+    seen = (sees, sees and sees_input)
+    monkeypatch.setattr(folder, "workers_see", lambda _, *files: seen[len(files) - 1])
+    with ThreadPoolExecutor(1) as executor:
+        backend = Backend("dask", Workforce(executor))
+        passes = plan_passes(scan, tmp_path / "job" / "points", backend, 1_000)
+    assert (passes.workers_see, passes.workers_see_input) == seen
+    assert list((tmp_path / "job").iterdir()) == []

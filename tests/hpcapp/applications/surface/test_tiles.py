@@ -1,0 +1,32 @@
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpcapp.applications.surface.tiles import cut_tiles
+from hpccomponent.surface.lattice import pack_places, unique_keys
+from hpccomponent.surface.reach import surround
+
+
+@given(st.integers(0, 2**32), st.integers(1, 200), st.integers(1, 20))
+def test_tiles_share_the_work(seed, cells, count):
+    random = np.random.default_rng(seed)
+    keys = unique_keys(pack_places(random.integers(-9, 9, (cells, 3))))
+    work = random.integers(1, 50, len(keys))
+    tiles = cut_tiles(keys, work, count)
+    assert np.array_equal(np.unique(tiles), np.arange(min(count, len(keys))))
+    if count < len(keys) // 4:
+        shares = np.bincount(tiles, work)
+        rounds = np.ceil(np.log2(count))  # each halving is off by a cell at most
+        assert np.abs(shares - work.sum() / count).max() <= work.max() * (1 + rounds)
+
+
+def test_tiles_are_compact():
+    """Of a flat square the halos are those of smaller squares, not of rows."""
+    places = np.argwhere(np.ones((32, 32, 1), bool))
+    keys = unique_keys(pack_places(places))
+    tiles = cut_tiles(keys, np.ones(len(keys), np.int64), 16)
+    for tile in range(16):
+        own = keys[tiles == tile]
+        flat = surround(own, np.array([1, 1, 0]), np.array([1, 1, 0]))
+        assert len(own) == 64
+        assert len(flat) == 100
