@@ -1,5 +1,7 @@
 """Write a scan of a closed surface that may be larger than memory: big_cloud.py FILE POINTS.
 
+``big_cloud.py FILE --check`` says how far the vertices of a mesh of it are from the surface.
+
 The surface is a sphere with bumps, r(u) = 1 + 0.08 sin 7x sin 7y sin 7z for a direction u, so that
 truth is a formula: `radius` and `normal`. The file is binary PLY, float32, with normals; the same
 arguments give the same bytes. With --sweep the points come in bands from pole to pole, as from a
@@ -15,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.io import open_points
 from hpccomponent.surface.points import FloatArray
 
 HEIGHT, WAVES = 0.08, 7.0
@@ -64,13 +67,48 @@ def write_cloud(path: Path, points: int, sweep: bool = False) -> None:
             file.write(rows.data)
 
 
-if __name__ == "__main__":
+def measure_distances(path: Path) -> tuple[int, float, float]:
+    """Return how many vertices a mesh has, and their distances to the surface along the radius.
+
+    Parameters
+    ----------
+    path : Path
+        A PLY.
+
+    Returns
+    -------
+    vertices : int
+    rms, largest : float
+        In length units of the cloud, whose surface has about radius 1.
+    """
+    count, total, largest = 0, 0.0, 0.0
+    for cloud in open_points(path).chunks(ROWS_AT_ONCE):
+        lengths = np.sqrt((cloud.positions * cloud.positions).sum(axis=1))
+        off = np.abs(lengths - radius(cloud.positions / lengths[:, None]))
+        count, total = count + len(off), total + float((off * off).sum())
+        largest = max(largest, float(off.max()))
+    return count, (total / count) ** 0.5, largest
+
+
+def main() -> None:
+    """Write a cloud, or judge a mesh."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path)
-    parser.add_argument("points", type=int)
+    parser.add_argument("points", type=int, nargs="?")
     parser.add_argument("--sweep", action="store_true")
+    parser.add_argument("--check", action="store_true")
     asked = parser.parse_args()
+    if asked.check:
+        vertices, rms, largest = measure_distances(asked.file)
+        print(f"{vertices} vertices, off by {rms:.3g} (rms), {largest:.3g} at most")
+        return
+    if asked.points is None:
+        parser.error("how many points?")
     began = time.perf_counter()
     write_cloud(asked.file, asked.points, asked.sweep)
     took = time.perf_counter() - began
     print(f"{asked.points} points, {took:.1f} s, {1e6 * took / asked.points:.2f} us a point")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,7 +1,7 @@
 """What it takes to bring a cloud to disk and to clean it there: ingest.py FILE FOLDER.
 
-Prints a line for each step: seconds, those of the processor, the most memory so far, and what is in
-the folder. FOLDER is made, and removed in the end.
+Prints a line for each step: seconds, those of the processor here and in the workers, the most
+memory so far here, and what is in the folder. FOLDER is made, and removed in the end.
 """
 
 from __future__ import annotations
@@ -16,70 +16,91 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from hpcapp.applications.surface.estimates import probe_noise, sample_groups
+from hpcapp.applications.surface.estimates import choose_scale
+from hpcapp.applications.surface.hierarchical import TILE_POINTS
 from hpcapp.applications.surface.ingest import ingest_file
-from hpcapp.applications.surface.region_cleaning import REGION_POINTS, clean_regions
+from hpcapp.applications.surface.passes import Passes
+from hpcapp.applications.surface.region_cleaning import clean_regions
 from hpcapp.backends import open_executor
 from hpcapp.io import open_points
-from hpccomponent.surface.arranged_cloud import ArrangedCloud
-from hpccomponent.surface.spacing import estimate_group_spacing
 
 Result = TypeVar("Result")
 UNIT = 1 if sys.platform == "darwin" else 1024  # of ru_maxrss, in bytes
 
 
-def measure_spacing(cloud: ArrangedCloud) -> float:
-    """Return the spacing, group by group."""
-    return estimate_group_spacing(
-        lambda: (positions for positions, _ in cloud.groups(REGION_POINTS)),
-        len(cloud),
-        cloud.low,
-        cloud.high,
-    )
+def find_children() -> list[int]:
+    """Return the processes below this one."""
+    children: dict[int, list[int]] = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue  # it has ended
+        children.setdefault(int(fields[1]), []).append(int(stat.parent.name))
+    found = [os.getpid()]
+    for pid in found:
+        found += children.get(pid, [])
+    return found[1:]
 
 
-def measure_noise(cloud: ArrangedCloud, spacing: float) -> float:
-    """Return the noise, by a sample of all groups."""
-    groups = lambda: cloud.groups(REGION_POINTS)  # noqa: E731
-    return probe_noise(sample_groups(groups, len(cloud), cloud.low, spacing), spacing)
+def spend_elsewhere() -> float:
+    """Return what the processes below this one have spent, in seconds."""
+    total = 0.0
+    for pid in find_children():
+        try:
+            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        total += (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return total
 
 
-def run(path: Path, folder: Path, workers: int) -> None:
+def run(path: Path, folder: Path, backend_name: str, workers: int | None) -> None:
     """Take each step once, and print what it took."""
+    totals = [0.0, 0.0, 0.0]
 
     def take(step: str, work: Callable[[], Result]) -> Result:
-        began, began_cpu = time.perf_counter(), time.process_time()
+        began = time.perf_counter(), time.process_time(), spend_elsewhere()
         result = work()
-        took, cpu = time.perf_counter() - began, time.process_time() - began_cpu
+        ended = time.perf_counter(), time.process_time(), spend_elsewhere()
+        spent = [b - a for a, b in zip(began, ended, strict=True)]
+        totals[:] = [a + b for a, b in zip(totals, spent, strict=True)]
+        tell(step, spent)
+        return result
+
+    def tell(step: str, spent: list[float]) -> None:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * UNIT / 1e6
         held = sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) / 1e6
-        spent = f"{took:8.1f} s {cpu:8.1f} CPU s"
-        print(f"{step:10}{spent} {peak:8.0f} MB at most {held:8.0f} MB on disk", flush=True)
-        return result
+        took = f"{spent[0]:8.2f} s {spent[1]:8.2f} CPU s {spent[2]:8.2f} in workers"
+        print(f"{step:10}{took} {peak:8.0f} MB at most {held:8.0f} MB on disk", flush=True)
 
     for name in ("arranged", "cleaned"):
         (folder / name).mkdir(parents=True)
-    take("import", lambda: None)
-    ingested = take("ingest", lambda: ingest_file(open_points(path), folder / "arranged"))
-    backend_name = "threads" if workers > 1 else "serial"
     with open_executor(backend_name, workers=workers) as backend:
+        passes = Passes(backend.workforce, True, TILE_POINTS)
+        source = open_points(path)
+        ingested = take("ingest", lambda: ingest_file(source, folder / "arranged", passes))
         cloud, cleaned = take(
-            "clean", lambda: clean_regions(ingested.cloud, folder / "cleaned", backend.workforce)
+            "clean",
+            lambda: clean_regions(ingested.cloud, folder / "cleaned", passes, ingested.boxes),
         )
-    shutil.rmtree(folder / "arranged")
-    spacing = take("spacing", lambda: measure_spacing(cloud))
-    noise = take("noise", lambda: measure_noise(cloud, spacing))
+        shutil.rmtree(folder / "arranged")
+        scale = take("noise", lambda: choose_scale(cloud, 0.0, 1.0, 1.0))
+        coarse = 16.0 * scale.cell_size
+        cells, _ = take("cells", lambda: passes.count_cells(cloud, cloud.low, coarse))
+        tell("all", totals)
     print(f"{len(cloud)} points in {len(cloud.keys)} blocks, {ingested.dropped}, {cleaned}")
-    print(f"spacing {spacing:.3g}, noise {noise:.3g}, {os.path.getsize(path) / 1e6:.0f} MB read")
+    print(f"{scale}, {len(cells)} cells, {os.path.getsize(path) / 1e6:.0f} MB read")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--backend", default="serial")
+    parser.add_argument("--workers", type=int)
     asked = parser.parse_args()
     try:
-        run(asked.file, asked.folder, asked.workers)
+        run(asked.file, asked.folder, asked.backend, asked.workers)
     finally:
         shutil.rmtree(asked.folder, ignore_errors=True)

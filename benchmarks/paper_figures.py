@@ -218,7 +218,7 @@ def _time_job(cloud: Path, method: PaperMethod, opened: Backend) -> tuple[float,
         start = perf_counter()
         points, _ = drop_unusable(read_points(cloud), str(cloud))
         result = reconstruct(points, method, opened.workforce, clock)
-        result.surface.write(Path(folder) / "mesh.ply")
+        result.surface.write(Path(folder) / "mesh.ply", opened.workforce)
         return clock.seconds["fit"], perf_counter() - start
 
 

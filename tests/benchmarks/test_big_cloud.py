@@ -8,7 +8,8 @@ import big_cloud
 import numpy as np
 import pytest
 
-from hpcapp.io import open_points, read_points
+from hpcapp.io import open_points, read_points, write_points
+from hpccomponent.surface.points import PointCloud
 
 
 @pytest.mark.parametrize("sweep", [False, True])
@@ -44,3 +45,20 @@ def test_the_same_arguments_give_the_same_bytes(
     assert (
         len(np.unique(read_points((tmp_path / "a").rename(tmp_path / "a.ply")).positions)) > 5_900
     )
+
+
+def test_a_mesh_of_it_is_judged_by_the_formula(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(big_cloud, "ROWS_AT_ONCE", 700)
+    big_cloud.write_cloud(tmp_path / "a.ply", 2_000)
+    positions = read_points(tmp_path / "a.ply").positions
+    positions[7] *= 1.5 / np.linalg.norm(positions[7])  # where the surface is 1.08 away at most
+    write_points(tmp_path / "b.ply", PointCloud(positions))
+    monkeypatch.setattr("sys.argv", ["big_cloud.py", str(tmp_path / "b.ply"), "--check"])
+    big_cloud.main()
+    vertices, rms, largest = big_cloud.measure_distances(tmp_path / "b.ply")
+    assert vertices == 2_000
+    assert 0.42 < largest < 0.58
+    assert rms == pytest.approx(largest / 2_000**0.5, rel=1e-3)
+    assert f"{largest:.3g} at most" in capsys.readouterr().out

@@ -1,0 +1,129 @@
+"""What travels to workers that see no folder, by what it is: traffic.py CLOUD TILES [--grid N].
+
+The job runs in this process with an Executor that encodes the arguments of every task by the
+protocol's codec, as they go over the wire, and adds up their bytes. A tile's own points go to
+both of its tasks, but a worker that has them is not sent them again: they are counted once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from hpcapp.applications.surface.hierarchical import HierarchicalMethod
+from hpcapp.applications.surface.job import Settings
+from hpcapp.applications.surface.loading import load_memory
+from hpcapp.backends import SerialExecutor
+from hpcapp.batches import Workforce
+from hpcapp.progress import SilentProgress, StageClock
+from hpccomponent.protocol.codec import encode_values
+
+PARTS = ("own points", "halo", "coarse polynomials", "far field", "the rest")
+BYTES_PER_POINT = 24.0  # a position in its block's frame, and a normal; float32
+ASKED = 1.15
+
+
+class CountingExecutor(SerialExecutor):
+    """Runs tasks here, and counts the bytes of what they are given.
+
+    Attributes
+    ----------
+    sent : Counter of str
+        Bytes by task and part, as ``"mesh_tile: halo"``.
+    """
+
+    def __init__(self) -> None:
+        self.sent: Counter[str] = Counter()
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Count what a task would be sent, and run it."""
+        for part, values in take_apart(fn.__name__, args).items():
+            self.sent[f"{fn.__name__}: {part}"] += count_bytes(values)
+        return super().submit(fn, *args, **kwargs)
+
+
+def take_apart(task: str, arguments: tuple[Any, ...]) -> dict[str, Any]:
+    """Return the arguments of a task by what they are."""
+    if task == "sum_tile":
+        plan, (_, own, *halo), *rest = arguments
+        return {"own points": own, "halo": halo, "the rest": (plan, rest)}
+    if task == "mesh_tile":
+        plan, (_, _, *halo), ticket, (parents, levels, far), *rest = arguments
+        is_there = ticket is not None  # its points, halo and all, since `sum_tile`
+        return {
+            "halo": () if is_there else halo, "coarse polynomials": (parents, levels),
+            "far field": far, "the rest": (plan, rest),
+        }  # fmt: skip
+    if task == "mesh_gap":
+        plan, bricks, (_, *points), missing, (parents, levels, far), *rest = arguments
+        return {
+            "halo": points, "coarse polynomials": (parents, levels), "far field": far,
+            "the rest": (plan, bricks, missing, rest),
+        }  # fmt: skip
+    return {"the rest": arguments}
+
+
+def count_bytes(values: Any) -> int:
+    """Return how many bytes some values take on the wire."""
+    header, buffers = encode_values((values,))
+    return len(header) + sum(memoryview(buffer).nbytes for buffer in buffers)
+
+
+def measure(cloud: Path, tiles: int, grid: int) -> dict[str, Any]:
+    """Run a job that is cut into some tiles, and count."""
+    clock = StageClock(SilentProgress())
+    points = load_memory(Settings(cloud, "-"), clock).cloud
+    executor = CountingExecutor()
+    method = HierarchicalMethod(grid)
+    workforce = Workforce(executor, tiles)
+    partition = method.partition(points, workforce)
+    quadrics = method.fit(partition, workforce, lambda _done, _all: None)
+    method.extract(partition, quadrics, workforce, lambda _done, _all: None)
+    assert partition.tiling is not None
+    return {
+        "cloud": cloud.name,
+        "points": len(points),
+        "grid": grid,
+        "tiles": len(partition.tiling),
+        "sent": dict(executor.sent),
+    }
+
+
+def print_table(found: dict[str, Any]) -> None:
+    """Print one line of a Markdown table for each part."""
+    points = found["points"]
+    print("| | MB | bytes a point | by 24 B |")
+    print("|---|---|---|---|")
+    shares = {}
+    for part in PARTS:
+        sent = sum(count for name, count in found["sent"].items() if name.endswith(f": {part}"))
+        each = sent / points
+        shares[part] = each / BYTES_PER_POINT
+        print(f"| {part} | {sent / 1e6:.1f} | {each:.2f} | {shares[part]:.3f} |")
+    beside = sum(share for part, share in shares.items() if part != "own points")
+    own = shares["own points"]
+    print(f"\n{points} points, {found['tiles']} tiles: own points {own:.3f} (asked: {ASKED}), "
+          f"all else {beside:.3f} (asked: as much again)")  # fmt: skip
+
+
+def main() -> None:
+    """Measure, and print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("cloud", type=Path)
+    parser.add_argument("tiles", type=int)
+    parser.add_argument("--grid", type=int, default=1024)
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    found = measure(asked.cloud, asked.tiles, asked.grid)
+    if asked.json:
+        asked.json.write_text(json.dumps(found, indent=2) + "\n")
+    print_table(found)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,30 @@
+"""What a job sends is counted by what it is, and nothing is left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import big_cloud
+import numpy as np
+import pytest
+import traffic
+
+
+def test_bytes_are_those_of_the_codec() -> None:
+    assert traffic.count_bytes(np.zeros(10_000)) == pytest.approx(80_000, abs=50)
+    assert 90 < traffic.count_bytes((np.zeros(10), 1, "name")) < 110
+
+
+def test_points_and_halos_are_told_apart(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    big_cloud.write_cloud(tmp_path / "a.ply", 20_000)
+    found = traffic.measure(tmp_path / "a.ply", 3, 64)
+    assert (found["points"], found["tiles"]) == (20_000, 3)
+    assert found["sent"]["sum_tile: own points"] / 20_000 == pytest.approx(24.0, rel=0.15)
+    halo = found["sent"]["sum_tile: halo"] + found["sent"]["mesh_tile: halo"]
+    assert 0 < halo < 3 * 24.0 * 20_000
+    traffic.print_table(found)
+    *rows, _, verdict = capsys.readouterr().out.splitlines()
+    assert [row.split("|")[1].strip() for row in rows[2:]] == list(traffic.PARTS)
+    assert verdict.startswith("20000 points, 3 tiles")
