@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.arrangement import Arrangement, PackedPoints, unpack_positions
+from hpccomponent.surface.arrangement import Arrangement, PackedPoints, unpack_near
 from hpccomponent.surface.disk_cloud import DiskCloud, open_disk_cloud
 from hpccomponent.surface.lattice import cells_of, find_keys, pack_places, unpack_keys
 from hpccomponent.surface.outliers import EDGE, ISLAND_LEVEL
@@ -118,37 +118,14 @@ def take_region(points: RegionPoints) -> Region:
         arrangement, packed = cloud.arrangement, _take_near(cloud, blocks, margin)
     else:
         arrangement, packed = Arrangement(*where[1]), PackedPoints(*where[2])
-    packed = _clip(arrangement, packed, blocks, margin)
-    positions = unpack_positions(arrangement, packed)
+    positions, rows = unpack_near(arrangement, packed, *_bound(arrangement, blocks, margin))
     own = np.repeat(find_keys(blocks, packed.keys) < len(blocks), packed.counts)
-    rows = np.arange(len(positions))
+    own = own[rows] if len(rows) < len(own) else own
     if dropped:
-        rows = np.flatnonzero(find_kept(dropped, positions))
-        if len(rows) < len(positions):
-            positions, own = positions.take(rows, axis=0), own[rows]
+        kept = np.flatnonzero(find_kept(dropped, positions))
+        if len(kept) < len(positions):
+            positions, own, rows = positions.take(kept, axis=0), own[kept], rows[kept]
     return Region(positions, own, arrangement, packed, rows)
-
-
-def _clip(
-    arrangement: Arrangement, packed: PackedPoints, blocks: IntArray, margin: float
-) -> PackedPoints:
-    """Leave out points that lie farther than a margin from the box around some blocks."""
-    corners, places = unpack_keys(blocks), unpack_keys(packed.keys)
-    wide = margin / arrangement.edge
-    low, high = corners.min(axis=0) - wide, corners.max(axis=0) + 1 + wide
-    cut = np.flatnonzero(((places < low) | (places + 1 > high)).any(axis=1))
-    if not len(cut):
-        return packed
-    near = np.ones(len(packed), np.bool_)
-    ends = np.cumsum(packed.counts)
-    for block in cut.tolist():
-        rows = slice(ends[block] - packed.counts[block], ends[block])
-        offsets, place = packed.offsets[rows], places[block]
-        near[rows] = ((offsets >= low - place) & (offsets <= high - place)).all(axis=1)
-    counts = np.add.reduceat(near, ends - packed.counts, dtype=np.int64)
-    held = counts > 0
-    records = packed.to_records()[near]
-    return PackedPoints.from_records(packed.keys[held], counts[held], records)
 
 
 def find_kept(dropped: DroppedCells, positions: FloatArray) -> BoolArray:
@@ -167,6 +144,16 @@ def find_kept(dropped: DroppedCells, positions: FloatArray) -> BoolArray:
     kept: BoolArray = find_keys(strays, pack_places(cells)) == len(strays)
     kept &= find_keys(islands, pack_places(cells >> ISLAND_LEVEL)) == len(islands)
     return kept
+
+
+def _bound(
+    arrangement: Arrangement, blocks: IntArray, margin: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the box around some blocks and a margin."""
+    places = unpack_keys(blocks)
+    corners = places.min(axis=0), places.max(axis=0) + 1
+    low, high = (arrangement.origin + arrangement.edge * corner for corner in corners)
+    return low - margin - arrangement.quantum, high + margin + arrangement.quantum
 
 
 def _take_near(cloud: DiskCloud, blocks: IntArray, margin: float) -> PackedPoints:

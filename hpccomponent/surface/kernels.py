@@ -261,13 +261,13 @@ def unite_keys(first: IntArray, second: IntArray) -> IntArray:
     return result
 
 
-def find_keys(keys: IntArray, wanted: IntArray) -> IntArray:
+def find_keys(keys: IntArray, wanted: IntArray, threads: int = 1) -> IntArray:
     """Return where each of some keys (v,) stands among sorted keys; see `lattice.find_keys`."""
     if _native is None:
         from hpccomponent.surface import lattice
 
         return lattice.find_keys(keys, wanted)
-    result: IntArray = _native.find_keys(_integers(keys), _integers(wanted))
+    result: IntArray = _native.find_keys(_integers(keys), _integers(wanted), threads)
     return result
 
 

@@ -288,7 +288,7 @@ def corners_at(cells: IntArray, depth: int) -> IntArray:
 
 def fit_levels(
     pyramid: Pyramid, weights: list[Weights], parents: Parents | None = None, threads: int = 1
-) -> tuple[list[VertexQuadrics], Parents]:
+) -> tuple[list[VertexQuadrics], Parents | None]:
     """Fit every level, from the coarsest to the finest, each with the one above as prior.
 
     Parameters
@@ -306,16 +306,16 @@ def fit_levels(
     -------
     quadrics : list of VertexQuadrics
         Of the levels of `pyramid` that a field is made of, finest first.
-    parents : Parents
-        What the level below the finest of `pyramid` takes from it.
+    parents : Parents or None
+        What the level below the finest of `pyramid` takes from it; None where there is no such.
     """
     kept: list[VertexQuadrics] = []
     for index in reversed(range(len(pyramid.levels))):
         level, vertices = pyramid.levels[index], pyramid.vertices[index]
         depth = pyramid.first + index
-        quadrics = _inherit_level(vertices, parents)
+        quadrics = _inherit_level(vertices, parents, threads)
         touched = kernels.spread_keys(level.cells, 0, 1)
-        rows = kernels.find_keys(vertices, touched)
+        rows = kernels.find_keys(vertices, touched, threads)
         asked = rows < len(vertices)
         if not asked.all():
             touched, rows = touched[asked], rows[asked]
@@ -327,21 +327,21 @@ def fit_levels(
         else:
             _fit_level(level, *arguments)
         pyramid.levels[index] = replace(level, points=CellMoments(np.empty((0, COLUMNS))))
-        parents = _offer_level(vertices, level.cells, quadrics)
+        parents = _offer_level(vertices, level.cells, quadrics) if depth else None
         if depth < FIELD_LEVELS:
             kept.insert(0, quadrics)
-    assert parents is not None  # noqa: S101 - a pyramid has a level
     return kept, parents
 
 
-def _inherit_level(vertices: IntArray, parents: Parents | None) -> VertexQuadrics:
+def _inherit_level(vertices: IntArray, parents: Parents | None, threads: int) -> VertexQuadrics:
     """Return the means of the parents' quadrics, support and variances; zeros at the coarsest."""
     none = np.zeros(len(vertices), np.float32)
     if parents is None:
         coefficients, variances = (np.zeros((len(vertices), k), np.float32) for k in (BASIS, 3))
         return VertexQuadrics(coefficients, none, none.copy(), variances)
     values = np.column_stack((parents.support, _FINER_UNITS * parents.variances))
-    means, inherited = kernels.inherit_level(vertices, parents.keys, parents.coefficients, values)
+    given = vertices, parents.keys, parents.coefficients, values
+    means, inherited = kernels.inherit_level(*given, threads)
     return VertexQuadrics(means, none, inherited[:, 0].copy(), inherited[:, [1, 1, 2]])
 
 

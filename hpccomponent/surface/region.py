@@ -15,11 +15,13 @@ Arguments and results are values that travel; the classes here give them names o
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.cutting import cut_equal
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store import hold_store
 from hpccomponent.surface import kernels
@@ -32,6 +34,7 @@ from hpccomponent.surface.field import Field, FieldLevel, Grid
 from hpccomponent.surface.hermite import BASIS
 from hpccomponent.surface.lattice import pack_places, unpack_keys
 from hpccomponent.surface.mesh_part import MeshPart, cut_part
+from hpccomponent.surface.parallel import run_batches
 from hpccomponent.surface.part_summary import summarize_part
 from hpccomponent.surface.points import FloatArray, IntArray
 from hpccomponent.surface.pyramid import (
@@ -360,7 +363,7 @@ def mesh_gap(
 
 
 def find_trust(
-    pyramid: Pyramid, quadrics: list[VertexQuadrics], far: FarField
+    pyramid: Pyramid, quadrics: list[VertexQuadrics], far: FarField, threads: int = 1
 ) -> tuple[FieldLevel, ...]:
     """Tell how far each quadric of some levels is to be trusted (see `weights`).
 
@@ -370,6 +373,8 @@ def find_trust(
     quadrics : list of VertexQuadrics
         Of its finest levels.
     far : FarField
+    threads : int
+        The result does not depend on it.
 
     Returns
     -------
@@ -383,18 +388,31 @@ def find_trust(
             if depth
             else np.zeros(len(keys))
         )
-        trust = np.empty(len(keys), np.float32)
         origin = (pyramid.origin - far.origin) / far.step
         spacing = pyramid.cell_size * 2.0**depth / far.step
-        for start in range(0, len(keys), _TRUST_ROWS):
-            rows = slice(start, start + _TRUST_ROWS)
-            distances = kernels.sample_corners(far.values, keys[rows], origin, spacing) / far.step
-            trust[rows] = trust_vertices(
-                of_level.coefficients[rows, 0], distances, of_level.counts[rows],
-                of_level.inherited[rows], crowds[rows], depth,
-            )  # fmt: skip
+        given = depth, keys, of_level, crowds, (far.values, origin, spacing, far.step)
+        rows = cut_equal(len(keys), -(-len(keys) // _TRUST_ROWS))
+        parts = run_batches(partial(_trust_rows, *given), rows, threads)
+        trust = np.concatenate([np.empty(0, np.float32), *parts])
         found.append(FieldLevel(keys, of_level.coefficients, trust))
     return tuple(found)
+
+
+def _trust_rows(
+    depth: int,
+    keys: IntArray,
+    quadrics: VertexQuadrics,
+    crowds: FloatArray,
+    far: tuple[NDArray[np.float32], FloatArray, float, float],
+    rows: slice,
+) -> NDArray[np.float32]:
+    """Trust some vertices of a level; `far` is a grid with its origin, spacing and step."""
+    values, origin, spacing, step = far
+    distances = kernels.sample_corners(values, keys[rows], origin, spacing) / step
+    return trust_vertices(
+        quadrics.coefficients[rows, 0], distances, quadrics.counts[rows],
+        quadrics.inherited[rows], crowds[rows], depth,
+    )  # fmt: skip
 
 
 def _prepare(plan: Plan, points: CellPoints, with_kinds: bool, threads: int) -> _Prepared:
@@ -426,7 +444,7 @@ def _mesh_region(
         vertices = _lay_near(raised[0].cells, plan, kinds)
         pyramid = Pyramid(plan.origin, plan.cell_size, raised, vertices, 0, plan.height)
         quadrics = fit_levels(pyramid, plan.weights, above.parents, threads)[0]
-        levels = find_trust(pyramid, quadrics, far)
+        levels = find_trust(pyramid, quadrics, far, threads)
     field = Field(plan.origin, plan.cell_size, levels + above.levels, far)
     mesh = kernels.grow_surface(field, plan.grid, kinds, threads)
     balanced = kernels.balance_vertices(mesh.vertices, mesh.faces, plan.step)

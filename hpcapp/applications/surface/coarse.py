@@ -147,7 +147,8 @@ def fit_coarse(plan: Plan, sums: list[tuple[Any, ...]], threads: int) -> Coarse:
     laid = lay_vertices(vertices, height)
     pyramid = Pyramid(plan.origin, plan.cell_size, levels, laid, plan.coarse, plan.height)
     quadrics, parents = fit_levels(pyramid, plan.weights, None, threads)
-    return Coarse(plan, parents, find_trust(pyramid, quadrics, far), far)
+    assert parents is not None  # noqa: S101 - tiles have finer levels
+    return Coarse(plan, parents, find_trust(pyramid, quadrics, far, threads), far)
 
 
 def _sample_far(

@@ -237,8 +237,9 @@ class HierarchicalMethod:
         partition.patches = len(pyramid.levels[0].cells)
         far = solve_far(plan, *sample_cells(pyramid.levels[plan.far]), self.threads)
         quadrics = fit_levels(pyramid, plan.weights, None, self.threads)[0]
-        field = Field(plan.origin, plan.cell_size, find_trust(pyramid, quadrics, far), far)
-        del pyramid, quadrics
+        levels = find_trust(pyramid, quadrics, far, self.threads)
+        field = Field(plan.origin, plan.cell_size, levels, far)
+        del pyramid, quadrics, levels
         kinds = plan_whole(plan.grid, cloud.positions)
         mesh = kernels.grow_surface(field, plan.grid, kinds, self.threads)
         del field, far

@@ -20,8 +20,8 @@ import numpy as np
 
 from hpcapp.applications.surface.cleaning import Cleaned
 from hpcapp.applications.surface.estimates import SAMPLED_BOX, draw_sample, first_share
-from hpcapp.applications.surface.passes import Boxes, Passes, cut_even, measure_spacing
-from hpcapp.applications.surface.tiles import morton_codes
+from hpcapp.applications.surface.passes import Boxes, Passes, measure_spacing
+from hpcapp.applications.surface.tiles import cut_tiles
 from hpccomponent.surface import normals as normals_module
 from hpccomponent.surface import outlier_regions
 from hpccomponent.surface.arranged_cloud import Points
@@ -124,10 +124,10 @@ def cut_regions(keys: IntArray, counts: IntArray, pieces: int) -> list[IntArray]
     Returns
     -------
     list of ndarray of int64
-        Sorted keys of each region's blocks: a run along the Morton curve.
+        Sorted keys of each region's blocks.
     """
-    order = np.argsort(morton_codes(keys))
-    return [np.sort(keys[order[run]]) for run in cut_even(counts[order], pieces)]
+    region_of = cut_tiles(keys, counts, pieces)
+    return [keys[region_of == region] for region in range(int(region_of.max()) + 1)]
 
 
 def _find_outliers(

@@ -17,49 +17,15 @@ from hpccomponent.surface.arranged_cloud import ArrangedCloud
 from hpccomponent.surface.block_tasks import count_cells, merge_cells
 from hpccomponent.surface.disk_cloud import DiskCloud
 from hpccomponent.surface.field import BRICK
-from hpccomponent.surface.lattice import BITS, find_keys, unpack_keys
+from hpccomponent.surface.lattice import find_keys, unpack_keys
 from hpccomponent.surface.points import IntArray
 from hpccomponent.surface.reach import surround
 from hpccomponent.surface.region import Plan
 from hpccomponent.surface.tile_points import CellPoints, pack_cloud, read_cells
 
-__all__ = ["Tiling", "cut_tiles", "halo_cells", "morton_codes"]
+__all__ = ["Tiling", "cut_tiles", "halo_cells"]
 
 _POINTS_AT_ONCE = 2_000_000
-_SPREAD = (
-    (32, 0x1F00000000FFFF),
-    (16, 0x1F0000FF0000FF),
-    (8, 0x100F00F00F00F00F),
-    (4, 0x10C30C30C30C30C3),
-    (2, 0x1249249249249249),
-)
-
-
-def morton_codes(keys: IntArray) -> NDArray[np.uint64]:
-    """Return where places lie along a Morton curve (z-order).
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (c,)
-        Packed places.
-
-    Returns
-    -------
-    ndarray of uint64, shape (c,)
-
-    References
-    ----------
-    G. M. Morton, A computer oriented geodetic data base and a new technique in file sequencing,
-    IBM, 1966.
-    """
-    codes = np.zeros(len(keys), np.uint64)
-    biased = (unpack_keys(keys) + (1 << (BITS - 1))).astype(np.uint64)
-    for axis, column in enumerate(biased.T):
-        bits = column
-        for shift, mask in _SPREAD:
-            bits = (bits | bits << np.uint64(shift)) & np.uint64(mask)
-        codes |= bits << np.uint64(axis)
-    return codes
 
 
 class Tiling:

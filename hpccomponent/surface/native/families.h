@@ -19,6 +19,7 @@ const int64_t* check_offsets(const Input& offsets, int64_t cells, int64_t points
 const int64_t* check_faces(const Input& faces, int64_t vertices);
 
 void bind_points(nb::module_& module);
+void bind_packing(nb::module_& module);
 void bind_lattice(nb::module_& module);
 void bind_outliers(nb::module_& module);
 void bind_moments(nb::module_& module);

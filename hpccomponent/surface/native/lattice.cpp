@@ -1,6 +1,7 @@
 // Sets of places: all within a box around each, and all parents.
 #include "families.h"
 #include "keys.h"
+#include "threads.h"
 
 namespace hpc {
 namespace {
@@ -127,18 +128,21 @@ Output<int64_t> parent_keys(Input keys_of) {
   return give(std::move(parents.at), {static_cast<size_t>(parents.count)});
 }
 
-Output<int64_t> find_keys(Input keys_of, Input wanted_of) {
+Output<int64_t> find_keys(Input keys_of, Input wanted_of, int64_t threads) {
   const int64_t* keys = check_keys(keys_of, "keys");
   const int64_t* wanted = check<int64_t>(wanted_of, "wanted", {ANY});
   const int64_t known = rows_of(keys_of), count = rows_of(wanted_of);
+  const int workers = check_threads(threads);
   auto rows = make_buffer<int64_t>(count);
   {
     nb::gil_scoped_release unlocked;
-    Finger finger(keys, known);
-    for (int64_t i = 0; i < count; ++i) {
-      const int64_t row = finger.find(wanted[i]);
-      rows[i] = row < 0 ? known : row;
-    }
+    run_ranges(count, workers, [&](int64_t start, int64_t stop) {
+      Finger finger(keys, known);
+      for (int64_t i = start; i < stop; ++i) {
+        const int64_t row = finger.find(wanted[i]);
+        rows[i] = row < 0 ? known : row;
+      }
+    });
   }
   return give(std::move(rows), {static_cast<size_t>(count)});
 }

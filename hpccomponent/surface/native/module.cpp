@@ -5,6 +5,7 @@ NB_MODULE(_native, module) {
   hpc::give_back_large_arrays();
   module.attr("KERNEL_HASH") = HPC_KERNEL_HASH;
   hpc::bind_points(module);
+  hpc::bind_packing(module);
   hpc::bind_lattice(module);
   hpc::bind_outliers(module);
   hpc::bind_moments(module);

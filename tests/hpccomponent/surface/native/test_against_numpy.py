@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from hpccomponent.surface import (
+    arrangement,
     bricks,
     cells,
     coarse_grid,
@@ -49,11 +50,10 @@ def test_sets_of_places(native: ModuleType, places: Any, low: int, width: int) -
     np.testing.assert_array_equal(spread, lattice.spread_keys(keys, low, low + width))
     np.testing.assert_array_equal(native.parent_keys(keys), cells.parent_keys(keys))
     np.testing.assert_array_equal(native.unite_keys(keys, spread), lattice.unite_keys(keys, spread))
-    np.testing.assert_array_equal(native.find_keys(keys, spread), lattice.find_keys(keys, spread))
-    backwards = np.ascontiguousarray(spread[::-1])
-    np.testing.assert_array_equal(
-        native.find_keys(keys, backwards), lattice.find_keys(keys, backwards)
-    )
+    for wanted in (spread, np.ascontiguousarray(spread[::-1])):
+        expected = lattice.find_keys(keys, wanted)
+        for threads in (1, 3):
+            np.testing.assert_array_equal(native.find_keys(keys, wanted, threads), expected)
 
 
 @given(st.integers(0, 2**32), st.integers(1, 300), st.floats(0.01, 10.0))
@@ -72,6 +72,22 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
     points = (positions, normals, expected[2], origin, size)
     for found, wanted in zip(
         native.gather_points(*points), cells.gather_points(*points), strict=True
+    ):
+        np.testing.assert_array_equal(found, wanted)
+    packed = native.pack_records(positions, normals, origin, size)
+    for found, wanted in zip(
+        packed, arrangement.pack_records(positions, normals, origin, size), strict=True
+    ):
+        np.testing.assert_array_equal(found, wanted)
+    keys, counts, records = packed
+    places = records, counts, lattice.unpack_keys(keys) * size + origin, size
+    for found, wanted in zip(
+        native.unpack_records(*places), arrangement.unpack_records(*places), strict=True
+    ):
+        np.testing.assert_array_equal(found, wanted)
+    box = np.quantile(positions, [0.2, 0.9], axis=0)
+    for found, wanted in zip(
+        native.unpack_within(*places, *box), arrangement.unpack_within(*places, *box), strict=True
     ):
         np.testing.assert_array_equal(found, wanted)
     np.testing.assert_array_equal(native.bound_points(positions), spacing.bound_points(positions))

@@ -22,6 +22,7 @@ KERNELS = (
     "signed_volume", "sort_points", "spread_keys", "survey_mesh", "unite_keys", "gather_points",
     "bound_points", "sample_boxes", "integrate_normals", "sample_corners",
     "find_seams", "sum_bricks", "accumulate_weighted", "rate_points",
+    "pack_records", "unpack_records", "unpack_within",
 )  # fmt: skip
 
 numbers = st.one_of(
@@ -69,11 +70,15 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
     points = random.normal(size=(rows, 3)) * draw(st.sampled_from([1.0, 1e9, 1e300]))
     keys = np.unique(random.integers(0, 2**63 - 1, size=rows))
     means = np.ones((len(keys), 10), np.float32)
+    records = np.ones((rows, 6), np.float32)
     calls = [
         ("accumulate_moments", points, points, random.integers(-9, 30, size=5), 1),
         ("accumulate_weighted", points, points, points[:, 0].copy(), np.array([0, rows]), 1),
         ("rate_points", points, np.arange(len(keys) + 1), keys, 1, keys, means, means[:, 0], 1),
         ("sort_points", points, points[0] if rows else np.zeros(3), 0.1),
+        ("pack_records", points, points, points[0] if rows else np.zeros(3), 0.1),
+        ("unpack_records", records, random.integers(-1, rows + 1, size=2), points[:2].copy(), 0.1),
+        ("unpack_within", records, np.array([rows]), np.zeros((1, 3)), 0.1, *np.ones((2, 3))),
         (
             "gather_points",
             points,
