@@ -31,13 +31,13 @@ from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = [
     "corner_moments",
-    "find_cells",
     "fit_corners",
     "gather_points",
     "inherit_level",
     "merge_cells",
     "parent_keys",
     "sort_points",
+    "take_cells",
 ]
 
 Float32Array = NDArray[np.float32]
@@ -80,25 +80,37 @@ def sort_points(
     return cells, offsets, rows.astype(np.uint32)
 
 
-def find_cells(
-    positions: FloatArray, origin: FloatArray, cell_size: float, wanted: IntArray
-) -> NDArray[np.uint32]:
-    """Return which of some cells each point lies in.
+def take_cells(
+    positions: FloatArray,
+    normals: FloatArray,
+    origin: FloatArray,
+    cell_size: float,
+    wanted: IntArray,
+    groups: NDArray[np.uint8],
+) -> tuple[FloatArray, FloatArray, NDArray[np.uint8]]:
+    """Return the points in some cells.
 
     Parameters
     ----------
-    positions, origin, cell_size
+    positions, normals : ndarray of float64, shape (n, 3)
+    origin, cell_size
         See `sort_points`; there may be no points.
     wanted : ndarray of int64, shape (c,)
         Sorted keys of cells.
+    groups : ndarray of uint8, shape (c,)
+        A number of each.
 
     Returns
     -------
-    ndarray of uint32, shape (n,)
-        The row of its cell in `wanted`; c where it lies in none of them.
+    positions, normals : ndarray of float64, shape (m, 3)
+        In their order.
+    groups : ndarray of uint8, shape (m,)
+        The number of each point's cell.
     """
     places = np.floor(cells_of(positions, origin, cell_size)).astype(np.int64)
-    return find_keys(wanted, pack_places(places)).astype(np.uint32)
+    found = find_keys(wanted, pack_places(places))
+    rows = np.flatnonzero(found < len(wanted))
+    return positions[rows], normals[rows], groups[found[rows]]
 
 
 def gather_points(

@@ -69,9 +69,9 @@ class Region:
         ----------
         turned : ndarray of bool, shape (own.sum(),)
         """
-        rows = self.rows[self.own]
+        rows = self.rows.take(np.flatnonzero(self.own))
         records = self.packed.to_records().take(rows, axis=0)
-        records[turned, 3:] *= -1.0
+        records[np.flatnonzero(turned), 3:] *= -1.0
         ends = np.cumsum(self.packed.counts)
         counts = np.diff(np.searchsorted(rows, ends), prepend=0)
         held = counts > 0

@@ -30,7 +30,6 @@ __all__ = [
     "count_cells",
     "evaluate_bricks",
     "evaluate_residuals",
-    "find_cells",
     "find_keys",
     "find_seams",
     "fit_corners",
@@ -52,6 +51,7 @@ __all__ = [
     "sum_bricks",
     "sum_neighbours",
     "survey_mesh",
+    "take_cells",
     "unite_keys",
 ]
 
@@ -120,17 +120,21 @@ def sort_points(
     return result
 
 
-def find_cells(
-    positions: FloatArray, origin: FloatArray, cell_size: float, wanted: IntArray
-) -> NDArray[np.uint32]:
-    """Return which of some cells each point lies in; see `cells.find_cells`."""
+def take_cells(
+    positions: FloatArray,
+    normals: FloatArray,
+    origin: FloatArray,
+    cell_size: float,
+    wanted: IntArray,
+    groups: ByteArray,
+) -> tuple[FloatArray, FloatArray, ByteArray]:
+    """Return the points in some cells, and the group of each; see `cells.take_cells`."""
+    points = (_floats(positions), _floats(normals), _floats(origin), cell_size)
     if _native is None:
         from hpccomponent.surface import cells
 
-        return cells.find_cells(positions, origin, cell_size, wanted)
-    result: NDArray[np.uint32] = _native.find_cells(
-        _floats(positions), _floats(origin), cell_size, _integers(wanted)
-    )
+        return cells.take_cells(*points, wanted, groups)
+    result: tuple[FloatArray, FloatArray, ByteArray] = _native.take_cells(*points, wanted, groups)
     return result
 
 

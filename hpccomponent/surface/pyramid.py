@@ -22,10 +22,7 @@ from hpccomponent.surface.hermite import BASIS
 from hpccomponent.surface.lattice import (
     BITS,
     OCTANTS,
-    pack_places,
     step_keys,
-    unique_keys,
-    unpack_keys,
 )
 from hpccomponent.surface.moments import COLUMNS
 from hpccomponent.surface.parallel import run_batches
@@ -39,7 +36,6 @@ __all__ = [
     "Pyramid",
     "VertexQuadrics",
     "build_pyramid",
-    "corners_at",
     "count_levels",
     "fit_levels",
     "lay_vertices",
@@ -188,7 +184,7 @@ def build_pyramid(
     Pyramid
     """
     levels = raise_levels(sort_level(cloud, origin, cell_size), height, threads)
-    vertices = lay_vertices(corners_at(levels[0].cells, 0), height)
+    vertices = lay_vertices(kernels.spread_keys(levels[0].cells, -1, 2), height)
     return Pyramid(origin, cell_size, levels, vertices, 0, height)
 
 
@@ -249,41 +245,6 @@ def lay_vertices(finest: IntArray, levels: int) -> list[IntArray]:
     while len(vertices) < levels:
         vertices.append(kernels.parent_keys(vertices[-1]))
     return vertices
-
-
-def corners_at(cells: IntArray, depth: int) -> IntArray:
-    """Return the corners of a level that carry quadrics because of some of the finest cells.
-
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of finest cells that hold points.
-    depth : int
-        The level: at level 0 the corners of the cells and of their neighbours, and then the
-        ancestors of these.
-
-    Returns
-    -------
-    ndarray of int64, shape (v,)
-        Sorted.
-
-    Notes
-    -----
-    Cell i lays corners i - 1 to i + 2; their ancestors are those from floor((i - 1) / 2^depth)
-    to ceil((i + 2) / 2^depth), along each axis by itself.
-    """
-    if depth == 0:
-        return kernels.spread_keys(cells, -1, 2)
-    places = unpack_keys(cells)
-    low, high = (places - 1) >> depth, -(-(places + 2) >> depth)
-    spans = high - low  # 1 to 3
-    shapes = spans @ np.array([1, 4, 16])
-    laid = []
-    for shape in np.unique(shapes):
-        corners = unique_keys(pack_places(low[shapes == shape]))
-        sides = (shape & 3, shape >> 2 & 3, shape >> 4)
-        laid += [step_keys(corners, np.array(step)) for step in np.ndindex(*(s + 1 for s in sides))]
-    return unique_keys(np.concatenate(laid))
 
 
 def fit_levels(

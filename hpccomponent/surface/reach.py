@@ -9,18 +9,31 @@ A brick that holds points belongs to the first tile that has one of them.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.bricks import BESIDE, FOREIGN, OPEN, OUT, OWN, BrickKinds
+from hpccomponent.surface.build import load_native
 from hpccomponent.surface.field import BRICK, Grid
 from hpccomponent.surface.lattice import step_keys, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["HALO_STEPS", "near_bricks", "plan_gap", "plan_tile", "plan_whole", "surround"]
+__all__ = [
+    "HALO_STEPS",
+    "look_near",
+    "near_bricks",
+    "plan_gap",
+    "plan_tile",
+    "plan_whole",
+    "surround",
+]
 
 BoolArray = NDArray[np.bool_]
+
+_native: Any = load_native()
 
 HALO_STEPS = 3 * BRICK
 """Grid steps from a point of a tile to the farthest node that its bricks and their rim have."""
@@ -142,25 +155,33 @@ def plan_gap(
     return BrickKinds(zero, kinds)
 
 
-def near_bricks(kinds: BrickKinds, grid: Grid, places: FloatArray, reach: float) -> BoolArray:
-    """Tell which places have a brick that may be evaluated within reach along every axis.
+def near_bricks(
+    kinds: BrickKinds,
+    grid: Grid,
+    cells: IntArray,
+    origin: FloatArray,
+    cell_size: float,
+    reach: float,
+) -> BoolArray:
+    """Tell which cells have a brick that may be evaluated within reach of their middle.
 
     Parameters
     ----------
     kinds : BrickKinds
     grid : Grid
-    places : ndarray of float64, shape (v, 3)
-        In length units of the input.
-    reach : float
-        Likewise.
+    cells : ndarray of int64, shape (c,)
+        Sorted keys.
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of the cells lies, in length units of the input.
+    cell_size, reach : float
+        Likewise; the reach along every axis.
 
     Returns
     -------
-    ndarray of bool, shape (v,)
+    ndarray of bool, shape (c,)
         True also for some beyond, where the reach is longer than half a brick.
     """
     edge = BRICK * grid.step
-    corner = grid.origin + edge * kinds.first
     wanted = kinds.kinds != OUT
     far = int(np.ceil(max(0.0, reach / edge - 0.5)))  # bricks, beyond what two lookups see
     wanted = np.pad(wanted, far + 1)
@@ -170,7 +191,43 @@ def near_bricks(kinds: BrickKinds, grid: Grid, places: FloatArray, reach: float)
     for axis in range(3):
         ahead = np.roll(pairs, -1, axis=axis)
         pairs |= (pairs | ahead) << np.uint8(1 << axis)
-    margin = min(reach, 0.5 * edge)
+    look = look_near if _native is None else _native.look_near
+    corner, margin = grid.origin + edge * kinds.first, min(reach, 0.5 * edge)
+    keys = np.ascontiguousarray(cells)
+    near: BoolArray = look(keys, origin, cell_size, pairs, corner, edge, margin, far + 1)
+    return near
+
+
+def look_near(
+    cells: IntArray,
+    origin: FloatArray,
+    cell_size: float,
+    pairs: NDArray[np.uint8],
+    corner: FloatArray,
+    edge: float,
+    margin: float,
+    beyond: int,
+) -> BoolArray:
+    """Look up the middles of cells among bricks, in numpy; see `near_bricks`.
+
+    Parameters
+    ----------
+    cells, origin, cell_size
+        As of `near_bricks`.
+    pairs : ndarray of uint8, shape (x, y, z)
+        Of each brick, bit a + 2 b + 4 c: whether it, or the next a, b and c ones along x, y and z,
+        may be evaluated.
+    corner : ndarray of float64, shape (3,)
+        Where brick (`beyond`, `beyond`, `beyond`) of these begins, in length units of the input.
+    edge, margin : float
+        Of a brick, and how near a place must be to one, half an edge at most; likewise.
+    beyond : int
+
+    Returns
+    -------
+    ndarray of bool, shape (c,)
+    """
+    places = origin + cell_size * (unpack_keys(cells) + 0.5)
     index = np.zeros(len(places), np.int64)
     spans = np.zeros(len(places), np.uint8)
     inside = np.ones(len(places), np.bool_)
@@ -178,7 +235,7 @@ def near_bricks(kinds: BrickKinds, grid: Grid, places: FloatArray, reach: float)
         column = (places[:, axis] - corner[axis]) / edge
         low = np.floor(column - margin / edge).astype(np.int64)
         spans |= ((np.floor(column + margin / edge) > low).astype(np.uint8)) << np.uint8(axis)
-        low += far + 1
+        low += beyond
         inside &= (low >= 0) & (low < length - 1)
         index = index * length + np.clip(low, 0, length - 1)
     found: BoolArray = inside & (pairs.reshape(-1)[index] >> spans & 1).astype(np.bool_)

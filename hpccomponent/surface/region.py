@@ -25,6 +25,7 @@ from hpccomponent.cutting import cut_equal
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store import hold_store
 from hpccomponent.surface import kernels
+from hpccomponent.surface.ancestors import corners_at, mark_ancestors
 from hpccomponent.surface.arrangement import Arrangement
 from hpccomponent.surface.bricks import BrickKinds
 from hpccomponent.surface.cell_points import SortedPoints
@@ -32,7 +33,7 @@ from hpccomponent.surface.crowding import crowd_vertices
 from hpccomponent.surface.far_field import FarField, FarFieldPart, restore_far_field
 from hpccomponent.surface.field import Field, FieldLevel, Grid
 from hpccomponent.surface.hermite import BASIS
-from hpccomponent.surface.lattice import pack_places, unpack_keys
+from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.mesh_part import MeshPart, cut_part
 from hpccomponent.surface.parallel import run_batches
 from hpccomponent.surface.part_summary import summarize_part
@@ -42,7 +43,6 @@ from hpccomponent.surface.pyramid import (
     Parents,
     Pyramid,
     VertexQuadrics,
-    corners_at,
     fit_levels,
     lay_vertices,
     raise_levels,
@@ -196,7 +196,7 @@ class _Prepared:
     levels: list[Level]
 
 
-KEPT_TILES = 4
+KEPT_TILES = 3
 """So many tiles that a process has summed wait there to be meshed, some 110 bytes a point."""
 
 _waiting: dict[str, _Prepared] = {}
@@ -227,7 +227,7 @@ def sum_tile(
     cells, moments, squares
         Of the `pyramid.Level`.
     vertices
-        What its points lay there (see `pyramid.corners_at`).
+        What its points lay there (see `ancestors.corners_at`).
     far_cells, far_sums
         The same of the level that the far field is made of (see `sample_cells`).
     patches : int
@@ -243,11 +243,12 @@ def sum_tile(
     assert isinstance(finest.points, SortedPoints)  # noqa: S101 - the finest level has points
     starts = finest.points.rows[finest.points.offsets[:-1]]
     own = finest.cells[prepared.groups[starts] == 0]
-    at, depth = _ancestors(own, coarse, common.coarse), min(common.far, common.coarse)
+    marks = mark_ancestors(own, common.coarse, coarse.cells)
+    at, vertices = np.flatnonzero(marks), corners_at(coarse.cells, marks)
     moments = coarse.points.sum(slice(0, len(coarse.cells)))[at]
+    depth = min(common.far, common.coarse)
     sampled = prepared.levels[depth]
-    samples = sample_cells(sampled, _ancestors(own, sampled, depth))
-    vertices = corners_at(own, common.coarse)
+    samples = sample_cells(sampled, np.flatnonzero(mark_ancestors(own, depth, sampled.cells)))
     return coarse.cells[at], moments, coarse.squares[at], vertices, *samples, len(own)
 
 
@@ -425,14 +426,6 @@ def _prepare(plan: Plan, points: CellPoints, with_kinds: bool, threads: int) -> 
     return _Prepared(kinds, taken.groups, raise_levels(finest, plan.coarse + 1, threads))
 
 
-def _ancestors(cells: IntArray, level: Level, depth: int) -> IntArray:
-    """Return the rows of a level that are ancestors of some of the finest cells."""
-    found = kernels.find_keys(level.cells, pack_places(unpack_keys(cells) >> depth))
-    is_ancestor = np.zeros(len(level.cells), np.bool_)
-    is_ancestor[found] = True
-    return np.flatnonzero(is_ancestor)
-
-
 def _mesh_region(
     plan: Plan, raised: list[Level], kinds: BrickKinds, coarse: Values, threads: int
 ) -> tuple[MeshPart, IntArray]:
@@ -473,9 +466,13 @@ def _lay_near(cells: IntArray, plan: Plan, kinds: BrickKinds) -> list[IntArray]:
     that points are weighed by.
     """
     weighing = 0.0 if np.isinf(plan.tolerance) else 4.0
-    places = plan.origin + plan.cell_size * (unpack_keys(cells) + 0.5)
-    near, wide = (
-        kernels.spread_keys(cells[near_bricks(kinds, plan.grid, places, reach)], -1, 2)
-        for reach in plan.cell_size * np.array([2.75, 2.0**plan.coarse + 0.75 + weighing])
+    lattice = plan.origin, plan.cell_size
+    is_near, is_wide = (
+        near_bricks(kinds, plan.grid, cells, *lattice, plan.cell_size * reach)
+        for reach in (2.75, 2.0**plan.coarse + 0.75 + weighing)
     )
-    return [near, *lay_vertices(wide, plan.coarse)[1:]]
+    near, rest = (kernels.spread_keys(cells[some], -1, 2) for some in (is_near, is_wide & ~is_near))
+    if plan.coarse == 1:
+        return [near]
+    wide = kernels.unite_keys(kernels.parent_keys(near), kernels.parent_keys(rest))
+    return [near, *lay_vertices(wide, plan.coarse - 1)]

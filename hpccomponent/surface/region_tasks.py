@@ -89,9 +89,10 @@ def mend_blocks(
         The disk is full, or the folder cannot be written.
     """
     region = take_region(points)
-    turned = find_turned(region.positions, region.normals, low, spacing)[region.own]
+    own = np.flatnonzero(region.own)
+    turned = find_turned(region.positions, region.normals, low, spacing).take(own)
     packed = region.pack_own(turned)
-    positions = region.positions[region.own]
+    positions = region.positions.take(own, axis=0)
     rows = np.zeros(0, np.int64)
     if len(positions):
         rows = kernels.sample_boxes(positions, low, *sampled)

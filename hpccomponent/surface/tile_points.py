@@ -26,7 +26,6 @@ from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["CellPoints", "TilePoints", "estimate_work", "pack_cloud", "read_cells", "take_points"]
 
-_NO_GROUP = 255
 _BYTES_PER_POINT = 24.0
 
 CellPoints = tuple[Any, ...]
@@ -141,16 +140,12 @@ def read_cells(
         In the cloud's order.
     """
     wanted = unique_keys(np.concatenate(groups))
-    group_of = np.full(len(wanted) + 1, _NO_GROUP, np.uint8)
+    group_of = np.empty(len(wanted), np.uint8)
     for number, group in enumerate(groups):
         group_of[find_keys(wanted, group)] = number
-    positions, normals = cloud.take_blocks(_find_blocks(cloud.arrangement, wanted, origin, size))
-    found = group_of[kernels.find_cells(positions, origin, size, wanted)]
-    rows = np.flatnonzero(found != _NO_GROUP)
-    if len(rows) == len(found):
-        return TilePoints(PointCloud(positions, normals), found)
-    chosen = PointCloud(positions.take(rows, axis=0), normals.take(rows, axis=0))
-    return TilePoints(chosen, found[rows])
+    points = cloud.take_blocks(_find_blocks(cloud.arrangement, wanted, origin, size))
+    positions, normals, numbers = kernels.take_cells(*points, origin, size, wanted, group_of)
+    return TilePoints(PointCloud(positions, normals), numbers)
 
 
 def pack_cloud(arrangement: Arrangement, cloud: PointCloud) -> tuple[Any, ...]:

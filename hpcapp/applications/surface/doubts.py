@@ -17,7 +17,7 @@ from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 __all__ = ["doubt_closure", "doubt_normals", "doubt_resolution", "sample_cloud"]
 
 #: Points are judged on a sample of about so many.
-SAMPLE = 30_000
+SAMPLE = 10_000
 #: Fewer points than these are too far apart to be called neighbours.
 FEWEST_JUDGED = 100
 #: Boxes along the longest side, in which neighbouring normals are compared.

@@ -41,10 +41,11 @@ MARGIN = 4
 
 _LEAST_GRID = 16
 _ROBUST_LEVELS = 2  # whose fits ask the points themselves, where these are weighed
-TILE_POINTS = 1_500_000
-"""Of a tile where nothing else asks for smaller ones: what it takes stays below half a gigabyte."""
+TILE_POINTS = 2_500_000
+"""Of a tile where nothing else asks for smaller ones: what it takes stays below a gigabyte."""
 # Smaller tiles cost more for their halos than is gained by handing them to whoever is free.
 _LARGE_TILE = 1_000_000
+_TILES_EACH = 2
 
 
 @dataclass(slots=True, eq=False)
@@ -226,8 +227,9 @@ class HierarchicalMethod:
             return 0
         if workforce.in_process:
             return needed
-        each = min(workforce.batches_per_worker, len(cloud) // (workforce.workers * _LARGE_TILE))
-        return max(needed, workforce.workers * max(1, each))
+        workers = workforce.workers
+        each = min(_TILES_EACH, workforce.batches_per_worker, len(cloud) // (workers * _LARGE_TILE))
+        return workers * max(1, each, -(-needed // workers))  # all of them, equally often
 
     def _mesh_whole(self, partition: HierarchicalPartition) -> MeshPart:
         """Make a mesh of a cloud that is one tile; what is done with makes room for what comes."""

@@ -1,4 +1,6 @@
-// Sets of places: all within a box around each, and all parents.
+// Sets of places: all within a box around each, all parents, and which lie near something.
+#include <cmath>
+
 #include "families.h"
 #include "keys.h"
 #include "threads.h"
@@ -147,6 +149,66 @@ Output<int64_t> find_keys(Input keys_of, Input wanted_of, int64_t threads) {
   return give(std::move(rows), {static_cast<size_t>(count)});
 }
 
+Output<uint32_t> mark_ancestors(Input cells_of, int64_t depth, Input ancestors_of) {
+  const int64_t* cells = check_keys(cells_of, "cells");
+  const int64_t* ancestors = check_keys(ancestors_of, "ancestors");
+  if (depth < 0 || depth >= BITS) refuse("depth: expected 0 to 20");
+  const int64_t count = rows_of(cells_of), known = rows_of(ancestors_of), last = (int64_t{1} << depth) - 1;
+  auto marks = make_buffer<uint32_t>(known);
+  {
+    nb::gil_scoped_release unlocked;
+    std::fill_n(marks.get(), known, 0u);
+    Finger finger(ancestors, known);
+    for (int64_t i = 0; i < count; ++i) {
+      Place place = unpack(cells[i]);
+      uint32_t shape = 0;
+      for (int axis = 2; axis >= 0; --axis) {
+        const int64_t within = place[axis] & last;
+        shape = 3 * shape + (within == 0 ? 0 : within == last ? 2 : 1);
+        place[axis] >>= depth;
+      }
+      const int64_t row = finger.find(pack(place));
+      if (row >= 0) marks[row] |= 1u << shape;
+    }
+  }
+  return give(std::move(marks), {static_cast<size_t>(known)});
+}
+
+Output<bool> look_near(Input cells_of, Input origin_of, double size, Input pairs_of, Input corner_of, double edge,
+                       double margin, int64_t beyond) {
+  const int64_t* cells = check_keys(cells_of, "cells");
+  const double* origin = check<double>(origin_of, "origin", {3});
+  const uint8_t* pairs = check<uint8_t>(pairs_of, "pairs", {ANY, ANY, ANY});
+  const double* corner = check<double>(corner_of, "corner", {3});
+  check_finite(origin, 3, "origin");
+  check_finite(corner, 3, "corner");
+  check_positive(size, "cell_size");
+  check_positive(edge, "edge");
+  if (!(margin >= 0.0 && margin <= edge)) refuse("margin: expected 0 to an edge");
+  if (beyond < 0 || beyond > 4096) refuse("beyond: expected 0 to 4096");
+  const int64_t count = rows_of(cells_of);
+  auto near = make_buffer<bool>(count);
+  {
+    nb::gil_scoped_release unlocked;
+    for (int64_t i = 0; i < count; ++i) {
+      const Place place = unpack(cells[i]);
+      int64_t index = 0;
+      int span = 0;
+      bool inside = true;
+      for (int axis = 0; axis < 3; ++axis) {
+        const double column = (origin[axis] + size * (static_cast<double>(place[axis]) + 0.5) - corner[axis]) / edge;
+        const double low = std::floor(column - margin / edge);
+        const double at = low + static_cast<double>(beyond), sides = static_cast<double>(pairs_of.shape(axis));
+        span |= (std::floor(column + margin / edge) > low) << axis;
+        inside = inside && at >= 0.0 && at < sides - 1.0;
+        index = index * static_cast<int64_t>(pairs_of.shape(axis)) + (inside ? static_cast<int64_t>(at) : 0);
+      }
+      near[i] = inside && pairs[index] >> span & 1;
+    }
+  }
+  return give(std::move(near), {static_cast<size_t>(count)});
+}
+
 Output<int64_t> unite_keys(Input first_of, Input second_of) {
   const int64_t* first = check_keys(first_of, "first");
   const int64_t* second = check_keys(second_of, "second");
@@ -168,6 +230,8 @@ void bind_lattice(nb::module_& module) {
   module.def("parent_keys", &parent_keys);
   module.def("find_keys", &find_keys);
   module.def("unite_keys", &unite_keys);
+  module.def("mark_ancestors", &mark_ancestors);
+  module.def("look_near", &look_near);
 }
 
 }  // namespace hpc

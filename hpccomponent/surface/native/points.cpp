@@ -231,20 +231,40 @@ class KeyRows {
   std::vector<uint32_t> slots_;
 };
 
-Output<uint32_t> find_cells(Input positions, Input origin_of, double size, Input cells_of) {
+nb::tuple take_cells(Input positions, Input normals, Input origin_of, double size, Input cells_of, Input groups_of) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
+  const int64_t count = rows_of(positions);
+  const double* normal = check<double>(normals, "normals", {count, 3});
   const double* origin = check<double>(origin_of, "origin", {3});
   check_positive(size, "cell_size");
   const int64_t* cells = check_keys(cells_of, "cells");
-  const int64_t count = rows_of(positions), known = rows_of(cells_of);
+  const int64_t known = rows_of(cells_of);
+  const uint8_t* groups = check<uint8_t>(groups_of, "groups", {known});
   if (known >= UINT32_MAX) refuse("cells: expected fewer than 2^32 - 1");
   auto rows = make_buffer<uint32_t>(count);
+  Buffer<double> taken[2];
+  Buffer<uint8_t> numbers;
+  int64_t held = 0;
   {
     nb::gil_scoped_release unlocked;
     const KeyRows table(cells, known);
-    visit_places(point, count, origin, size, [&](int64_t i, const Place& place) { rows[i] = table.find(pack(place)); });
+    visit_places(point, count, origin, size, [&](int64_t i, const Place& place) {
+      rows[i] = table.find(pack(place));
+      held += rows[i] < known;
+    });
+    for (auto& some : taken) some = make_buffer<double>(3 * held);
+    numbers = make_buffer<uint8_t>(held);
+    int64_t at = 0;
+    for (int64_t i = 0; i < count; ++i) {
+      if (rows[i] >= known) continue;
+      std::copy_n(point + 3 * i, 3, taken[0].get() + 3 * at);
+      std::copy_n(normal + 3 * i, 3, taken[1].get() + 3 * at);
+      numbers[at++] = groups[rows[i]];
+    }
   }
-  return give(std::move(rows), {static_cast<size_t>(count)});
+  const size_t found = static_cast<size_t>(held);
+  return nb::make_tuple(give(std::move(taken[0]), {found, 3}), give(std::move(taken[1]), {found, 3}),
+                        give(std::move(numbers), {found}));
 }
 
 // Express points relative to the centres of their cells, in cells.
@@ -332,7 +352,7 @@ void bind_points(nb::module_& module) {
   module.def("count_boxes", &count_boxes);
   module.def("sample_boxes", &sample_boxes);
   module.def("sort_points", &sort_points);
-  module.def("find_cells", &find_cells);
+  module.def("take_cells", &take_cells);
   module.def("gather_points", &gather_points);
   module.def("seed_bricks", &seed_bricks);
 }

@@ -7,10 +7,8 @@ from hpccomponent.surface.moments import accumulate_moments
 from hpccomponent.surface.points import PointCloud, bounding_box
 from hpccomponent.surface.pyramid import (
     build_pyramid,
-    corners_at,
     count_levels,
     fit_levels,
-    lay_vertices,
 )
 from hpccomponent.surface.weights import Weights, weigh_levels
 
@@ -58,13 +56,6 @@ def test_every_level_counts_every_point(cloud):
     for level, vertices in zip(pyramid.levels, pyramid.vertices, strict=True):
         assert level.points.counts.sum() == len(cloud)
         assert np.isin(kernels.spread_keys(level.cells, 0, 1), vertices).all()
-
-
-@pytest.mark.parametrize("depth", [0, 1, 2, 3])
-def test_corners_laid_at_a_level_are_the_ancestors_of_the_finest(cloud, depth):
-    cells = build(cloud, CELL_SIZE).levels[0].cells
-    expected = lay_vertices(corners_at(cells, 0), depth + 1)[depth]
-    assert np.array_equal(corners_at(cells, depth), expected)
 
 
 def test_vertices_know_the_points_of_the_eight_cells_around_them(cloud):

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from hpccomponent.surface import (
+    ancestors,
     arrangement,
     bricks,
     cells,
@@ -22,6 +23,7 @@ from hpccomponent.surface import (
     hermite,
     lattice,
     moments,
+    reach,
     robust,
     spacing,
 )
@@ -56,6 +58,29 @@ def test_sets_of_places(native: ModuleType, places: Any, low: int, width: int) -
             np.testing.assert_array_equal(native.find_keys(keys, wanted, threads), expected)
 
 
+@given(coordinates, st.integers(0, 4))
+@settings(deadline=None, max_examples=40)
+def test_ancestors(native: ModuleType, places: Any, depth: int) -> None:
+    keys = lattice.unique_keys(lattice.pack_places(places))
+    above = lattice.unique_keys(lattice.pack_places(lattice.unpack_keys(keys) >> depth))[::2].copy()
+    found = native.mark_ancestors(keys, depth, above)
+    np.testing.assert_array_equal(found, ancestors._mark_ancestors(keys, depth, above))
+
+
+@given(st.integers(0, 2**32), st.floats(0.05, 3.0), st.floats(0.0, 0.5), st.integers(1, 3))
+@settings(deadline=None, max_examples=40)
+def test_looking_near(
+    native: ModuleType, seed: int, size: float, margin: float, beyond: int
+) -> None:
+    random = np.random.default_rng(seed)
+    keys = lattice.unique_keys(lattice.pack_places(random.integers(-9, 20, size=(400, 3))))
+    pairs = random.integers(0, 256, size=(6, 4, 5), dtype=np.uint8)
+    origin, corner = random.normal(size=(2, 3))
+    edge = 1.25
+    given = keys, origin, size, pairs, corner, edge, margin * edge, beyond
+    np.testing.assert_array_equal(native.look_near(*given), reach.look_near(*given))
+
+
 @given(st.integers(0, 2**32), st.integers(1, 300), st.floats(0.01, 10.0))
 @settings(deadline=None, max_examples=30)
 def test_sorting_points(native: ModuleType, seed: int, points: int, size: float) -> None:
@@ -66,9 +91,10 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
     for found, wanted in zip(native.sort_points(positions, origin, size), expected, strict=True):
         np.testing.assert_array_equal(found, wanted)
     for some in (expected[0], expected[0][::2].copy(), expected[0][:0]):
-        found = native.find_cells(positions, origin, size, some)
-        np.testing.assert_array_equal(found, cells.find_cells(positions, origin, size, some))
-    assert (native.find_cells(positions, origin, size, expected[0]) < len(expected[0])).all()
+        wanted = positions, normals, origin, size, some, (some % 3).astype(np.uint8)
+        for found, taken in zip(native.take_cells(*wanted), cells.take_cells(*wanted), strict=True):
+            np.testing.assert_array_equal(found, taken)
+    assert len(cells.take_cells(*wanted)[0]) == 0
     points = (positions, normals, expected[2], origin, size)
     for found, wanted in zip(
         native.gather_points(*points), cells.gather_points(*points), strict=True

@@ -16,13 +16,13 @@ from hpccomponent.surface.case_table import case_triangles
 KERNELS = (
     "accumulate_moments", "balance_vertices", "corner_moments", "count_boxes", "count_cells",
     "evaluate_bricks", "poll_normals", "sum_neighbours",
-    "evaluate_residuals", "find_cells", "find_keys", "fit_corners", "grow_surface",
+    "evaluate_residuals", "find_keys", "fit_corners", "grow_surface",
     "inherit_level", "label_components", "merge_cells",
     "parent_keys", "sample_grid", "scale_moments", "seed_bricks", "shift_moments",
     "signed_volume", "sort_points", "spread_keys", "survey_mesh", "unite_keys", "gather_points",
     "bound_points", "sample_boxes", "integrate_normals", "sample_corners",
     "find_seams", "sum_bricks", "accumulate_weighted", "rate_points",
-    "pack_records", "unpack_records", "unpack_within",
+    "pack_records", "unpack_records", "unpack_within", "take_cells", "mark_ancestors", "look_near",
 )  # fmt: skip
 
 numbers = st.one_of(
@@ -79,6 +79,9 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
         ("pack_records", points, points, points[0] if rows else np.zeros(3), 0.1),
         ("unpack_records", records, random.integers(-1, rows + 1, size=2), points[:2].copy(), 0.1),
         ("unpack_within", records, np.array([rows]), np.zeros((1, 3)), 0.1, *np.ones((2, 3))),
+        ("take_cells", points, points, np.zeros(3), 0.1, keys, np.ones(len(keys), np.uint8)),
+        ("mark_ancestors", keys, 3, keys),
+        ("look_near", keys, np.ones(3), 0.1, means.astype(np.uint8)[None], np.ones(3), 1.0, 0.5, 2),
         (
             "gather_points",
             points,
