@@ -94,10 +94,13 @@ def cut_part(mesh: BrickMesh, kinds: BrickKinds | None = None) -> MeshPart:
     bricks = mesh.bricks[taken]
     guests = np.zeros(len(bricks), np.bool_) if kinds is None else kinds.at(bricks) != OWN
     is_inner = np.repeat(taken, mesh.vertex_counts)
-    faces = mesh.faces[np.repeat(taken, mesh.face_counts)].astype(np.int32)
     rows = np.cumsum(is_inner, dtype=np.int32) - np.int32(1)
-    outer = np.unique(faces[~is_inner[faces]]) if not is_inner.all() else np.empty(0, np.int32)
-    rows[outer] = ~np.arange(len(outer), dtype=np.int32)
+    rows[~is_inner] = -1
+    faces = mesh.faces.take(np.flatnonzero(np.repeat(taken, mesh.face_counts)), axis=0)
+    corners = rows.take(faces)
+    outside = np.flatnonzero(corners < 0)
+    outer, names = np.unique(faces.reshape(-1)[outside], return_inverse=True)
+    corners.reshape(-1)[outside] = ~names
     starts = np.cumsum(mesh.vertex_counts, dtype=np.int64) - mesh.vertex_counts
     owners = np.searchsorted(starts + mesh.vertex_counts, outer, side="right")
     return MeshPart(
@@ -105,8 +108,8 @@ def cut_part(mesh: BrickMesh, kinds: BrickKinds | None = None) -> MeshPart:
         guests,
         mesh.vertex_counts[taken],
         mesh.face_counts[taken],
-        mesh.vertices[is_inner],
-        rows[faces],
+        mesh.vertices.take(np.flatnonzero(is_inner), axis=0),
+        corners,
         mesh.bricks[owners],
         (outer - starts[owners]).astype(np.int32),
     )
