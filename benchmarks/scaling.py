@@ -135,7 +135,7 @@ class Bench:
         link_mbit: float | None = None,
     ) -> Run:
         """Run the job on emulated machines; the master's has the first worker's quota."""
-        place = self._folder / f"machines-{next(self._numbers)}"
+        place = self._folder / f"machines-{os.getpid()}-{next(self._numbers)}"
         hidden = None if shared else self._data
         with open_machines(place, cores, cores[0], hidden, link_mbit) as machines:
             words = ["--cluster", str(machines.inventory), "--backend", "zmq"]
@@ -156,7 +156,7 @@ class Bench:
         options: Sequence[str],
         is_shared: bool = False,
     ) -> Run:
-        place, load = self._data / f"run-{next(self._numbers)}", os.getloadavg()[0]
+        place, load = self._data / f"run-{os.getpid()}-{next(self._numbers)}", os.getloadavg()[0]
         mesh, scratch = place / "mesh.ply", place / "tmp"
         scratch.mkdir(parents=True)
         words = [

@@ -11,7 +11,7 @@ from hpccomponent.surface import kernels
 from hpccomponent.surface.cell_points import CellMoments
 from hpccomponent.surface.far_field import FarField, crop_far_field, far_step, solve_far_field
 from hpccomponent.surface.field import BRICK, FieldLevel, Grid
-from hpccomponent.surface.lattice import find_keys, pack_places, unique_keys, unpack_keys
+from hpccomponent.surface.lattice import pack_places, unique_keys, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray
 from hpccomponent.surface.pyramid import (
     Level,
@@ -171,7 +171,7 @@ def _sort(parts: list[IntArray]) -> tuple[IntArray, IntArray]:
 def _find_around(keys: IntArray, cells: IntArray, wide: int) -> IntArray:
     """Return the rows of the corners that lie within so many cells of some cells."""
     reached = kernels.spread_keys(surround(cells, wide, wide), 0, 1)
-    found: IntArray = np.flatnonzero(find_keys(reached, keys) < len(reached))
+    found: IntArray = np.flatnonzero(kernels.find_keys(reached, keys) < len(reached))
     return found
 
 

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface.passes import Passes
 from hpcapp.batches import Workforce
+from hpccomponent.surface import kernels
 from hpccomponent.surface.arranged_cloud import ArrangedCloud
 from hpccomponent.surface.block_tasks import count_cells, merge_cells
 from hpccomponent.surface.disk_cloud import DiskCloud
 from hpccomponent.surface.field import BRICK
-from hpccomponent.surface.lattice import find_keys, unpack_keys
+from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.points import IntArray
 from hpccomponent.surface.reach import surround
 from hpccomponent.surface.region import Plan
@@ -69,6 +70,7 @@ class Tiling:
         self._share = workforce.share
         self._are_read = are_read
         self._shared: dict[int, Any] = {}
+        self._groups: dict[int, list[IntArray]] = {}
         is_once = are_read or not isinstance(cloud, DiskCloud)
         most = 0 if workforce.in_process else kept_tiles * workforce.workers
         is_kept = is_once and len(self) <= most
@@ -90,10 +92,12 @@ class Tiling:
 
     def groups(self, index: int) -> list[IntArray]:
         """Return the cells of a tile, and of its halo: those of tiles before and after it."""
-        own = self.own(index)
-        around = self.near(own)
-        before, after = around & (self._tile_of < index), around & (self._tile_of > index)
-        return [own, self.cells[before], self.cells[after]]
+        if index not in self._groups:
+            own = self.own(index)
+            around = self.near(own)
+            before, after = around & (self._tile_of < index), around & (self._tile_of > index)
+            self._groups[index] = [own, self.cells[before], self.cells[after]]
+        return self._groups[index]
 
     def tile(self, index: int) -> CellPoints:
         """Return the points in the `groups` of a tile, as a task is given them."""
@@ -111,7 +115,7 @@ class Tiling:
     def near(self, cells: IntArray) -> NDArray[np.bool_]:
         """Tell which coarse cells with points lie around some cells, near enough to matter."""
         reached = surround(cells, *halo_cells(self._plan, cells))
-        found: NDArray[np.bool_] = np.less(find_keys(reached, self.cells), len(reached))
+        found: NDArray[np.bool_] = np.less(kernels.find_keys(reached, self.cells), len(reached))
         return found
 
     def _give(self, groups: list[IntArray], index: int | None) -> CellPoints:
