@@ -57,6 +57,8 @@ from hpccomponent.protocol.messages import (
 
 __all__ = ["Engine", "Timing"]
 
+_BROKEN = "its connection broke"
+
 _log = logging.getLogger(__name__)
 
 MESSAGES_PER_ROUND = 200  # then the inbox and the clock have their turn
@@ -273,9 +275,9 @@ class Engine:
             return
         self._probe_at = now + self._timing.probe_s
         ping = Ping(self.session, self.scheduler.last_batch)
-        for identity in list(self.scheduler.workers):
-            if not self._say(identity, ping):
-                self._carry_out(self.scheduler.disconnected(identity, "its connection broke"))
+        broken = [identity for identity in self.scheduler.workers if not self._say(identity, ping)]
+        if broken:
+            self._carry_out(self.scheduler.disconnected(broken, _BROKEN))
         self._carry_out(self.scheduler.tick())
         self._announce()
 
@@ -290,8 +292,9 @@ class Engine:
             match action:
                 case Assign():
                     if not self._assign(action):
-                        lost = self.scheduler.disconnected(action.worker, "its connection broke")
-                        pending.extend(lost)
+                        pending.extend(
+                            self.scheduler.undelivered(action.worker, action.batch, _BROKEN)
+                        )
                 case Deliver():
                     self.ledger.deliver(action.task, action.result, [])
                 case Fail():

@@ -254,12 +254,25 @@ class Scheduler:
             return []
         return self._lose(worker, reason, is_blamed=False) + self.dispatch()
 
-    def disconnected(self, identity: bytes, reason: str) -> list[Action]:
-        """Take the news that the way to a worker is broken: it is lost."""
+    def disconnected(self, identities: Iterable[bytes], reason: str) -> list[Action]:
+        """Take the news that the way to workers is broken: they are lost.
+
+        All of them before anything is placed anew: what one of them leaves must not be handed to
+        another, and be blamed for its loss too.
+        """
+        actions: list[Action] = []
+        for identity in identities:
+            if identity in self.workers:
+                actions += self._lose(self.workers[identity], reason, is_blamed=True)
+        return actions + self.dispatch()
+
+    def undelivered(self, identity: bytes, batch: int, reason: str) -> list[Action]:
+        """Take the news that a batch did not get out to its worker, which is lost."""
         worker = self.workers.get(identity)
         if worker is None:
             return []
-        return self._lose(worker, reason, is_blamed=True) + self.dispatch()
+        actions = self._take_back(worker, batch, reason, is_blamed=False)
+        return actions + self.disconnected([identity], reason)
 
     def tick(self) -> list[Action]:
         """Take the time: silent workers are lost, and waiting for workers has an end."""

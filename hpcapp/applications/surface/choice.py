@@ -20,7 +20,7 @@ POINT_UNITS = 5.5e-4
 LOAD_POINT_UNITS = 2.7e-4  # to read and clean it, which workers do where the folder is shared
 SQUARE_UNITS = 2.5e-3
 # Halos are computed twice, points are sorted again: the work of all tiles by that of the whole.
-TILED = 1.7
+TILED = 1.2
 # What the master does for tiles itself: points packed and sent, parts taken and welded.
 SENT_POINT_UNITS = 1.5e-4
 SENT_SQUARE_UNITS = 1.0e-3
@@ -31,11 +31,10 @@ PART_BYTES = 250.0
 SUMMARY_BYTES = 2.0
 # A task is sent after another has been answered so many times one after the other.
 TURNS = 8
-# What threads of one process may take part in; taken for more than it is, so that a cloud stays
-# here where it is not clear.
-THREADED = 0.6
-# So much faster than here it must be expected: forecasts err, by a fifth or so.
-MARGIN = 1.25
+# What threads of one process may take part in.
+THREADED = 0.55
+# So much faster than here it must be expected: forecasts err, though mostly both alike.
+MARGIN = 1.1
 
 
 @dataclass(frozen=True, slots=True)

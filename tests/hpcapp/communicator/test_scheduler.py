@@ -122,7 +122,7 @@ def test_what_a_lost_worker_leaves_is_spread_equally(clock: ManualClock) -> None
     for name in (b"a", b"b", b"c"):
         scheduler.register(name, introduce(name.decode()))
     submit(scheduler, 90)
-    scheduler.disconnected(b"a", "it died")
+    scheduler.disconnected([b"a"], "it died")
     assert [worker.placed for worker in scheduler.workers.values()] == [45, 45]
 
 
@@ -154,7 +154,7 @@ def test_a_result_that_comes_twice_is_dropped(scheduler: Scheduler) -> None:
 def test_a_result_of_a_worker_given_up_is_asked_to_register_again(scheduler: Scheduler) -> None:
     scheduler.register(b"a", introduce())
     (assign,) = submit(scheduler, 1)
-    scheduler.disconnected(b"a", "its connection broke")
+    scheduler.disconnected([b"a"], "its connection broke")
     assert finish(scheduler, assign) == [AskRegister(b"a")]
     again = scheduler.register(b"a", introduce())
     assert isinstance(again[0], Welcome)
@@ -164,11 +164,33 @@ def test_a_result_of_a_worker_given_up_is_asked_to_register_again(scheduler: Sch
 
 
 def lose_by_disconnection(scheduler: Scheduler, assign: Assign) -> list[Action]:
-    return scheduler.disconnected(assign.worker, "its connection broke")
+    return scheduler.disconnected([assign.worker], "its connection broke")
 
 
 def lose_by_crash(scheduler: Scheduler, assign: Assign) -> list[Action]:
     return scheduler.batch_lost(assign.worker, assign.batch, "signal 9", True)
+
+
+def test_no_task_is_blamed_for_many_connections_that_break_at_once(scheduler: Scheduler) -> None:
+    names = [b"a", b"b", b"c", b"d"]
+    for name in names:
+        scheduler.register(name, introduce(name.decode()))
+    submit(scheduler, 1)
+    assert scheduler.disconnected(names, "its connection broke") == []
+    again = scheduler.register(b"e", introduce("e"))
+    assert assigned(again) == [(b"e", (0,))]
+
+
+def test_no_task_is_blamed_for_workers_that_it_never_got_to(scheduler: Scheduler) -> None:
+    names = [b"a", b"b", b"c", b"d", b"e"]
+    for name in names:
+        scheduler.register(name, introduce(name.decode()))
+    (assign,) = submit(scheduler, 1)
+    for _ in names[1:]:
+        assert isinstance(assign, Assign)
+        (assign,) = scheduler.undelivered(assign.worker, assign.batch, "its connection broke")
+    assert isinstance(assign, Assign)
+    assert len(scheduler.workers) == 1
 
 
 @pytest.mark.parametrize("lose", [lose_by_disconnection, lose_by_crash])
@@ -236,7 +258,7 @@ def test_tasks_fail_at_once_when_all_workers_are_gone(scheduler: Scheduler) -> N
     scheduler.register(b"a", introduce())
     submit(scheduler, 2)
     assert scheduler.workers_gone("all loaders have ended") == []
-    (first, _) = errors(scheduler.disconnected(b"a", "its connection broke"))
+    (first, _) = errors(scheduler.disconnected([b"a"], "its connection broke"))
     assert "all loaders have ended" in str(first)
     (later,) = errors(scheduler.submit(7, "t", 1))
     assert isinstance(later, NoWorkersError)

@@ -228,7 +228,7 @@ class Cluster:
     def kill(self, component: Component) -> None:
         """Let a component vanish with all that is on its way to it."""
         self.components.remove(component)
-        self.carry_out(self.scheduler.disconnected(component.identity, "its connection broke"))
+        self.carry_out(self.scheduler.disconnected([component.identity], "its connection broke"))
 
     def pass_time(self, seconds: float) -> None:
         self.clock.advance(seconds)
