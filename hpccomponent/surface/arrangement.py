@@ -34,6 +34,7 @@ __all__ = [
     "pack_records",
     "pack_snapped",
     "snap_points",
+    "unpack_cells",
     "unpack_near",
     "unpack_points",
     "unpack_records",
@@ -243,6 +244,32 @@ def unpack_near(
     """
     unpack: Any = unpack_within if _native is None else _native.unpack_within
     found: tuple[FloatArray, IntArray] = unpack(*_to_arrays(arrangement, packed), low, high)
+    return found
+
+
+def unpack_cells(
+    arrangement: Arrangement,
+    packed: PackedPoints,
+    origin: FloatArray,
+    cell_size: float,
+    wanted: IntArray,
+    groups: NDArray[np.uint8],
+) -> tuple[FloatArray, FloatArray, NDArray[np.uint8]]:
+    """Return those of the points that were packed that lie in some cells; see `unpack_points`.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    packed : PackedPoints
+    origin, cell_size, wanted, groups
+        See `cells.take_cells`, whose results these are.
+    """
+    if _native is None:
+        points = unpack_points(arrangement, packed)
+        return kernels.take_cells(*points, origin, cell_size, wanted, groups)
+    found: tuple[FloatArray, FloatArray, NDArray[np.uint8]] = _native.unpack_cells(
+        *_to_arrays(arrangement, packed), origin, cell_size, wanted, groups
+    )
     return found
 
 

@@ -18,9 +18,10 @@ from hpccomponent.surface.arrangement import (
     Arrangement,
     PackedPoints,
     pack_points,
+    unpack_cells,
     unpack_points,
 )
-from hpccomponent.surface.disk_cloud import open_disk_cloud
+from hpccomponent.surface.disk_cloud import DiskCloud, open_disk_cloud
 from hpccomponent.surface.lattice import find_keys, pack_places, unique_keys, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 
@@ -143,8 +144,13 @@ def read_cells(
     group_of = np.empty(len(wanted), np.uint8)
     for number, group in enumerate(groups):
         group_of[find_keys(wanted, group)] = number
-    points = cloud.take_blocks(_find_blocks(cloud.arrangement, wanted, origin, size))
-    positions, normals, numbers = kernels.take_cells(*points, origin, size, wanted, group_of)
+    blocks = _find_blocks(cloud.arrangement, wanted, origin, size)
+    if isinstance(cloud, DiskCloud):
+        packed = cloud.take_packed(blocks)
+        found = unpack_cells(cloud.arrangement, packed, origin, size, wanted, group_of)
+    else:
+        found = kernels.take_cells(*cloud.take_blocks(blocks), origin, size, wanted, group_of)
+    positions, normals, numbers = found
     return TilePoints(PointCloud(positions, normals), numbers)
 
 

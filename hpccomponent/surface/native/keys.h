@@ -57,6 +57,36 @@ class Finger {
   int64_t at_ = 0;
 };
 
+// Finds the rows of sorted keys, in any order.
+class KeyRows {
+ public:
+  KeyRows(const int64_t* keys, int64_t count) : keys_(keys), none_(static_cast<uint32_t>(count)) {
+    size_t size = 64;
+    while (size < 2 * static_cast<size_t>(count)) size *= 2;
+    slots_.assign(size, none_);
+    for (uint32_t row = 0; row < none_; ++row) {
+      size_t at = slot(keys[row]);
+      while (slots_[at] != none_) at = (at + 1) & (slots_.size() - 1);
+      slots_[at] = row;
+    }
+  }
+
+  uint32_t find(int64_t key) const {
+    size_t at = slot(key);
+    while (slots_[at] != none_ && keys_[slots_[at]] != key) at = (at + 1) & (slots_.size() - 1);
+    return slots_[at];
+  }
+
+ private:
+  size_t slot(int64_t key) const {
+    return (static_cast<uint64_t>(key) * 0x9E3779B97F4A7C15u >> 20) & (slots_.size() - 1);
+  }
+
+  const int64_t* keys_;
+  uint32_t none_;
+  std::vector<uint32_t> slots_;
+};
+
 // Packs places within a box into as few bits as they need, in the order of their keys.
 class Span {
  public:

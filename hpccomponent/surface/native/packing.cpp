@@ -119,12 +119,53 @@ nb::tuple unpack_within(Input records_of, Input counts_of, Input corners_of, dou
   return nb::make_tuple(give(std::move(positions), {count, 3}), give(std::move(rows), {count}));
 }
 
+nb::tuple unpack_cells(Input records_of, Input counts_of, Input corners_of, double edge, Input origin_of, double size,
+                       Input cells_of, Input groups_of) {
+  const Packed packed(records_of, counts_of, corners_of, edge);
+  const double* origin = check<double>(origin_of, "origin", {3});
+  check_positive(size, "cell_size");
+  const int64_t* cells = check_keys(cells_of, "cells");
+  const int64_t known = rows_of(cells_of);
+  const uint8_t* groups = check<uint8_t>(groups_of, "groups", {known});
+  auto positions = make_buffer<double>(3 * packed.points), normals = make_buffer<double>(3 * packed.points);
+  auto numbers = make_buffer<uint8_t>(packed.points);
+  int64_t found = 0;
+  {
+    nb::gil_scoped_release unlocked;
+    const KeyRows table(cells, known);
+    int64_t most = 0;
+    for (int64_t block = 0; block < packed.blocks; ++block) most = std::max(most, packed.counts[block]);
+    auto rows = make_buffer<uint32_t>(most);
+    for (int64_t block = 0, at = 0; block < packed.blocks; at += packed.counts[block++]) {
+      // Unpacked to where they stay if they are wanted, and then moved together.
+      double *position = positions.get() + 3 * found, *normal = normals.get() + 3 * found;
+      const int64_t count = packed.counts[block];
+      unpack_block(packed.records + RECORD * at, count, packed.corners + 3 * block, edge, position, normal);
+      find_rows(position, count, origin, size, table, rows.get());
+      int64_t kept = 0;
+      for (int64_t i = 0; i < count; ++i) {
+        if (rows[i] >= known) continue;
+        if (kept < i) {
+          std::copy_n(position + 3 * i, 3, position + 3 * kept);
+          std::copy_n(normal + 3 * i, 3, normal + 3 * kept);
+        }
+        numbers[found + kept++] = groups[rows[i]];
+      }
+      found += kept;
+    }
+  }
+  const size_t count = static_cast<size_t>(found);
+  return nb::make_tuple(give(std::move(positions), {count, 3}), give(std::move(normals), {count, 3}),
+                        give(std::move(numbers), {count}));
+}
+
 }  // namespace
 
 void bind_packing(nb::module_& module) {
   module.def("pack_records", &pack_records);
   module.def("unpack_records", &unpack_records);
   module.def("unpack_within", &unpack_within);
+  module.def("unpack_cells", &unpack_cells);
 }
 
 }  // namespace hpc

@@ -201,36 +201,6 @@ nb::tuple sort_points(Input positions, Input origin_of, double size) {
                         give(std::move(rows), {static_cast<size_t>(count)}));
 }
 
-// Finds the rows of sorted keys, in any order.
-class KeyRows {
- public:
-  KeyRows(const int64_t* keys, int64_t count) : keys_(keys), none_(static_cast<uint32_t>(count)) {
-    size_t size = 64;
-    while (size < 2 * static_cast<size_t>(count)) size *= 2;
-    slots_.assign(size, none_);
-    for (uint32_t row = 0; row < none_; ++row) {
-      size_t at = slot(keys[row]);
-      while (slots_[at] != none_) at = (at + 1) & (slots_.size() - 1);
-      slots_[at] = row;
-    }
-  }
-
-  uint32_t find(int64_t key) const {
-    size_t at = slot(key);
-    while (slots_[at] != none_ && keys_[slots_[at]] != key) at = (at + 1) & (slots_.size() - 1);
-    return slots_[at];
-  }
-
- private:
-  size_t slot(int64_t key) const {
-    return (static_cast<uint64_t>(key) * 0x9E3779B97F4A7C15u >> 20) & (slots_.size() - 1);
-  }
-
-  const int64_t* keys_;
-  uint32_t none_;
-  std::vector<uint32_t> slots_;
-};
-
 nb::tuple take_cells(Input positions, Input normals, Input origin_of, double size, Input cells_of, Input groups_of) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const int64_t count = rows_of(positions);
@@ -247,11 +217,8 @@ nb::tuple take_cells(Input positions, Input normals, Input origin_of, double siz
   int64_t held = 0;
   {
     nb::gil_scoped_release unlocked;
-    const KeyRows table(cells, known);
-    visit_places(point, count, origin, size, [&](int64_t i, const Place& place) {
-      rows[i] = table.find(pack(place));
-      held += rows[i] < known;
-    });
+    find_rows(point, count, origin, size, KeyRows(cells, known), rows.get());
+    for (int64_t i = 0; i < count; ++i) held += rows[i] < known;
     for (auto& some : taken) some = make_buffer<double>(3 * held);
     numbers = make_buffer<uint8_t>(held);
     int64_t at = 0;
@@ -339,6 +306,11 @@ Output<int64_t> seed_bricks(Input positions, Input origin_of, double edge, Input
 }
 
 }  // namespace
+
+void find_rows(const double* points, int64_t count, const double* origin, double size, const KeyRows& table,
+               uint32_t* rows) {
+  visit_places(points, count, origin, size, [&](int64_t i, const Place& place) { rows[i] = table.find(pack(place)); });
+}
 
 const int64_t* check_sides(const Input& bricks) {
   const int64_t* sides = check<int64_t>(bricks, "bricks", {3});

@@ -116,6 +116,14 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
         native.unpack_within(*places, *box), arrangement.unpack_within(*places, *box), strict=True
     ):
         np.testing.assert_array_equal(found, wanted)
+    some = keys[::2].copy(), (keys[::2] % 3).astype(np.uint8)
+    unpacked = arrangement.unpack_records(*places)
+    for found, wanted in zip(
+        native.unpack_cells(*places, origin + 0.3 * size, size, *some),
+        cells.take_cells(*unpacked, origin + 0.3 * size, size, *some),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(found, wanted)
     np.testing.assert_array_equal(native.bound_points(positions), spacing.bound_points(positions))
     for one_in in (1, 3):
         counted = native.count_boxes(positions, origin, size, one_in)

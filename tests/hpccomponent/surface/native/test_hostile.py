@@ -23,6 +23,7 @@ KERNELS = (
     "bound_points", "sample_boxes", "integrate_normals", "sample_corners",
     "find_seams", "sum_bricks", "accumulate_weighted", "rate_points",
     "pack_records", "unpack_records", "unpack_within", "take_cells", "mark_ancestors", "look_near",
+    "unpack_cells",
 )  # fmt: skip
 
 numbers = st.one_of(
@@ -81,6 +82,17 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
         ("unpack_within", records, np.array([rows]), np.zeros((1, 3)), 0.1, *np.ones((2, 3))),
         ("take_cells", points, points, np.zeros(3), 0.1, keys, np.ones(len(keys), np.uint8)),
         ("mark_ancestors", keys, 3, keys),
+        (
+            "unpack_cells",
+            records,
+            np.array([rows]),
+            np.ones((1, 3)),
+            0.1,
+            np.ones(3),
+            0.1,
+            keys,
+            np.ones(len(keys), np.uint8),
+        ),
         ("look_near", keys, np.ones(3), 0.1, means.astype(np.uint8)[None], np.ones(3), 1.0, 0.5, 2),
         (
             "gather_points",
