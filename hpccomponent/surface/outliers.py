@@ -7,10 +7,13 @@ what follows from them is decided in integers here, so that both builds drop the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.surface.build import load_native
+from hpccomponent.surface.connectivity import label_components
 from hpccomponent.surface.lattice import (
     cells_of,
     find_keys,
@@ -33,11 +36,14 @@ __all__ = [
     "find_outliers",
     "find_outlying_cells",
     "find_strays",
+    "label_cells",
     "rank_cells",
     "sum_neighbours",
 ]
 
 BoolArray = NDArray[np.bool_]
+
+_native: Any = load_native()
 
 NEIGHBOURS: IntArray = np.array(
     [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int64
@@ -348,10 +354,12 @@ def find_islands(levels: list[Level]) -> BoolArray:
     ndarray of bool, shape (c,)
         Of the first level's cells.
     """
+    label_of = label_cells if _native is None else _native.label_cells
     total = int(levels[0].counts.sum())
     for number in range(len(levels)):
         level = levels[number]
-        pieces, label = _label_cells(level.keys)
+        pieces, numbers = label_of(level.keys)
+        label: IntArray = numbers.astype(np.int64)
         points = _sum_rows(label, level.counts, pieces)
         small = points < _ISLAND_SHARE * total
         if points[small].sum() <= _ISLANDS_SHARE * total:
@@ -368,17 +376,26 @@ def find_islands(levels: list[Level]) -> BoolArray:
     return found
 
 
-def _label_cells(keys: IntArray) -> tuple[int, IntArray]:
-    """Number the pieces of cells that touch, by faces, edges or corners."""
-    from hpccomponent.surface import kernels
+def label_cells(keys: IntArray) -> tuple[int, NDArray[np.int32]]:
+    """Number the pieces of cells that touch, by faces, edges or corners.
 
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (c,)
+        Sorted, unique.
+
+    Returns
+    -------
+    pieces : int
+    label : ndarray of int32, shape (c,)
+        The piece of each cell, numbered in the order of their first cells.
+    """
     links = [np.zeros((0, 3), np.int64)]
     for step in NEIGHBOURS[len(NEIGHBOURS) // 2 + 1 :]:
-        other = kernels.find_keys(keys, step_keys(keys, step))
+        other = find_keys(keys, step_keys(keys, step))
         own = np.flatnonzero(other < len(keys))
         links.append(np.stack([own, other[own], other[own]], axis=1))
-    pieces, label = kernels.label_components(np.concatenate(links), len(keys))
-    return pieces, label.astype(np.int64)
+    return label_components(np.concatenate(links), len(keys))
 
 
 def _measure_extents(keys: IntArray, label: IntArray, pieces: int) -> IntArray:

@@ -1,8 +1,9 @@
-// Sets of places: all within a box around each, all parents, and which lie near something.
+// Sets of places: all within a box around each, all parents, which lie near something, which touch.
 #include <cmath>
 
 #include "families.h"
 #include "keys.h"
+#include "sets.h"
 #include "threads.h"
 
 namespace hpc {
@@ -223,6 +224,29 @@ Output<int64_t> unite_keys(Input first_of, Input second_of) {
   return give(std::move(both), {size});
 }
 
+nb::tuple label_cells(Input cells_of) {
+  const int64_t* cells = check_keys(cells_of, "cells");
+  const int64_t count = rows_of(cells_of);
+  auto label = make_buffer<int32_t>(count);
+  int32_t pieces = 0;
+  {
+    nb::gil_scoped_release unlocked;
+    Sets sets(count);
+    const auto join = [&](int64_t step) {
+      Finger finger(cells, count);
+      for (int64_t i = 0; i < count; ++i) {
+        const int64_t row = finger.find(cells[i] + step);
+        if (row >= 0) sets.join(static_cast<int32_t>(i), static_cast<int32_t>(row));
+      }
+    };
+    for (int64_t x = 0; x <= 1; ++x)
+      for (int64_t y = -x; y <= 1; ++y)
+        for (int64_t z = x || y ? -1 : 1; z <= 1; ++z) join(x * STRIDES[0] + y * STRIDES[1] + z * STRIDES[2]);
+    pieces = sets.number(label.get());
+  }
+  return nb::make_tuple(pieces, give(std::move(label), {static_cast<size_t>(count)}));
+}
+
 }  // namespace
 
 void bind_lattice(nb::module_& module) {
@@ -232,6 +256,7 @@ void bind_lattice(nb::module_& module) {
   module.def("unite_keys", &unite_keys);
   module.def("mark_ancestors", &mark_ancestors);
   module.def("look_near", &look_near);
+  module.def("label_cells", &label_cells);
 }
 
 }  // namespace hpc

@@ -23,6 +23,7 @@ from hpccomponent.surface import (
     hermite,
     lattice,
     moments,
+    outliers,
     reach,
     robust,
     spacing,
@@ -56,6 +57,16 @@ def test_sets_of_places(native: ModuleType, places: Any, low: int, width: int) -
         expected = lattice.find_keys(keys, wanted)
         for threads in (1, 3):
             np.testing.assert_array_equal(native.find_keys(keys, wanted, threads), expected)
+
+
+@given(coordinates)
+@settings(deadline=None, max_examples=60)
+def test_cells_that_touch(native: ModuleType, places: Any) -> None:
+    keys = lattice.unique_keys(lattice.pack_places(places // 4))
+    pieces, label = native.label_cells(keys)
+    wanted_pieces, wanted = outliers.label_cells(keys)
+    assert pieces == wanted_pieces
+    np.testing.assert_array_equal(label, wanted)
 
 
 @given(coordinates, st.integers(0, 4))

@@ -23,7 +23,7 @@ KERNELS = (
     "bound_points", "sample_boxes", "integrate_normals", "sample_corners",
     "find_seams", "sum_bricks", "accumulate_weighted", "rate_points",
     "pack_records", "unpack_records", "unpack_within", "take_cells", "mark_ancestors", "look_near",
-    "unpack_cells",
+    "unpack_cells", "label_cells",
 )  # fmt: skip
 
 numbers = st.one_of(
