@@ -52,7 +52,7 @@ def test_the_halo_is_that_of_squares() -> None:
 
 def test_what_is_scarce_holds_the_job_up() -> None:
     few = forecast.forecast(RATES, 1e9, GRID, 8, 1, 1e6)
-    assert (few.bottleneck, few.tiles) == ("workers", 667)
+    assert (few.bottleneck, few.tiles) == ("workers", 400)
     assert few.worker_s > 1e9 * RATES.point / 8
     assert forecast.forecast(RATES, 1e9, GRID, 8, 1, 10).bottleneck == "folder"
     many = forecast.forecast(RATES, 1e8, GRID, 512, 16, 1e6)
