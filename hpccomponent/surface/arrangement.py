@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from hpccomponent.errors import InputError
 from hpccomponent.surface import kernels
 from hpccomponent.surface.build import load_native
+from hpccomponent.surface.cells import take_cells
 from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray
 
@@ -266,7 +267,7 @@ def unpack_cells(
     """
     if _native is None:
         points = unpack_points(arrangement, packed)
-        return kernels.take_cells(*points, origin, cell_size, wanted, groups)
+        return take_cells(*points, origin, cell_size, wanted, groups)
     found: tuple[FloatArray, FloatArray, NDArray[np.uint8]] = _native.unpack_cells(
         *_to_arrays(arrangement, packed), origin, cell_size, wanted, groups
     )

@@ -51,7 +51,6 @@ __all__ = [
     "sum_bricks",
     "sum_neighbours",
     "survey_mesh",
-    "take_cells",
     "unite_keys",
 ]
 
@@ -117,24 +116,6 @@ def sort_points(
     result: tuple[IntArray, IntArray, NDArray[np.uint32]] = _native.sort_points(
         _floats(positions), _floats(origin), cell_size
     )
-    return result
-
-
-def take_cells(
-    positions: FloatArray,
-    normals: FloatArray,
-    origin: FloatArray,
-    cell_size: float,
-    wanted: IntArray,
-    groups: ByteArray,
-) -> tuple[FloatArray, FloatArray, ByteArray]:
-    """Return the points in some cells, and the group of each; see `cells.take_cells`."""
-    points = (_floats(positions), _floats(normals), _floats(origin), cell_size)
-    if _native is None:
-        from hpccomponent.surface import cells
-
-        return cells.take_cells(*points, wanted, groups)
-    result: tuple[FloatArray, FloatArray, ByteArray] = _native.take_cells(*points, wanted, groups)
     return result
 
 

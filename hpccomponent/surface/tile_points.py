@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface import kernels
 from hpccomponent.surface.arranged_cloud import ArrangedCloud
 from hpccomponent.surface.arrangement import (
     Arrangement,
@@ -21,6 +20,8 @@ from hpccomponent.surface.arrangement import (
     unpack_cells,
     unpack_points,
 )
+from hpccomponent.surface.build import load_native
+from hpccomponent.surface.cells import take_cells
 from hpccomponent.surface.disk_cloud import DiskCloud, open_disk_cloud
 from hpccomponent.surface.lattice import find_keys, pack_places, unique_keys, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
@@ -28,6 +29,8 @@ from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 __all__ = ["CellPoints", "TilePoints", "estimate_work", "pack_cloud", "read_cells", "take_points"]
 
 _BYTES_PER_POINT = 24.0
+
+_native: Any = load_native()
 
 CellPoints = tuple[Any, ...]
 """Points in some groups of coarse cells, as a task is given them: ``("sent", packed, ...)`` with
@@ -149,7 +152,8 @@ def read_cells(
         packed = cloud.take_packed(blocks)
         found = unpack_cells(cloud.arrangement, packed, origin, size, wanted, group_of)
     else:
-        found = kernels.take_cells(*cloud.take_blocks(blocks), origin, size, wanted, group_of)
+        take: Any = take_cells if _native is None else _native.take_cells
+        found = take(*cloud.take_blocks(blocks), origin, size, wanted, group_of)
     positions, normals, numbers = found
     return TilePoints(PointCloud(positions, normals), numbers)
 
