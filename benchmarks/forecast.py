@@ -23,10 +23,9 @@ from typing import Any
 import numpy as np
 from scipy.optimize import nnls
 
+from hpcapp.applications.surface.hierarchical import LARGE_TILE, TILE_POINTS, TILES_EACH
+
 MACHINES = (8, 64, 512)
-TILES_PER_WORKER = 2  # where they still have so many points; one a worker at least
-LARGE_TILE = 1_000_000
-TILE_POINTS = 2_500_000  # and no more than that in one
 HALO_STEPS = 24.0  # of the grid, around a tile, and so many coarse cells:
 HALO_CELLS = 2.0
 COARSE_CELLS = 128.0  # along the longest side, about, whatever the grid
@@ -171,7 +170,7 @@ def forecast(
         What the shared folder gives to all machines together, in 10^6 bytes a second.
     """
     workers = machines * cores
-    each = max(1, min(TILES_PER_WORKER, points // (workers * LARGE_TILE)))
+    each = max(1, min(TILES_EACH, points // (workers * LARGE_TILE)))
     tiles = int(workers * max(each, np.ceil(points / TILE_POINTS / workers)))
     share = rates.halo_share(tiles, grid)
     work = points * (rates.point + share * rates.halo_point)

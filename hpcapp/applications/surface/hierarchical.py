@@ -34,7 +34,15 @@ from hpccomponent.surface.pyramid import build_pyramid, count_levels, fit_levels
 from hpccomponent.surface.reach import plan_whole
 from hpccomponent.surface.region import KEPT_TILES, Plan, find_trust, sample_cells, sum_tile
 
-__all__ = ["MARGIN", "TILE_POINTS", "HierarchicalMethod", "HierarchicalPartition", "plan_grid"]
+__all__ = [
+    "LARGE_TILE",
+    "MARGIN",
+    "TILES_EACH",
+    "TILE_POINTS",
+    "HierarchicalMethod",
+    "HierarchicalPartition",
+    "plan_grid",
+]
 
 MARGIN = 4
 """Cells of the grid that stay free on each side of the cloud."""
@@ -43,9 +51,10 @@ _LEAST_GRID = 16
 _ROBUST_LEVELS = 2  # whose fits ask the points themselves, where these are weighed
 TILE_POINTS = 2_500_000
 """Of a tile where nothing else asks for smaller ones: what it takes stays below a gigabyte."""
-# Smaller tiles cost more for their halos than is gained by handing them to whoever is free.
-_LARGE_TILE = 1_000_000
-_TILES_EACH = 2
+LARGE_TILE = 1_000_000
+"""Points: smaller tiles cost more for their halos than is gained by handing them out freely."""
+TILES_EACH = 2
+"""Of a worker, where they are as large as that; one at least."""
 
 
 @dataclass(slots=True, eq=False)
@@ -228,7 +237,7 @@ class HierarchicalMethod:
         if workforce.in_process:
             return needed
         workers = workforce.workers
-        each = min(_TILES_EACH, workforce.batches_per_worker, len(cloud) // (workers * _LARGE_TILE))
+        each = min(TILES_EACH, workforce.batches_per_worker, len(cloud) // (workers * LARGE_TILE))
         return workers * max(1, each, -(-needed // workers))  # all of them, equally often
 
     def _mesh_whole(self, partition: HierarchicalPartition) -> MeshPart:

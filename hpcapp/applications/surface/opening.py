@@ -45,7 +45,7 @@ log = logging.getLogger("hpcapp")
 Opened = tuple[Backend, Choice]
 
 START_UNITS = 450.0
-"""Until workers of this machine are there, if each has a core: half a second or more."""
+"""Until workers of this machine are there, if each has a core: a second or more."""
 CLUSTER_S = 0.5
 """Until those of a cluster have loaded what they need; that they connect is hidden by reading."""
 PATIENCE = 0.05
