@@ -18,17 +18,17 @@ from hpccomponent.surface import kernels
 from hpccomponent.surface.bricks import BESIDE, FOREIGN, OPEN, OUT, OWN, BrickKinds
 from hpccomponent.surface.build import load_native
 from hpccomponent.surface.field import BRICK, Grid
-from hpccomponent.surface.lattice import step_keys, unpack_keys
+from hpccomponent.surface.lattice import find_keys, step_keys, unique_keys, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = [
     "HALO_STEPS",
     "look_near",
+    "mark_near",
     "near_bricks",
     "plan_gap",
     "plan_tile",
     "plan_whole",
-    "surround",
 ]
 
 BoolArray = NDArray[np.bool_]
@@ -39,29 +39,34 @@ HALO_STEPS = 3 * BRICK
 """Grid steps from a point of a tile to the farthest node that its bricks and their rim have."""
 
 
-_AT_ONCE = 8
-
-
-def surround(cells: IntArray, low: IntArray | int, high: IntArray | int) -> IntArray:
-    """Return all cells in boxes around some; sorted keys.
+def mark_near(
+    keys: IntArray, cells: IntArray, low: IntArray | int, high: IntArray | int
+) -> BoolArray:
+    """Tell which of some keys lie in boxes around some cells.
 
     Parameters
     ----------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys.
+    keys, cells : ndarray of int64, shapes (k,) and (c,)
+        Sorted keys of one lattice.
     low, high : ndarray of int64, shape (3,), or int
         How many cells a box reaches down and up along each axis.
+
+    Returns
+    -------
+    ndarray of bool, shape (k,)
     """
-    low, high = np.broadcast_to(low, 3), np.broadcast_to(high, 3)
-    wide = int(min(low.min(), high.min()))
-    for start in range(0, wide, _AT_ONCE):
-        step = min(wide - start, _AT_ONCE)
-        cells = kernels.spread_keys(cells, -step, step)
+    mark = _mark_near if _native is None else _native.mark_near
+    sides = (np.ascontiguousarray(np.broadcast_to(side, 3), np.int64) for side in (low, high))
+    near: BoolArray = mark(np.ascontiguousarray(keys), np.ascontiguousarray(cells), *sides)
+    return near
+
+
+def _mark_near(keys: IntArray, cells: IntArray, low: IntArray, high: IntArray) -> BoolArray:
     for axis, unit in enumerate(np.eye(3, dtype=np.int64)):
-        for toward, count in ((-unit, low[axis] - wide), (unit, high[axis] - wide)):
-            for _ in range(count):
-                cells = kernels.unite_keys(cells, step_keys(cells, toward))
-    return cells
+        steps = [step_keys(cells, unit * step) for step in range(-low[axis], high[axis] + 1)]
+        cells = unique_keys(np.concatenate(steps))
+    near: BoolArray = find_keys(cells, keys) < len(cells)
+    return near
 
 
 def plan_whole(grid: Grid, positions: FloatArray) -> BrickKinds:

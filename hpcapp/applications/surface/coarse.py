@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from hpccomponent.surface import kernels
 from hpccomponent.surface.cell_points import CellMoments
 from hpccomponent.surface.far_field import FarField, crop_far_field, far_step, solve_far_field
 from hpccomponent.surface.field import BRICK, FieldLevel, Grid
@@ -21,7 +20,7 @@ from hpccomponent.surface.pyramid import (
     lay_vertices,
     raise_levels,
 )
-from hpccomponent.surface.reach import HALO_STEPS, surround
+from hpccomponent.surface.reach import HALO_STEPS, mark_near
 from hpccomponent.surface.region import CoarseLevels, Plan, find_trust, sample_cells
 
 __all__ = ["Coarse", "far_level", "fit_coarse", "solve_far"]
@@ -137,8 +136,8 @@ def fit_coarse(plan: Plan, sums: list[tuple[Any, ...]], threads: int) -> Coarse:
     Coarse
     """
     cells, order = _sort([part[0] for part in sums])
-    moments = np.concatenate([part[1] for part in sums])[order]
-    squares = np.concatenate([part[2] for part in sums])[order]
+    moments = _merge([part[1] for part in sums], order)
+    squares = _merge([part[2] for part in sums], order)
     vertices = unique_keys(np.concatenate([part[3] for part in sums]))
     height = plan.height - plan.coarse
     levels = raise_levels(Level(cells, CellMoments(moments), squares), height, threads)
@@ -158,7 +157,7 @@ def _sample_far(
     if plan.far > plan.coarse:
         return sample_cells(levels[plan.far - plan.coarse])
     cells, order = _sort([part[4] for part in sums])
-    return cells, np.concatenate([part[5] for part in sums])[order]
+    return cells, _merge([part[5] for part in sums], order)
 
 
 def _sort(parts: list[IntArray]) -> tuple[IntArray, IntArray]:
@@ -168,10 +167,21 @@ def _sort(parts: list[IntArray]) -> tuple[IntArray, IntArray]:
     return keys[order], order
 
 
+def _merge(parts: list[FloatArray], order: IntArray) -> FloatArray:
+    """Return the rows of all parts in an order, each copied once."""
+    merged = np.empty((len(order), *parts[0].shape[1:]), parts[0].dtype)
+    rows = np.empty_like(order)
+    rows[order] = np.arange(len(order))
+    start = 0
+    for part in parts:
+        merged[rows[start : start + len(part)]] = part
+        start += len(part)
+    return merged
+
+
 def _find_around(keys: IntArray, cells: IntArray, wide: int) -> IntArray:
     """Return the rows of the corners that lie within so many cells of some cells."""
-    reached = kernels.spread_keys(surround(cells, wide, wide), 0, 1)
-    found: IntArray = np.flatnonzero(kernels.find_keys(reached, keys) < len(reached))
+    found: IntArray = np.flatnonzero(mark_near(keys, cells, wide, wide + 1))
     return found
 
 

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface.passes import Passes
 from hpcapp.batches import Workforce
-from hpccomponent.surface import kernels
 from hpccomponent.surface.arranged_cloud import ArrangedCloud
 from hpccomponent.surface.block_tasks import count_cells, merge_cells
 from hpccomponent.surface.disk_cloud import DiskCloud
 from hpccomponent.surface.field import BRICK
 from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.points import IntArray
-from hpccomponent.surface.reach import surround
+from hpccomponent.surface.reach import mark_near
 from hpccomponent.surface.region import Plan
 from hpccomponent.surface.tile_points import CellPoints, pack_cloud, read_cells
 
@@ -67,6 +66,9 @@ class Tiling:
         self._cloud = cloud
         self._plan = plan
         self._tile_of = cut_tiles(self.cells, self._counts, count)
+        order = np.argsort(self._tile_of, kind="stable")
+        ends = np.cumsum(np.bincount(self._tile_of))
+        self._own: list[IntArray] = np.split(self.cells[order], ends[:-1])
         self._share = workforce.share
         self._are_read = are_read
         self._shared: dict[int, Any] = {}
@@ -77,12 +79,11 @@ class Tiling:
         self.tickets = [secrets.token_hex(8) if is_kept else None for _ in range(len(self))]
 
     def __len__(self) -> int:
-        return int(self._tile_of.max()) + 1
+        return len(self._own)
 
     def own(self, index: int) -> IntArray:
         """Return the coarse cells of a tile."""
-        own: IntArray = self.cells[self._tile_of == index]
-        return own
+        return self._own[index]
 
     def core(self, index: int) -> CellPoints:
         """Return the points of a tile, as `sum_tile` is given them."""
@@ -114,9 +115,7 @@ class Tiling:
 
     def near(self, cells: IntArray) -> NDArray[np.bool_]:
         """Tell which coarse cells with points lie around some cells, near enough to matter."""
-        reached = surround(cells, *halo_cells(self._plan, cells))
-        found: NDArray[np.bool_] = np.less(kernels.find_keys(reached, self.cells), len(reached))
-        return found
+        return mark_near(self.cells, cells, *halo_cells(self._plan, cells))
 
     def _give(self, groups: list[IntArray], index: int | None) -> CellPoints:
         if self._are_read:

@@ -224,6 +224,77 @@ Output<int64_t> unite_keys(Input first_of, Input second_of) {
   return give(std::move(both), {size});
 }
 
+// Disjoint ranges of keys, in their order: what lies in boxes around cells is long rows.
+struct Ranges {
+  Buffer<int64_t> first, last;
+  int64_t count = 0;
+
+  explicit Ranges(int64_t most) : first(make_buffer<int64_t>(most)), last(make_buffer<int64_t>(most)) {}
+
+  // Add a range that begins no earlier than the one before.
+  void add(int64_t from, int64_t to) {
+    if (count && from <= last[count - 1] + 1) {
+      last[count - 1] = std::max(last[count - 1], to);
+      return;
+    }
+    first[count] = from;
+    last[count++] = to;
+  }
+};
+
+// Return the union of ranges and of the same ranges, each moved by a step.
+Ranges add_moved(const Ranges& ranges, int64_t step) {
+  Ranges both(2 * ranges.count);
+  for (int64_t i = 0, j = 0; j < ranges.count;) {
+    if (i < ranges.count && ranges.first[i] <= ranges.first[j] + step) {
+      both.add(ranges.first[i], ranges.last[i]);
+      ++i;
+    } else {
+      both.add(ranges.first[j] + step, ranges.last[j] + step);
+      ++j;
+    }
+  }
+  return both;
+}
+
+Output<bool> mark_near(Input keys_of, Input cells_of, Input low_of, Input high_of) {
+  const int64_t* keys = check_keys(keys_of, "keys");
+  const int64_t* cells = check_keys(cells_of, "cells");
+  const int64_t* low = check<int64_t>(low_of, "low", {3});
+  const int64_t* high = check<int64_t>(high_of, "high", {3});
+  const int64_t count = rows_of(cells_of), asked = rows_of(keys_of);
+  int64_t reach = 1;
+  for (int axis = 0; axis < 3; ++axis) {
+    if (low[axis] < 0 || low[axis] > 4096 || high[axis] < 0 || high[axis] > 4096)
+      refuse("low, high: expected 0 to 4096");
+    reach += high[axis] * STRIDES[axis];
+  }
+  if (count && cells[count - 1] > INT64_MAX - reach) refuse("cells: expected boxes that end within the lattice");
+  auto near = make_buffer<bool>(asked);
+  {
+    nb::gil_scoped_release unlocked;
+    Ranges ranges(count);
+    for (int64_t i = 0; i < count; ++i) ranges.add(cells[i] - low[2], cells[i] + high[2]);
+    for (int axis = 1; axis >= 0; --axis) {
+      for (int64_t i = 0; i < ranges.count; ++i) {
+        ranges.first[i] -= low[axis] * STRIDES[axis];
+        ranges.last[i] -= low[axis] * STRIDES[axis];
+      }
+      const int64_t places = low[axis] + high[axis] + 1;
+      for (int64_t width = 1; width < places;) {
+        const int64_t more = std::min(width, places - width);
+        ranges = add_moved(ranges, more * STRIDES[axis]);
+        width += more;
+      }
+    }
+    for (int64_t i = 0, at = 0; i < asked; ++i) {
+      while (at < ranges.count && ranges.last[at] < keys[i]) ++at;
+      near[i] = at < ranges.count && ranges.first[at] <= keys[i];
+    }
+  }
+  return give(std::move(near), {static_cast<size_t>(asked)});
+}
+
 nb::tuple label_cells(Input cells_of) {
   const int64_t* cells = check_keys(cells_of, "cells");
   const int64_t count = rows_of(cells_of);
@@ -256,6 +327,7 @@ void bind_lattice(nb::module_& module) {
   module.def("unite_keys", &unite_keys);
   module.def("mark_ancestors", &mark_ancestors);
   module.def("look_near", &look_near);
+  module.def("mark_near", &mark_near);
   module.def("label_cells", &label_cells);
 }
 

@@ -92,6 +92,22 @@ def test_looking_near(
     np.testing.assert_array_equal(native.look_near(*given), reach.look_near(*given))
 
 
+sides = st.lists(st.integers(0, 5), min_size=3, max_size=3).map(np.array)
+
+
+@given(coordinates, coordinates, sides, sides)
+@settings(deadline=None, max_examples=60)
+def test_boxes_around_cells(
+    native: ModuleType, places: Any, others: Any, low: Any, high: Any
+) -> None:
+    keys, cells = (lattice.unique_keys(lattice.pack_places(each // 2)) for each in (places, others))
+    found = native.mark_near(keys, cells, low, high)
+    np.testing.assert_array_equal(found, reach._mark_near(keys, cells, low, high))
+    off = lattice.unpack_keys(keys)[:, None] - lattice.unpack_keys(cells)
+    boxed = ((off >= -low) & (off <= high)).all(axis=2).any(axis=1)
+    np.testing.assert_array_equal(found, boxed)
+
+
 @given(st.integers(0, 2**32), st.integers(1, 300), st.floats(0.01, 10.0))
 @settings(deadline=None, max_examples=30)
 def test_sorting_points(native: ModuleType, seed: int, points: int, size: float) -> None:

@@ -23,7 +23,7 @@ KERNELS = (
     "bound_points", "sample_boxes", "integrate_normals", "sample_corners",
     "find_seams", "sum_bricks", "accumulate_weighted", "rate_points",
     "pack_records", "unpack_records", "unpack_within", "take_cells", "mark_ancestors", "look_near",
-    "unpack_cells", "label_cells",
+    "mark_near", "unpack_cells", "label_cells",
 )  # fmt: skip
 
 numbers = st.one_of(
@@ -82,6 +82,7 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
         ("unpack_within", records, np.array([rows]), np.zeros((1, 3)), 0.1, *np.ones((2, 3))),
         ("take_cells", points, points, np.zeros(3), 0.1, keys, np.ones(len(keys), np.uint8)),
         ("mark_ancestors", keys, 3, keys),
+        ("mark_near", keys, keys, *random.integers(-1, draw(st.sampled_from([9, 130])), (2, 3))),
         (
             "unpack_cells",
             records,
