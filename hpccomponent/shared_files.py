@@ -1,13 +1,16 @@
-"""Whether two processes see the same files: a file is known by its path and its length.
+"""Files that several processes use: whether they see the same ones, and how one is written.
 
-Who may import it: tasks, and the master that asks them.
+Who may import it: tasks, the master that asks them, and the store of a folder.
 """
 
 from __future__ import annotations
 
 import os
+import secrets
+from collections.abc import Iterable
+from pathlib import Path
 
-__all__ = ["sees_files"]
+__all__ = ["sees_files", "write_whole"]
 
 
 def sees_files(*files: tuple[str, int]) -> bool:
@@ -32,3 +35,29 @@ def sees_files(*files: tuple[str, int]) -> bool:
         return all(os.stat(path).st_size == length for path, length in files)
     except OSError:
         return False
+
+
+def write_whole(path: Path, buffers: Iterable[bytes | bytearray | memoryview]) -> None:
+    """Write a file that is there when all of it is, and never in part.
+
+    Others may read it meanwhile: a task may run twice, and who is late writes the same again.
+
+    Parameters
+    ----------
+    path : Path
+        What has been there is replaced.
+    buffers : iterable of bytes-like
+        The contents, one after the other.
+
+    Raises
+    ------
+    OSError
+        It cannot be written; nothing is left behind.
+    """
+    beside = path.with_name(f".{secrets.token_hex(8)}.tmp")
+    try:
+        with beside.open("xb") as file:
+            file.writelines(buffers)
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)

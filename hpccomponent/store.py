@@ -13,7 +13,6 @@ from __future__ import annotations
 import mmap
 import os
 import re
-import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from hpccomponent.errors import CloudError, JobError, OutputError, UsageError
+from hpccomponent.shared_files import write_whole
 from hpccomponent.stored_value import DamagedError, from_bytes, to_buffers
 
 __all__ = ["FolderStore", "Store", "check_name", "hold_store", "open_store"]
@@ -158,16 +158,10 @@ class FolderStore:
         """See `Store.put`; a value appears when all of it is written."""
         check_name(name)
         path = self._folder / name
-        beside = path.with_name(f".{secrets.token_hex(8)}.tmp")
         buffers = to_buffers(value)
         with self._translated(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                with beside.open("xb") as file:
-                    file.writelines(buffers)
-                os.replace(beside, path)
-            finally:
-                beside.unlink(missing_ok=True)
+            write_whole(path, buffers)
 
     def get(self, name: str) -> Any:
         """See `Store.get`; arrays stay in the mapped file until they are used.

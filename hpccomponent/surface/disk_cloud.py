@@ -27,6 +27,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from hpccomponent.errors import JobError, OutputError
+from hpccomponent.shared_files import write_whole
 from hpccomponent.surface.arranged_cloud import Points, cut_blocks, find_runs
 from hpccomponent.surface.arrangement import (
     Arrangement,
@@ -255,8 +256,8 @@ def write_part(folder: Path, number: int, packed: PackedPoints) -> None:
         The disk is full, or the folder cannot be written.
     """
     records = packed.to_records()
-    with _translated(folder), (folder / f"points.{number}").open("wb") as file:
-        file.write(records.data)
+    with _translated(folder):
+        write_whole(folder / f"points.{number}", [records.data])
 
 
 def write_index(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import logging
+import secrets
 import shutil
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -135,7 +136,8 @@ def load_folder(settings: Settings, folder: Path, passes: Passes, clock: StageCl
         cloud = open_disk_cloud(folder / told["cloud"])
         return Loaded(cloud, Dropped(**told["dropped"]), Cleaned(**told["cleaned"]))
     shutil.rmtree(folder, ignore_errors=True)
-    arranged, cleaned_folder = folder / "arranged", folder / "cleaned"
+    run = secrets.token_hex(4)  # a worker that is late must not write into a later run's points
+    arranged, cleaned_folder = folder / f"arranged-{run}", folder / f"cleaned-{run}"
     arranged.mkdir(parents=True)
     with clock.stage("read"):
         read = ingest_file(open_points(settings.points), arranged, passes, drop_far=settings.clean)
@@ -144,14 +146,14 @@ def load_folder(settings: Settings, folder: Path, passes: Passes, clock: StageCl
         cleaned_folder.mkdir()
         with clock.stage("clean"):
             cloud, cleaned = clean_regions(cloud, cleaned_folder, passes, read.boxes)
-        shutil.rmtree(arranged)
+        shutil.rmtree(arranged, ignore_errors=True)  # one may write there still
     else:
         box = len(cloud), cloud.low, cloud.high
         spacing = measure_spacing(cloud, passes, box, (), read.boxes)
         cloud = measure_cloud(cloud, passes, spacing)
     loaded = Loaded(cloud, read.dropped, replace(cleaned, outliers=read.far + cleaned.outliers))
     told = {
-        "cloud": "cleaned" if settings.clean else "arranged",
+        "cloud": cloud.folder.name,
         "dropped": asdict(loaded.dropped),
         "cleaned": asdict(loaded.cleaned),
     }

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+import contextlib
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,14 @@ import pytest
 
 from hpcapp.applications.surface import folder
 from hpcapp.applications.surface.folder import may_pay_in_folder, plan_passes
+from hpcapp.applications.surface.loading import load_folder
+from hpcapp.applications.surface.passes import Passes
 from hpcapp.applications.surface.settings import Settings
 from hpcapp.backends import Backend
 from hpcapp.batches import Workforce
 from hpcapp.io import write_points
+from hpcapp.progress import SilentProgress, StageClock
+from hpccomponent.surface.disk_cloud import DiskCloud
 from hpccomponent.surface.points import PointCloud
 
 
@@ -74,3 +79,30 @@ def test_workers_elsewhere_are_asked_what_they_see(
         passes = plan_passes(scan, tmp_path / "job" / "points", backend, 1_000)
     assert (passes.workers_see, passes.workers_see_input) == seen
     assert list((tmp_path / "job").iterdir()) == []
+
+
+class RunsTwice(ThreadPoolExecutor):
+    """Runs every task again after its result is there, as for a worker that lags."""
+
+    def submit(self, task: Any, /, *args: Any, **options: Any) -> Future[Any]:
+        first = super().submit(task, *args, **options)
+        with contextlib.suppress(RuntimeError):  # it is shut down while the last ones come
+            first.add_done_callback(lambda _: super(RunsTwice, self).submit(task, *args, **options))
+        return first
+
+
+@pytest.mark.parametrize("round_", range(5))
+def test_a_task_that_runs_again_late_changes_nothing(
+    scan: Path, tmp_path: Path, round_: int
+) -> None:
+    settings = Settings(scan, "mesh.ply")
+    clouds = []
+    for name, kind in (("once", ThreadPoolExecutor), ("twice", RunsTwice)):
+        with kind(2) as executor:
+            passes = Passes(Workforce(executor, 2, 4), True, 100)
+            loaded = load_folder(settings, tmp_path / name, passes, StageClock(SilentProgress()))
+            assert isinstance(loaded.cloud, DiskCloud)
+            clouds.append(list(loaded.cloud.groups(500)))
+    for once, twice in zip(*clouds, strict=True):
+        np.testing.assert_array_equal(once[0], twice[0])
+        np.testing.assert_array_equal(once[1], twice[1])
