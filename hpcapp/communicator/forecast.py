@@ -1,8 +1,10 @@
 """How long work takes on each worker, learned from results.
 
 Tasks of a name take as long per unit of declared work as the last ones did, on the same worker,
-with what they spent on their way (large arguments, slow networks) and was not hidden by others;
-a worker that has not run any is taken for the mean of the others.
+with what they spent on their way (large arguments, slow networks) and was not hidden by others.
+A worker that has not run any is taken to be as much slower or faster than the others as it was
+with tasks of other names (a time is modelled as the name's, times the worker's slowness), and one
+that has run nothing is taken for the mean of the others.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from hpcapp.communicator.roster import Task, Worker
 __all__ = ["Forecast"]
 
 SHORTEST_S = 1e-6  # of a unit of work, so that no worker looks infinitely fast
+TELLING_S = 0.05  # shorter tasks say nothing of how fast a worker is with others
 
 
 class Forecast:
@@ -22,6 +25,8 @@ class Forecast:
 
     def __init__(self) -> None:
         self._unit_s: dict[str, dict[bytes, float]] = {}
+        self._common_s: dict[str, float] = {}  # see `_common`; until more is learned of a name
+        self._spent_s: dict[bytes, tuple[float, float]] = {}  # and at slowness 1
 
     def learn(self, worker: bytes, task: Task, seconds: float, way_s: float = 0.0) -> None:
         """Take note of how long a task took, and its way; recent ones weigh more.
@@ -30,22 +35,49 @@ class Forecast:
         """
         known = self._unit_s.setdefault(task.name, {})
         before = known.get(worker)
-        unit_s = max(SHORTEST_S, (seconds + (0.0 if before is None else way_s)) / task.work)
+        taken_s = seconds + (0.0 if before is None else way_s)
+        if taken_s > TELLING_S:
+            if known.keys() - {worker}:
+                common_s = self._common(task.name) * task.work
+            else:  # nobody to compare it with
+                common_s = taken_s / self._slowness(worker)
+            spent_s, before_s = self._spent_s.get(worker, (0.0, 0.0))
+            self._spent_s[worker] = spent_s + taken_s, before_s + common_s
+        unit_s = max(SHORTEST_S, taken_s / task.work)
         known[worker] = unit_s if before is None else (before + unit_s) / 2.0
+        self._common_s.pop(task.name, None)
 
     def forget(self, worker: bytes) -> None:
         """Let a lost worker count no more; the last one to know a task leaves what it knew."""
-        for known in self._unit_s.values():
+        for name, known in self._unit_s.items():
             if len(known) > 1:
                 known.pop(worker, None)
+                self._common_s.pop(name, None)
+        self._spent_s.pop(worker, None)
 
     def unit_s(self, worker: bytes, name: str) -> float:
         """Return how long a unit of work of a task is expected to take on a worker."""
         known = self._unit_s.get(name)
         if not known:
             return math.inf
-        own = known.get(worker)
-        return own if own is not None else sum(known.values()) / len(known)
+        if worker in known:
+            return known[worker]
+        if worker in self._spent_s:
+            return self._common(name) * self._slowness(worker)
+        return sum(known.values()) / len(known)
+
+    def _common(self, name: str) -> float:
+        """Return how long a unit of work takes on a worker of slowness 1."""
+        if name not in self._common_s:
+            known = self._unit_s[name]
+            slowness = sum([self._slowness(worker) for worker in known])
+            self._common_s[name] = sum(known.values()) / slowness
+        return self._common_s[name]
+
+    def _slowness(self, worker: bytes) -> float:
+        """Return how many times as long as the first worker a worker takes."""
+        spent_s, common_s = self._spent_s.get(worker, (1.0, 1.0))
+        return spent_s / common_s
 
     def expect(self, worker: bytes, task: Task) -> float:
         """Return how long a task is expected to take on a worker."""

@@ -38,13 +38,13 @@ class Race:
             register = Register(PROTOCOL_VERSION, "1", name, name, "b", "n", 1, 1, 1 << 20)
             self.carry_out(self.scheduler.register(worker, register))
 
-    def run(self, costs: Sequence[float]) -> float:
+    def run(self, costs: Sequence[float], name: str = "t") -> float:
         """Return how long it takes until every task is answered."""
         begin = self.clock.now()
         for cost in costs:
             number = len(self.costs)
             self.costs[number] = cost
-            self.carry_out(self.scheduler.submit(number, "t", 10, (), cost, self.can_split))
+            self.carry_out(self.scheduler.submit(number, name, 10, (), cost, self.can_split))
         self.carry_out(self.scheduler.dispatch())
         tick = begin + TICK_S
         while self.scheduler.tasks:
@@ -104,6 +104,16 @@ def test_one_slow_worker_of_eight_costs_no_more_than_it_must(
     assert race.run([1.0] * tasks) == best_s
     assert race.run([1.0] * tasks) == best_s  # what is left of the first lot does not hinder
     assert race.runs.total() <= 2 * tasks + 3
+
+
+@pytest.mark.parametrize("slow", range(8))
+def test_a_worker_known_to_be_slow_gets_no_long_task_of_a_new_name(slow: int) -> None:
+    unit_s = [1.0] * 8
+    unit_s[slow] = 4.0
+    race = Race(AdaptivePolicy(), unit_s)
+    race.run([1.0] * 8, "first")
+    assert race.run([1.0] * 8, "second") == 2.0  # seven of them, then one of the fast again
+    assert race.run([1.0] * 8, "third") == 2.0
 
 
 def test_a_worker_that_hangs_holds_nobody_up() -> None:

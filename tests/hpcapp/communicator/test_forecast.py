@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -30,6 +31,42 @@ def test_each_worker_has_its_own_pace_and_a_new_one_the_mean() -> None:
     assert forecast.expect(b"b", task()) == 3.0
     assert forecast.expect(b"new", task()) == 2.0
     assert math.isinf(forecast.expect(b"a", task(name="other")))
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations([b"a", b"b", b"slow"])))
+def test_who_was_slow_with_other_tasks_is_expected_to_be_slow_with_new_ones(
+    order: tuple[bytes, ...],
+) -> None:
+    unit_s = {b"a": 10.0, b"b": 10.0, b"slow": 40.0}
+    forecast = Forecast()
+    for worker in order:
+        forecast.learn(worker, task(work=2.0, name="first"), 2.0 * unit_s[worker])
+    forecast.learn(order[0], task(name="second"), 0.3 * unit_s[order[0]])
+    forecast.learn(order[0], task(name="third"), 0.1 * unit_s[order[0]])
+    for worker in order:
+        assert forecast.expect(worker, task(name="second")) == pytest.approx(0.3 * unit_s[worker])
+        assert forecast.expect(worker, task(name="third")) == pytest.approx(0.1 * unit_s[worker])
+    forecast.learn(b"slow", task(name="fourth"), 5.0)
+    forecast.learn(b"a", task(name="fourth"), 5.0)  # known now, whatever they did before
+    assert forecast.expect(b"slow", task(name="fourth")) == 5.0
+    assert forecast.expect(b"a", task(name="fourth")) == 5.0
+
+
+def test_tasks_that_grow_do_not_make_the_only_worker_slow() -> None:
+    forecast = Forecast()
+    for seconds in (1.0, 2.0, 4.0):
+        forecast.learn(b"a", task(name="grows"), seconds)
+    forecast.learn(b"b", task(name="other"), 3.0)
+    forecast.learn(b"b", task(name="grows"), 3.75)
+    assert forecast.expect(b"a", task(name="other")) < 3.0
+
+
+def test_what_took_milliseconds_tells_nothing_of_what_takes_longer() -> None:
+    forecast = Forecast()
+    forecast.learn(b"a", task(name="short"), 0.001)
+    forecast.learn(b"b", task(name="short"), 0.010)
+    forecast.learn(b"a", task(), 5.0)
+    assert forecast.expect(b"b", task()) == 5.0
 
 
 def test_new_figures_weigh_more_than_old_ones() -> None:
