@@ -29,9 +29,19 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-__all__ = ["JobFolder", "JobOrder", "JobState", "JobStatus", "all_jobs", "create_job", "now"]
+__all__ = [
+    "EXIT_CANCELLED",
+    "JobFolder",
+    "JobOrder",
+    "JobState",
+    "JobStatus",
+    "all_jobs",
+    "create_job",
+    "now",
+]
 
 EXIT_FAILED = 1
+EXIT_CANCELLED = 130
 
 
 class JobState(StrEnum):

@@ -11,9 +11,10 @@ import json
 import select
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
-from hpcdeploy.job_folder import JobFolder
+from hpcdeploy.job_folder import EXIT_CANCELLED, JobFolder, JobState, JobStatus, now
 
 __all__ = ["follow", "print_line"]
 
@@ -25,14 +26,27 @@ def follow(job: JobFolder) -> None:
     tails = [_Tail(job.log, _log_line), _Tail(job.events, _event_line)]
     listener = select.poll()
     listener.register(sys.stdout.fileno(), 0)  # tells only that nobody listens any more
-    is_alive = True
+    status, is_alive = job.read_status(), True
     while is_alive:
         is_alive = job.is_alive()  # before the last look, which then sees everything
         for tail in tails:
             tail.print_news(is_last=not is_alive)
+        status = _look(job, status)
         if is_alive and listener.poll(LOOK_S * 1000.0):
             return
-    print_line(json.dumps({"status": json.loads(job.read_status().to_json())}))
+    print_line(json.dumps({"status": json.loads(status.to_json())}))
+
+
+def _look(job: JobFolder, before: JobStatus) -> JobStatus:
+    """Return where the job stands, also when its cluster goes between two looks."""
+    try:
+        return job.read_status()
+    except FileNotFoundError:
+        if before.state.is_over:
+            return before
+        reason = "its cluster was taken down"
+        gone = replace(before, state=JobState.CANCELLED, exit_code=EXIT_CANCELLED)
+        return replace(gone, reason=reason, ended=now())
 
 
 def _log_line(line: str) -> str:

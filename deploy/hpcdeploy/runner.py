@@ -31,6 +31,7 @@ from typing import NoReturn
 from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.runtime.lifetime import die_with_parent
 from hpcdeploy.job_folder import (
+    EXIT_CANCELLED,
     JobFolder,
     JobOrder,
     JobState,
@@ -46,7 +47,6 @@ __all__ = ["main"]
 LEAVE_S = 5.0  # for the verb to end in order after SIGTERM
 KILL_S = 10.0  # for the runner itself; longer than the verb gets
 LOOK_S = 0.1  # between two looks at a job that ends
-EXIT_CANCELLED = 130
 
 
 class _Cancelled(BaseException):
