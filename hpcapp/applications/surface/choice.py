@@ -13,7 +13,17 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-__all__ = ["Choice", "Here", "Job", "Link", "There", "choose", "forecast_here", "forecast_there"]
+__all__ = [
+    "Choice",
+    "Here",
+    "Job",
+    "Link",
+    "There",
+    "choose",
+    "forecast_here",
+    "forecast_there",
+    "may_pay",
+]
 
 # What a point and a square of the grid's longest side take, in units of the calibration.
 POINT_UNITS = 5.5e-4
@@ -188,6 +198,23 @@ def forecast_there(job: Job, here: Here, there: There) -> float:
     link = there.link
     sent_s = job.travelling_bytes / link.bytes_per_s + TURNS * link.latency_s
     return there.ready_s + job.master_units * here.unit_s + TILED * job.units / speed + sent_s
+
+
+def may_pay(job: Job, threads: int, workers: int, ready_units: float) -> bool:
+    """Tell whether workers on this machine can pay at all, before anything is measured.
+
+    Parameters
+    ----------
+    job : Job
+    threads : int
+        That one process would use.
+    workers : int
+        As fast as this process, and with nothing on their way.
+    ready_units : float
+        What their start takes, in units of work.
+    """
+    here, there = Here(1.0, threads), There((1.0,) * workers, ready_s=ready_units)
+    return MARGIN * forecast_there(job, here, there) <= forecast_here(job, here)
 
 
 def choose(job: Job, here: Here, there: There, local: Choice, distributed: Choice) -> Choice:

@@ -21,7 +21,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from hpcapp.applications.surface.choice import Choice, Here, Job, Link, There, choose
+from hpcapp.applications.surface.choice import Choice, Here, Job, Link, There, choose, may_pay
 from hpcapp.applications.surface.measuring import measure_here, measure_workers
 from hpcapp.applications.surface.settings import Settings, choose_local, name_backend
 from hpcapp.backends import (
@@ -157,6 +157,10 @@ class Opener:
             most = min(settings.workers or available_cores(), available_cores())
             if most < 2:
                 return replace(local, reason=f"{available_cores()} core(s), one of them to be used")
+            if not may_pay(job, local.workers, most, START_UNITS):
+                work = f"{job.points} points at grid {job.grid}"
+                gain = "less would be saved than the start of workers takes"
+                return replace(local, reason=f"{work}: {gain}")
             kind, ready_s = "zmq", START_UNITS * self._measured(job).unit_s
         here = self._measured(job)
         there = There((here.unit_s,) * most, GUESSED, ready_s)

@@ -16,6 +16,7 @@ from hpcapp.applications.surface.choice import (
     choose,
     forecast_here,
     forecast_there,
+    may_pay,
 )
 
 LOCAL, WORKERS = Choice("serial", 1, ""), Choice("zmq", 4, "4 workers")
@@ -53,6 +54,16 @@ def test_workers_are_never_chosen_where_they_should_be_slower(
     if choice.backend == "zmq":
         assert choice.distributed_s < choice.local_s
     assert choice.workers == (4 if choice.backend == "zmq" else 1)
+
+
+@given(jobs, heres, links, st.integers(1, 20), st.floats(0.0, 1e4))
+def test_who_is_not_measured_would_not_be_chosen(
+    job: Job, here: Here, link: Link, workers: int, units: float
+) -> None:
+    there = There((here.unit_s,) * workers, link, units * here.unit_s)
+    assert may_pay(job, here.threads, workers, units * 0.999) or not is_distributed(
+        job, here, there
+    )
 
 
 @given(jobs, heres, theres, better)

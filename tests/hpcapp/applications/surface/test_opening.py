@@ -52,9 +52,21 @@ def test_a_small_cloud_starts_nothing(sphere_file: Path, monkeypatch: pytest.Mon
         if workers == 1:
             assert "to be used" in told["reason"]
         else:
-            assert "with 2 workers" in told["reason"]
-            assert 0.0 < told["local_s"] < told["distributed_s"]
+            assert "the start of workers" in told["reason"]
+            assert told["local_s"] is told["distributed_s"] is None
     assert opened == ["serial"] * 3
+
+
+@pytest.mark.usefixtures("two_cores")
+def test_a_cloud_that_might_pay_is_measured(
+    sphere_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(opening, "may_pay", lambda *_: True)
+    report, _ = run(sphere_file)
+    told = report["choice"]
+    assert report["backend"] == told["backend"] == "serial"
+    assert "with 2 workers" in told["reason"]
+    assert 0.0 < told["local_s"] < told["distributed_s"]
 
 
 def test_what_is_asked_for_is_not_chosen(sphere_file: Path) -> None:
