@@ -71,11 +71,11 @@ def bring_up(
     pace = pace or Pace()
     with open_journal(cluster.spec.cluster) as journal:
         if unfinished := journal.unfinished():
-            report(f"cut short before: {', '.join(unfinished)}; going on from the cloud's lists")
+            report(f"not finished before: {', '.join(unfinished)}; going on from what there is")
         effort = Effort(cluster, journal, report, pace)
         before = _alive(cluster.provider.observe(cluster.spec.cluster))
         try:
-            with journal.step("bring the cluster up"):
+            with journal.command("bring the cluster up"):
                 effort.converge()
         except KeyboardInterrupt:
             report(f"what was made stays: {_ways_on(cluster)}")
@@ -104,7 +104,7 @@ def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) 
     """
     with open_journal(cluster.spec.cluster) as journal:
         effort = Effort(cluster, journal, report, pace or Pace(), only_replace=True)
-        with journal.step("replace lost workers"):
+        with journal.command("replace lost workers"):
             effort.converge()
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
-from hpccomponent.errors import CloudError
+from hpccomponent.errors import CapacityError, CloudError
 from hpcdeploy.cluster import node_order
 from hpcdeploy.journal import Journal
 from hpcdeploy.launching import launch_nodes
@@ -55,7 +55,7 @@ class Effort:
         self._cluster, self._spec, self._provider = cluster, cluster.spec, cluster.provider
         self._journal, self._report, self._pace = journal, report, pace
         self._only_replace = only_replace
-        self._was_cut_short = bool(journal.unfinished())
+        self._is_unsettled = self._provider.makes_machines and bool(journal.unfinished())
         self._ssh_from = frozenset[str]() if only_replace else ssh_networks(self._spec)
         self._incarnation = draw_incarnation(pace.now())
         self._group: GroupSeen | None = None
@@ -68,10 +68,10 @@ class Effort:
 
     def converge(self) -> None:
         """Go round until every node is set up or given up; see the module's diagram."""
-        if self._was_cut_short:
+        if self._is_unsettled:
             self._pace.sleep(self._pace.settle_s)
         plan = self._plan()
-        if self._only_replace and not plan.actions and not self._was_cut_short:
+        if self._only_replace and not plan.actions and not self._is_unsettled:
             return
         while True:
             awaited = self._carry_out(plan)
@@ -98,6 +98,8 @@ class Effort:
         if not before:
             remove_all(self._cluster, self._journal, self._report, self._pace)
             return
+        if any(not isinstance(error, CapacityError) for error in self._given_up.values()):
+            self._pace.sleep(self._pace.settle_s)  # an answer may be lost, its machine not listed
 
         def made() -> Observed:
             return Observed(tuple(m for m in self._observe().machines if m.id not in before))

@@ -1,10 +1,10 @@
 """The journal: what `up` and `down` were about to do, written before they do it.
 
-It tells the user what was under way when a command was cut short, and lets the next one ask the
-cloud again with the very same token. Nothing that exists is found by it: that is the cloud's own
-list, see `provider.Provider.observe`. One line of JSON for each intent and each outcome, synced
-to the disk; the last line may be torn. While a journal is open no other command changes the
-cluster from this machine.
+It tells the user what was under way when a command was cut short or failed, and lets the next one
+ask the cloud again with the very same token. Nothing that exists is found by it: that is the
+cloud's own list, see `provider.Provider.observe`. One line of JSON for each intent and each
+outcome, synced to the disk; the last line may be torn. While a journal is open no other command
+changes the cluster from this machine.
 """
 
 from __future__ import annotations
@@ -55,6 +55,13 @@ class Journal:
         self._entries = entries
         self._lock = threading.Lock()
 
+    def command(self, what: str) -> AbstractContextManager[None]:
+        """Write a whole command's intent, let it be carried out, write how it went.
+
+        Once it is done, nothing that was begun before it is unfinished any more.
+        """
+        return self.step(what, is_command=True)
+
     @contextmanager
     def step(self, what: str, **details: str | int) -> Iterator[None]:
         """Write an intent, let it be carried out, write how it went.
@@ -87,14 +94,21 @@ class Journal:
         return frozenset(entry["bad"] for entry in self._entries if "bad" in entry)
 
     def unfinished(self) -> list[str]:
-        """Return what was begun and has no outcome, in the order in which it was begun."""
-        pending: dict[str, None] = {}
+        """Return what was begun and neither done nor refused, in the order in which it was begun.
+
+        What has failed is among it: the call may have come about and its answer been lost, and
+        what a command made before it failed may not be listed yet.
+        """
+        pending: list[str] = []
         for entry in self._entries:
-            if "intent" in entry:
-                pending[entry["intent"]] = None
-            for outcome in ("done", "refused", "failed"):
-                pending.pop(entry.get(outcome, ""), None)
-        return list(pending)
+            match entry:
+                case {"intent": what}:
+                    pending = [*(other for other in pending if other != what), what]
+                case {"done": what, "is_command": True} if what in pending:
+                    pending = pending[pending.index(what) + 1 :]
+                case {"done": what} | {"refused": what}:
+                    pending = [other for other in pending if other != what]
+        return pending
 
     def attempt(self, incarnation: str, name: NodeName) -> Attempt | None:
         """Return the launch of a node that was asked for last, unless it was refused."""

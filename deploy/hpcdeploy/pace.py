@@ -26,7 +26,7 @@ class Pace:
     end_s : float
         Until a machine must be gone, with all that it holds.
     settle_s : float
-        After a command that was cut short: until the cloud lists what that one has asked for.
+        After a command that was cut short or failed: until the cloud lists what it has asked for.
     backoff_s : tuple of float
         Before each further try to get machines that were not to be had.
     total_s : float

@@ -214,3 +214,46 @@ def test_a_command_killed_at_every_call_in_turn_leaves_no_orphan_and_no_duplicat
         if end == "done":
             break
     assert at > 30
+
+
+@pytest.mark.parametrize("fault", ["error", "lost answer", "killed"])
+@pytest.mark.parametrize("verb", ["up", "replace_lost"])
+def test_what_a_command_has_launched_is_known_to_the_next_one_however_it_ended(
+    verb: str, fault: str, tmp_path: Path
+) -> None:
+    """The machine of a lost worker is not listed yet when the next `up` wants no workers."""
+    for at in itertools.count(1):
+        with pytest.MonkeyPatch.context() as patch:
+            world = World(patch, tmp_path / str(at))
+            assert world.up(3, 3, "on_demand") == "done"
+            world.cloud.interrupt("worker-2")
+            world.time.sleep(60)
+            if verb == "up":
+                world.up(3, 0, "on_demand", fault=fault, at=at)
+            else:
+                cluster = make_cluster(make_spec(3), world.cloud)
+                world.run(replace_lost, cluster, fault=fault, at=at)
+            has_struck = world.countdown == 0
+            assert world.up(0, 0, "on_demand") == "done"
+            assert [machine.name.node for machine in world.alive()] == ["head"]
+        if not has_struck:
+            break
+    assert at > 5
+
+
+@pytest.mark.parametrize("fault", ["error", "lost answer"])
+def test_an_up_that_fails_leaves_the_cluster_as_it_was(fault: str, tmp_path: Path) -> None:
+    """A machine whose launch was not answered is taken away too, though it is listed late."""
+    failed = 0
+    for at in itertools.count(1):
+        with pytest.MonkeyPatch.context() as patch:
+            world = World(patch, tmp_path / str(at))
+            assert world.up(1, 1, "on_demand") == "done"
+            before = {machine.id for machine in world.alive()}
+            end = world.up(2, 2, "on_demand", fault=fault, at=at)
+            if world.countdown:
+                break
+            if end == "failed":
+                failed += 1
+                assert {machine.id for machine in world.alive()} == before
+    assert failed > 3

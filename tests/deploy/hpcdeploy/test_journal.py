@@ -36,14 +36,34 @@ def cut_short(journal: Journal) -> None:
         raise KeyboardInterrupt
 
 
-def test_what_is_done_or_has_failed_is_finished() -> None:
+def test_what_is_done_or_refused_is_finished_and_what_has_failed_is_not() -> None:
     with open_journal("bunny") as journal:
         with journal.step("create the group"):
             pass
+        with pytest.raises(CapacityError), journal.step("launch worker-1"):
+            raise CapacityError("none to be had")
         with pytest.raises(CloudError), journal.step("create the key pair"):
-            raise CloudError("refused")
+            raise CloudError("the answer is lost")
     with open_journal("bunny") as journal:
+        assert journal.unfinished() == ["create the key pair"]
+        with journal.step("create the key pair"):
+            pass
         assert journal.unfinished() == []
+
+
+def test_a_command_that_is_done_finishes_what_was_begun_before_it() -> None:
+    with open_journal("bunny") as journal:
+        cut_short(journal)
+        with pytest.raises(CloudError), journal.command("bring the cluster up"):
+            raise CloudError("no answer")
+        assert journal.unfinished() == ["launch worker-1", "bring the cluster up"]
+        with journal.command("bring the cluster up"):
+            with journal.step("create the group"):
+                pass
+            with pytest.raises(CloudError), journal.step("launch worker-2"):
+                raise CloudError("the answer is lost")
+    with open_journal("bunny") as journal:
+        assert journal.unfinished() == ["launch worker-2"]
 
 
 def test_what_was_cut_short_is_told_to_the_next_command() -> None:
