@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hpcapp.applications.surface.loading import Loaded, clean_points
+from hpcapp.applications.surface.loading import Loaded, arrange_usable, clean_points
 from hpcapp.applications.surface.opening import approach_workers
 from hpcapp.applications.surface.settings import (
     DEFAULT_GRID,
@@ -127,7 +127,8 @@ def reconstruct(
     clock = StageClock(SilentProgress() if progress is None else _Calls(progress))
     given = None if isinstance(executor, str) else executor
     with approach_workers(settings) as opener:
-        cloud, cleaned = clean_points(settings, cloud, clock)
+        cloud, far = arrange_usable(settings, cloud, clock)
+        cloud, cleaned = clean_points(settings, cloud, far, clock)
         loaded = Loaded(cloud, Dropped(0, 0), cleaned)
         with run_memory(settings, loaded, opener, clock, executor=given) as outcome:
             mesh = outcome.result.surface.mesh()

@@ -23,7 +23,7 @@ from hpcapp.progress import StageClock
 from hpccomponent.surface.disk_cloud import DiskCloud, open_disk_cloud
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
-__all__ = ["Loaded", "clean_points", "load_folder", "load_memory"]
+__all__ = ["Loaded", "arrange_usable", "clean_points", "load_folder", "load_memory"]
 
 log = logging.getLogger("hpcapp")
 
@@ -79,14 +79,15 @@ def load_memory(settings: Settings, clock: StageClock) -> Loaded:
     """
     with clock.stage("read"):
         cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
-    cloud, cleaned = clean_points(settings, cloud, clock)
+    cloud, far = arrange_usable(settings, cloud, clock)
+    cloud, cleaned = clean_points(settings, cloud, far, clock)
     return Loaded(cloud, dropped, cleaned)
 
 
-def clean_points(
+def arrange_usable(
     settings: Settings, cloud: PointCloud, clock: StageClock
-) -> tuple[PointCloud, Cleaned]:
-    """Arrange points, drop outliers and turn wrong normals round; the paper's method takes all.
+) -> tuple[PointCloud, int]:
+    """Drop points that lie far away, and arrange the rest; the paper's method takes all as it is.
 
     Parameters
     ----------
@@ -98,16 +99,39 @@ def clean_points(
     Returns
     -------
     cloud : PointCloud
-    cleaned : Cleaned
+        A copy: the caller may let go of its own.
+    far : int
+        Points that were dropped.
     """
     if settings.method == "paper":  # which cuts the cloud up by itself
+        return cloud, 0
+    with clock.stage("arrange"):
+        arranged = arrange_points(drop_far(cloud) if settings.clean else cloud)
+    return arranged, len(cloud) - len(arranged)
+
+
+def clean_points(
+    settings: Settings, cloud: PointCloud, far: int, clock: StageClock
+) -> tuple[PointCloud, Cleaned]:
+    """Drop outliers and turn wrong normals round, if that is wanted; the paper's method takes all.
+
+    Parameters
+    ----------
+    settings : Settings
+    cloud : PointCloud
+        Arranged.
+    far : int
+        Points that were dropped because they lie far away.
+    clock : StageClock
+
+    Returns
+    -------
+    cloud : PointCloud
+    cleaned : Cleaned
+    """
+    if settings.method == "paper" or not settings.clean:
         return cloud, Cleaned(0, 0)
-    usable = len(cloud)
-    with clock.stage("clean" if settings.clean else "arrange"):
-        cloud = arrange_points(drop_far(cloud) if settings.clean else cloud)
-        if not settings.clean:
-            return cloud, Cleaned(0, 0)
-        far = usable - len(cloud)
+    with clock.stage("clean"):
         cloud, cleaned = clean_cloud(cloud)
     return cloud, replace(cleaned, outliers=far + cleaned.outliers)
 

@@ -89,7 +89,7 @@ def test_what_progress_raises_ends_the_job(sphere: PointCloud) -> None:
     def stop(stage: str, done: int, total: int) -> None:
         raise KeyError(stage)
 
-    with pytest.raises(KeyError, match="clean"):
+    with pytest.raises(KeyError, match="arrange"):
         hpcapp.reconstruct(sphere.positions, sphere.normals, grid=32, progress=stop)
 
 
