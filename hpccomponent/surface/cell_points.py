@@ -8,7 +8,7 @@ Who may import it: the pyramid and its tests.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.lattice import BITS, unique_keys
+from hpccomponent.surface.moments import COLUMNS
 from hpccomponent.surface.parallel import run_batches
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["CellMoments", "SortedPoints", "merge_finest", "sort_cloud"]
 
 _SLAB = 1 << 11  # cells whose moments are summed at once: 0.7 MB, which stays in the cache
+_AT_ONCE = 64  # slabs whose sums wait to be put together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +63,7 @@ class SortedPoints:
     offsets : ndarray of int64, shape (c + 1,)
         Cell i holds the points rows[offsets[i]] to rows[offsets[i + 1]].
     rows : ndarray of uint32, shape (n,)
-        Of the cloud.
+        Of the cloud; those of other cells may be among them.
     weights : ndarray of float64, shape (n,), optional
         How much each of these counts; 1 by default.
     """
@@ -84,6 +86,10 @@ class SortedPoints:
         start, stop = self.offsets[cells.start], self.offsets[cells.stop]
         weights = None if self.weights is None else self.weights[start:stop]
         return kernels.accumulate_moments(local, normals, offsets, weights)
+
+    def run(self, cells: slice) -> SortedPoints:
+        """Return the points in a run of cells alone; nothing is copied."""
+        return replace(self, offsets=self.offsets[cells.start : cells.stop + 1])
 
     def place(self, cells: slice) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return the points in a run of cells, relative to these, with normals and offsets."""
@@ -142,11 +148,20 @@ def merge_finest(
         In units of the parents.
     """
     slabs = _cut_slabs(cells, max(threads, -(-len(cells) // _SLAB)))
-    merged = run_batches(
-        lambda slab: kernels.merge_cells(cells[slab], points.sum(slab)), slabs, threads
-    )
-    parents = np.concatenate([keys for keys, _ in merged])
-    return parents, np.concatenate([moments for _, moments in merged])
+    parents: list[IntArray] = []
+    moments, known = np.empty((len(cells), COLUMNS)), 0  # at most: pages are taken when written to
+    for start in range(0, len(slabs), _AT_ONCE):
+        merged = run_batches(
+            lambda slab: kernels.merge_cells(cells[slab], points.sum(slab)),
+            slabs[start : start + _AT_ONCE],
+            threads,
+        )
+        for keys, sums in merged:
+            moments[known : known + len(keys)] = sums
+            known += len(keys)
+            parents.append(keys)
+    moments.resize((known, COLUMNS), refcheck=False)
+    return np.concatenate(parents), moments
 
 
 def _cut_slabs(cells: IntArray, parts: int) -> list[slice]:

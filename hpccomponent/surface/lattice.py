@@ -18,6 +18,7 @@ __all__ = [
     "cells_of",
     "corner_parents",
     "find_keys",
+    "find_layers",
     "pack_places",
     "spread_keys",
     "step_keys",
@@ -119,6 +120,27 @@ def find_keys(keys: IntArray, wanted: IntArray) -> IntArray:
         return rows
     found = keys[np.minimum(rows, len(keys) - 1)] == wanted
     return np.where(found, rows, len(keys))
+
+
+def find_layers(keys: IntArray, first: int, last: int) -> slice:
+    """Return the run of sorted keys whose x lies in a range.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+        Sorted.
+    first, last : int
+        Of the range, both included.
+
+    Examples
+    --------
+    >>> keys = pack_places(np.array([[-1, 5, 0], [2, -7, 1], [2, 3, 0], [4, 0, 0]]))
+    >>> find_layers(keys, 0, 3)
+    slice(1, 3, None)
+    """
+    bounds = (np.array([first, last + 1]) + _BIAS) * _STRIDES[0]
+    start, stop = np.searchsorted(keys, bounds)
+    return slice(int(start), int(stop))
 
 
 def unique_keys(keys: IntArray) -> IntArray:

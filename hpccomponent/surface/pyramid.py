@@ -22,6 +22,7 @@ from hpccomponent.surface.hermite import BASIS
 from hpccomponent.surface.lattice import (
     BITS,
     OCTANTS,
+    find_layers,
     step_keys,
 )
 from hpccomponent.surface.moments import COLUMNS
@@ -147,6 +148,13 @@ class Parents:
     support: Float32Array
     variances: Float32Array
 
+    def between(self, first: int, last: int) -> Parents:
+        """Return those whose x lies in a range, both ends included; nothing is copied."""
+        run = find_layers(self.keys, first, last)
+        return Parents(
+            self.keys[run], self.coefficients[run], self.support[run], self.variances[run]
+        )
+
 
 def count_levels(longest: float, cell_size: float) -> int:
     """Return how many levels a cloud has: floor(log2(longest side / cell_size / 6)) + 1, or 1.
@@ -248,7 +256,11 @@ def lay_vertices(finest: IntArray, levels: int) -> list[IntArray]:
 
 
 def fit_levels(
-    pyramid: Pyramid, weights: list[Weights], parents: Parents | None = None, threads: int = 1
+    pyramid: Pyramid,
+    weights: list[Weights],
+    parents: Parents | None = None,
+    threads: int = 1,
+    lowest: int = 0,
 ) -> tuple[list[VertexQuadrics], Parents | None]:
     """Fit every level, from the coarsest to the finest, each with the one above as prior.
 
@@ -262,16 +274,18 @@ def fit_levels(
         The level above the coarsest of `pyramid`, where there is one.
     threads : int
         The result does not depend on it.
+    lowest : int
+        How many levels, the finest ones, are left as they are.
 
     Returns
     -------
     quadrics : list of VertexQuadrics
-        Of the levels of `pyramid` that a field is made of, finest first.
+        Of the fitted levels that a field is made of, finest first.
     parents : Parents or None
-        What the level below the finest of `pyramid` takes from it; None where there is no such.
+        What the level below the finest of these takes from it; None where there is no such.
     """
     kept: list[VertexQuadrics] = []
-    for index in reversed(range(len(pyramid.levels))):
+    for index in reversed(range(lowest, len(pyramid.levels))):
         level, vertices = pyramid.levels[index], pyramid.vertices[index]
         depth = pyramid.first + index
         quadrics = _inherit_level(vertices, parents, threads)

@@ -27,8 +27,8 @@ __all__ = [
     "mark_near",
     "near_bricks",
     "plan_gap",
+    "plan_slab",
     "plan_tile",
-    "plan_whole",
 ]
 
 BoolArray = NDArray[np.bool_]
@@ -69,22 +69,30 @@ def _mark_near(keys: IntArray, cells: IntArray, low: IntArray, high: IntArray) -
     return near
 
 
-def plan_whole(grid: Grid, positions: FloatArray) -> BrickKinds:
-    """Let the only tile grow wherever it gets.
+def plan_slab(grid: Grid, first: int, end: int, own: IntArray, foreign: IntArray) -> BrickKinds:
+    """Let a slab of the grid grow wherever it gets.
 
     Parameters
     ----------
     grid : Grid
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
+    first, end : int
+        The slab has the bricks from `first` to before `end` along x.
+    own : ndarray of int64
+        Keys of the bricks to begin with.
+    foreign : ndarray of int64
+        Keys of bricks that others have or will have, unless they are the slab's own.
 
     Returns
     -------
     BrickKinds
     """
-    kinds = np.full(grid.bricks, OPEN, np.uint8)
-    _mark(kinds, kernels.seed_bricks(grid, positions), np.zeros(3, np.int64), OWN)
-    return BrickKinds(np.zeros(3, np.int64), kinds)
+    low, high = max(first - 1, 0), min(end + 1, grid.bricks[0])
+    kinds = np.full((high - low, *grid.bricks[1:]), BESIDE, np.uint8)
+    kinds[first - low : end - low] = OPEN
+    corner = np.array([low, 0, 0])
+    for keys, kind in ((foreign, FOREIGN), (own, OWN)):
+        _mark(kinds, keys, corner, kind)
+    return BrickKinds(corner, kinds)
 
 
 def plan_tile(

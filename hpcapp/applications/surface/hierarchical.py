@@ -8,31 +8,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.coarse import Coarse, far_level, fit_coarse, solve_far
+from hpcapp.applications.surface.coarse import Coarse, far_level, fit_coarse
 from hpcapp.applications.surface.estimates import Scale, choose_scale
 from hpcapp.applications.surface.keeping import Keeping
 from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.regions import mesh_regions
+from hpcapp.applications.surface.slabs import mesh_slabs
 from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.applications.surface.tiles import Tiling
 from hpcapp.batches import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface import kernels
 from hpccomponent.surface.arranged_cloud import ArrangedCloud, arrange_cloud
 from hpccomponent.surface.arrangement import choose_arrangement
 from hpccomponent.surface.disk_cloud import DiskCloud
-from hpccomponent.surface.field import BRICK, Field, Grid
-from hpccomponent.surface.mesh_part import MeshPart, cut_part
-from hpccomponent.surface.part_summary import summarize_part
+from hpccomponent.surface.field import BRICK, Grid
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
-from hpccomponent.surface.pyramid import build_pyramid, count_levels, fit_levels
-from hpccomponent.surface.reach import plan_whole
-from hpccomponent.surface.region import KEPT_TILES, Plan, find_trust, sample_cells, sum_tile
+from hpccomponent.surface.pyramid import count_levels
+from hpccomponent.surface.region import KEPT_TILES, Plan, sum_tile
 
 __all__ = [
     "LARGE_TILE",
@@ -212,8 +209,9 @@ class HierarchicalMethod:
         """
         origin = partition.cloud.origin
         if partition.tiling is None:
-            part = self._mesh_whole(partition)
-            surface = PartSurface([part], [summarize_part(part)], origin)
+            cloud = partition.cloud
+            assert isinstance(cloud, PointCloud)  # noqa: S101 - others have tiles
+            surface, partition.patches = mesh_slabs(cloud, partition.plan, self.threads, advance)
         else:
             assert quadrics is not None  # noqa: S101 - tiles have coarse quadrics
             surface = mesh_regions(
@@ -239,23 +237,6 @@ class HierarchicalMethod:
         workers = workforce.workers
         each = min(TILES_EACH, workforce.batches_per_worker, len(cloud) // (workers * LARGE_TILE))
         return workers * max(1, each, -(-needed // workers))  # all of them, equally often
-
-    def _mesh_whole(self, partition: HierarchicalPartition) -> MeshPart:
-        """Make a mesh of a cloud that is one tile; what is done with makes room for what comes."""
-        plan, cloud = partition.plan, partition.cloud
-        assert isinstance(cloud, PointCloud)  # noqa: S101 - others have tiles
-        pyramid = build_pyramid(cloud, plan.origin, plan.cell_size, plan.height, self.threads)
-        partition.patches = len(pyramid.levels[0].cells)
-        far = solve_far(plan, *sample_cells(pyramid.levels[plan.far]), self.threads)
-        quadrics = fit_levels(pyramid, plan.weights, None, self.threads)[0]
-        levels = find_trust(pyramid, quadrics, far, self.threads)
-        field = Field(plan.origin, plan.cell_size, levels, far)
-        del pyramid, quadrics, levels
-        kinds = plan_whole(plan.grid, cloud.positions)
-        mesh = kernels.grow_surface(field, plan.grid, kinds, self.threads)
-        del field, far
-        balanced = kernels.balance_vertices(mesh.vertices, mesh.faces, plan.step)
-        return cut_part(replace(mesh, vertices=balanced))
 
     def facts(self, partition: HierarchicalPartition) -> dict[str, Any]:
         """Return the estimates, and how many cells of the finest level hold points."""

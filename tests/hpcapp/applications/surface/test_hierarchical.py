@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface import estimates
+from hpcapp.applications.surface import estimates, slabs
 from hpcapp.applications.surface.cleaning import arrange_points
 from hpcapp.applications.surface.hierarchical import HierarchicalMethod, plan_grid
 from hpcapp.applications.surface.topology import check_mesh
@@ -168,6 +168,34 @@ def test_any_tiling_gives_the_same_bits(shape, grid):
         assert found == facts | {"tiles": tiles}
         assert mesh.vertices.tobytes() == whole.vertices.tobytes()
         assert mesh.faces.tobytes() == whole.faces.tobytes()
+
+
+@pytest.mark.parametrize("grid", [40, 96])
+@pytest.mark.parametrize("shape", [torus, rough_torus, tailed_torus, half_torus, sheet])
+def test_any_slabs_give_the_same_bits(shape, grid, monkeypatch):
+    cloud = shape(6000)
+    whole, facts = reconstruct(cloud, HierarchicalMethod(grid))
+    monkeypatch.setattr(slabs, "_LEAST_LAYERS", 1)
+    for quadrics in (facts["patches"], facts["patches"] // 10):
+        monkeypatch.setattr(slabs, "SLAB_QUADRICS", quadrics)
+        mesh, again = reconstruct(cloud, HierarchicalMethod(grid))
+        assert np.array_equal(mesh.vertices, whole.vertices)
+        assert np.array_equal(mesh.faces, whole.faces)
+        assert again == facts
+
+
+def test_the_surface_is_followed_into_slabs_without_points(monkeypatch):
+    cloud = half_torus(20_000)  # the surface over its holes bulges out
+    whole, _ = reconstruct(cloud, HierarchicalMethod(64))
+    found = []
+    look = slabs._Slabs.left
+    monkeypatch.setattr(slabs._Slabs, "left", lambda work: found.append(look(work)) or found[-1])
+    monkeypatch.setattr(slabs, "_LEAST_LAYERS", 1)
+    monkeypatch.setattr(slabs, "SLAB_QUADRICS", 1)
+    mesh, _ = reconstruct(cloud, HierarchicalMethod(64))
+    assert len(found[0])
+    assert np.array_equal(mesh.vertices, whole.vertices)
+    assert np.array_equal(mesh.faces, whole.faces)
 
 
 def test_the_origin_of_the_cloud_stays_with_the_mesh():
