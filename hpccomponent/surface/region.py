@@ -441,8 +441,8 @@ def _mesh_region(
     field = Field(plan.origin, plan.cell_size, levels + above.levels, far)
     mesh = kernels.grow_surface(field, plan.grid, kinds, threads)
     balanced = kernels.balance_vertices(mesh.vertices, mesh.faces, plan.step)
-    part = cut_part(replace(mesh, vertices=balanced), kinds)
-    return part, mesh.exits
+    mesh = replace(mesh, vertices=balanced)
+    return cut_part(mesh, kinds), mesh.exits
 
 
 def _give(

@@ -116,10 +116,12 @@ class _Slabs:
         mesh = kernels.grow_surface(field, grid, kinds, self._threads)
         del field
         balanced = kernels.balance_vertices(mesh.vertices, mesh.faces, plan.step)
-        part = cut_part(replace(mesh, vertices=balanced), kinds)
+        mesh = replace(mesh, vertices=balanced)
+        self._exits.append(mesh.exits)
+        part = cut_part(mesh, kinds)
+        del mesh, balanced  # makes room for what the summary takes
         self.surface.parts.append(part)
         self.surface.summaries.append(summarize_part(part))
-        self._exits.append(mesh.exits)
 
     def left(self) -> IntArray:
         """Return the bricks that the surface leaves for, and that no part has."""
