@@ -16,6 +16,9 @@ __all__ = ["WorkerProcess"]
 # One task is one thread of work; numpy reads these once, when it is imported.
 THREAD_VARIABLES = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "NUMBA", "VECLIB_MAXIMUM")
 
+# What a task frees is not given back: read by glibc when the process starts.
+KEPT_MEMORY = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": str(2**31 - 1)}
+
 
 class WorkerProcess:
     """A running worker process, the channel to it, and the pipe whose end it dies of.
@@ -76,6 +79,9 @@ class WorkerProcess:
 
 
 def _environment(build: str) -> dict[str, str]:
-    """Return the worker's variables: one thread, and the build that was announced for it."""
+    """Return the worker's variables: one thread, and the build that was announced for it.
+
+    Memory that a task has freed is for the next one, which takes as much.
+    """
     threads = {f"{name}_NUM_THREADS": "1" for name in THREAD_VARIABLES}
-    return os.environ | threads | ({"HPCAPP_BUILD": build} if build else {})
+    return os.environ | threads | KEPT_MEMORY | ({"HPCAPP_BUILD": build} if build else {})

@@ -34,9 +34,11 @@ __all__ = [
     "find_seams",
     "fit_corners",
     "gather_points",
+    "give_back_memory",
     "grow_surface",
     "inherit_level",
     "integrate_normals",
+    "keep_memory",
     "label_components",
     "merge_cells",
     "parent_keys",
@@ -71,6 +73,18 @@ def _singles(values: Any) -> Float32Array:
 
 def _integers(values: Any) -> IntArray:
     return np.ascontiguousarray(values, np.int64)
+
+
+def keep_memory() -> None:
+    """Have this process use memory that it has freed again, instead of giving it back."""
+    if _native is not None:
+        _native.keep_memory()
+
+
+def give_back_memory() -> None:
+    """Give the system back what memory of this process is free, kept or not."""
+    if _native is not None:
+        _native.give_back_memory()
 
 
 def bound_points(positions: FloatArray) -> tuple[FloatArray, FloatArray]:

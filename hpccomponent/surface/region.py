@@ -418,6 +418,7 @@ def _trust_rows(
 
 def _prepare(plan: Plan, points: CellPoints, with_kinds: bool, threads: int) -> _Prepared:
     """Put a tile's points into their cells, and sum these up to the coarse level."""
+    kernels.give_back_memory()  # the pieces that tasks before this one have left
     taken = take_points(points, plan.arrangement, plan.origin, plan.coarse_size)
     kinds = None
     if with_kinds:

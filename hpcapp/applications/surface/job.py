@@ -36,12 +36,16 @@ from hpcapp.applications.surface.topology import Topology
 from hpcapp.backends import BACKENDS, Backend
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface import kernels
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.points import PointCloud
 
 __all__ = ["Settings", "run_job"]
 
 log = logging.getLogger("hpcapp")
+
+LARGE_CLOUD = 2_500_000
+"""Points from which on this process keeps memory: time matters more than some of it then."""
 
 
 def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
@@ -65,6 +69,8 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
         Whatever went wrong; no output is left half written.
     """
     clock = StageClock(progress)
+    if count_most_points(settings.points) >= LARGE_CLOUD:
+        kernels.keep_memory()
     with open_output(settings.output, settings.points) as target, _open_room(settings) as room:
         run = _run_in_memory if room.folder is None else _run_in_folder
         report = run(settings, room, target, clock)

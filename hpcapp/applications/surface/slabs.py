@@ -33,8 +33,8 @@ from hpccomponent.surface.region import Plan, find_trust, sample_cells
 
 __all__ = ["SLAB_QUADRICS", "mesh_slabs"]
 
-SLAB_QUADRICS = 6_000_000
-"""Of the finest level, in a slab: 0.4 GB."""
+SLAB_QUADRICS = 3_000_000
+"""Of the finest level, in a slab: 0.2 GB."""
 
 _LEAST_LAYERS = 8  # of bricks in a slab: those beside it are evaluated too, one on each side
 

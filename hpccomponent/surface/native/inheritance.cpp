@@ -114,7 +114,7 @@ nb::tuple inherit_level(Input vertices_of, Input keys_of, Input coefficients_of,
   const float* means = check<float>(coefficients_of, "coefficients", {known, BASIS});
   const Parents parents{keys, known, columns, means, values};
   const int workers = check_threads(threads);
-  give_back_free_memory();  // of the level above, which was smaller
+  give_back_rest();  // of the level above, which was smaller
   auto coefficients = make_buffer<float>(count * BASIS);
   auto inherited = make_buffer<float>(count * columns);
   {

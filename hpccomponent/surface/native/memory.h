@@ -1,6 +1,8 @@
-// Memory for large arrays: in huge pages where the system has them, given back when it is freed.
+// Memory for large arrays: in huge pages where the system has them, given back when it is freed, or
+// kept.
 #pragma once
 
+#include <climits>
 #include <cstdint>
 #include <cstdlib>
 #include <memory>
@@ -18,23 +20,43 @@ namespace hpc {
 
 constexpr size_t HUGE_PAGE = size_t{1} << 21;
 
-// Have large arrays, numpy's too, given back to the system when they are freed. By itself glibc
-// keeps arrays of up to 32 MB once one of that size was freed, in pieces, for each thread. Smaller
-// ones are used again, by whichever thread asks next: the first touch of fresh memory costs more
-// than what it is filled with.
-inline void give_back_large_arrays() {
+inline bool is_kept = false;  // memory that was freed, for what is asked for next
+
+// Keep what is freed, and use it again. The first touch of fresh memory may cost twenty times what
+// it is filled with, above all on a virtual machine; but what was the most stays the most.
+inline void keep_memory() {
+  is_kept = true;
 #if defined(__GLIBC__)
-  mallopt(M_MMAP_THRESHOLD, 1 << 22);
-  mallopt(M_TRIM_THRESHOLD, 1 << 23);
-  mallopt(M_ARENA_MAX, 1);
+  mallopt(M_MMAP_MAX, 0);
+  mallopt(M_TRIM_THRESHOLD, INT_MAX);
 #endif
 }
 
-// Give back what smaller arrays leave behind: before a step that asks only for large ones.
-inline void give_back_free_memory() {
+// Have large arrays, numpy's too, given back to the system when they are freed, unless who started
+// the process says otherwise. By itself glibc keeps arrays of up to 32 MB once one of that size was
+// freed, in pieces, for each thread. Smaller ones are used again, by whichever thread asks next.
+inline void give_back_large_arrays() {
+#if defined(__GLIBC__)
+  mallopt(M_ARENA_MAX, 1);
+  if (std::getenv("MALLOC_TRIM_THRESHOLD_")) {
+    is_kept = true;
+    return;
+  }
+  mallopt(M_MMAP_THRESHOLD, 1 << 22);
+  mallopt(M_TRIM_THRESHOLD, 1 << 23);
+#endif
+}
+
+// Give back all that is free: before a step that asks for other sizes than those before it.
+inline void give_back_memory() {
 #if defined(__GLIBC__)
   malloc_trim(0);
 #endif
+}
+
+// Give back what smaller arrays leave behind, unless it is kept: before one asks for large ones.
+inline void give_back_rest() {
+  if (!is_kept) give_back_memory();
 }
 
 inline void* take_memory(size_t bytes) {

@@ -1,9 +1,12 @@
 // The extension hpccomponent.surface._native: the kernels of every family, under their numpy names.
 #include "families.h"
+#include "memory.h"
 
 NB_MODULE(_native, module) {
   hpc::give_back_large_arrays();
   module.attr("KERNEL_HASH") = HPC_KERNEL_HASH;
+  module.def("keep_memory", &hpc::keep_memory);
+  module.def("give_back_memory", &hpc::give_back_memory);
   hpc::bind_points(module);
   hpc::bind_packing(module);
   hpc::bind_lattice(module);

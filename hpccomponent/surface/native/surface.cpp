@@ -378,7 +378,7 @@ nb::tuple grow_surface(nb::tuple arguments, Input origin, double step, Input sid
   Large<int64_t> exits;
   {
     nb::gil_scoped_release unlocked;
-    give_back_free_memory();  // the fits are over, and the values of all bricks are to come
+    give_back_rest();  // the fits are over, and the values of all bricks are to come
     Growth growth(field, grid, kinds);
     growth.run(workers);
     exits = growth.exits();
