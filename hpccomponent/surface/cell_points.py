@@ -149,7 +149,7 @@ def merge_finest(
     """
     slabs = _cut_slabs(cells, max(threads, -(-len(cells) // _SLAB)))
     parents: list[IntArray] = []
-    moments, known = np.empty((len(cells), COLUMNS)), 0  # at most: pages are taken when written to
+    moments, known = np.empty((len(cells) // 3, COLUMNS)), 0  # on a surface a quarter is enough
     for start in range(0, len(slabs), _AT_ONCE):
         merged = run_batches(
             lambda slab: kernels.merge_cells(cells[slab], points.sum(slab)),
@@ -157,6 +157,8 @@ def merge_finest(
             threads,
         )
         for keys, sums in merged:
+            if known + len(keys) > len(moments):
+                moments.resize((3 * (known + len(keys)) // 2, COLUMNS), refcheck=False)
             moments[known : known + len(keys)] = sums
             known += len(keys)
             parents.append(keys)
