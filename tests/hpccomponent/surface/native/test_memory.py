@@ -41,7 +41,7 @@ print(held() - before)
 
 def grow(keep: bool, variables: dict[str, str]) -> list[float]:
     """Return the MB that a process holds more, after it has freed an array and has trimmed."""
-    command = [sys.executable, "-c", PROGRAM % keep]
+    command = [sys.executable, "-P", "-c", PROGRAM % keep]
     variables = {k: v for k, v in os.environ.items() if not k.startswith("MALLOC_")} | variables
     done = subprocess.run(command, env=variables, capture_output=True, text=True, check=True)
     return [float(line) for line in done.stdout.split()]
