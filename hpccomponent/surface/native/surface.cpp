@@ -1,6 +1,7 @@
 // From a tile to its mesh: bricks grown across sign changes, and marching cubes over them.
 #include <cmath>
 #include <cstring>
+#include <deque>
 
 #include "brick_signs.h"
 #include "families.h"
@@ -237,6 +238,10 @@ class Growth {
     for (size_t i = 0; i < order.size(); ++i) order[i] = static_cast<uint32_t>(i);
     std::sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) { return keys_[a] < keys_[b]; });
     Bricks all;
+    all.keys.reserve(order.size());
+    all.values.reserve(order.size());
+    all.bricks.reserve(order.size());
+    all.taken.reserve(order.size());
     for (uint32_t i : order) {
       all.keys.push_back(keys_[i]);
       all.values.push_back(values_[i]);
@@ -336,7 +341,7 @@ class Growth {
   std::vector<int64_t> keys_, rim_, exits_;
   size_t taken_ = 0;
   std::vector<const float*> values_;
-  std::vector<Brick> bricks_;
+  std::deque<Brick> bricks_;  // which grows without a second copy
   std::vector<Buffer<float>> chunks_;
 };
 
