@@ -12,6 +12,8 @@ from pathlib import Path
 
 __all__ = ["sees_files", "write_whole"]
 
+_BUFFER = 1 << 18  # bytes of small pieces that are written together
+
 
 def sees_files(*files: tuple[str, int]) -> bool:
     """Tell whether some files are there (a task).
@@ -56,7 +58,7 @@ def write_whole(path: Path, buffers: Iterable[bytes | bytearray | memoryview]) -
     """
     beside = path.with_name(f".{secrets.token_hex(8)}.tmp")
     try:
-        with beside.open("xb") as file:
+        with beside.open("xb", buffering=_BUFFER) as file:
             file.writelines(buffers)
         os.replace(beside, path)
     finally:

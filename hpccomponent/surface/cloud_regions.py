@@ -48,6 +48,8 @@ class Region:
         Those points and others.
     rows : ndarray of int64, shape (n,)
         Where they are among these.
+    has_lost_own : bool
+        Whether points in these blocks are left out.
     """
 
     positions: FloatArray
@@ -55,6 +57,7 @@ class Region:
     arrangement: Arrangement
     packed: PackedPoints
     rows: IntArray
+    has_lost_own: bool
 
     @property
     def normals(self) -> FloatArray:
@@ -67,11 +70,12 @@ class Region:
 
         Parameters
         ----------
-        turned : ndarray of bool, shape (own.sum(),)
+        turned : ndarray of bool, shape (n,)
         """
-        rows = self.rows.take(np.flatnonzero(self.own))
+        own = np.flatnonzero(self.own)
+        rows = self.rows.take(own)
         records = self.packed.to_records().take(rows, axis=0)
-        records[np.flatnonzero(turned), 3:] *= -1.0
+        records[np.flatnonzero(turned.take(own)), 3:] *= -1.0
         ends = np.cumsum(self.packed.counts)
         counts = np.diff(np.searchsorted(rows, ends), prepend=0)
         held = counts > 0
@@ -121,11 +125,12 @@ def take_region(points: RegionPoints) -> Region:
     positions, rows = unpack_near(arrangement, packed, *_bound(arrangement, blocks, margin))
     own = np.repeat(find_keys(blocks, packed.keys) < len(blocks), packed.counts)
     own = own[rows] if len(rows) < len(own) else own
+    owned = int(own.sum())
     if dropped:
         kept = np.flatnonzero(find_kept(dropped, positions))
         if len(kept) < len(positions):
             positions, own, rows = positions.take(kept, axis=0), own[kept], rows[kept]
-    return Region(positions, own, arrangement, packed, rows)
+    return Region(positions, own, arrangement, packed, rows, int(own.sum()) < owned)
 
 
 def find_kept(dropped: DroppedCells, positions: FloatArray) -> BoolArray:

@@ -7,7 +7,8 @@
     index.npz                                arrangement, box, the blocks of each part, estimates
 
 Each part may be written by another machine that sees the folder; who has all of them writes the
-index, without which there is no cloud.
+index, without which there is no cloud. An index may also name parts in a folder beside it, and
+leave out some of their blocks: so a cloud in which little is changed is not written again.
 
 Reading some blocks takes a run of each part and puts these together in the order of the parts.
 Who may import it: applications, and tasks on machines that see the folder.
@@ -20,6 +21,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -28,7 +30,7 @@ import numpy as np
 
 from hpccomponent.errors import JobError, OutputError
 from hpccomponent.shared_files import write_whole
-from hpccomponent.surface.arranged_cloud import Points, cut_blocks, find_runs
+from hpccomponent.surface.arranged_cloud import Points, cut_blocks
 from hpccomponent.surface.arrangement import (
     Arrangement,
     PackedPoints,
@@ -42,6 +44,7 @@ __all__ = [
     "DiskCloud",
     "DiskCloudWriter",
     "Measured",
+    "Part",
     "open_disk_cloud",
     "write_index",
     "write_part",
@@ -54,11 +57,34 @@ _MOST_BUFFERS = 1024  # that one call fills, on Linux
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """The blocks of one file: block i holds its points offsets[i] to offsets[i + 1]."""
+class Part:
+    """The blocks of one file that belong to a cloud.
 
+    Parameters
+    ----------
+    file : str
+        Its name, as it is seen from the folder.
+    keys, counts : ndarray of int64, shape (b,)
+        Sorted keys of the blocks, and the points in each.
+    starts : ndarray of int64, shape (b,)
+        Which point of the file is the first of each.
+    """
+
+    file: str
     keys: IntArray
-    offsets: IntArray
+    counts: IntArray
+    starts: IntArray
+
+    @classmethod
+    def whole(cls, number: int, keys: IntArray, counts: IntArray) -> Part:
+        """Return all that `write_part` has written as a part of this number."""
+        return cls(_name_part(number), keys, counts, np.cumsum(counts) - counts)
+
+    def without(self, keys: IntArray, folder: str) -> Part:
+        """Return it without some blocks, for an index from which its folder is called so."""
+        kept = np.flatnonzero(find_keys(keys, self.keys) == len(keys))
+        columns = (column[kept] for column in (self.keys, self.counts, self.starts))
+        return Part(os.path.join(folder, self.file), *columns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,8 +113,7 @@ class DiskCloud:
     arrangement : Arrangement
     origin, low, high : ndarray of float64, shape (3,)
     keys, counts : ndarray of int64, shape (b,)
-    parts : list of _Part
-        Of its files.
+    parts : list of Part
     measured : Measured or None
         What was found out about it before.
     """
@@ -100,11 +125,16 @@ class DiskCloud:
     high: FloatArray
     keys: IntArray
     counts: IntArray
-    parts: list[_Part]
+    parts: list[Part]
     measured: Measured | None = None
 
     def __len__(self) -> int:
         return int(self.counts.sum())
+
+    def uses(self, folder: Path) -> bool:
+        """Tell whether parts of it lie in some folder."""
+        names = {os.path.normpath((self.folder / part.file).parent) for part in self.parts}
+        return os.path.normpath(folder) in names
 
     def take_blocks(self, keys: IntArray) -> Points:
         """See `ArrangedCloud` and `take_packed`."""
@@ -124,35 +154,37 @@ class DiskCloud:
         records = np.empty((int(counts.sum()), _COLUMNS), np.float32)
         view = records.reshape(-1).view(np.uint8).data
         filled = _POINT_BYTES * (np.cumsum(counts) - counts)  # where each block goes on
-        for number, part in enumerate(self.parts):
+        for part in self.parts:
             own = find_keys(part.keys, self.keys[rows])
             held = np.flatnonzero(own < len(part.keys))
             if not len(held):
                 continue
-            sizes = _POINT_BYTES * np.diff(part.offsets)[own[held]]
-            begins, ends = filled[held].tolist(), (filled[held] + sizes).tolist()
-            filled[held] += sizes
-            at = 0
-            pieces = []
-            for run in find_runs(own[held]):
-                stop = at + run.stop - run.start
-                targets = [view[a:b] for a, b in zip(begins[at:stop], ends[at:stop], strict=True)]
-                pieces.append((_POINT_BYTES * int(part.offsets[run.start]), targets))
-                at = stop
-            self._read(number, pieces)
+            own = own[held]
+            begins, sizes = part.starts[own], part.counts[own]
+            first, last = filled[held], filled[held] + _POINT_BYTES * sizes
+            filled[held] = last
+            targets = [view[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)]
+            breaks = np.flatnonzero(begins[1:] != begins[:-1] + sizes[:-1]) + 1
+            bounds = [0, *breaks.tolist(), len(held)]
+            pieces = [(_POINT_BYTES * int(begins[a]), targets[a:b]) for a, b in pairwise(bounds)]
+            self._read(part, pieces)
         return PackedPoints.from_records(self.keys[rows], counts, records)
 
     def take_every(self, step: int) -> Points:
         """Return every so many-th point of each part, in the order of the parts."""
         keys, found = [], []
-        for number, part in enumerate(self.parts):
-            rows = np.arange(0, int(part.offsets[-1]), step)
-            keys.append(part.keys[np.searchsorted(part.offsets, rows, side="right") - 1])
-            found.append(np.empty((len(rows), _COLUMNS), np.float32))
-            view = found[-1].reshape(-1).view(np.uint8).data
-            ends = range(_POINT_BYTES, len(view) + 1, _POINT_BYTES)
-            pieces = zip((_POINT_BYTES * rows).tolist(), ends, strict=True)
-            self._read(number, [(start, [view[end - _POINT_BYTES : end]]) for start, end in pieces])
+        for part in self.parts:
+            ends = np.cumsum(part.counts)
+            every = np.arange(0, int(part.counts.sum()), step)
+            block = np.searchsorted(ends, every, side="right")
+            rows = part.starts[block] + every - (ends - part.counts)[block]
+            keys.append(part.keys[block])
+            with self._opened(part):
+                records: Any = np.empty((0, _COLUMNS), np.float32)
+                if len(rows):
+                    records = np.memmap(self.folder / part.file, np.float32, "r")
+                    records = records.reshape(-1, _COLUMNS)
+                found.append(np.asarray(records)[rows])
         every = np.concatenate(keys)
         ones = np.ones(len(every), np.int64)
         packed = PackedPoints.from_records(every, ones, np.concatenate(found))
@@ -163,16 +195,22 @@ class DiskCloud:
         for run in cut_blocks(self.counts, points):
             yield self.take_blocks(self.keys[run])
 
-    def _read(self, number: int, pieces: list[tuple[int, list[memoryview]]]) -> None:
+    def _read(self, part: Part, pieces: list[tuple[int, list[memoryview]]]) -> None:
         """Fill buffers from a part: those of a piece one after the other, from its first byte."""
-        path = self.folder / f"points.{number}"
+        path = self.folder / part.file
+        with self._opened(part), path.open("rb", buffering=0) as file:
+            for start, targets in pieces:
+                _fill(file.fileno(), start, targets, path)
+
+    @contextmanager
+    def _opened(self, part: Part) -> Iterator[None]:
+        """Translate what goes wrong while a part is read."""
         try:
-            with path.open("rb", buffering=0) as file:
-                for start, targets in pieces:
-                    _fill(file.fileno(), start, targets, path)
-        except OSError as error:
+            yield
+        except (OSError, ValueError, IndexError) as error:
+            what = error.strerror if isinstance(error, OSError) else "it is not whole"
             raise JobError(
-                f"{path}: the points that were put there cannot be read: {error.strerror}",
+                f"{self.folder / part.file}: the points that were put there cannot be read: {what}",
                 "run the job again; nobody may touch its temporary folder meanwhile",
             ) from error
 
@@ -210,7 +248,7 @@ class DiskCloudWriter:
         self._folder = folder
         self._arrangement = arrangement
         self._origin = origin
-        self._parts: list[tuple[IntArray, IntArray]] = []
+        self._parts: list[Part] = []
         self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def add(self, positions: FloatArray, normals: FloatArray) -> None:
@@ -231,8 +269,8 @@ class DiskCloudWriter:
         snapped, _ = unpack_points(self._arrangement, packed)
         self._low = np.minimum(self._low, [column.min() for column in snapped.T])
         self._high = np.maximum(self._high, [column.max() for column in snapped.T])
-        write_part(self._folder, len(self._parts), packed)
-        self._parts.append((packed.keys, packed.counts))
+        number = len(self._parts)
+        self._parts.append(Part.whole(number, *write_part(self._folder, number, [packed])))
 
     def finish(self) -> DiskCloud:
         """Write the index and return the cloud; see `write_index`."""
@@ -240,7 +278,9 @@ class DiskCloudWriter:
         return write_index(self._folder, self._arrangement, self._origin, box, self._parts)
 
 
-def write_part(folder: Path, number: int, packed: PackedPoints) -> None:
+def write_part(
+    folder: Path, number: int, pieces: Sequence[PackedPoints]
+) -> tuple[IntArray, IntArray]:
     """Write one part of an arranged cloud.
 
     Parameters
@@ -248,16 +288,48 @@ def write_part(folder: Path, number: int, packed: PackedPoints) -> None:
     folder : Path
     number : int
         Of the part, from 0.
-    packed : PackedPoints
+    pieces : sequence of PackedPoints
+        The points of each block come in the order of the pieces. Where there are none, no file is
+        written.
+
+    Returns
+    -------
+    keys, counts : ndarray of int64, shape (b,)
+        The blocks of the part, and the points in each.
 
     Raises
     ------
     OutputError
         The disk is full, or the folder cannot be written.
     """
-    records = packed.to_records()
+    if not pieces:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
     with _translated(folder):
-        write_whole(folder / f"points.{number}", [records.data])
+        write_whole(folder / _name_part(number), _interleave(pieces))
+    every = np.concatenate([piece.keys for piece in pieces])
+    keys = unique_keys(every)
+    counts = np.concatenate([piece.counts for piece in pieces])
+    totals = np.bincount(np.searchsorted(keys, every), counts, len(keys))
+    return keys, totals.astype(np.int64)
+
+
+def _name_part(number: int) -> str:
+    return f"points.{number}"
+
+
+def _interleave(pieces: Sequence[PackedPoints]) -> Iterator[memoryview]:
+    """Yield the records of some pieces, block after block."""
+    views = [piece.to_records().reshape(-1).view(np.uint8).data for piece in pieces]
+    if len(pieces) == 1:
+        yield views[0]
+        return
+    order = np.argsort(np.concatenate([piece.keys for piece in pieces]), kind="stable")
+    owners = np.repeat(np.arange(len(pieces)), [len(piece.keys) for piece in pieces])[order]
+    sizes = [_POINT_BYTES * piece.counts for piece in pieces]
+    ends = np.concatenate([np.cumsum(of_piece) for of_piece in sizes])[order]
+    starts = ends - np.concatenate(sizes)[order]
+    for owner, start, end in zip(owners.tolist(), starts.tolist(), ends.tolist(), strict=True):
+        yield views[owner][start:end]
 
 
 def write_index(
@@ -265,7 +337,7 @@ def write_index(
     arrangement: Arrangement,
     origin: FloatArray,
     box: tuple[FloatArray, FloatArray],
-    parts: Sequence[tuple[IntArray, IntArray]],
+    parts: Sequence[Part],
     measured: Measured | None = None,
 ) -> DiskCloud:
     """Make a cloud of the parts that have been written.
@@ -278,8 +350,7 @@ def write_index(
         What was subtracted from the input's coordinates.
     box : tuple of ndarray of float64, shape (3,)
         The least and the largest coordinates of all points.
-    parts : sequence of (ndarray of int64, ndarray of int64)
-        The blocks of each part, sorted, and how many points each has.
+    parts : sequence of Part
     measured : Measured, optional
         What is known of the cloud.
 
@@ -303,9 +374,11 @@ def write_index(
             corner=arrangement.origin,
             origin=origin,
             box=np.stack(box),
-            blocks=np.array([len(keys) for keys, _ in parts], np.int64),
-            keys=np.concatenate([keys for keys, _ in parts]),
-            counts=np.concatenate([counts for _, counts in parts]),
+            files=np.array([part.file for part in parts]),
+            blocks=np.array([len(part.keys) for part in parts], np.int64),
+            keys=np.concatenate([part.keys for part in parts]),
+            counts=np.concatenate([part.counts for part in parts]),
+            starts=np.concatenate([part.starts for part in parts]),
             **known,
         )
     return open_disk_cloud(folder)
@@ -343,10 +416,8 @@ def _open(folder: Path, *_version: int) -> DiskCloud:
         held = {name: index[name] for name in index.files}
     bounds = np.cumsum(held["blocks"])[:-1]
     every, counts = held["keys"], held["counts"]
-    parts = [
-        _Part(keys, np.append(0, np.cumsum(sizes)))
-        for keys, sizes in zip(np.split(every, bounds), np.split(counts, bounds), strict=True)
-    ]
+    columns = (np.split(column, bounds) for column in (every, counts, held["starts"]))
+    parts = [Part(*part) for part in zip(held["files"].tolist(), *columns, strict=True)]
     keys = unique_keys(every)
     totals = np.bincount(np.searchsorted(keys, every), counts, len(keys)).astype(np.int64)
     measured = None

@@ -10,6 +10,7 @@ Who may import it: the master that cuts the ranges.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +19,21 @@ import numpy as np
 from hpccomponent.surface import kernels
 from hpccomponent.surface.arrangement import (
     Arrangement,
+    PackedPoints,
     pack_snapped,
     snap_points,
 )
 from hpccomponent.surface.disk_cloud import write_part
+from hpccomponent.surface.lattice import unique_keys
 from hpccomponent.surface.point_records import PointRecords
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, bounding_box
 from hpccomponent.surface.spacing import sample_box_keys
 from hpccomponent.surface.usable_points import Dropped, Reach, are_usable, select_usable
 
 __all__ = ["BoxCounts", "FilePoints", "arrange_range", "bound_range", "survey_range"]
+
+_AT_ONCE = 1 << 18  # points: what is made of some is used again for the next
+_NOWHERE = np.zeros((0, 3))
 
 FilePoints = tuple[Any, ...]
 """``("there", records, start, stop)`` with the values of a `PointRecords`, in a file that the
@@ -62,16 +68,22 @@ def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
     InputError
         The file has no normals, or cannot be read any more.
     """
-    cloud = _take(points)
-    dropped, usable = Dropped(), cloud
-    box = frame = _bound(cloud.positions)
-    if not are_usable(cloud):
-        finite = np.isfinite(cloud.positions).all(axis=1)
-        frame = _bound(cloud.positions[finite])
-        usable, dropped = select_usable(cloud, _path_of(points))
-        box = _bound(usable.positions)
-    sample = np.ascontiguousarray(usable.positions[-before % step :: step])
-    return len(usable), dropped.non_finite_points, dropped.bad_normals, frame, box, sample
+    path, dropped = _path_of(points), Dropped()
+    frame = box = _bound(_NOWHERE)
+    usable, samples = 0, [_NOWHERE]
+    for cloud in _read_pieces(points):
+        near = around = _bound(cloud.positions)
+        if not are_usable(cloud):
+            finite = np.isfinite(cloud.positions).all(axis=1)
+            around = _bound(cloud.positions[finite])
+            cloud, left_out = select_usable(cloud, path)
+            dropped += left_out
+            near = _bound(cloud.positions)
+        frame, box = _unite(frame, around), _unite(box, near)
+        samples.append(cloud.positions[-(before + usable) % step :: step].copy())
+        usable += len(cloud)
+    sample = np.concatenate(samples)
+    return usable, dropped.non_finite_points, dropped.bad_normals, frame, box, sample
 
 
 def bound_range(
@@ -93,8 +105,11 @@ def bound_range(
     count : int
     box : ndarray of float64, shape (2, 3)
     """
-    near = _take_near(points, origin, reach)
-    return len(near), _bound(near.positions)
+    count, box = 0, _bound(_NOWHERE)
+    for near in _take_near(points, origin, reach):
+        count += len(near)
+        box = _unite(box, _bound(near.positions))
+    return count, box
 
 
 def arrange_range(
@@ -136,25 +151,38 @@ def arrange_range(
     OutputError
         The disk is full, or the folder cannot be written.
     """
-    near = _take_near(points, origin, reach)
     low, edges, one_in = boxes
-    if not len(near):
-        none = np.zeros(0, np.int64)
-        return none, none, [(0, none) for _ in edges]
-    assert near.normals is not None  # noqa: S101 - usable points have some
     blocks = Arrangement(*arrangement)
-    snapped = snap_points(blocks, near.positions)
-    packed = pack_snapped(blocks, snapped, near.normals)
-    write_part(Path(target[0]), target[1], packed)
-    counted = [sample_box_keys(snapped, low, edge, one_in) for edge in edges]
-    return packed.keys, packed.counts, counted
+    pieces: list[PackedPoints] = []
+    counted: list[BoxCounts] = [[(0, np.zeros(0, np.int64))] * len(edges)]
+    for near in _take_near(points, origin, reach):
+        if len(near):
+            assert near.normals is not None  # noqa: S101 - usable points have some
+            snapped = snap_points(blocks, near.positions)
+            pieces.append(pack_snapped(blocks, snapped, near.normals))
+            counted.append([sample_box_keys(snapped, low, edge, one_in) for edge in edges])
+    keys, counts = write_part(Path(target[0]), target[1], pieces)
+    return keys, counts, [_add_counts(of_edge) for of_edge in zip(*counted, strict=True)]
 
 
-def _take(points: FilePoints) -> PointCloud:
+def _add_counts(counted: tuple[tuple[int, IntArray], ...]) -> tuple[int, IntArray]:
+    """Return what was counted of several groups of points as one."""
+    points, keys = zip(*counted, strict=True)
+    return sum(points), unique_keys(np.concatenate(keys))
+
+
+def _read_pieces(points: FilePoints) -> Iterator[PointCloud]:
+    """Yield the points of a range in their order, some at a time."""
     if points[0] == "sent":
-        return PointCloud(*points[2:])
-    _, values, start, stop = points
-    return PointRecords(*values).read(start, stop)
+        positions, normals = points[2:]
+        for start in range(0, len(positions), _AT_ONCE):
+            rows = slice(start, start + _AT_ONCE)
+            yield PointCloud(positions[rows], None if normals is None else normals[rows])
+        return
+    _, values, first, stop = points
+    records = PointRecords(*values)
+    for start in range(first, stop, _AT_ONCE):
+        yield records.read(start, min(start + _AT_ONCE, stop))
 
 
 def _path_of(points: FilePoints) -> str:
@@ -163,14 +191,17 @@ def _path_of(points: FilePoints) -> str:
 
 def _take_near(
     points: FilePoints, origin: FloatArray, reach: tuple[FloatArray, float] | None
-) -> PointCloud:
-    """Return the usable points within reach, in their frame."""
-    usable, _ = select_usable(_take(points), _path_of(points))
-    positions = usable.positions - origin if origin.any() else usable.positions
-    local = PointCloud(positions, usable.normals)
-    if reach is None or not len(local) or Reach(*reach).holds(*bounding_box(positions)):
-        return local
-    return local.take(Reach(*reach).find_near(positions))
+) -> Iterator[PointCloud]:
+    """Yield the usable points within reach, in their frame, some at a time."""
+    path = _path_of(points)
+    for cloud in _read_pieces(points):
+        usable, _ = select_usable(cloud, path)
+        positions = usable.positions - origin if origin.any() else usable.positions
+        local = PointCloud(positions, usable.normals)
+        if reach is None or not len(local) or Reach(*reach).holds(*bounding_box(positions)):
+            yield local
+        else:
+            yield local.take(Reach(*reach).find_near(positions))
 
 
 def _bound(positions: FloatArray) -> FloatArray:
@@ -178,3 +209,8 @@ def _bound(positions: FloatArray) -> FloatArray:
     if not len(positions):
         return np.array([[np.inf] * 3, [-np.inf] * 3])
     return np.stack(kernels.bound_points(positions))
+
+
+def _unite(box: FloatArray, other: FloatArray) -> FloatArray:
+    """Return the box around two boxes."""
+    return np.stack([np.minimum(box[0], other[0]), np.maximum(box[1], other[1])])

@@ -59,7 +59,7 @@ def mend_blocks(
     target: tuple[str, int] | None,
     sampled: tuple[float, int],
 ) -> tuple[Any, ...]:
-    """Turn round the wrong normals of a region, and write its points (a task).
+    """Turn round the wrong normals of a region, and write its points if any change (a task).
 
     Parameters
     ----------
@@ -75,9 +75,9 @@ def mend_blocks(
 
     Returns
     -------
-    packed : tuple
+    packed : tuple or None
         Of a `PackedPoints`: the points in its blocks, or if they were written only their keys and
-        counts.
+        counts. None where they are what they were: nothing is written then.
     flipped : int
         Normals that were turned round.
     sample : ndarray of float64, shape (2, s, 3)
@@ -89,16 +89,19 @@ def mend_blocks(
         The disk is full, or the folder cannot be written.
     """
     region = take_region(points)
-    own = np.flatnonzero(region.own)
-    turned = find_turned(region.positions, region.normals, low, spacing).take(own)
-    packed = region.pack_own(turned)
-    positions = region.positions.take(own, axis=0)
+    turned = find_turned(region.positions, region.normals, low, spacing) & region.own
     rows = np.zeros(0, np.int64)
-    if len(positions):
-        rows = kernels.sample_boxes(positions, low, *sampled)
-    sample = np.stack([positions[rows], packed.normals[rows]])
+    if len(region.positions):
+        rows = kernels.sample_boxes(region.positions, low, *sampled)
+        rows = rows[region.own[rows]]
+    signs = np.where(turned[rows], -1.0, 1.0)[:, None]
+    normals = signs * region.packed.normals[region.rows[rows]]
+    sample = np.stack([region.positions[rows], normals])
+    flipped = int(np.count_nonzero(turned))
+    if not (flipped or region.has_lost_own):
+        return None, flipped, sample
+    packed = region.pack_own(turned)
     values = packed.to_values()
     if target is not None:
-        write_part(Path(target[0]), target[1], packed)
-        values = values[:2]
-    return values, int(np.count_nonzero(turned)), sample
+        values = write_part(Path(target[0]), target[1], [packed])
+    return values, flipped, sample

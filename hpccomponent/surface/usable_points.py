@@ -35,6 +35,11 @@ class Dropped:
     non_finite_points: int = 0
     bad_normals: int = 0
 
+    def __add__(self, other: Dropped) -> Dropped:
+        return Dropped(
+            self.non_finite_points + other.non_finite_points, self.bad_normals + other.bad_normals
+        )
+
     @property
     def total(self) -> int:
         """All of them."""

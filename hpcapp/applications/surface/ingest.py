@@ -32,7 +32,7 @@ from hpcapp.io.usable import (
 )
 from hpccomponent.errors import InputError
 from hpccomponent.surface.arrangement import Arrangement, choose_arrangement, snap_points
-from hpccomponent.surface.disk_cloud import DiskCloud, write_index
+from hpccomponent.surface.disk_cloud import DiskCloud, Part, write_index
 from hpccomponent.surface.file_ranges import FilePoints, arrange_range, bound_range, survey_range
 from hpccomponent.surface.points import FloatArray
 from hpccomponent.surface.spacing import guess_boxes
@@ -189,8 +189,9 @@ def _arrange(
             lambda i: (*common, (str(folder), i), (low, edges, one_in)),
         )
     )
-    cloud = write_index(folder, blocks, origin, (low, high), [part[:2] for part in parts])
-    return cloud, merge_boxes(edges, [part[2] for part in parts])
+    written = [Part.whole(i, keys, counts) for i, (keys, counts, _) in enumerate(parts)]
+    cloud = write_index(folder, blocks, origin, (low, high), written)
+    return cloud, merge_boxes(edges, [counted for _, _, counted in parts])
 
 
 def _run(

@@ -144,7 +144,8 @@ def load_folder(settings: Settings, folder: Path, passes: Passes, clock: StageCl
     settings : Settings
         With `resume`, what is in the folder is taken, if it is whole.
     folder : Path
-        Is made where there is none; 24 bytes a point are written, or 48.
+        Is made where there is none; 24 bytes a point are written, and those of regions that change
+        again.
     passes : Passes
         Who goes through the points; so many may be in memory at once, here and on each worker.
     clock : StageClock
@@ -170,7 +171,8 @@ def load_folder(settings: Settings, folder: Path, passes: Passes, clock: StageCl
         cleaned_folder.mkdir()
         with clock.stage("clean"):
             cloud, cleaned = clean_regions(cloud, cleaned_folder, passes, read.boxes)
-        shutil.rmtree(arranged, ignore_errors=True)  # one may write there still
+        if not cloud.uses(arranged):
+            shutil.rmtree(arranged, ignore_errors=True)  # one may write there still
     else:
         box = len(cloud), cloud.low, cloud.high
         spacing = measure_spacing(cloud, passes, box, (), read.boxes)

@@ -13,6 +13,7 @@ Who may import it: the job.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from hpccomponent.surface.arranged_cloud import Points
 from hpccomponent.surface.arrangement import PackedPoints
 from hpccomponent.surface.block_tasks import sample_blocks, survey_blocks
 from hpccomponent.surface.cloud_regions import DroppedCells
-from hpccomponent.surface.disk_cloud import DiskCloud, Measured, write_index, write_part
+from hpccomponent.surface.disk_cloud import DiskCloud, Measured, Part, write_index, write_part
 from hpccomponent.surface.lattice import pack_places
 from hpccomponent.surface.outlier_regions import judge_sparse
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
@@ -47,7 +48,8 @@ def clean_regions(
     cloud : DiskCloud
         Ten points or more.
     folder : Path
-        Where the result is put: exists, and holds no other cloud.
+        Where the result is put: exists, and holds no other cloud. What does not change stays
+        where it is.
     passes : Passes
         The result does not depend on it.
     boxes : Boxes, optional
@@ -106,9 +108,8 @@ def measure_cloud(
         return positions, normals
 
     measured = Measured(spacing, PointCloud(*draw_sample(draw, len(cloud))))
-    blocks = [(part.keys, np.diff(part.offsets)) for part in cloud.parts]
     box = cloud.low, cloud.high
-    return write_index(cloud.folder, cloud.arrangement, cloud.origin, box, blocks, measured)
+    return write_index(cloud.folder, cloud.arrangement, cloud.origin, box, cloud.parts, measured)
 
 
 def cut_regions(keys: IntArray, counts: IntArray, pieces: int) -> list[IntArray]:
@@ -163,26 +164,30 @@ def _mend(
     dropped: DroppedCells,
     folder: Path,
     passes: Passes,
-) -> tuple[list[tuple[IntArray, IntArray]], int, Points]:
-    """Write the cloud that is left; return the blocks of each region, flipped normals, a sample."""
+) -> tuple[list[Part], int, Points]:
+    """Write what changes; return the parts of the cloud that is left, flipped normals, a sample."""
     points, low, spacing = known
     sampled = SAMPLED_BOX * spacing, max(first_share(points), 1)
-    parts: dict[int, tuple[IntArray, IntArray]] = {}
-    flipped, samples = 0, []
+    changed: dict[int, Part] = {}
+    flipped, samples = 0, {}
 
     def more(region: int) -> tuple[Any, ...]:
         return low, spacing, (str(folder), region) if passes.workers_see else None, sampled
 
     margin = normals_module.MARGIN * spacing
     for region, result in passes.map_regions(mend_blocks, cloud, regions, margin, dropped, more):
-        packed, turned, sample = result
-        if not passes.workers_see:
-            write_part(folder, region, PackedPoints(*packed))
-        parts[region] = packed[:2]
+        packed, turned, samples[region] = result
+        if packed is not None:
+            if not passes.workers_see:
+                packed = write_part(folder, region, [PackedPoints(*packed)])
+            changed[region] = Part.whole(region, *packed)
         flipped += turned
-        samples.append(sample)
-    positions, normals = np.concatenate(samples, axis=1)
-    return [parts[i] for i in range(len(regions))], flipped, (positions, normals)
+    old = np.sort(np.concatenate([np.zeros(0, np.int64), *(regions[i] for i in changed)]))
+    there = os.path.relpath(cloud.folder, folder)
+    parts = [part.without(old, there) for part in cloud.parts]
+    parts = [part for part in parts if len(part.keys)] + [changed[i] for i in sorted(changed)]
+    positions, normals = np.concatenate([samples[i] for i in sorted(samples)], axis=1)
+    return parts, flipped, (positions, normals)
 
 
 def _sort(cloud: DiskCloud, sample: Points) -> Points:

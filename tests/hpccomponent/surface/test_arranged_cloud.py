@@ -12,8 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpccomponent.errors import JobError, OutputError
-from hpccomponent.surface.arranged_cloud import MemoryCloud, arrange_cloud, cut_blocks
-from hpccomponent.surface.disk_cloud import DiskCloud, DiskCloudWriter, open_disk_cloud
+from hpccomponent.surface.arranged_cloud import MemoryCloud, Points, arrange_cloud, cut_blocks
+from hpccomponent.surface.arrangement import pack_points
+from hpccomponent.surface.disk_cloud import (
+    DiskCloud,
+    DiskCloudWriter,
+    Part,
+    open_disk_cloud,
+    write_index,
+    write_part,
+)
 from hpccomponent.surface.points import PointCloud
 
 
@@ -35,6 +43,10 @@ def _write(scan: PointCloud, arranged: MemoryCloud, folder: Path, rows: int) -> 
     for start in range(0, len(scan), rows):
         writer.add(scan.positions[start : start + rows], scan.normals[start : start + rows])
     return writer.finish()
+
+
+def _rows(points: Points) -> set[bytes]:
+    return {row.tobytes() for row in np.concatenate(points, axis=1)}
 
 
 @pytest.mark.parametrize("rows", [1, 70, 1_000, 3_000])
@@ -89,6 +101,50 @@ def test_a_selection_keeps_the_blocks(memory: MemoryCloud) -> None:
     assert some.take_blocks(memory.keys)[0].tobytes() == some.cloud.positions.tobytes()
 
 
+@pytest.mark.parametrize("step", [1, 7, 5_000])
+def test_an_index_may_leave_out_blocks_of_parts_elsewhere(
+    tmp_path: Path, memory: MemoryCloud, step: int
+) -> None:
+    """Those left out are in another part, as if they had been written again."""
+    (tmp_path / "old").mkdir()
+    (tmp_path / "new").mkdir()
+    old = _write(_scan(), memory, tmp_path / "old", 700)
+    moved = memory.keys[::3]
+    written = write_part(tmp_path / "new", 0, [old.take_packed(moved)])
+    parts = [part.without(moved, "../old") for part in old.parts]
+    parts.append(Part.whole(0, *written))
+    box = old.low, old.high
+    new = write_index(tmp_path / "new", old.arrangement, old.origin, box, parts)
+    assert new.uses(tmp_path / "old")
+    assert not old.uses(tmp_path / "new")
+    assert new.counts.tolist() == memory.counts.tolist()
+    for keys in (memory.keys, memory.keys[1:40], moved):
+        for one, other in zip(new.take_blocks(keys), memory.take_blocks(keys), strict=True):
+            assert one.tobytes() == other.tobytes()
+    some = new.take_every(step)
+    assert len(some[0]) == sum(-(-int(part.counts.sum()) // step) for part in parts)
+    assert _rows(some) <= _rows(memory.take_blocks(memory.keys))
+    assert len(_rows(some)) == len(some[0])
+
+
+def test_a_part_is_the_same_in_pieces(tmp_path: Path, memory: MemoryCloud) -> None:
+    """Blocks hold the points of one piece after those of another."""
+    scan = _scan()
+    assert scan.normals is not None
+    arrangement = memory.arrangement
+    packed = [
+        pack_points(arrangement, scan.positions[rows], scan.normals[rows])
+        for rows in (slice(0, 1), slice(1, 1_200), slice(1_200, None))
+    ]
+    keys, counts = write_part(tmp_path, 0, packed)
+    whole = pack_points(arrangement, scan.positions, scan.normals)
+    assert keys.tolist() == whole.keys.tolist()
+    assert counts.tolist() == whole.counts.tolist()
+    assert (tmp_path / "points.0").read_bytes() == whole.to_records().tobytes()
+    assert [len(column) for column in write_part(tmp_path, 1, [])] == [0, 0]
+    assert not (tmp_path / "points.1").exists()
+
+
 def test_a_cloud_is_opened_again(tmp_path: Path, memory: MemoryCloud) -> None:
     written = _write(_scan(), memory, tmp_path, 1_000)
     opened = open_disk_cloud(tmp_path)
@@ -104,6 +160,8 @@ def test_folders_that_were_tampered_with(tmp_path: Path, memory: MemoryCloud) ->
     part.write_bytes(part.read_bytes()[:-1])
     with pytest.raises(JobError, match=r"points\.1 has become shorter"):
         disk.take_blocks(memory.keys)
+    with pytest.raises(JobError, match=r"points\.1: .* cannot be read: it is not whole"):
+        disk.take_every(10)
     part.unlink()
     with pytest.raises(JobError, match=r"points\.1: .* cannot be read"):
         disk.take_blocks(memory.keys)
@@ -115,7 +173,7 @@ def test_folders_that_were_tampered_with(tmp_path: Path, memory: MemoryCloud) ->
 def test_a_full_disk_is_one_clear_line(
     tmp_path: Path, memory: MemoryCloud, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Path, "open", refuse)

@@ -61,8 +61,10 @@ def test_turned_normals_of_regions_are_those_of_the_whole(tmp_path: Path, is_sen
     for blocks in _cut(cloud, 8):
         r = _take(cloud, blocks, MARGIN * spacing, is_sent)
         own = np.isin(rows, blocks)
-        turned[own] = find_turned(r.positions, r.normals, arranged.low, spacing)[r.own]
-        packed = r.pack_own(turned[own])
+        found = find_turned(r.positions, r.normals, arranged.low, spacing)
+        turned[own] = found[r.own]
+        packed = r.pack_own(found)
+        assert not r.has_lost_own
         assert packed.keys.tolist() == blocks.tolist()
         assert packed.counts.tolist() == arranged.counts[np.isin(arranged.keys, blocks)].tolist()
         mended = np.where(turned[own, None], -whole[1][own], whole[1][own])
@@ -103,3 +105,4 @@ def test_points_in_dropped_cells_are_not_there(tmp_path: Path) -> None:
     held = np.repeat(cloud.keys, cloud.counts)[kept]
     assert np.repeat(packed.keys, packed.counts).tolist() == held.tolist()
     assert 0 < kept.sum() < len(kept)
+    assert region.has_lost_own

@@ -17,6 +17,7 @@ from hpcapp.backends import SerialExecutor
 from hpcapp.batches import Workforce
 from hpcapp.io import drop_unusable, open_points, read_points, write_points
 from hpccomponent.errors import InputError
+from hpccomponent.surface import file_ranges
 from hpccomponent.surface.arranged_cloud import arrange_cloud
 from hpccomponent.surface.kernels import count_boxes
 from hpccomponent.surface.points import FloatArray, PointCloud
@@ -81,8 +82,12 @@ def test_parts_arranged_on_disk_are_the_cloud_in_memory(
 
 
 @pytest.mark.parametrize("workers_see", [True, False])
-def test_workers_read_their_ranges(tmp_path: Path, workers_see: bool) -> None:
+@pytest.mark.parametrize("at_once", [1_000, 1 << 18])
+def test_workers_read_their_ranges(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers_see: bool, at_once: int
+) -> None:
     """Many of them, none of which knows how many unusable points lie before its own."""
+    monkeypatch.setattr(file_ranges, "_AT_ONCE", at_once)
     path = tmp_path / "a.ply"
     write_points(path, _spoil(_scan(60_000)))
     expected = arrange_cloud(drop_far(drop_unusable(read_points(path))[0]))
@@ -96,10 +101,14 @@ def test_workers_read_their_ranges(tmp_path: Path, workers_see: bool) -> None:
     assert [column.tobytes() for column in one] == [column.tobytes() for column in other]
 
 
-def test_the_sample_of_ranges_is_that_of_parts(tmp_path: Path) -> None:
+@pytest.mark.parametrize("at_once", [700, 1 << 18])
+def test_the_sample_of_ranges_is_that_of_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int
+) -> None:
     """As the far points and lines that are looked for in it."""
     write_points(tmp_path / "a.ply", _spoil(_scan(90_000)))
     source = open_points(tmp_path / "a.ply")
+    monkeypatch.setattr(file_ranges, "_AT_ONCE", at_once)
     ranges = ingest._survey_records(source, _passes(11_000))
     parts = ingest._survey_parts(replace(source, records=None), _passes(11_000))
     assert ranges.sample.tobytes() == parts.sample.tobytes()

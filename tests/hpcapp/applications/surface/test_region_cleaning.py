@@ -133,6 +133,21 @@ def test_any_mixture_is_cleaned_alike(tmp_path: Path, seed: int) -> None:
 
 
 @pytest.mark.parametrize("workers_see", [True, False])
+def test_only_regions_that_change_are_written(tmp_path: Path, workers_see: bool) -> None:
+    positions = _sphere(np.random.default_rng(2), 30_000)
+    cloud = _oriented(positions)
+    assert cloud.normals is not None
+    cloud.normals[np.flatnonzero(positions[:, 0] > 0.99)[::40]] *= -1.0  # a few, in one place
+    serial = _serial(3_000).workforce
+    passes = Passes(serial, workers_see, 3_000)
+    cleaned = _assert_cleaned_alike(cloud, tmp_path, passes)
+    assert 0 < cleaned.flipped < 100
+    written = list(tmp_path.glob("points.*"))
+    assert 1 <= len(written) <= 4  # of ten
+    assert 0 < sum(path.stat().st_size for path in written) < 24 * 15_000
+
+
+@pytest.mark.parametrize("workers_see", [True, False])
 def test_workers_do_not_show(tmp_path: Path, workers_see: bool) -> None:
     """Whether they see the folder, and write to it, or are sent points."""
     with ThreadPoolExecutor(3) as executor:
