@@ -15,13 +15,11 @@ Arguments and results are values that travel; the classes here give them names o
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.cutting import cut_equal
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store import hold_store
 from hpccomponent.surface import kernels
@@ -29,42 +27,37 @@ from hpccomponent.surface.ancestors import corners_at, mark_ancestors
 from hpccomponent.surface.arrangement import Arrangement
 from hpccomponent.surface.bricks import BrickKinds
 from hpccomponent.surface.cell_points import SortedPoints
-from hpccomponent.surface.crowding import crowd_vertices
-from hpccomponent.surface.far_field import FarField, FarFieldPart, restore_far_field
+from hpccomponent.surface.far_field import FarFieldPart, restore_far_field
 from hpccomponent.surface.field import Field, FieldLevel, Grid
+from hpccomponent.surface.field_levels import fit_field
 from hpccomponent.surface.hermite import BASIS
 from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.mesh_part import MeshPart, cut_part
-from hpccomponent.surface.parallel import run_batches
 from hpccomponent.surface.part_summary import summarize_part
 from hpccomponent.surface.points import FloatArray, IntArray
 from hpccomponent.surface.pyramid import (
     Level,
     Parents,
     Pyramid,
-    VertexQuadrics,
-    fit_levels,
     lay_vertices,
     raise_levels,
     sort_level,
 )
 from hpccomponent.surface.reach import near_bricks, plan_gap, plan_tile
 from hpccomponent.surface.tile_points import CellPoints, estimate_work, take_points
-from hpccomponent.surface.weights import FIELD_LEVELS, Weights, trust_vertices, weigh_levels
+from hpccomponent.surface.weights import FIELD_LEVELS, Weights, weigh_levels
 
 __all__ = [
     "KEPT_TILES",
     "CoarseLevels",
     "Plan",
     "Values",
-    "find_trust",
     "mesh_gap",
     "mesh_tile",
     "sample_cells",
     "sum_tile",
 ]
 
-_TRUST_ROWS = 1 << 16
 _NO_LEVEL = FieldLevel(
     np.empty(0, np.int64), np.empty((0, BASIS), np.float32), np.empty(0, np.float32)
 )
@@ -363,59 +356,6 @@ def mesh_gap(
     return _give(*_mesh_region(common, levels, kinds, coarse, threads), keep)
 
 
-def find_trust(
-    pyramid: Pyramid, quadrics: list[VertexQuadrics], far: FarField, threads: int = 1
-) -> tuple[FieldLevel, ...]:
-    """Tell how far each quadric of some levels is to be trusted (see `weights`).
-
-    Parameters
-    ----------
-    pyramid : Pyramid
-    quadrics : list of VertexQuadrics
-        Of its finest levels.
-    far : FarField
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    tuple of FieldLevel
-    """
-    found = []
-    for index, of_level in enumerate(quadrics):
-        level, keys, depth = pyramid.levels[index], pyramid.vertices[index], pyramid.first + index
-        crowds = (
-            crowd_vertices(keys, of_level.counts, level.cells, level.squares)
-            if depth
-            else np.zeros(len(keys))
-        )
-        origin = (pyramid.origin - far.origin) / far.step
-        spacing = pyramid.cell_size * 2.0**depth / far.step
-        given = depth, keys, of_level, crowds, (far.values, origin, spacing, far.step)
-        rows = cut_equal(len(keys), -(-len(keys) // _TRUST_ROWS))
-        parts = run_batches(partial(_trust_rows, *given), rows, threads)
-        trust = np.concatenate([np.empty(0, np.float32), *parts])
-        found.append(FieldLevel(keys, of_level.coefficients, trust))
-    return tuple(found)
-
-
-def _trust_rows(
-    depth: int,
-    keys: IntArray,
-    quadrics: VertexQuadrics,
-    crowds: FloatArray,
-    far: tuple[NDArray[np.float32], FloatArray, float, float],
-    rows: slice,
-) -> NDArray[np.float32]:
-    """Trust some vertices of a level; `far` is a grid with its origin, spacing and step."""
-    values, origin, spacing, step = far
-    distances = kernels.sample_corners(values, keys[rows], origin, spacing) / step
-    return trust_vertices(
-        quadrics.coefficients[rows, 0], distances, quadrics.counts[rows],
-        quadrics.inherited[rows], crowds[rows], depth,
-    )  # fmt: skip
-
-
 def _prepare(plan: Plan, points: CellPoints, with_kinds: bool, threads: int) -> _Prepared:
     """Put a tile's points into their cells, and sum these up to the coarse level."""
     kernels.give_back_memory()  # the pieces that tasks before this one have left
@@ -437,8 +377,7 @@ def _mesh_region(
     if raised:
         vertices = _lay_near(raised[0].cells, plan, kinds)
         pyramid = Pyramid(plan.origin, plan.cell_size, raised, vertices, 0, plan.height)
-        quadrics = fit_levels(pyramid, plan.weights, above.parents, threads)[0]
-        levels = find_trust(pyramid, quadrics, far, threads)
+        levels = fit_field(pyramid, plan.weights, above.parents, far, threads)
     field = Field(plan.origin, plan.cell_size, levels + above.levels, far)
     mesh = kernels.grow_surface(field, plan.grid, kinds, threads)
     balanced = kernels.balance_vertices(mesh.vertices, mesh.faces, plan.step)

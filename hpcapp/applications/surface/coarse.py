@@ -10,6 +10,7 @@ import numpy as np
 from hpccomponent.surface.cell_points import CellMoments
 from hpccomponent.surface.far_field import FarField, crop_far_field, far_step, solve_far_field
 from hpccomponent.surface.field import BRICK, FieldLevel, Grid
+from hpccomponent.surface.field_levels import find_trust
 from hpccomponent.surface.lattice import pack_places, unique_keys, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray
 from hpccomponent.surface.pyramid import (
@@ -21,7 +22,7 @@ from hpccomponent.surface.pyramid import (
     raise_levels,
 )
 from hpccomponent.surface.reach import HALO_STEPS, mark_near
-from hpccomponent.surface.region import CoarseLevels, Plan, find_trust, sample_cells
+from hpccomponent.surface.region import CoarseLevels, Plan, sample_cells
 
 __all__ = ["Coarse", "far_level", "fit_coarse", "solve_far"]
 

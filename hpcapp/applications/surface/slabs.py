@@ -21,15 +21,15 @@ from hpcapp.applications.surface.coarse import solve_far
 from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.surface import PartSurface
 from hpccomponent.surface import kernels
-from hpccomponent.surface.cell_points import SortedPoints
 from hpccomponent.surface.field import BRICK, Field, FieldLevel
+from hpccomponent.surface.field_levels import find_trust, fit_finest
 from hpccomponent.surface.lattice import find_keys, find_layers, unique_keys, unpack_keys
 from hpccomponent.surface.mesh_part import cut_part
 from hpccomponent.surface.part_summary import summarize_part
 from hpccomponent.surface.points import IntArray, PointCloud
-from hpccomponent.surface.pyramid import Level, Pyramid, build_pyramid, fit_levels
+from hpccomponent.surface.pyramid import Pyramid, build_pyramid, fit_levels
 from hpccomponent.surface.reach import plan_slab
-from hpccomponent.surface.region import Plan, find_trust, sample_cells
+from hpccomponent.surface.region import Plan, sample_cells
 
 __all__ = ["SLAB_QUADRICS", "mesh_slabs"]
 
@@ -136,13 +136,6 @@ class _Slabs:
         nodes = BRICK * np.array([first - 1, end + 1]) * plan.step
         places = (plan.grid_origin[0] + nodes - plan.origin[0]) / plan.cell_size
         low, high = int(np.floor(places[0])), int(np.floor(places[1])) + 1
-        corners = find_layers(self._vertices, low, high)
-        cells = find_layers(self._finest.cells, low - 1, high)
-        points = self._finest.points
-        assert isinstance(points, SortedPoints)  # noqa: S101 - the finest level has points
-        level = Level(self._finest.cells[cells], points.run(cells), self._finest.squares)
-        vertices = self._vertices[corners]
-        pyramid = Pyramid(plan.origin, plan.cell_size, [level], [vertices], 0, plan.height)
-        parents = self._parents and self._parents.between(low // 2, -(-high // 2))
-        quadrics, _ = fit_levels(pyramid, plan.weights, parents, self._threads)
-        return find_trust(pyramid, quadrics, self._far, self._threads)[0]
+        vertices = self._vertices[find_layers(self._vertices, low, high)]
+        pyramid = Pyramid(plan.origin, plan.cell_size, [self._finest], [vertices], 0, plan.height)
+        return fit_finest(pyramid, plan.weights, self._parents, self._far, self._threads)

@@ -1,5 +1,7 @@
 // Sets of places: all within a box around each, all parents, which lie near something, which touch.
 #include <cmath>
+#include <deque>
+#include <iterator>
 
 #include "families.h"
 #include "keys.h"
@@ -42,17 +44,63 @@ Keys spread_axis(Keys keys, int64_t step, int64_t low, int64_t high) {
   return keys;
 }
 
+// The keys of one x, spread along y and z: without their x.
+struct Layer {
+  int64_t x;
+  Keys keys;
+};
+
+Layer spread_layer(const int64_t* keys, int64_t count, int64_t low, int64_t high) {
+  const int64_t x = keys[0] / STRIDES[0];
+  Keys spread{make_buffer<int64_t>(count), count};
+  for (int64_t i = 0; i < count; ++i) spread.at[i] = keys[i] - x * STRIDES[0];
+  for (int axis = 2; axis >= 1; --axis) spread = spread_axis(std::move(spread), STRIDES[axis], low, high);
+  return {x, std::move(spread)};
+}
+
+// Append the union of some layers, at one x. `united` and `more` are room for it.
+void unite_layers(const std::deque<Layer>& layers, int64_t x, std::vector<int64_t>& united,
+                  std::vector<int64_t>& more, Large<int64_t>& spread) {
+  united.clear();
+  for (const Layer& layer : layers) {
+    const int64_t* at = layer.keys.at.get();
+    more.clear();
+    std::set_union(united.begin(), united.end(), at, at + layer.keys.count, std::back_inserter(more));
+    std::swap(united, more);
+  }
+  for (const int64_t key : united) spread.push_back(x * STRIDES[0] + key);
+}
+
+// One x after the other, as keys sort: what it takes beside the result is some layers.
+Large<int64_t> spread_sorted(const int64_t* keys, int64_t count, int64_t low, int64_t high) {
+  Large<int64_t> spread;
+  spread.reserve(static_cast<size_t>(4 * count));  // so many where a surface is spread by four
+  std::deque<Layer> near;
+  std::vector<int64_t> united, more;
+  int64_t next = 0;
+  for (int64_t x = 0; next < count || !near.empty(); ++x) {
+    if (near.empty()) x = keys[next] / STRIDES[0] + low;
+    while (next < count && keys[next] / STRIDES[0] + low <= x) {
+      const int64_t end = (keys[next] / STRIDES[0] + 1) * STRIDES[0];
+      const int64_t* stop = std::lower_bound(keys + next, keys + count, end);
+      near.push_back(spread_layer(keys + next, stop - keys - next, low, high));
+      next = stop - keys;
+    }
+    unite_layers(near, x, united, more, spread);
+    while (!near.empty() && near.front().x + high <= x) near.pop_front();
+  }
+  return spread;
+}
+
 Output<int64_t> spread_keys(Input keys_of, int64_t low, int64_t high) {
   const int64_t* keys = check_keys(keys_of, "keys");
   if (low > high || low < -8 || high > 8) refuse("low, high: expected -8 <= low <= high <= 8");
-  const int64_t count = rows_of(keys_of);
-  Keys spread{make_buffer<int64_t>(count), count};
+  Large<int64_t> spread;
   {
     nb::gil_scoped_release unlocked;
-    std::copy(keys, keys + count, spread.at.get());
-    for (int axis = 2; axis >= 0; --axis) spread = spread_axis(std::move(spread), STRIDES[axis], low, high);
+    spread = spread_sorted(keys, rows_of(keys_of), low, high);
   }
-  return give(std::move(spread.at), {static_cast<size_t>(spread.count)});
+  return give(std::move(spread));
 }
 
 // Keys that share the coordinate along an axis, and all slower ones.

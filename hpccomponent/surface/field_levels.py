@@ -1,0 +1,173 @@
+"""From moments to the levels of a field: fitted, and each quadric trusted as far as it deserves.
+
+::
+
+    levels from 1 up ── fitted as a whole ──> trust
+         │ parents
+    level 0 ── fitted some layers of vertices at a time ──> trust
+
+The finest level has most of the vertices, and what a fit takes beside its result is twice as much
+as that. Keys sort by x first: some layers of vertices ask for a run of cells and of parents.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.cutting import cut_equal
+from hpccomponent.surface import kernels
+from hpccomponent.surface.cell_points import SortedPoints
+from hpccomponent.surface.crowding import crowd_vertices
+from hpccomponent.surface.far_field import FarField
+from hpccomponent.surface.field import FieldLevel
+from hpccomponent.surface.hermite import BASIS
+from hpccomponent.surface.lattice import find_layers, unpack_keys
+from hpccomponent.surface.parallel import run_batches
+from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.pyramid import Level, Parents, Pyramid, VertexQuadrics, fit_levels
+from hpccomponent.surface.weights import Weights, trust_vertices
+
+__all__ = ["find_trust", "fit_field", "fit_finest"]
+
+_AT_ONCE = 1 << 18  # vertices of the finest level
+_TRUST_ROWS = 1 << 16
+
+
+def fit_field(
+    pyramid: Pyramid,
+    weights: list[Weights],
+    parents: Parents | None,
+    far: FarField,
+    threads: int = 1,
+) -> tuple[FieldLevel, ...]:
+    """Fit every level, and tell how far each quadric is to be trusted.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+        From level 0 on. Its levels are taken out: they are most of the memory.
+    weights, parents, threads
+        See `pyramid.fit_levels`.
+    far : FarField
+
+    Returns
+    -------
+    tuple of FieldLevel
+        Finest first.
+    """
+    quadrics, parents = fit_levels(pyramid, weights, parents, threads, lowest=1)
+    levels, vertices = pyramid.levels, pyramid.vertices
+    above = replace(pyramid, levels=levels[1:], vertices=vertices[1:], first=1)
+    coarser = find_trust(above, quadrics, far, threads)
+    finest = fit_finest(pyramid, weights, parents, far, threads)
+    pyramid.levels.clear()
+    return finest, *coarser
+
+
+def fit_finest(
+    pyramid: Pyramid,
+    weights: list[Weights],
+    parents: Parents | None,
+    far: FarField,
+    threads: int = 1,
+) -> FieldLevel:
+    """Fit the finest level, some layers of vertices at a time.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+        Its first level is 0, which is left as it is; others are not asked for.
+    weights, far, threads
+        See `fit_field`.
+    parents : Parents or None
+        Of level 1, where there is one.
+
+    Returns
+    -------
+    FieldLevel
+    """
+    finest, vertices = pyramid.levels[0], pyramid.vertices[0]
+    points = finest.points
+    assert isinstance(points, SortedPoints)  # noqa: S101 - the finest level has points
+    coefficients = np.empty((len(vertices), BASIS), np.float32)
+    trust = np.empty(len(vertices), np.float32)
+    for first, end in pairwise(_cut_layers(vertices)):
+        low, high = unpack_keys(vertices[[first, end - 1]])[:, 0].tolist()
+        run = find_layers(finest.cells, low - 1, high)
+        level = Level(finest.cells[run], points.run(run), finest.squares)
+        part = replace(pyramid, levels=[level], vertices=[vertices[first:end]])
+        near = parents and parents.between(low // 2, -(-high // 2))
+        quadrics, _ = fit_levels(part, weights, near, threads)
+        (found,) = find_trust(part, quadrics, far, threads)
+        coefficients[first:end] = found.coefficients
+        trust[first:end] = found.trust
+    return FieldLevel(vertices, coefficients, trust)
+
+
+def find_trust(
+    pyramid: Pyramid, quadrics: list[VertexQuadrics], far: FarField, threads: int = 1
+) -> tuple[FieldLevel, ...]:
+    """Tell how far each quadric of some levels is to be trusted (see `weights`).
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+    quadrics : list of VertexQuadrics
+        Of its finest levels.
+    far : FarField
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    tuple of FieldLevel
+    """
+    found = []
+    for index, of_level in enumerate(quadrics):
+        level, keys, depth = pyramid.levels[index], pyramid.vertices[index], pyramid.first + index
+        crowds = (
+            crowd_vertices(keys, of_level.counts, level.cells, level.squares)
+            if depth
+            else np.zeros(len(keys))
+        )
+        origin = (pyramid.origin - far.origin) / far.step
+        spacing = pyramid.cell_size * 2.0**depth / far.step
+        given = depth, keys, of_level, crowds, (far.values, origin, spacing, far.step)
+        rows = cut_equal(len(keys), -(-len(keys) // _TRUST_ROWS))
+        parts = run_batches(partial(_trust_rows, *given), rows, threads)
+        trust = np.concatenate([np.empty(0, np.float32), *parts])
+        found.append(FieldLevel(keys, of_level.coefficients, trust))
+    return tuple(found)
+
+
+def _trust_rows(
+    depth: int,
+    keys: IntArray,
+    quadrics: VertexQuadrics,
+    crowds: FloatArray,
+    far: tuple[NDArray[np.float32], FloatArray, float, float],
+    rows: slice,
+) -> NDArray[np.float32]:
+    """Trust some vertices of a level; `far` is a grid with its origin, spacing and step."""
+    values, origin, spacing, step = far
+    distances = kernels.sample_corners(values, keys[rows], origin, spacing) / step
+    return trust_vertices(
+        quadrics.coefficients[rows, 0], distances, quadrics.counts[rows],
+        quadrics.inherited[rows], crowds[rows], depth,
+    )  # fmt: skip
+
+
+def _cut_layers(vertices: IntArray) -> list[int]:
+    """Cut sorted vertices into about equal runs of whole layers; return the bounds of these."""
+    bounds = [0]
+    for piece in cut_equal(len(vertices), -(-len(vertices) // _AT_ONCE))[:-1]:
+        layer = int(unpack_keys(vertices[[piece.stop]])[0, 0])
+        start = find_layers(vertices, layer, layer).start
+        if start > bounds[-1]:
+            bounds.append(start)
+    return [*bounds, len(vertices)] if len(vertices) else bounds
