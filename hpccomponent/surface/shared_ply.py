@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import OutputError
 from hpccomponent.store import hold_store
 from hpccomponent.surface.mesh_part import MeshPart
@@ -34,6 +35,8 @@ __all__ = [
 
 _CORNERS = np.dtype("V12")  # three int32, moved as one
 _FACE = np.dtype([("n", "u1"), ("corners", _CORNERS)])
+
+_BRICKS_AT_ONCE = 1 << 11  # what is made of some is used again for the next
 
 FACE_SIZE = _FACE.itemsize
 """Bytes of a face."""
@@ -213,11 +216,12 @@ def write_kept(kept: tuple[str, str], places: tuple[Any, ...], shared: tuple[Any
 def _write_rows(file: int, part: MeshPart, places: PartPlaces, shared: SharedPly) -> None:
     """Write the vertices and faces of the bricks that are taken from a part."""
     bricks = np.flatnonzero(places.face_starts >= 0)
-    vertices, runs = place_vertices(part, places, bricks)
-    rows = vertex_rows(vertices, shared.origin, shared.is_double)
-    _write_runs(file, rows, runs, shared.vertex_start)
-    _, corners, runs = place_faces(part, places, bricks)
-    _write_runs(file, face_rows(corners), runs, shared.face_start)
+    for some in cut_equal(len(bricks), -(-len(bricks) // _BRICKS_AT_ONCE)):
+        vertices, runs = place_vertices(part, places, bricks[some])
+        rows = vertex_rows(vertices, shared.origin, shared.is_double)
+        _write_runs(file, rows, runs, shared.vertex_start)
+        _, corners, runs = place_faces(part, places, bricks[some])
+        _write_runs(file, face_rows(corners), runs, shared.face_start)
 
 
 def _write_runs(file: int, rows: NDArray[Any], runs: Runs, start: int) -> None:
