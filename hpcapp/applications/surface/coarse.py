@@ -128,7 +128,8 @@ def fit_coarse(plan: Plan, sums: list[tuple[Any, ...]], threads: int) -> Coarse:
     ----------
     plan : Plan
     sums : list of tuple
-        What `region.sum_tile` returned for each tile, in any order.
+        What `region.sum_tile` returned for each tile, in any order. It is emptied: most of it is
+        needed but once.
     threads : int
         The result does not depend on it.
 
@@ -136,13 +137,15 @@ def fit_coarse(plan: Plan, sums: list[tuple[Any, ...]], threads: int) -> Coarse:
     -------
     Coarse
     """
-    cells, order = _sort([part[0] for part in sums])
-    moments = _merge([part[1] for part in sums], order)
-    squares = _merge([part[2] for part in sums], order)
-    vertices = unique_keys(np.concatenate([part[3] for part in sums]))
+    keys, moments, squares, corners, far_keys, sampled, *_ = map(list, zip(*sums, strict=True))
+    sums.clear()
+    cells, order = _sort(keys)
+    level = Level(cells, CellMoments(_merge(moments, order)), _merge(squares, order))
+    moments.clear()
+    vertices = unique_keys(np.concatenate(corners))
     height = plan.height - plan.coarse
-    levels = raise_levels(Level(cells, CellMoments(moments), squares), height, threads)
-    far_cells, far_sums = _sample_far(plan, levels, sums)
+    levels = raise_levels(level, height, threads)
+    far_cells, far_sums = _sample_far(plan, levels, far_keys, sampled)
     far = solve_far(plan, far_cells, far_sums, threads)
     laid = lay_vertices(vertices, height)
     pyramid = Pyramid(plan.origin, plan.cell_size, levels, laid, plan.coarse, plan.height)
@@ -152,13 +155,13 @@ def fit_coarse(plan: Plan, sums: list[tuple[Any, ...]], threads: int) -> Coarse:
 
 
 def _sample_far(
-    plan: Plan, levels: list[Level], sums: list[tuple[Any, ...]]
+    plan: Plan, levels: list[Level], keys: list[IntArray], sums: list[FloatArray]
 ) -> tuple[IntArray, FloatArray]:
     """Return what the far field is made of, from the tiles or from a coarser level."""
     if plan.far > plan.coarse:
         return sample_cells(levels[plan.far - plan.coarse])
-    cells, order = _sort([part[4] for part in sums])
-    return cells, _merge([part[5] for part in sums], order)
+    cells, order = _sort(keys)
+    return cells, _merge(sums, order)
 
 
 def _sort(parts: list[IntArray]) -> tuple[IntArray, IntArray]:
