@@ -24,6 +24,7 @@ from hpccomponent.surface.seams import BrickSums, Seams
 __all__ = [
     "accumulate_moments",
     "balance_vertices",
+    "bound_free_memory",
     "bound_points",
     "corner_moments",
     "count_boxes",
@@ -34,7 +35,6 @@ __all__ = [
     "find_seams",
     "fit_corners",
     "gather_points",
-    "give_back_memory",
     "grow_surface",
     "inherit_level",
     "integrate_normals",
@@ -81,10 +81,10 @@ def keep_memory() -> None:
         _native.keep_memory()
 
 
-def give_back_memory() -> None:
-    """Give the system back what memory of this process is free, kept or not."""
+def bound_free_memory() -> None:
+    """Give the system back what memory is free, kept or not, if that is 256 MB or more."""
     if _native is not None:
-        _native.give_back_memory()
+        _native.bound_free_memory()
 
 
 def bound_points(positions: FloatArray) -> tuple[FloatArray, FloatArray]:

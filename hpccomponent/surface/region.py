@@ -303,7 +303,6 @@ def mesh_tile(
     common = Plan(*plan)
     prepared = _waiting.pop(ticket, None) if ticket is not None else None
     if prepared is None:
-        kernels.give_back_memory()  # pieces that the tile before this one has left
         prepared = _prepare(common, points, True, threads)
     if prepared.kinds is None:
         return _give(MeshPart.empty(), np.empty(0, np.int64), keep)
@@ -359,6 +358,7 @@ def mesh_gap(
 
 def _prepare(plan: Plan, points: CellPoints, with_kinds: bool, threads: int) -> _Prepared:
     """Put a tile's points into their cells, and sum these up to the coarse level."""
+    kernels.bound_free_memory()  # what tiles before this one have left
     taken = take_points(points, plan.arrangement, plan.origin, plan.coarse_size)
     kinds = None
     if with_kinds:

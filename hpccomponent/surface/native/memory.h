@@ -47,9 +47,22 @@ inline void give_back_large_arrays() {
 #endif
 }
 
-// Give back all that is free: before a step that asks for other sizes than those before it.
+// Give back all that is free.
 inline void give_back_memory() {
 #if defined(__GLIBC__)
+  malloc_trim(0);
+#endif
+}
+
+constexpr size_t MOST_FREE = size_t{1} << 28;
+
+// Give back all that is free if it is much: pieces that did not fit what was asked for. Less is
+// sooner used again.
+inline void bound_free_memory() {
+#if defined(__GLIBC__)
+#if __GLIBC_PREREQ(2, 33)
+  if (mallinfo2().fordblks < MOST_FREE) return;
+#endif
   malloc_trim(0);
 #endif
 }

@@ -6,7 +6,7 @@ NB_MODULE(_native, module) {
   hpc::give_back_large_arrays();
   module.attr("KERNEL_HASH") = HPC_KERNEL_HASH;
   module.def("keep_memory", &hpc::keep_memory);
-  module.def("give_back_memory", &hpc::give_back_memory);
+  module.def("bound_free_memory", &hpc::bound_free_memory);
   hpc::bind_points(module);
   hpc::bind_packing(module);
   hpc::bind_lattice(module);
