@@ -13,7 +13,7 @@ from hpccomponent.surface import kernels
 from hpccomponent.surface.arranged_cloud import Points
 from hpccomponent.surface.cloud_regions import Region, take_region
 from hpccomponent.surface.file_ranges import BoxCounts
-from hpccomponent.surface.lattice import unique_keys
+from hpccomponent.surface.lattice import merge_counts
 from hpccomponent.surface.points import FloatArray, IntArray
 from hpccomponent.surface.spacing import sample_box_keys
 
@@ -136,9 +136,7 @@ def count_cells(
 def merge_cells(counted: list[tuple[IntArray, IntArray]]) -> tuple[IntArray, IntArray]:
     """Merge what was counted of several runs of blocks."""
     keys, counts = (np.concatenate(column) for column in zip(*counted, strict=True))
-    every = unique_keys(keys)
-    rows = np.searchsorted(every, keys)
-    return every, np.bincount(rows, counts, len(every)).astype(np.int64)
+    return merge_counts(keys, counts)
 
 
 def _take(points: BlockPoints) -> Region:

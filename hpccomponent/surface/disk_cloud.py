@@ -37,7 +37,7 @@ from hpccomponent.surface.arrangement import (
     pack_points,
     unpack_points,
 )
-from hpccomponent.surface.lattice import find_keys, unique_keys
+from hpccomponent.surface.lattice import find_keys, merge_counts
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 
 __all__ = [
@@ -306,11 +306,8 @@ def write_part(
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     with _translated(folder):
         write_whole(folder / _name_part(number), _interleave(pieces))
-    every = np.concatenate([piece.keys for piece in pieces])
-    keys = unique_keys(every)
-    counts = np.concatenate([piece.counts for piece in pieces])
-    totals = np.bincount(np.searchsorted(keys, every), counts, len(keys))
-    return keys, totals.astype(np.int64)
+    keys = np.concatenate([piece.keys for piece in pieces])
+    return merge_counts(keys, np.concatenate([piece.counts for piece in pieces]))
 
 
 def _name_part(number: int) -> str:
@@ -418,8 +415,7 @@ def _open(folder: Path, *_version: int) -> DiskCloud:
     every, counts = held["keys"], held["counts"]
     columns = (np.split(column, bounds) for column in (every, counts, held["starts"]))
     parts = [Part(*part) for part in zip(held["files"].tolist(), *columns, strict=True)]
-    keys = unique_keys(every)
-    totals = np.bincount(np.searchsorted(keys, every), counts, len(keys)).astype(np.int64)
+    keys, totals = merge_counts(every, counts)
     measured = None
     if "sample" in held:
         measured = Measured(float(held["spacing"]), PointCloud(*held["sample"]))

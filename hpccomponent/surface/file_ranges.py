@@ -10,7 +10,7 @@ Who may import it: the master that cuts the ranges.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, boundi
 from hpccomponent.surface.spacing import sample_box_keys
 from hpccomponent.surface.usable_points import Dropped, Reach, are_usable, select_usable
 
-__all__ = ["BoxCounts", "FilePoints", "arrange_range", "bound_range", "survey_range"]
+__all__ = ["BoxCounts", "FilePoints", "arrange_range", "bound_range", "survey_range", "unite_boxes"]
 
 _AT_ONCE = 1 << 18  # points: what is made of some is used again for the next
 _NOWHERE = np.zeros((0, 3))
@@ -79,7 +79,7 @@ def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
             cloud, left_out = select_usable(cloud, path)
             dropped += left_out
             near = _bound(cloud.positions)
-        frame, box = _unite(frame, around), _unite(box, near)
+        frame, box = unite_boxes([frame, around]), unite_boxes([box, near])
         samples.append(cloud.positions[-(before + usable) % step :: step].copy())
         usable += len(cloud)
     sample = np.concatenate(samples)
@@ -108,7 +108,7 @@ def bound_range(
     count, box = 0, _bound(_NOWHERE)
     for near in _take_near(points, origin, reach):
         count += len(near)
-        box = _unite(box, _bound(near.positions))
+        box = unite_boxes([box, _bound(near.positions)])
     return count, box
 
 
@@ -211,6 +211,7 @@ def _bound(positions: FloatArray) -> FloatArray:
     return np.stack(kernels.bound_points(positions))
 
 
-def _unite(box: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the box around two boxes."""
-    return np.stack([np.minimum(box[0], other[0]), np.maximum(box[1], other[1])])
+def unite_boxes(boxes: Sequence[FloatArray]) -> FloatArray:
+    """Return the box (2, 3) around some boxes."""
+    columns = np.stack(boxes)
+    return np.stack([columns[:, 0].min(axis=0), columns[:, 1].max(axis=0)])

@@ -19,6 +19,7 @@ __all__ = [
     "corner_parents",
     "find_keys",
     "find_layers",
+    "merge_counts",
     "pack_places",
     "spread_keys",
     "step_keys",
@@ -141,6 +142,23 @@ def find_layers(keys: IntArray, first: int, last: int) -> slice:
     bounds = (np.array([first, last + 1]) + _BIAS) * _STRIDES[0]
     start, stop = np.searchsorted(keys, bounds)
     return slice(int(start), int(stop))
+
+
+def merge_counts(keys: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
+    """Sum counts by key; exact below 2^53.
+
+    Parameters
+    ----------
+    keys, counts : ndarray of int64, shape (k,)
+
+    Returns
+    -------
+    merged, sums : ndarray of int64, shape (u,)
+        The keys, sorted, each once, and the sum of each one's counts.
+    """
+    merged = unique_keys(keys)
+    sums = np.bincount(np.searchsorted(merged, keys), counts, len(merged))
+    return merged, sums.astype(np.int64)
 
 
 def unique_keys(keys: IntArray) -> IntArray:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.lattice import find_keys, pack_places, unique_keys, unpack_keys
+from hpccomponent.surface.lattice import find_keys, merge_counts, pack_places, unpack_keys
 from hpccomponent.surface.outliers import (
     EDGE,
     ISLAND_LEVEL,
@@ -121,10 +121,10 @@ def judge_sparse(regions: list[RegionRanks]) -> Judgement:
     Judgement
     """
     columns = list(zip(*regions, strict=True))
-    coarse = _merge(np.concatenate(columns[1]), np.concatenate(columns[2]))
+    coarse = merge_counts(np.concatenate(columns[1]), np.concatenate(columns[2]))
     coarse_levels = coarsen(*coarse)
     island = find_islands(coarse_levels)
-    keys, counts = _merge(np.concatenate(columns[3]), np.concatenate(columns[5]))
+    keys, counts = merge_counts(np.concatenate(columns[3]), np.concatenate(columns[5]))
     rank = np.empty(len(keys), np.int64)
     rank[np.searchsorted(keys, np.concatenate(columns[3]))] = np.concatenate(columns[4])
     by_rank = np.sum(columns[0], axis=0)
@@ -171,13 +171,6 @@ def _rank(
     keys, counts, cell_of = kernels.count_cells(positions, low, EDGE * spacing)
     levels = coarsen(keys, counts, LOCAL_RANK + 1)
     return levels, rank_cells(levels, np.zeros(len(keys), np.int64)), cell_of
-
-
-def _merge(keys: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
-    """Sum counts by key; exact below 2^53."""
-    merged = unique_keys(keys)
-    rows = np.searchsorted(merged, keys)
-    return merged, np.bincount(rows, counts, len(merged)).astype(np.int64)
 
 
 def _levels_of(keys: IntArray, counts: IntArray, coarse: list[Level]) -> list[Level]:

@@ -33,7 +33,13 @@ from hpcapp.io.usable import (
 from hpccomponent.errors import InputError
 from hpccomponent.surface.arrangement import Arrangement, choose_arrangement, snap_points
 from hpccomponent.surface.disk_cloud import DiskCloud, Part, write_index
-from hpccomponent.surface.file_ranges import FilePoints, arrange_range, bound_range, survey_range
+from hpccomponent.surface.file_ranges import (
+    FilePoints,
+    arrange_range,
+    bound_range,
+    survey_range,
+    unite_boxes,
+)
 from hpccomponent.surface.points import FloatArray
 from hpccomponent.surface.spacing import guess_boxes
 from hpccomponent.surface.usable_points import Dropped, refuse_without_normals, select_usable
@@ -122,7 +128,7 @@ def ingest_file(
         reach = near.middle, near.distance
         bounded = list(_run(source, passes, bound_range, lambda _: (found.origin, reach)))
         points = sum(count for count, _ in bounded)
-        box = _unite([part for _, part in bounded])
+        box = unite_boxes([part for _, part in bounded])
     blocks = choose_arrangement(*box)
     cloud, boxes = _arrange(source, passes, folder, found.origin, reach, blocks, points, box)
     return Ingested(cloud, found.dropped, found.points - points, boxes)
@@ -157,7 +163,7 @@ def _put_together(source: PointSource, found: list[Any], samples: list[FloatArra
     if not usable + dropped.total:
         raise InputError(f"{source.path} holds no points", "check that the right file was exported")
     sample = np.concatenate(samples)
-    frame, box = (_unite([part[i] for part in found]) for i in (3, 4))
+    frame, box = (unite_boxes([part[i] for part in found]) for i in (3, 4))
     if not usable:
         return _Survey(0, dropped, np.zeros(3), box, sample)
     origin = choose_origin(*frame)
@@ -214,9 +220,3 @@ def _usable_positions(source: PointSource, rows: int, origin: FloatArray) -> Ite
     for part in source.chunks(rows):
         usable, _ = select_usable(part, str(source.path))
         yield usable.positions - origin if origin.any() else usable.positions
-
-
-def _unite(boxes: list[FloatArray]) -> FloatArray:
-    """Return the box around some boxes."""
-    columns = np.stack(boxes)
-    return np.stack([columns[:, 0].min(axis=0), columns[:, 1].max(axis=0)])
