@@ -1,5 +1,5 @@
-// Memory for large arrays: in huge pages where the system has them, given back when it is freed, or
-// kept.
+// Memory for large arrays: in huge pages where the system has them and given back when it is freed,
+// or kept.
 #pragma once
 
 #include <climits>
@@ -74,8 +74,9 @@ inline void give_back_rest() {
 
 inline void* take_memory(size_t bytes) {
 #if defined(__linux__)
-  if (bytes >= 2 * HUGE_PAGE) {
-    // Page by page, the first touch of a large array costs more than what it is filled with.
+  // Page by page, the first touch of a large array costs more than what it is filled with. Kept
+  // memory has been touched, and aligned pieces leave gaps in it that no later one fits.
+  if (!is_kept && bytes >= 2 * HUGE_PAGE) {
     const size_t rounded = (bytes + HUGE_PAGE - 1) / HUGE_PAGE * HUGE_PAGE;
     void* large = std::aligned_alloc(HUGE_PAGE, rounded);
     if (!large) throw std::bad_alloc();
