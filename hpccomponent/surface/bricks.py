@@ -67,6 +67,12 @@ class BrickKinds:
         found[inside] = self.kinds[x, y, z]
         return found
 
+    def mark(self, keys: IntArray, kind: int) -> None:
+        """Set the kind of some bricks; of those outside the box it is `OUT`, whatever is set."""
+        places = unpack_keys(keys) - self.first
+        places = places[((places >= 0) & (places < self.kinds.shape)).all(axis=1)]
+        self.kinds[tuple(places.T)] = kind
+
     def own(self) -> IntArray:
         """Return the keys of the tile's own bricks, sorted."""
         return pack_places(np.argwhere(self.kinds == OWN) + self.first)

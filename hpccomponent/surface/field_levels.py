@@ -4,15 +4,16 @@
 
     levels from 1 up ── fitted as a whole ──> trust
          │ parents
-    level 0 ── fitted some layers of vertices at a time ──> trust
+    level 0 ── fitted for a slab of the grid, some layers of vertices at a time ──> trust
 
-The finest level has most of the vertices, and what a fit takes beside its result is twice as much
-as that. Keys sort by x first: some layers of vertices ask for a run of cells and of parents.
+The finest level has most of the vertices, a hundred bytes for each point, and what a fit takes
+beside its result is twice as much as that. Keys sort by x first: a slab of the grid across x, and
+some layers of vertices in it, ask for one run of cells and of parents.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
@@ -24,52 +25,125 @@ from hpccomponent.surface import kernels
 from hpccomponent.surface.cell_points import SortedPoints
 from hpccomponent.surface.crowding import crowd_vertices
 from hpccomponent.surface.far_field import FarField
-from hpccomponent.surface.field import FieldLevel
+from hpccomponent.surface.field import BRICK, Field, FieldLevel, Grid
 from hpccomponent.surface.hermite import BASIS
-from hpccomponent.surface.lattice import find_layers, unpack_keys
+from hpccomponent.surface.lattice import find_layers, unique_keys, unpack_keys
 from hpccomponent.surface.parallel import run_batches
 from hpccomponent.surface.points import FloatArray, IntArray
 from hpccomponent.surface.pyramid import Level, Parents, Pyramid, VertexQuadrics, fit_levels
 from hpccomponent.surface.weights import Weights, trust_vertices
 
-__all__ = ["find_trust", "fit_field", "fit_finest"]
+__all__ = ["SlabFields", "find_trust", "fit_above"]
 
-_AT_ONCE = 1 << 18  # vertices of the finest level
+_AT_ONCE = 1 << 17  # vertices of the finest level
+# Of bricks in a slab: those beside it are evaluated too, one layer on each side.
+_LEAST_LAYERS = 8
 _TRUST_ROWS = 1 << 16
 
 
-def fit_field(
+def fit_above(
     pyramid: Pyramid,
     weights: list[Weights],
     parents: Parents | None,
     far: FarField,
     threads: int = 1,
-) -> tuple[FieldLevel, ...]:
-    """Fit every level, and tell how far each quadric is to be trusted.
+) -> tuple[tuple[FieldLevel, ...], Parents | None]:
+    """Fit every level but the finest, and tell how far each quadric is to be trusted.
 
     Parameters
     ----------
     pyramid : Pyramid
-        From level 0 on. Its levels are taken out: they are most of the memory.
+        From level 0 on. What is above it is taken out: nobody asks for it any more.
     weights, parents, threads
         See `pyramid.fit_levels`.
     far : FarField
 
     Returns
     -------
-    tuple of FieldLevel
+    levels : tuple of FieldLevel
         Finest first.
+    parents : Parents or None
+        What level 0 asks for.
     """
     quadrics, parents = fit_levels(pyramid, weights, parents, threads, lowest=1)
     levels, vertices = pyramid.levels, pyramid.vertices
     above = replace(pyramid, levels=levels[1:], vertices=vertices[1:], first=1)
     coarser = find_trust(above, quadrics, far, threads)
-    finest = fit_finest(pyramid, weights, parents, far, threads)
-    pyramid.levels.clear()
-    return finest, *coarser
+    del levels[1:], vertices[1:]
+    return coarser, parents
 
 
-def fit_finest(
+@dataclass(frozen=True, slots=True, eq=False)
+class SlabFields:
+    """The field, whose finest level is fitted for a slab of the grid at a time.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+        Its only level is 0, or none where that has no vertices.
+    weights : list of Weights
+        Of every level.
+    parents : Parents or None
+        Of level 1, where there is one.
+    above : tuple of FieldLevel
+        All coarser levels, finest first.
+    far : FarField
+    grid : Grid
+    threads : int
+        The fields do not depend on it.
+    """
+
+    pyramid: Pyramid
+    weights: list[Weights]
+    parents: Parents | None
+    above: tuple[FieldLevel, ...]
+    far: FarField
+    grid: Grid
+    threads: int = 1
+
+    def cut(self, first: int, end: int, quadrics: int) -> list[int]:
+        """Cut layers of bricks along x into slabs.
+
+        Parameters
+        ----------
+        first, end : int
+            Layers from `first` to before `end`.
+        quadrics : int
+            Of the finest level, about so many in each slab.
+
+        Returns
+        -------
+        list of int
+            The bounds of the slabs, from `first` to `end`; a slab has 8 layers or more, on average.
+        """
+        vertices, grid = self.pyramid.vertices[0], self.grid
+        count = min(-(-len(vertices) // quadrics), max(1, (end - first) // _LEAST_LAYERS))
+        rows = np.arange(1, count) * len(vertices) // max(count, 1)
+        corners = self.pyramid.cell_size * unpack_keys(vertices[rows])[:, 0]
+        shift = self.pyramid.origin[0] - grid.origin[0]
+        cuts = np.floor((corners + shift) / (BRICK * grid.step)).astype(np.int64)
+        bounds: list[int] = unique_keys(np.clip([first, *cuts, end], first, end)).tolist()
+        return bounds
+
+    def fit(self, first: int, end: int) -> Field:
+        """Return the field of a slab, and of the bricks beside it.
+
+        Parameters
+        ----------
+        first, end : int
+            Layers of bricks along x, from `first` to before `end`.
+        """
+        pyramid, grid = self.pyramid, self.grid
+        nodes = BRICK * np.array([first - 1, end + 1]) * grid.step
+        places = (grid.origin[0] + nodes - pyramid.origin[0]) / pyramid.cell_size
+        low, high = int(np.floor(places[0])), int(np.floor(places[1])) + 1
+        vertices = pyramid.vertices[0]
+        part = replace(pyramid, vertices=[vertices[find_layers(vertices, low, high)]])
+        finest = _fit_finest(part, self.weights, self.parents, self.far, self.threads)
+        return Field(pyramid.origin, pyramid.cell_size, (finest, *self.above), self.far)
+
+
+def _fit_finest(
     pyramid: Pyramid,
     weights: list[Weights],
     parents: Parents | None,
@@ -81,9 +155,9 @@ def fit_finest(
     Parameters
     ----------
     pyramid : Pyramid
-        Its first level is 0, which is left as it is; others are not asked for.
+        See `SlabFields`.
     weights, far, threads
-        See `fit_field`.
+        See `fit_above`.
     parents : Parents or None
         Of level 1, where there is one.
 
@@ -91,13 +165,14 @@ def fit_finest(
     -------
     FieldLevel
     """
-    finest, vertices = pyramid.levels[0], pyramid.vertices[0]
-    points = finest.points
-    assert isinstance(points, SortedPoints)  # noqa: S101 - the finest level has points
+    vertices = pyramid.vertices[0]
     coefficients = np.empty((len(vertices), BASIS), np.float32)
     trust = np.empty(len(vertices), np.float32)
     for first, end in pairwise(_cut_layers(vertices)):
         low, high = unpack_keys(vertices[[first, end - 1]])[:, 0].tolist()
+        finest = pyramid.levels[0]
+        points = finest.points
+        assert isinstance(points, SortedPoints)  # noqa: S101 - the finest level has points
         run = find_layers(finest.cells, low - 1, high)
         level = Level(finest.cells[run], points.run(run), finest.squares)
         part = replace(pyramid, levels=[level], vertices=[vertices[first:end]])

@@ -20,6 +20,7 @@ __all__ = [
     "find_keys",
     "find_layers",
     "merge_counts",
+    "number_keys",
     "pack_places",
     "spread_keys",
     "step_keys",
@@ -174,13 +175,37 @@ def unique_keys(keys: IntArray) -> IntArray:
 
     Notes
     -----
-    Sorting keys is several times faster than the hash table of `numpy.unique`.
+    Sorting keys is several times faster than the hash table of `numpy.unique`, whose first call
+    imports masked arrays besides.
     """
     ordered = np.sort(keys)
     first = np.empty(len(ordered), np.bool_)
     first[:1] = True
     np.not_equal(ordered[1:], ordered[:-1], out=first[1:])
     return ordered[first]
+
+
+def number_keys(keys: IntArray) -> tuple[IntArray, IntArray]:
+    """Number the different keys.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+
+    Returns
+    -------
+    found : ndarray of int64, shape (u,)
+        Sorted, each once.
+    numbers : ndarray of int64, shape (k,)
+        Where each key stands among them.
+
+    Examples
+    --------
+    >>> [array.tolist() for array in number_keys(np.array([7, 3, 7]))]
+    [[3, 7], [1, 0, 1]]
+    """
+    found = unique_keys(keys)
+    return found, np.searchsorted(found, keys)
 
 
 def unite_keys(first: IntArray, second: IntArray) -> IntArray:

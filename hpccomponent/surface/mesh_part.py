@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from hpccomponent.surface.bricks import OWN, BrickKinds
 from hpccomponent.surface.extraction import BrickMesh
+from hpccomponent.surface.lattice import find_keys, number_keys
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["Int32Array", "MeshPart", "cut_part"]
+__all__ = ["Int32Array", "MeshPart", "cut_part", "join_parts"]
 
 Int32Array = NDArray[np.int32]
 
@@ -99,7 +100,7 @@ def cut_part(mesh: BrickMesh, kinds: BrickKinds | None = None) -> MeshPart:
     faces = mesh.faces.take(np.flatnonzero(np.repeat(taken, mesh.face_counts)), axis=0)
     corners = rows.take(faces)
     outside = np.flatnonzero(corners < 0)
-    outer, names = np.unique(faces.reshape(-1)[outside], return_inverse=True)
+    outer, names = number_keys(faces.reshape(-1)[outside])
     corners.reshape(-1)[outside] = ~names
     starts = np.cumsum(mesh.vertex_counts, dtype=np.int64) - mesh.vertex_counts
     owners = np.searchsorted(starts + mesh.vertex_counts, outer, side="right")
@@ -113,3 +114,84 @@ def cut_part(mesh: BrickMesh, kinds: BrickKinds | None = None) -> MeshPart:
         mesh.bricks[owners],
         (outer - starts[owners]).astype(np.int32),
     )
+
+
+def join_parts(parts: list[MeshPart]) -> MeshPart:
+    """Join parts that have no brick in common; what they use of one another is no longer foreign.
+
+    Parameters
+    ----------
+    parts : list of MeshPart
+        Any number, in any order.
+
+    Returns
+    -------
+    MeshPart
+        What `cut_part` makes of the surface in the bricks of all.
+    """
+    if len(parts) < 2:
+        return parts[0] if parts else MeshPart.empty()
+    bricks = np.concatenate([part.bricks for part in parts])
+    guests = np.concatenate([part.guests for part in parts])
+    of_vertices = np.concatenate([part.vertex_counts for part in parts])
+    of_faces = np.concatenate([part.face_counts for part in parts])
+    order = np.argsort(bricks)
+    vertex_rows, face_rows = _move_runs(of_vertices, order), _move_runs(of_faces, order)
+    foreign_bricks, foreign_numbers, meant = _name_foreign(
+        bricks[order],
+        np.cumsum(of_vertices[order]) - of_vertices[order],
+        np.concatenate([part.foreign_bricks for part in parts]),
+        np.concatenate([part.foreign_numbers for part in parts]),
+    )
+    vertices, faces = np.empty((len(vertex_rows), 3)), np.empty((len(face_rows), 3), np.int32)
+    vertex, face, name = 0, 0, 0
+    for part in parts:
+        rows = vertex_rows[vertex : vertex + len(part.vertices)]
+        names = meant[name : name + len(part.foreign_bricks)]
+        vertices[rows] = part.vertices
+        corners = np.concatenate([rows, names[::-1]])  # ~i counts from the end
+        faces[face_rows[face : face + len(part.faces)]] = corners[part.faces]
+        vertex, face, name = vertex + len(rows), face + len(part.faces), name + len(names)
+    return MeshPart(
+        bricks[order], guests[order], of_vertices[order], of_faces[order], vertices, faces,
+        foreign_bricks, foreign_numbers,
+    )  # fmt: skip
+
+
+def _move_runs(counts: Int32Array, order: IntArray) -> Int32Array:
+    """Return the row to which each row goes when runs of rows are put into an order."""
+    starts, moved = np.cumsum(counts) - counts, np.empty(len(counts), np.int64)
+    moved[order] = np.cumsum(counts[order]) - counts[order]
+    rows: Int32Array = np.repeat(moved - starts, counts).astype(np.int32)
+    rows += np.arange(len(rows), dtype=np.int32)
+    return rows
+
+
+def _name_foreign(
+    bricks: IntArray, starts: IntArray, names: IntArray, numbers: Int32Array
+) -> tuple[IntArray, Int32Array, Int32Array]:
+    """Tell what the foreign vertices of some parts are to these parts joined.
+
+    Parameters
+    ----------
+    bricks, starts : ndarray of int64, shape (b,)
+        The bricks of all, sorted, and the first vertex of each.
+    names : ndarray of int64, shape (g,)
+    numbers : ndarray of int32, shape (g,)
+        Brick of each foreign vertex, and its number within that.
+
+    Returns
+    -------
+    foreign_bricks, foreign_numbers
+        See `MeshPart`.
+    meant : ndarray of int32, shape (g,)
+        What the corner of a face says that means it.
+    """
+    at = find_keys(bricks, names)
+    is_here = at < len(bricks)
+    meant = np.empty(len(names), np.int32)
+    meant[is_here] = starts[at[is_here]] + numbers[is_here]
+    outer, owners = number_keys(names[~is_here])
+    pairs, found = number_keys(owners << 32 | numbers[~is_here])
+    meant[~is_here] = ~found
+    return outer[pairs >> 32], (pairs & 0xFFFFFFFF).astype(np.int32), meant

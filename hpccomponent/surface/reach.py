@@ -23,12 +23,13 @@ from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = [
     "HALO_STEPS",
+    "cut_slab",
     "look_near",
     "mark_near",
     "near_bricks",
     "plan_gap",
-    "plan_slab",
     "plan_tile",
+    "plan_whole",
 ]
 
 BoolArray = NDArray[np.bool_]
@@ -69,30 +70,42 @@ def _mark_near(keys: IntArray, cells: IntArray, low: IntArray, high: IntArray) -
     return near
 
 
-def plan_slab(grid: Grid, first: int, end: int, own: IntArray, foreign: IntArray) -> BrickKinds:
-    """Let a slab of the grid grow wherever it gets.
+def plan_whole(grid: Grid, positions: FloatArray) -> BrickKinds:
+    """Let the surface of a whole cloud grow wherever it gets.
 
     Parameters
     ----------
     grid : Grid
+    positions : ndarray of float64, shape (n, 3)
+        Of all points, in length units of the input.
+    """
+    kinds = BrickKinds(np.zeros(3, np.int64), np.full(grid.bricks, OPEN, np.uint8))
+    kinds.mark(_seed(grid, positions), OWN)
+    return kinds
+
+
+def cut_slab(kinds: BrickKinds, first: int, end: int) -> BrickKinds:
+    """Cut a slab out of a tile, with the bricks beside it.
+
+    Parameters
+    ----------
+    kinds : BrickKinds
+        Of the tile.
     first, end : int
-        The slab has the bricks from `first` to before `end` along x.
-    own : ndarray of int64
-        Keys of the bricks to begin with.
-    foreign : ndarray of int64
-        Keys of bricks that others have or will have, unless they are the slab's own.
+        The slab has the layers of bricks from `first` to before `end` along x.
 
     Returns
     -------
     BrickKinds
+        A copy: the tile's own bricks beside the slab are `FOREIGN` there, open ones `BESIDE`.
     """
-    low, high = max(first - 1, 0), min(end + 1, grid.bricks[0])
-    kinds = np.full((high - low, *grid.bricks[1:]), BESIDE, np.uint8)
-    kinds[first - low : end - low] = OPEN
-    corner = np.array([low, 0, 0])
-    for keys, kind in ((foreign, FOREIGN), (own, OWN)):
-        _mark(kinds, keys, corner, kind)
-    return BrickKinds(corner, kinds)
+    start = int(kinds.first[0])
+    low, high = max(first - 1, start), min(end + 1, start + len(kinds.kinds))
+    cut = kinds.kinds[low - start : high - start].copy()
+    for beside in (cut[: first - low], cut[end - low :]):
+        beside[beside == OWN] = FOREIGN
+        beside[beside == OPEN] = BESIDE
+    return BrickKinds(np.array([low, *kinds.first[1:]]), cut)
 
 
 def plan_tile(
@@ -114,7 +127,8 @@ def plan_tile(
         None where every brick of the tile belongs to one before it.
     """
     earlier, later = (_seed(grid, positions) for positions in (before, after))
-    own = np.setdiff1d(_seed(grid, core), earlier)
+    own = _seed(grid, core)
+    own = own[find_keys(earlier, own) == len(earlier)]
     if not len(own):
         return None
     places = unpack_keys(own)
@@ -123,12 +137,12 @@ def plan_tile(
     mask = np.zeros(end - first, np.bool_)
     mask[tuple((places - first).T)] = True
     near = _dilate(mask)
-    kinds = np.where(_dilate(near), BESIDE, OUT).astype(np.uint8)
-    kinds[near] = OPEN
+    kinds = BrickKinds(first, np.where(_dilate(near), BESIDE, OUT).astype(np.uint8))
+    kinds.kinds[near] = OPEN
     for foreign in (earlier, later):
-        _mark(kinds, foreign, first, FOREIGN, kinds != OUT)
-    kinds[mask] = OWN
-    return BrickKinds(first, kinds)
+        kinds.mark(foreign[kinds.at(foreign) != OUT], FOREIGN)
+    kinds.kinds[mask] = OWN
+    return kinds
 
 
 def plan_gap(
@@ -162,10 +176,11 @@ def plan_gap(
         known_all[first[0] : end[0], first[1] : end[1], first[2] : end[2]] = False
     inner = ~_dilate(~known_all)
     kinds = np.where(inner, OPEN, np.where(known_all, BESIDE, OUT)).astype(np.uint8)
-    zero = np.zeros(3, np.int64)
-    _mark(kinds, _seed(grid, known), zero, FOREIGN, known_all)
-    _mark(kinds, exits, zero, OWN)
-    return BrickKinds(zero, kinds)
+    found = BrickKinds(np.zeros(3, np.int64), kinds)
+    seeds = _seed(grid, known)
+    found.mark(seeds[found.at(seeds) != OUT], FOREIGN)
+    found.mark(exits, OWN)
+    return found
 
 
 def near_bricks(
@@ -258,20 +273,6 @@ def look_near(
 def _seed(grid: Grid, positions: FloatArray) -> IntArray:
     """Return the bricks that hold a point, if there are points."""
     return kernels.seed_bricks(grid, positions) if len(positions) else np.empty(0, np.int64)
-
-
-def _mark(
-    kinds: NDArray[np.uint8],
-    keys: IntArray,
-    first: IntArray,
-    kind: int,
-    where: BoolArray | None = None,
-) -> None:
-    """Set the kind of those bricks that lie in the box, and where a mask allows it."""
-    places = unpack_keys(keys) - first
-    places = places[((places >= 0) & (places < kinds.shape)).all(axis=1)]
-    at = tuple(places.T)
-    kinds[at] = kind if where is None else np.where(where[at], kind, kinds[at])
 
 
 def _dilate(mask: BoolArray) -> BoolArray:

@@ -14,7 +14,7 @@ Arguments and results are values that travel; the classes here give them names o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -28,11 +28,11 @@ from hpccomponent.surface.arrangement import Arrangement
 from hpccomponent.surface.bricks import BrickKinds
 from hpccomponent.surface.cell_points import SortedPoints
 from hpccomponent.surface.far_field import FarFieldPart, restore_far_field
-from hpccomponent.surface.field import Field, FieldLevel, Grid
-from hpccomponent.surface.field_levels import fit_field
+from hpccomponent.surface.field import FieldLevel, Grid
+from hpccomponent.surface.field_levels import SlabFields, fit_above
 from hpccomponent.surface.hermite import BASIS
 from hpccomponent.surface.lattice import unpack_keys
-from hpccomponent.surface.mesh_part import MeshPart, cut_part
+from hpccomponent.surface.mesh_part import MeshPart
 from hpccomponent.surface.part_summary import summarize_part
 from hpccomponent.surface.points import FloatArray, IntArray
 from hpccomponent.surface.pyramid import (
@@ -44,6 +44,7 @@ from hpccomponent.surface.pyramid import (
     sort_level,
 )
 from hpccomponent.surface.reach import near_bricks, plan_gap, plan_tile
+from hpccomponent.surface.slab_growth import grow_tile
 from hpccomponent.surface.tile_points import CellPoints, estimate_work, take_points
 from hpccomponent.surface.weights import FIELD_LEVELS, Weights, weigh_levels
 
@@ -180,7 +181,7 @@ class CoarseLevels:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class _Prepared:
     """A tile's points in their cells, up to the coarse level; `kinds` is None where it has none."""
 
@@ -368,21 +369,25 @@ def _prepare(plan: Plan, points: CellPoints, with_kinds: bool, threads: int) -> 
 
 
 def _mesh_region(
-    plan: Plan, raised: list[Level], kinds: BrickKinds, coarse: Values, threads: int
+    plan: Plan,
+    levels: list[Level],
+    kinds: BrickKinds,
+    coarse: Values,
+    threads: int,
 ) -> tuple[MeshPart, IntArray]:
     """Fit the fine levels where bricks may be evaluated, and extract the surface there."""
-    above = CoarseLevels.from_values(coarse)
-    far = restore_far_field(above.far)
-    levels = tuple(_NO_LEVEL for _ in range(min(plan.coarse, FIELD_LEVELS)))
-    if raised:
-        vertices = _lay_near(raised[0].cells, plan, kinds)
-        pyramid = Pyramid(plan.origin, plan.cell_size, raised, vertices, 0, plan.height)
-        levels = fit_field(pyramid, plan.weights, above.parents, far, threads)
-    field = Field(plan.origin, plan.cell_size, levels + above.levels, far)
-    mesh = kernels.grow_surface(field, plan.grid, kinds, threads)
-    balanced = kernels.balance_vertices(mesh.vertices, mesh.faces, plan.step)
-    mesh = replace(mesh, vertices=balanced)
-    return cut_part(mesh, kinds), mesh.exits
+    coarser = CoarseLevels.from_values(coarse)
+    far = restore_far_field(coarser.far)
+    fine = tuple(_NO_LEVEL for _ in range(1, min(plan.coarse, FIELD_LEVELS)))
+    parents, vertices = None, [_NO_LEVEL.keys]
+    if levels:
+        parents, vertices = coarser.parents, _lay_near(plan, levels[0].cells, kinds)
+    pyramid = Pyramid(plan.origin, plan.cell_size, levels, vertices, 0, plan.height)
+    if levels:
+        fine, parents = fit_above(pyramid, plan.weights, parents, far, threads)
+    above = fine + coarser.levels
+    fields = SlabFields(pyramid, plan.weights, parents, above, far, plan.grid, threads)
+    return grow_tile(fields, kinds)
 
 
 def _give(
@@ -397,7 +402,7 @@ def _give(
     return None, summary, exits
 
 
-def _lay_near(cells: IntArray, plan: Plan, kinds: BrickKinds) -> list[IntArray]:
+def _lay_near(plan: Plan, cells: IntArray, kinds: BrickKinds) -> list[IntArray]:
     """Return the corners of each fine level that the bricks of a tile ask for, and ancestors.
 
     A node asks for the corners around it, up to a cell of their level away, and these are there

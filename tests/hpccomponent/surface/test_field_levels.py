@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from hpccomponent.surface import field_levels
 from hpccomponent.surface.far_field import FarField
-from hpccomponent.surface.field_levels import find_trust, fit_field
+from hpccomponent.surface.field import Grid
+from hpccomponent.surface.field_levels import SlabFields, find_trust, fit_above
+from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.points import PointCloud, bounding_box
 from hpccomponent.surface.pyramid import Pyramid, build_pyramid, count_levels, fit_levels
 from hpccomponent.surface.weights import weigh_levels
@@ -48,11 +52,45 @@ def test_runs_of_vertices_do_not_show(
     layers = int(np.ptp(pyramid.vertices[0] >> 42)) + 1
     assert runs == {1: layers, 1 << 30: 1}.get(at_once, runs)
     assert at_once != 3_000 or 3 < runs < layers
-    found = fit_field(pyramid, weights, None, far)
+    above, parents = fit_above(pyramid, weights, None, far)
+    assert len(pyramid.levels) == 1  # nobody needs the others any more
+    grid = Grid(np.full(3, -1.3), 0.05, (7, 7, 7))
+    fields = SlabFields(pyramid, weights, parents, above, far, grid)
+    found = fields.fit(0, 7).levels
     assert len(found) == len(expected) > 1
     for one, other in zip(found, expected, strict=True):
         assert one.keys.tolist() == other.keys.tolist()
         assert one.coefficients.tobytes() == other.coefficients.tobytes()
         assert one.trust.tobytes() == other.trust.tobytes()
     assert 0.0 < found[0].trust.min(initial=1.0, where=found[0].trust > 0.0) < 1.0
-    assert not pyramid.levels  # nobody needs their points any more
+
+
+@pytest.mark.parametrize("quadrics", [1, 4_000, 10_000, 1 << 30])
+def test_slabs_have_the_quadrics_around_their_bricks(quadrics: int) -> None:
+    pyramid, far = build(), far_field()
+    weights = weigh_levels(CELL_SIZE, pyramid.height, 0.005, np.inf)
+    above, parents = fit_above(pyramid, weights, None, far)
+    grid = Grid(np.full(3, -1.3), 0.0125, (26, 26, 26))
+    fields = SlabFields(pyramid, weights, parents, above, far, grid)
+    whole = fields.fit(0, 26).levels[0]
+    bounds = fields.cut(0, 26, quadrics)
+    assert len(bounds) == {1: 4, 4_000: 4, 10_000: 3, 1 << 30: 2}[quadrics]
+    for first, end in pairwise(bounds):
+        level = fields.fit(first, end).levels[0]
+        low, high = -1.3 + 0.1 * np.array([first - 1, end + 1])  # where its nodes lie
+        places = pyramid.origin[0] + CELL_SIZE * unpack_keys(whole.keys)[:, 0]
+        near = np.flatnonzero((places > low - CELL_SIZE) & (places < high + CELL_SIZE))
+        rows = np.searchsorted(level.keys, whole.keys[near])
+        assert np.array_equal(level.keys[rows], whole.keys[near])
+        assert level.coefficients[rows].tobytes() == whole.coefficients[near].tobytes()
+        assert level.trust[rows].tobytes() == whole.trust[near].tobytes()
+
+
+def test_a_field_without_points_is_one_slab() -> None:
+    none = np.empty(0, np.int64)
+    pyramid = Pyramid(np.zeros(3), CELL_SIZE, [], [none], 0, 3)
+    grid = Grid(np.full(3, -1.3), 0.05, (7, 7, 7))
+    fields = SlabFields(pyramid, [], None, (), far_field(), grid)
+    assert fields.cut(2, 5, 1000) == [2, 5]
+    (finest,) = fields.fit(2, 5).levels
+    assert finest.coefficients.shape == (0, 10)

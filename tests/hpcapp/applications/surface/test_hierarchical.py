@@ -11,8 +11,11 @@ from hpcapp.applications.surface.hierarchical import HierarchicalMethod, plan_gr
 from hpcapp.applications.surface.topology import check_mesh
 from hpcapp.batches import Workforce
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface import field_levels, slab_growth
 from hpccomponent.surface.field import BRICK
+from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.slab_growth import grow_slabs
 
 
 def ignore(done, total):
@@ -170,15 +173,17 @@ def test_any_tiling_gives_the_same_bits(shape, grid):
         assert mesh.faces.tobytes() == whole.faces.tobytes()
 
 
+@pytest.mark.parametrize("tiles", [None, 3])
 @pytest.mark.parametrize("grid", [40, 96])
 @pytest.mark.parametrize("shape", [torus, rough_torus, tailed_torus, half_torus, sheet])
-def test_any_slabs_give_the_same_bits(shape, grid, monkeypatch):
+def test_any_slabs_give_the_same_bits(shape, grid, tiles, monkeypatch):
+    """Of the whole cloud, and of each tile."""
     cloud = shape(6000)
-    whole, facts = reconstruct(cloud, HierarchicalMethod(grid))
-    monkeypatch.setattr(slabs, "_LEAST_LAYERS", 1)
+    whole, facts = reconstruct(cloud, HierarchicalMethod(grid), tiles)
+    monkeypatch.setattr(field_levels, "_LEAST_LAYERS", 1)
     for quadrics in (facts["patches"], facts["patches"] // 10):
-        monkeypatch.setattr(slabs, "SLAB_QUADRICS", quadrics)
-        mesh, again = reconstruct(cloud, HierarchicalMethod(grid))
+        monkeypatch.setattr(slab_growth, "SLAB_QUADRICS", quadrics)
+        mesh, again = reconstruct(cloud, HierarchicalMethod(grid), tiles)
         assert np.array_equal(mesh.vertices, whole.vertices)
         assert np.array_equal(mesh.faces, whole.faces)
         assert again == facts
@@ -187,13 +192,22 @@ def test_any_slabs_give_the_same_bits(shape, grid, monkeypatch):
 def test_the_surface_is_followed_into_slabs_without_points(monkeypatch):
     cloud = half_torus(20_000)  # the surface over its holes bulges out
     whole, _ = reconstruct(cloud, HierarchicalMethod(64))
-    found = []
-    look = slabs._Slabs.left
-    monkeypatch.setattr(slabs._Slabs, "left", lambda work: found.append(look(work)) or found[-1])
-    monkeypatch.setattr(slabs, "_LEAST_LAYERS", 1)
-    monkeypatch.setattr(slabs, "SLAB_QUADRICS", 1)
+    entered = []
+
+    def grow(fields, kinds, bounds):
+        done = set()
+        for part, exits in grow_slabs(fields, kinds, bounds):
+            layer = int(unpack_keys(part.bricks[:1])[0, 0])
+            slab = np.searchsorted(bounds, layer, side="right")
+            entered.append(slab in done)
+            done.add(slab)
+            yield part, exits
+
+    monkeypatch.setattr(slabs, "grow_slabs", grow)
+    monkeypatch.setattr(field_levels, "_LEAST_LAYERS", 1)
+    monkeypatch.setattr(slab_growth, "SLAB_QUADRICS", 1)
     mesh, _ = reconstruct(cloud, HierarchicalMethod(64))
-    assert len(found[0])
+    assert any(entered)
     assert np.array_equal(mesh.vertices, whole.vertices)
     assert np.array_equal(mesh.faces, whole.faces)
 
