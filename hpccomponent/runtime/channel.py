@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import mmap
 import os
+import select
 import socket
 import struct
 import tempfile
@@ -117,6 +118,12 @@ class Channel:
             socket.send_fds(self._end, [file.prefix], [file.descriptor])
         except (BrokenPipeError, ConnectionResetError) as error:
             raise ChannelClosedError("the other end of the channel is gone") from error
+
+    def has_message(self) -> bool:
+        """Tell whether `receive` would not wait: something has come, or the other end is gone."""
+        poll = select.poll()
+        poll.register(self._end, select.POLLIN)
+        return bool(poll.poll(0))
 
     def receive(self) -> tuple[memoryview, memoryview]:
         """Wait for a message.

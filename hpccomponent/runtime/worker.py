@@ -31,6 +31,7 @@ from hpccomponent.protocol.messages import (
     encode_message,
 )
 from hpccomponent.runtime.channel import Channel, ChannelClosedError, cut_payload
+from hpccomponent.runtime.idle import idle_work
 from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
 from hpccomponent.runtime.tasks import TaskRegistry
 
@@ -138,10 +139,13 @@ def main(arguments: list[str] | None = None) -> int:
     if not die_with_parent(options.parent, signal.SIGKILL):
         exit_at_end_of_pipe(options.lifeline_fd, 0)
     tasks = TaskRegistry(options.task)
+    idle_work.serve()
     channel = Channel(socket.socket(fileno=options.channel_fd))
     blobs: dict[bytes, Any] = {}
     try:
         while True:
+            while not channel.has_message() and idle_work.run_one():
+                pass
             control, payload = channel.receive()
             match decode_master_message(control):
                 case Batch() as batch:

@@ -15,11 +15,13 @@ Arguments and results are values that travel; the classes here give them names o
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.runtime.idle import idle_work
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store import hold_store
 from hpccomponent.surface import kernels
@@ -183,11 +185,15 @@ class CoarseLevels:
 
 @dataclass(slots=True, eq=False)
 class _Prepared:
-    """A tile's points in their cells, up to the coarse level; `kinds` is None where it has none."""
+    """A tile's points in their cells, up to the coarse level; `kinds` is None where it has none.
+
+    `laid` are the corners of its fine levels (see `_lay_near`), once somebody had time for them.
+    """
 
     kinds: BrickKinds | None
     groups: NDArray[np.uint8]
     levels: list[Level]
+    laid: list[IntArray] | None = None
 
 
 KEPT_TILES = 3
@@ -233,6 +239,7 @@ def sum_tile(
         while len(_waiting) >= KEPT_TILES:
             _waiting.pop(next(iter(_waiting), ""), None)
         _waiting[ticket] = prepared
+        idle_work.add(partial(_lay_ahead, common, ticket))
     finest, coarse = prepared.levels[0], prepared.levels[-1]
     assert isinstance(finest.points, SortedPoints)  # noqa: S101 - the finest level has points
     starts = finest.points.rows[finest.points.offsets[:-1]]
@@ -307,9 +314,9 @@ def mesh_tile(
         prepared = _prepare(common, points, True, threads)
     if prepared.kinds is None:
         return _give(MeshPart.empty(), np.empty(0, np.int64), keep)
-    kinds, levels = prepared.kinds, prepared.levels[: common.coarse]
+    kinds, levels, laid = prepared.kinds, prepared.levels[: common.coarse], prepared.laid
     del prepared
-    return _give(*_mesh_region(common, levels, kinds, coarse, threads), keep)
+    return _give(*_mesh_region(common, levels, kinds, laid, coarse, threads), keep)
 
 
 @declare(cost=lambda _plan, exits, points, *_: len(exits) + estimate_work(points))
@@ -354,7 +361,7 @@ def mesh_gap(
     if len(cloud):
         finest = sort_level(cloud, common.origin, common.cell_size)
         levels = raise_levels(finest, common.coarse, threads)
-    return _give(*_mesh_region(common, levels, kinds, coarse, threads), keep)
+    return _give(*_mesh_region(common, levels, kinds, None, coarse, threads), keep)
 
 
 def _prepare(plan: Plan, points: CellPoints, with_kinds: bool, threads: int) -> _Prepared:
@@ -372,6 +379,7 @@ def _mesh_region(
     plan: Plan,
     levels: list[Level],
     kinds: BrickKinds,
+    laid: list[IntArray] | None,
     coarse: Values,
     threads: int,
 ) -> tuple[MeshPart, IntArray]:
@@ -381,7 +389,7 @@ def _mesh_region(
     fine = tuple(_NO_LEVEL for _ in range(1, min(plan.coarse, FIELD_LEVELS)))
     parents, vertices = None, [_NO_LEVEL.keys]
     if levels:
-        parents, vertices = coarser.parents, _lay_near(plan, levels[0].cells, kinds)
+        parents, vertices = coarser.parents, laid or _lay_near(plan, levels[0].cells, kinds)
     pyramid = Pyramid(plan.origin, plan.cell_size, levels, vertices, 0, plan.height)
     if levels:
         fine, parents = fit_above(pyramid, plan.weights, parents, far, threads)
@@ -400,6 +408,13 @@ def _give(
     place, name = keep
     hold_store(place).put(name, (values, summary, exits))
     return None, summary, exits
+
+
+def _lay_ahead(plan: Plan, ticket: str) -> None:
+    """Lay the corners of a tile while it waits to be meshed, as for the coarse quadrics."""
+    prepared = _waiting.get(ticket)
+    if prepared is not None and prepared.kinds is not None:
+        prepared.laid = _lay_near(plan, prepared.levels[0].cells, prepared.kinds)
 
 
 def _lay_near(plan: Plan, cells: IntArray, kinds: BrickKinds) -> list[IntArray]:

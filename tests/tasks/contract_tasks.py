@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from hpccomponent.runtime.idle import idle_work
+
 
 def echo(*values: Any) -> Any:
     """Return the only value, or all of them as a tuple."""
@@ -55,6 +57,13 @@ def announce_and_wait(started: str, released: str) -> int:
     beside.rename(started)
     wait_for_file(released)
     return os.getpid()
+
+
+def leave_work(path: str, released: str) -> None:
+    """Leave a file to be written when there is time, and a failure before it."""
+    idle_work.add(lambda: fail("nobody asked for it"))
+    idle_work.add(lambda: Path(path).touch())
+    wait_for_file(released)
 
 
 def kill_worker() -> None:

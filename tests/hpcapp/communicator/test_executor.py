@@ -46,6 +46,26 @@ def is_alive(pid: int) -> bool:
         return False
 
 
+def test_a_worker_does_what_a_task_has_left_once_it_has_nothing_else(
+    executor, start_component, tmp_path
+) -> None:
+    start_component()
+    left, first, second = (str(tmp_path / name) for name in ("left", "first", "second"))
+    Path(first).touch()
+    executor.submit("contract.leave_work", left, first).result(WAIT)
+    await_file(Path(left))
+    Path(left).unlink()
+    futures = [
+        executor.submit("contract.leave_work", left, second),
+        executor.submit("contract.wait_for_file", second),
+    ]
+    Path(second).touch()
+    for future in futures:
+        future.result(WAIT)
+    await_file(Path(left))
+    assert executor.submit("contract.echo", 5).result(WAIT) == 5
+
+
 def test_values_arrive_bit_by_bit_large_and_small(executor, start_component) -> None:
     start_component()
     rng = np.random.default_rng(7)

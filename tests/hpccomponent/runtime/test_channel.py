@@ -74,6 +74,18 @@ def test_many_pieces_are_written(ends: tuple[Channel, Channel]) -> None:
     assert joined == b"".join(pieces)
 
 
+def test_an_end_tells_whether_something_has_come(ends: tuple[Channel, Channel]) -> None:
+    sender, receiver = ends
+    assert not receiver.has_message()
+    for buffers in ([], [[bytes(2 * INLINE_BYTES)]]):
+        sender.send(b"control", buffers)
+        assert receiver.has_message()
+        receiver.receive()
+        assert not receiver.has_message()
+    sender.close()
+    assert receiver.has_message()  # the end, for which nobody would have to wait
+
+
 def test_a_closed_end_is_noticed_by_the_other(ends: tuple[Channel, Channel]) -> None:
     one, two = ends
     reader = threading.Thread(target=one.close)

@@ -1,0 +1,43 @@
+"""What a task leaves to be done while its worker has nothing else to do.
+
+A task that returns early lets the master go on with what needs its result; what is left may save
+time in a later task, and is never needed. Only a worker process has such time: elsewhere nothing
+is kept.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+
+__all__ = ["IdleWork", "idle_work"]
+
+
+class IdleWork:
+    """Work that waits for time, first come, first served."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[Callable[[], object]] = deque()
+        self._is_served = False
+
+    def serve(self) -> None:
+        """Say that this process will call `run_one`."""
+        self._is_served = True
+
+    def add(self, work: Callable[[], object]) -> None:
+        """Leave some work; it must matter to nobody if it is never done, or fails."""
+        if self._is_served:
+            self._waiting.append(work)
+
+    def run_one(self) -> bool:
+        """Do one piece of work; return whether there was one."""
+        if not self._waiting:
+            return False
+        with suppress(Exception):  # the task that would have used it meets the error again
+            self._waiting.popleft()()
+        return True
+
+
+idle_work = IdleWork()
+"""Of this process."""
