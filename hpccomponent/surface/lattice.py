@@ -7,7 +7,10 @@ is cell i >> 1, and corner i of one level is corner i / 2 of the next where i is
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
+from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
 from hpccomponent.surface.points import FloatArray, IntArray
@@ -17,6 +20,7 @@ __all__ = [
     "OCTANTS",
     "cells_of",
     "corner_parents",
+    "find_first",
     "find_keys",
     "find_layers",
     "merge_counts",
@@ -28,6 +32,8 @@ __all__ = [
     "unite_keys",
     "unpack_keys",
 ]
+
+KeyT = TypeVar("KeyT", np.int64, np.int32)
 
 BITS = 21
 """Of each coordinate in a key, x the highest."""
@@ -103,6 +109,29 @@ def step_keys(keys: IntArray, step: IntArray) -> IntArray:
     return keys + int(np.dot(step, _STRIDES))
 
 
+def find_first(keys: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the different keys, and where each is first.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+
+    Returns
+    -------
+    found : ndarray of int64, shape (u,)
+        Sorted, each once.
+    rows : ndarray of int64, shape (u,)
+
+    Examples
+    --------
+    >>> [array.tolist() for array in find_first(np.array([7, 3, 7, 3]))]
+    [[3, 7], [1, 0]]
+    """
+    order = np.argsort(keys, kind="stable")
+    found = unique_keys(keys)
+    return found, order[np.searchsorted(keys, found, sorter=order)]
+
+
 def find_keys(keys: IntArray, wanted: IntArray) -> IntArray:
     """Return where each wanted key stands among sorted keys.
 
@@ -162,16 +191,16 @@ def merge_counts(keys: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
     return merged, sums.astype(np.int64)
 
 
-def unique_keys(keys: IntArray) -> IntArray:
+def unique_keys(keys: NDArray[KeyT]) -> NDArray[KeyT]:
     """Return the keys, sorted, each once.
 
     Parameters
     ----------
-    keys : ndarray of int64, shape (k,)
+    keys : ndarray of int64 or int32, shape (k,)
 
     Returns
     -------
-    ndarray of int64, shape (u,)
+    ndarray of the same type, shape (u,)
 
     Notes
     -----
@@ -185,16 +214,16 @@ def unique_keys(keys: IntArray) -> IntArray:
     return ordered[first]
 
 
-def number_keys(keys: IntArray) -> tuple[IntArray, IntArray]:
+def number_keys(keys: NDArray[KeyT]) -> tuple[NDArray[KeyT], IntArray]:
     """Number the different keys.
 
     Parameters
     ----------
-    keys : ndarray of int64, shape (k,)
+    keys : ndarray of int64 or int32, shape (k,)
 
     Returns
     -------
-    found : ndarray of int64, shape (u,)
+    found : ndarray of the same type, shape (u,)
         Sorted, each once.
     numbers : ndarray of int64, shape (k,)
         Where each key stands among them.

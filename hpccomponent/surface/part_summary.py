@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
+from hpccomponent.surface.lattice import number_keys, unique_keys
 from hpccomponent.surface.mesh_part import Int32Array, MeshPart
 from hpccomponent.surface.points import FloatArray, IntArray
 
@@ -120,8 +121,8 @@ def summarize_part(part: MeshPart) -> PartSummary:
     counts = (part.vertex_counts, part.face_counts)
     sums = kernels.sum_bricks(part.vertices, part.faces, counts, seams.labels, seams.components)
     pieces, bare = nodes.vertex_of[seams.pieces], nodes.vertex_of[seams.bare]
-    at_seam = np.unique(np.flatnonzero(part.faces.reshape(-1) < 0) // 3)
-    rim = np.unique(np.concatenate([pieces, bare, part.faces[at_seam].reshape(-1)]))
+    at_seam = unique_keys(np.flatnonzero(part.faces.reshape(-1) < 0) // 3)
+    rim = unique_keys(np.concatenate([pieces, bare, part.faces[at_seam].reshape(-1)]))
     rim = rim[np.searchsorted(rim, 0) : np.searchsorted(rim, own)]
     return PartSummary(
         part.bricks,
@@ -169,7 +170,7 @@ def _name_nodes(part: MeshPart) -> _Nodes:
             brick_of[in_guest] * all_vertices + np.flatnonzero(in_guest),
         ]
     )
-    found, nodes = np.unique(named, return_inverse=True)
+    found, nodes = number_keys(named)
     unit, vertex = np.divmod(found, all_vertices)
     faces = part.faces.copy()
     faces[of_guest] = all_vertices + nodes[: 3 * len(units)].reshape(-1, 3)

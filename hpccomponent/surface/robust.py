@@ -23,7 +23,14 @@ from numpy.typing import NDArray
 from hpccomponent.cutting import cut_equal
 from hpccomponent.surface.build import load_native
 from hpccomponent.surface.cell_points import SortedPoints
-from hpccomponent.surface.lattice import OCTANTS, find_keys, pack_places, step_keys, unpack_keys
+from hpccomponent.surface.lattice import (
+    OCTANTS,
+    find_keys,
+    number_keys,
+    pack_places,
+    step_keys,
+    unpack_keys,
+)
 from hpccomponent.surface.parallel import run_batches
 from hpccomponent.surface.points import FloatArray, IntArray
 
@@ -165,7 +172,7 @@ def tell_kurtosis(squares: FloatArray, cells: IntArray, offsets: IntArray) -> fl
     float
         3 of Gaussian ones, and where there are too few points to tell.
     """
-    blocks = np.unique(pack_places(unpack_keys(cells) >> _BLOCK), return_inverse=True)[1]
+    blocks = number_keys(pack_places(unpack_keys(cells) >> _BLOCK))[1]
     owners = np.repeat(blocks, np.diff(offsets))
     counts = np.bincount(owners)
     second = np.bincount(owners, squares)

@@ -14,6 +14,7 @@ import numpy as np
 
 from hpccomponent.errors import OutputError
 from hpccomponent.store import hold_store
+from hpccomponent.surface.lattice import number_keys, unique_keys
 from hpccomponent.surface.mesh_part import MeshPart
 from hpccomponent.surface.part_places import PartPlaces, place_faces
 from hpccomponent.surface.points import FloatArray, IntArray
@@ -41,7 +42,7 @@ def cut_tile(
     faces : ndarray of int64, shape (f, 3)
     """
     faces, _, _ = place_faces(part, places, np.flatnonzero(places.face_starts >= 0))
-    used, corners = np.unique(faces, return_inverse=True)
+    used, corners = number_keys(faces.reshape(-1))
     vertices = np.empty((len(used), 3))
     own = used >= 0
     vertices[own] = part.vertices[used[own]]
@@ -122,7 +123,7 @@ def _locate(
     """Return where foreign vertices are, from the parts that have them."""
     names, owners, rows = foreign
     found = np.empty((len(wanted), 3))
-    for index in np.unique(owners[wanted]).tolist():
+    for index in unique_keys(owners[wanted]).tolist():
         there = owners[wanted] == index
         found[there] = load(names[index]).vertices[rows[wanted[there]]]
     return found

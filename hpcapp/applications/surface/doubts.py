@@ -11,7 +11,7 @@ import numpy as np
 from hpcapp.applications.surface.surface import Surface
 from hpccomponent.surface import kernels
 from hpccomponent.surface.disk_cloud import DiskCloud
-from hpccomponent.surface.lattice import pack_places
+from hpccomponent.surface.lattice import find_first, pack_places
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
 __all__ = ["doubt_closure", "doubt_normals", "doubt_resolution", "sample_cloud"]
@@ -60,7 +60,8 @@ def doubt_normals(cloud: PointCloud) -> list[str]:
     size = float((high - low).max()) / min(BOXES, max(1.0, np.sqrt(len(positions) / 24.0)))
     keys = pack_places(np.floor((positions - low) / size).astype(np.int64))
     order = np.argsort(keys, kind="stable")
-    _, first, counts = np.unique(keys[order], return_index=True, return_counts=True)
+    _, first = find_first(keys[order])
+    counts = np.diff(np.append(first, len(keys)))
     means = np.add.reduceat(normals[order], first) / counts[:, None]
     centroids = np.add.reduceat(positions[order] - low, first) / counts[:, None]
     dense = counts >= 8

@@ -161,7 +161,7 @@ def cut_even(counts: IntArray, pieces: int) -> list[slice]:
     ends = np.cumsum(counts)
     wanted = ends[-1] * np.arange(1, pieces) / pieces
     inner = np.searchsorted(ends - 0.5 * counts, wanted)
-    bounds = np.unique(np.concatenate([[0], inner, [len(counts)]])).tolist()
+    bounds = unique_keys(np.concatenate([[0], inner, [len(counts)]])).tolist()
     return [slice(a, b) for a, b in pairwise(bounds)]
 
 

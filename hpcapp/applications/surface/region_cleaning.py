@@ -30,7 +30,7 @@ from hpccomponent.surface.arrangement import PackedPoints
 from hpccomponent.surface.block_tasks import sample_blocks, survey_blocks
 from hpccomponent.surface.cloud_regions import DroppedCells
 from hpccomponent.surface.disk_cloud import DiskCloud, Measured, Part, write_index, write_part
-from hpccomponent.surface.lattice import pack_places
+from hpccomponent.surface.lattice import pack_places, unique_keys
 from hpccomponent.surface.outlier_regions import judge_sparse
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 from hpccomponent.surface.region_tasks import judge_blocks, mend_blocks, rank_blocks
@@ -142,7 +142,7 @@ def _find_outliers(
     asked = [blocks for i, blocks in enumerate(regions) if found[i][0][judged.base + 1 : -1].any()]
     more = (*common, judged.base)
     rest = passes.map_regions(judge_blocks, cloud, asked, margin, (), lambda _: more)
-    strays = np.unique(np.concatenate([judged.stray_cells, *(cells for _, cells in rest)]))
+    strays = unique_keys(np.concatenate([judged.stray_cells, *(cells for _, cells in rest)]))
     if not (len(strays) or len(judged.island_cells)):
         return ()
     return (*common, strays, judged.island_cells)

@@ -34,6 +34,7 @@ from hpcapp.io import (
     write_tiles,
 )
 from hpccomponent.store import FolderStore
+from hpccomponent.surface.lattice import number_keys
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.mesh_part import MeshPart
 from hpccomponent.surface.part_summary import PartSummary
@@ -203,7 +204,7 @@ class PartSurface:
             def batch(index: int) -> tuple[Any, ...]:
                 foreign = np.arange(len(plan.summaries[index].foreign_bricks))
                 parts, rows = plan.locate_foreign(index, foreign)
-                near, owners = np.unique(parts, return_inverse=True)
+                near, owners = number_keys(parts)
                 names = tuple(self.parts[part] for part in near.tolist())
                 file = (str(file_of(index)), str(path), is_double, self.origin)
                 values = plan.places(index).to_values()

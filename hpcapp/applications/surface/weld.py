@@ -22,6 +22,7 @@ from hpcapp.applications.surface.weld_bricks import (
 )
 from hpcapp.applications.surface.weld_topology import Components, judge_parts
 from hpccomponent.surface.extraction import find_large
+from hpccomponent.surface.lattice import unique_keys
 from hpccomponent.surface.part_places import PartPlaces, starts_of
 from hpccomponent.surface.part_summary import PartSummary
 from hpccomponent.surface.points import FloatArray, IntArray
@@ -74,7 +75,7 @@ class WeldPlan:
         """
         taken = self.bricks.taken[first:last]
         owners = self.bricks.part_of(taken)
-        for index in np.unique(owners).tolist():
+        for index in unique_keys(owners).tolist():
             yield index, taken[owners == index] - self.bricks.parts[index]
 
     def locate_foreign(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hpcapp.applications.surface.topology import Topology
 from hpcapp.applications.surface.weld_bricks import PartBricks
 from hpccomponent.surface import kernels
-from hpccomponent.surface.lattice import find_keys
+from hpccomponent.surface.lattice import find_first, find_keys, number_keys
 from hpccomponent.surface.part_places import starts_of
 from hpccomponent.surface.part_summary import PartSummary
 from hpccomponent.surface.points import FloatArray, IntArray
@@ -211,7 +211,7 @@ def _locate(
 
 def _judge_seams(seams: _Seams, faces: IntArray) -> _Verdict:
     """Group the sides into edges, count what is wrong, and join the pieces of corners."""
-    vertices, piece = np.unique(seams.pieces, return_inverse=True)
+    vertices, piece = number_keys(seams.pieces)
     tails, heads = piece[seams.tails], piece[seams.heads]
     low, high = np.minimum(tails, heads), np.maximum(tails, heads)
     order = np.lexsort((seams.sides, low * len(vertices) + high))
@@ -223,7 +223,8 @@ def _judge_seams(seams: _Seams, faces: IntArray) -> _Verdict:
     fans = _count_fans(seams, order, first[counts >= 2], piece)
     is_closed_elsewhere = np.ones(len(vertices), np.bool_)
     is_closed_elsewhere[piece[seams.piece_owners]] = False
-    is_closed_elsewhere[np.isin(vertices, seams.bare)] = False
+    bare = find_keys(vertices, seams.bare)
+    is_closed_elsewhere[bare[bare < len(vertices)]] = False
     inner = 3 * faces - np.bincount(seams.components, minlength=len(faces))
     outer = np.bincount(seams.components[order[first]], minlength=len(faces))
     return _Verdict(
@@ -255,7 +256,7 @@ def _genera(
 ) -> tuple[int, ...]:
     """Return the genus of each closed component, the one with the most faces first."""
     with_vertices = entries.component[entries.vertices > 0]
-    found, first = np.unique(with_vertices, return_index=True)
+    found, first = find_first(with_vertices)
     found, first = found[faces[found] > 0], first[faces[found] > 0]
     ranked = found[np.lexsort((first, -faces[found]))]
     genus = (2 - (vertices - edges + faces)) // 2
@@ -286,7 +287,7 @@ def _signed_volume(
         faces.append(corners.reshape(-1, 3)[counted])
         numbers.append(_locate(summary.rim, index, summary, bricks, raw_starts)[0])
         places.append(summary.rim_places)
-    known, rows = np.unique(np.concatenate(numbers), return_index=True)
+    known, rows = find_first(np.concatenate(numbers))
     rim = np.concatenate(places)[rows]
     a, b, c = _find_rim(known, rim, np.concatenate(faces))
     tails, heads = _find_rim(

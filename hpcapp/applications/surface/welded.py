@@ -12,6 +12,7 @@ import numpy as np
 
 from hpcapp.applications.surface.weld import WeldPlan
 from hpcapp.io import MeshStream
+from hpccomponent.surface.lattice import unique_keys
 from hpccomponent.surface.mesh import Mesh
 from hpccomponent.surface.mesh_part import Int32Array, MeshPart
 from hpccomponent.surface.part_places import PartPlaces, place_faces, place_vertices
@@ -138,7 +139,7 @@ def _positions(
     positions[own] = load(index).vertices[vertices[own]]
     owners, rows = plan.locate_foreign(index, ~vertices[~own])
     foreign = np.flatnonzero(~own)
-    for owner in np.unique(owners).tolist():
+    for owner in unique_keys(owners).tolist():
         there = owners == owner
         positions[foreign[there]] = load(owner).vertices[rows[there]]
     return positions
@@ -189,5 +190,5 @@ class _Blocks:
 def _cut(starts: IntArray) -> Iterator[tuple[int, int]]:
     """Cut bricks into runs of so many rows, one brick more or less, without empty ones."""
     marks = np.searchsorted(starts, np.arange(0, starts[-1], _ROWS_AT_ONCE))
-    edges = np.unique(np.append(marks, np.searchsorted(starts, starts[-1])))
+    edges = unique_keys(np.append(marks, np.searchsorted(starts, starts[-1])))
     return zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
