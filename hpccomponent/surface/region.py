@@ -92,7 +92,7 @@ class Plan:
     block_edge : float
         See `arrangement.Arrangement`.
     far : int
-        The level whose cells the far field is made of.
+        The level whose cells the far field is made of; of tiles, no coarser than theirs.
     tolerance : float
         How far off a point may lie until it counts half (see `weights.Weights`); not infinite only
         where `coarse` is 2 or more.
@@ -247,9 +247,8 @@ def sum_tile(
     marks = mark_ancestors(own, common.coarse, coarse.cells)
     at, vertices = np.flatnonzero(marks), corners_at(coarse.cells, marks)
     moments = coarse.points.sum(slice(0, len(coarse.cells)))[at]
-    depth = min(common.far, common.coarse)
-    sampled = prepared.levels[depth]
-    samples = sample_cells(sampled, np.flatnonzero(mark_ancestors(own, depth, sampled.cells)))
+    sampled = prepared.levels[common.far]
+    samples = sample_cells(sampled, np.flatnonzero(mark_ancestors(own, common.far, sampled.cells)))
     return coarse.cells[at], moments, coarse.squares[at], vertices, *samples, len(own)
 
 

@@ -22,7 +22,7 @@ from hpccomponent.surface.pyramid import (
     raise_levels,
 )
 from hpccomponent.surface.reach import HALO_STEPS, mark_near
-from hpccomponent.surface.region import CoarseLevels, Plan, sample_cells
+from hpccomponent.surface.region import CoarseLevels, Plan
 
 __all__ = ["Coarse", "far_level", "fit_coarse", "solve_far"]
 
@@ -139,29 +139,19 @@ def fit_coarse(plan: Plan, sums: list[tuple[Any, ...]], threads: int) -> Coarse:
     """
     keys, moments, squares, corners, far_keys, sampled, *_ = map(list, zip(*sums, strict=True))
     sums.clear()
+    far_cells, order = _sort(far_keys)
+    far = solve_far(plan, far_cells, _merge(sampled, order), threads)
     cells, order = _sort(keys)
     level = Level(cells, CellMoments(_merge(moments, order)), _merge(squares, order))
     moments.clear()
     vertices = unique_keys(np.concatenate(corners))
     height = plan.height - plan.coarse
     levels = raise_levels(level, height, threads)
-    far_cells, far_sums = _sample_far(plan, levels, far_keys, sampled)
-    far = solve_far(plan, far_cells, far_sums, threads)
     laid = lay_vertices(vertices, height)
     pyramid = Pyramid(plan.origin, plan.cell_size, levels, laid, plan.coarse, plan.height)
     quadrics, parents = fit_levels(pyramid, plan.weights, None, threads)
     assert parents is not None  # noqa: S101 - tiles have finer levels
     return Coarse(plan, parents, find_trust(pyramid, quadrics, far, threads), far)
-
-
-def _sample_far(
-    plan: Plan, levels: list[Level], keys: list[IntArray], sums: list[FloatArray]
-) -> tuple[IntArray, FloatArray]:
-    """Return what the far field is made of, from the tiles or from a coarser level."""
-    if plan.far > plan.coarse:
-        return sample_cells(levels[plan.far - plan.coarse])
-    cells, order = _sort(keys)
-    return cells, _merge(sums, order)
 
 
 def _sort(parts: list[IntArray]) -> tuple[IntArray, IntArray]:
