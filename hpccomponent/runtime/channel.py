@@ -119,11 +119,22 @@ class Channel:
         except (BrokenPipeError, ConnectionResetError) as error:
             raise ChannelClosedError("the other end of the channel is gone") from error
 
-    def has_message(self) -> bool:
-        """Tell whether `receive` would not wait: something has come, or the other end is gone."""
+    def has_message(self, wait_s: float = 0.0) -> bool:
+        """Wait until `receive` would not wait, because something has come or the other end is gone.
+
+        Parameters
+        ----------
+        wait_s : float
+            How long at most, in seconds.
+
+        Returns
+        -------
+        bool
+            False where nothing has come.
+        """
         poll = select.poll()
         poll.register(self._end, select.POLLIN)
-        return bool(poll.poll(0))
+        return bool(poll.poll(1000.0 * wait_s))
 
     def receive(self) -> tuple[memoryview, memoryview]:
         """Wait for a message.

@@ -30,13 +30,14 @@ class IdleWork:
         if self._is_served:
             self._waiting.append(work)
 
-    def run_one(self) -> bool:
-        """Do one piece of work; return whether there was one."""
-        if not self._waiting:
-            return False
+    def __bool__(self) -> bool:
+        """Tell whether there is any."""
+        return bool(self._waiting)
+
+    def run_one(self) -> None:
+        """Do one piece of work."""
         with suppress(Exception):  # the task that would have used it meets the error again
             self._waiting.popleft()()
-        return True
 
 
 idle_work = IdleWork()

@@ -39,6 +39,7 @@ __all__ = ["main", "run_batch", "run_call"]
 
 FLUSH_S = 0.005  # results wait this long for company, so that cheap tasks share a message
 FLUSH_BYTES = 256 * 1024
+IDLE_S = 0.1  # after results: the next batch comes sooner, if there is one
 LINE_LENGTH = 1000
 
 
@@ -144,8 +145,8 @@ def main(arguments: list[str] | None = None) -> int:
     blobs: dict[bytes, Any] = {}
     try:
         while True:
-            while not channel.has_message() and idle_work.run_one():
-                pass
+            while idle_work and not channel.has_message(IDLE_S):
+                idle_work.run_one()
             control, payload = channel.receive()
             match decode_master_message(control):
                 case Batch() as batch:

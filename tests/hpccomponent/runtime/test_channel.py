@@ -76,7 +76,7 @@ def test_many_pieces_are_written(ends: tuple[Channel, Channel]) -> None:
 
 def test_an_end_tells_whether_something_has_come(ends: tuple[Channel, Channel]) -> None:
     sender, receiver = ends
-    assert not receiver.has_message()
+    assert not receiver.has_message(0.001)
     for buffers in ([], [[bytes(2 * INLINE_BYTES)]]):
         sender.send(b"control", buffers)
         assert receiver.has_message()
