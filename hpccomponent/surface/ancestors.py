@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.surface import kernels
 from hpccomponent.surface.build import load_native
 from hpccomponent.surface.lattice import (
     find_keys,
     pack_places,
     step_keys,
-    unique_keys,
     unpack_keys,
 )
 from hpccomponent.surface.points import IntArray
@@ -25,6 +25,21 @@ __all__ = ["corners_at", "mark_ancestors"]
 Marks = NDArray[np.uint32]
 
 _native: Any = load_native()
+
+_STEPS: IntArray = np.array(list(np.ndindex(4, 4, 4))) - 1
+"""The corners around a cell, from its own lowest one."""
+
+
+def _boxes() -> NDArray[np.uint64]:
+    """Return, for each way to lie in an ancestor, which of these a cell lays, a bit each."""
+    ways = np.array([[shape % 3, shape // 3 % 3, shape // 9] for shape in range(27)])[:, None]
+    low, high = np.where(ways == 0, -1, 0), np.where(ways == 2, 2, 1)
+    is_laid = (np.clip(_STEPS, low, high) == _STEPS).all(axis=2)
+    boxes: NDArray[np.uint64] = is_laid @ (np.uint64(1) << np.arange(64, dtype=np.uint64))
+    return boxes
+
+
+_BOXES = _boxes()
 
 
 def mark_ancestors(cells: IntArray, depth: int, ancestors: IntArray) -> Marks:
@@ -84,13 +99,14 @@ def corners_at(ancestors: IntArray, marks: Marks) -> IntArray:
     to ceil((i + 2) / 2^depth), along each axis by itself: one more below its own ancestor's where
     it lies first in this, one more above where it lies last.
     """
-    laid = [np.empty(0, np.int64)]
+    boxes = np.zeros(len(ancestors), np.uint64)  # of each, the corners around it that are laid
     for shape in range(27):
-        own = ancestors[(marks >> np.uint32(shape) & np.uint32(1)).astype(np.bool_)]
-        if not len(own):
-            continue
-        ways = [shape % 3, shape // 3 % 3, shape // 9]
-        low = np.array([-1 if way == 0 else 0 for way in ways])
-        sides = [2 if way == 1 else 3 for way in ways]
-        laid += [step_keys(own, low + np.array(step)) for step in np.ndindex(*sides)]
-    return unique_keys(np.concatenate(laid))
+        is_laid = marks >> np.uint32(shape) & np.uint32(1)
+        boxes |= is_laid * _BOXES[shape]
+    laid = [
+        step_keys(ancestors[(boxes >> np.uint64(bit) & np.uint64(1)).astype(np.bool_)], step)
+        for bit, step in enumerate(_STEPS)
+    ]
+    while len(laid) > 1:  # sorted sets, of which those that are side by side have most in common
+        laid = [kernels.unite_keys(*pair) for pair in zip(laid[::2], laid[1::2], strict=True)]
+    return laid[0]
