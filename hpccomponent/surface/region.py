@@ -8,15 +8,12 @@
 
 A tile is a set of whole cells of one coarse level. Its halo is what surrounds it, so that every
 quadric that its bricks ask for is the one that the whole cloud would give, bit for bit.
-
-Arguments and results are values that travel; the classes here give them names on both ends.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +23,10 @@ from hpccomponent.runtime.tasks import declare
 from hpccomponent.store import hold_store
 from hpccomponent.surface import kernels
 from hpccomponent.surface.ancestors import corners_at, mark_ancestors
-from hpccomponent.surface.arrangement import Arrangement
 from hpccomponent.surface.bricks import BrickKinds
 from hpccomponent.surface.cell_points import SortedPoints
-from hpccomponent.surface.far_field import FarFieldPart, restore_far_field
-from hpccomponent.surface.field import FieldLevel, Grid
+from hpccomponent.surface.far_field import restore_far_field
+from hpccomponent.surface.field import FieldLevel
 from hpccomponent.surface.field_levels import SlabFields, fit_above
 from hpccomponent.surface.hermite import BASIS
 from hpccomponent.surface.lattice import unpack_keys
@@ -39,7 +35,6 @@ from hpccomponent.surface.part_summary import summarize_part
 from hpccomponent.surface.points import FloatArray, IntArray
 from hpccomponent.surface.pyramid import (
     Level,
-    Parents,
     Pyramid,
     lay_vertices,
     raise_levels,
@@ -47,14 +42,12 @@ from hpccomponent.surface.pyramid import (
 )
 from hpccomponent.surface.reach import near_bricks, plan_gap, plan_tile
 from hpccomponent.surface.slab_growth import grow_tile
+from hpccomponent.surface.tile_plan import CoarseLevels, Plan, Values
 from hpccomponent.surface.tile_points import CellPoints, estimate_work, take_points
-from hpccomponent.surface.weights import FIELD_LEVELS, Weights, weigh_levels
+from hpccomponent.surface.weights import FIELD_LEVELS
 
 __all__ = [
     "KEPT_TILES",
-    "CoarseLevels",
-    "Plan",
-    "Values",
     "mesh_gap",
     "mesh_tile",
     "sample_cells",
@@ -64,123 +57,6 @@ __all__ = [
 _NO_LEVEL = FieldLevel(
     np.empty(0, np.int64), np.empty((0, BASIS), np.float32), np.empty(0, np.float32)
 )
-
-Values = tuple[Any, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plan:
-    """What all tiles of a cloud have in common.
-
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of every lattice lies.
-    cell_size : float
-        Edge of the finest cells, in length units of the input.
-    height : int
-        How many levels the cloud has.
-    coarse : int
-        The level of whose cells tiles are made; `height` where there is but one tile.
-    noise : float
-        Standard deviation of the positions along the normals, in length units of the input.
-    grid_origin : ndarray of float64, shape (3,)
-    step : float
-    bricks : tuple of int
-        See `field.Grid`.
-    block_origin : ndarray of float64, shape (3,)
-    block_edge : float
-        See `arrangement.Arrangement`.
-    far : int
-        The level whose cells the far field is made of; of tiles, no coarser than theirs.
-    tolerance : float
-        How far off a point may lie until it counts half (see `weights.Weights`); not infinite only
-        where `coarse` is 2 or more.
-    """
-
-    origin: FloatArray
-    cell_size: float
-    height: int
-    coarse: int
-    noise: float
-    grid_origin: FloatArray
-    step: float
-    bricks: tuple[int, int, int]
-    block_origin: FloatArray
-    block_edge: float
-    far: int
-    tolerance: float = np.inf
-
-    def to_values(self) -> Values:
-        """Return what a task may be given."""
-        return tuple(getattr(self, field.name) for field in fields(self))
-
-    @property
-    def coarse_size(self) -> float:
-        """Edge of the coarse cells, in length units of the input."""
-        return self.cell_size * 2.0**self.coarse
-
-    @property
-    def reach(self) -> float:
-        """How far from a node the points may lie that its quadrics depend on.
-
-        Vertices and parents lie up to half a coarse cell away, their points half a coarse cell
-        further on, and cells whose corners exist because of points two finest cells beyond. Where
-        points are weighed, by quadrics of the second level, these add two of its cells.
-        """
-        steps = 2.0 if np.isinf(self.tolerance) else 6.0
-        return self.coarse_size + steps * self.cell_size
-
-    @property
-    def weights(self) -> list[Weights]:
-        """The weights of every level's fits."""
-        return weigh_levels(self.cell_size, self.height, self.noise, self.tolerance)
-
-    @property
-    def grid(self) -> Grid:
-        """The evaluation grid."""
-        return Grid(self.grid_origin, self.step, self.bricks)
-
-    @property
-    def arrangement(self) -> Arrangement:
-        """The blocks that points are packed by."""
-        return Arrangement(self.block_origin, self.block_edge)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CoarseLevels:
-    """What a tile must know of the levels that the master has fitted.
-
-    Parameters
-    ----------
-    parents : Parents
-        What the finest of them offers to the next finer level.
-    levels : tuple of FieldLevel
-        Those of them that the field is made of, finest first.
-    far : FarFieldPart
-        The far field.
-    """
-
-    parents: Parents
-    levels: tuple[FieldLevel, ...]
-    far: FarFieldPart
-
-    def to_values(self) -> Values:
-        """Return what a task may be given."""
-        above = self.parents
-        return (
-            (above.keys, above.coefficients, above.support, above.variances),
-            tuple((level.keys, level.coefficients, level.trust) for level in self.levels),
-            self.far.to_values(),
-        )
-
-    @classmethod
-    def from_values(cls, values: Values) -> CoarseLevels:
-        """Return what `to_values` took apart."""
-        parents, levels, far = values
-        return cls(
-            Parents(*parents), tuple(FieldLevel(*level) for level in levels), FarFieldPart(*far)
-        )
 
 
 @dataclass(slots=True, eq=False)

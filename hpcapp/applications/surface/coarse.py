@@ -22,7 +22,7 @@ from hpccomponent.surface.pyramid import (
     raise_levels,
 )
 from hpccomponent.surface.reach import HALO_STEPS, mark_near
-from hpccomponent.surface.region import CoarseLevels, Plan
+from hpccomponent.surface.tile_plan import CoarseLevels, Plan
 
 __all__ = ["Coarse", "far_level", "fit_coarse", "solve_far"]
 

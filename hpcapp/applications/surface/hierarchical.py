@@ -29,7 +29,8 @@ from hpccomponent.surface.disk_cloud import DiskCloud
 from hpccomponent.surface.field import BRICK, Grid
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 from hpccomponent.surface.pyramid import count_levels
-from hpccomponent.surface.region import KEPT_TILES, Plan, sum_tile
+from hpccomponent.surface.region import KEPT_TILES, sum_tile
+from hpccomponent.surface.tile_plan import Plan
 
 __all__ = [
     "LARGE_TILE",

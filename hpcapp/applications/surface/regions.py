@@ -25,7 +25,8 @@ from hpccomponent.surface.lattice import find_keys, pack_places, unique_keys, un
 from hpccomponent.surface.mesh_part import MeshPart
 from hpccomponent.surface.part_summary import PartSummary
 from hpccomponent.surface.points import FloatArray, IntArray
-from hpccomponent.surface.region import Plan, Values, mesh_gap, mesh_tile
+from hpccomponent.surface.region import mesh_gap, mesh_tile
+from hpccomponent.surface.tile_plan import Plan, Values
 
 __all__ = ["mesh_regions"]
 

@@ -15,8 +15,9 @@ from hpccomponent.surface.part_summary import summarize_part
 from hpccomponent.surface.points import PointCloud
 from hpccomponent.surface.pyramid import build_pyramid
 from hpccomponent.surface.reach import plan_whole
-from hpccomponent.surface.region import Plan, sample_cells
+from hpccomponent.surface.region import sample_cells
 from hpccomponent.surface.slab_growth import cut_slabs, grow_slabs
+from hpccomponent.surface.tile_plan import Plan
 
 __all__ = ["mesh_slabs"]
 

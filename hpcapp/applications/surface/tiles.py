@@ -20,7 +20,7 @@ from hpccomponent.surface.field import BRICK
 from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.points import IntArray
 from hpccomponent.surface.reach import mark_near
-from hpccomponent.surface.region import Plan
+from hpccomponent.surface.tile_plan import Plan
 from hpccomponent.surface.tile_points import CellPoints, pack_cloud, read_cells
 
 __all__ = ["Tiling", "cut_tiles", "halo_cells"]
