@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, TypeVar
@@ -14,7 +15,7 @@ from typing import Any, TypeVar
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import HpcError, TaskError, WorkerLostError
 
-__all__ = ["Workforce", "cut_equal", "map_batches", "stream_batches"]
+__all__ = ["Workforce", "begin_batch", "cut_equal", "map_batches", "stream_batches"]
 
 Result = TypeVar("Result")
 
@@ -133,13 +134,55 @@ def stream_batches(
     waiting = enumerate(batches)
     pending: dict[Future[Result], int] = {}
     try:
-        while True:
-            for index, batch in islice(waiting, at_once - len(pending)):
-                pending[workforce.executor.submit(task, *batch)] = index
-            if not pending:
-                return
-            done = next(as_completed(pending))
-            yield pending.pop(done), done.result()
+        with _explain(task):
+            while True:
+                for index, batch in islice(waiting, at_once - len(pending)):
+                    pending[workforce.executor.submit(task, *batch)] = index
+                if not pending:
+                    return
+                done = next(as_completed(pending))
+                yield pending.pop(done), done.result()
+    finally:
+        for future in pending:
+            future.cancel()
+
+
+@contextmanager
+def begin_batch(
+    workforce: Workforce, task: Callable[..., Result], batch: tuple[Any, ...]
+) -> Iterator[Callable[[], Result]]:
+    """Run `task` once, while this process does something else.
+
+    Parameters
+    ----------
+    workforce, task
+        See `map_batches`.
+    batch : tuple
+        The positional arguments of the call.
+
+    Yields
+    ------
+    callable
+        Waits for the result and returns it, or raises what `map_batches` would.
+    """
+    with _explain(task):
+        future = workforce.executor.submit(task, *batch)
+
+    def wait() -> Result:
+        with _explain(task):
+            return future.result()
+
+    try:
+        yield wait
+    finally:
+        future.cancel()
+
+
+@contextmanager
+def _explain(task: Callable[..., Any]) -> Iterator[None]:
+    """Say which task it was that failed."""
+    try:
+        yield
     except HpcError:
         raise
     except BrokenExecutor as error:
@@ -148,6 +191,3 @@ def stream_batches(
         ) from error
     except Exception as error:
         raise TaskError(f"{task.__name__} failed: {type(error).__name__}: {error}") from error
-    finally:
-        for future in pending:
-            future.cancel()

@@ -18,17 +18,24 @@ class IdleWork:
     """Work that waits for time, first come, first served."""
 
     def __init__(self) -> None:
-        self._waiting: deque[Callable[[], object]] = deque()
+        self._waiting: deque[Callable[[], bool]] = deque()
         self._is_served = False
 
     def serve(self) -> None:
         """Say that this process will call `run_one`."""
         self._is_served = True
 
-    def add(self, work: Callable[[], object]) -> None:
-        """Leave some work; it must matter to nobody if it is never done, or fails."""
+    def add(self, step: Callable[[], bool]) -> None:
+        """Leave some work; it must matter to nobody if it is never done, or fails.
+
+        Parameters
+        ----------
+        step : callable
+            Does a short piece of it, and returns whether there is more: a task that comes meanwhile
+            waits for the piece.
+        """
         if self._is_served:
-            self._waiting.append(work)
+            self._waiting.append(step)
 
     def __bool__(self) -> bool:
         """Tell whether there is any."""
@@ -36,8 +43,11 @@ class IdleWork:
 
     def run_one(self) -> None:
         """Do one piece of work."""
+        is_more = False
         with suppress(Exception):  # the task that would have used it meets the error again
-            self._waiting.popleft()()
+            is_more = self._waiting[0]()
+        if not is_more:
+            self._waiting.popleft()
 
 
 idle_work = IdleWork()

@@ -63,6 +63,11 @@ class Grid:
     step: float
     bricks: tuple[int, int, int]
 
+    @property
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """The first node and the last, in length units of the input."""
+        return self.origin, self.origin + self.step * BRICK * np.array(self.bricks)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldLevel:

@@ -3,7 +3,8 @@
 ::
 
     sum_tile    points ──> moments of its coarse cells                      ──> master
-    master      coarse lattices of all tiles ──> coarse quadrics, far field ──> tiles
+    solve_far   what all tiles have sampled ──> far field                   ──> master
+    master      coarse lattices of all tiles ──> coarse quadrics            ──> tiles
     mesh_tile   points, halo, coarse quadrics, far field ──> fine quadrics ──> bricks ──> MeshPart
 
 A tile is a set of whole cells of one coarse level. Its halo is what surrounds it, so that every
@@ -12,20 +13,22 @@ quadric that its bricks ask for is the one that the whole cloud would give, bit 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.runtime.idle import idle_work
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store import hold_store
-from hpccomponent.surface import kernels
 from hpccomponent.surface.ancestors import corners_at, mark_ancestors
 from hpccomponent.surface.bricks import BrickKinds
 from hpccomponent.surface.cell_points import SortedPoints
-from hpccomponent.surface.far_field import restore_far_field
+from hpccomponent.surface.far_field import (
+    FarField,
+    crop_far_field,
+    restore_far_field,
+    solve_far_field,
+)
 from hpccomponent.surface.field import FieldLevel
 from hpccomponent.surface.field_levels import SlabFields, fit_above
 from hpccomponent.surface.hermite import BASIS
@@ -33,14 +36,14 @@ from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.mesh_part import MeshPart
 from hpccomponent.surface.part_summary import summarize_part
 from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.prepared_tile import PreparedTile, finish, lay_corners
 from hpccomponent.surface.pyramid import (
     Level,
     Pyramid,
-    lay_vertices,
     raise_levels,
     sort_level,
 )
-from hpccomponent.surface.reach import near_bricks, plan_gap, plan_tile
+from hpccomponent.surface.reach import HALO_STEPS, plan_gap
 from hpccomponent.surface.slab_growth import grow_tile
 from hpccomponent.surface.tile_plan import CoarseLevels, Plan, Values
 from hpccomponent.surface.tile_points import CellPoints, estimate_work, take_points
@@ -48,9 +51,11 @@ from hpccomponent.surface.weights import FIELD_LEVELS
 
 __all__ = [
     "KEPT_TILES",
+    "find_far",
     "mesh_gap",
     "mesh_tile",
     "sample_cells",
+    "solve_far",
     "sum_tile",
 ]
 
@@ -59,23 +64,10 @@ _NO_LEVEL = FieldLevel(
 )
 
 
-@dataclass(slots=True, eq=False)
-class _Prepared:
-    """A tile's points in their cells, up to the coarse level; `kinds` is None where it has none.
-
-    `laid` are the corners of its fine levels (see `_lay_near`), once somebody had time for them.
-    """
-
-    kinds: BrickKinds | None
-    groups: NDArray[np.uint8]
-    levels: list[Level]
-    laid: list[IntArray] | None = None
-
-
 KEPT_TILES = 3
 """So many tiles that a process has summed wait there to be meshed, some 110 bytes a point."""
 
-_waiting: dict[str, _Prepared] = {}
+_waiting: dict[str, PreparedTile] = {}
 """By their tickets, the one that was summed first before the others."""
 
 
@@ -110,12 +102,12 @@ def sum_tile(
         The finest cells with points.
     """
     common = Plan(*plan)
-    prepared = _prepare(common, points, ticket is not None, threads)
+    prepared = PreparedTile(common, points, threads)
     if ticket is not None:
         while len(_waiting) >= KEPT_TILES:
             _waiting.pop(next(iter(_waiting), ""), None)
         _waiting[ticket] = prepared
-        idle_work.add(partial(_lay_ahead, common, ticket))
+        idle_work.add(partial(_lay_ahead, ticket))
     finest, coarse = prepared.levels[0], prepared.levels[-1]
     assert isinstance(finest.points, SortedPoints)  # noqa: S101 - the finest level has points
     starts = finest.points.rows[finest.points.offsets[:-1]]
@@ -146,6 +138,47 @@ def sample_cells(level: Level, rows: IntArray | None = None) -> tuple[IntArray, 
     moments = level.points.sum(slice(0, len(level.cells)))
     sums = np.concatenate([moments[:, :4], moments[:, 35:38]], axis=1)
     return (level.cells, sums) if rows is None else (level.cells[rows], sums[rows])
+
+
+def find_far(plan: Plan, cells: IntArray, sums: FloatArray, threads: int) -> FarField:
+    """Solve for the far field.
+
+    Parameters
+    ----------
+    plan : Plan
+    cells, sums
+        See `sample_cells`; of the whole cloud, sorted by key.
+    threads : int
+        The result does not depend on it.
+    """
+    size = plan.cell_size * 2.0**plan.far
+    places = unpack_keys(cells) + 0.5 + sums[:, 1:4] / sums[:, :1]
+    centroids, normals = plan.origin + size * places, sums[:, 4:] / sums[:, :1]
+    return solve_far_field(centroids, normals, plan.grid.box, size, threads)
+
+
+def solve_far(plan: Values, cells: IntArray, sums: FloatArray, threads: int = 1) -> Values:
+    """Solve for the far field, as far as anything asks for it (a task).
+
+    Parameters
+    ----------
+    plan : tuple
+        Of a `Plan`.
+    cells, sums, threads
+        See `find_far`.
+
+    Returns
+    -------
+    tuple
+        Of a `FarFieldPart`: the grid, its halo, and beyond it the corners of every level that the
+        field is made of, which lie up to two of their cells from a point.
+    """
+    common = Plan(*plan)
+    coarsest = max(common.coarse, FIELD_LEVELS - 1)
+    margin = HALO_STEPS * common.step + 4.0 * common.cell_size * 2.0**coarsest
+    low, high = common.grid.box
+    far = find_far(common, cells, sums, threads)
+    return crop_far_field(far, low - margin, high + margin).to_values()
 
 
 @declare(cost=lambda _plan, points, *_: estimate_work(points))
@@ -186,12 +219,13 @@ def mesh_tile(
     common = Plan(*plan)
     prepared = _waiting.pop(ticket, None) if ticket is not None else None
     if prepared is None:
-        prepared = _prepare(common, points, True, threads)
-    if prepared.kinds is None:
+        prepared = PreparedTile(common, points, threads)
+    kinds, corners = prepared.laid()
+    if kinds is None:
         return _give(MeshPart.empty(), np.empty(0, np.int64), keep)
-    kinds, levels, laid = prepared.kinds, prepared.levels[: common.coarse], prepared.laid
+    levels = prepared.levels[: common.coarse]
     del prepared
-    return _give(*_mesh_region(common, levels, kinds, laid, coarse, threads), keep)
+    return _give(*_mesh_region(common, levels, corners, kinds, coarse, threads), keep)
 
 
 @declare(cost=lambda _plan, exits, points, *_: len(exits) + estimate_work(points))
@@ -232,29 +266,19 @@ def mesh_gap(
     cloud = take_points(points, common.arrangement, common.origin, common.coarse_size).cloud
     low = common.origin + common.coarse_size * unpack_keys(missing)
     kinds = plan_gap(common.grid, exits, cloud.positions, low, common.coarse_size, common.reach)
-    levels = []
+    levels, corners = [], [_NO_LEVEL.keys]
     if len(cloud):
         finest = sort_level(cloud, common.origin, common.cell_size)
         levels = raise_levels(finest, common.coarse, threads)
-    return _give(*_mesh_region(common, levels, kinds, None, coarse, threads), keep)
-
-
-def _prepare(plan: Plan, points: CellPoints, with_kinds: bool, threads: int) -> _Prepared:
-    """Put a tile's points into their cells, and sum these up to the coarse level."""
-    kernels.bound_free_memory()  # what tiles before this one have left
-    taken = take_points(points, plan.arrangement, plan.origin, plan.coarse_size)
-    kinds = None
-    if with_kinds:
-        kinds = plan_tile(plan.grid, *(taken.positions(group) for group in range(3)))
-    finest = sort_level(taken.cloud, plan.origin, plan.cell_size)
-    return _Prepared(kinds, taken.groups, raise_levels(finest, plan.coarse + 1, threads))
+        corners = finish(lay_corners(common, finest.cells, kinds))
+    return _give(*_mesh_region(common, levels, corners, kinds, coarse, threads), keep)
 
 
 def _mesh_region(
     plan: Plan,
     levels: list[Level],
+    corners: list[IntArray],
     kinds: BrickKinds,
-    laid: list[IntArray] | None,
     coarse: Values,
     threads: int,
 ) -> tuple[MeshPart, IntArray]:
@@ -262,12 +286,10 @@ def _mesh_region(
     coarser = CoarseLevels.from_values(coarse)
     far = restore_far_field(coarser.far)
     fine = tuple(_NO_LEVEL for _ in range(1, min(plan.coarse, FIELD_LEVELS)))
-    parents, vertices = None, [_NO_LEVEL.keys]
+    parents = None
+    pyramid = Pyramid(plan.origin, plan.cell_size, levels, corners, 0, plan.height)
     if levels:
-        parents, vertices = coarser.parents, laid or _lay_near(plan, levels[0].cells, kinds)
-    pyramid = Pyramid(plan.origin, plan.cell_size, levels, vertices, 0, plan.height)
-    if levels:
-        fine, parents = fit_above(pyramid, plan.weights, parents, far, threads)
+        fine, parents = fit_above(pyramid, plan.weights, coarser.parents, far, threads)
     above = fine + coarser.levels
     fields = SlabFields(pyramid, plan.weights, parents, above, far, plan.grid, threads)
     return grow_tile(fields, kinds)
@@ -285,29 +307,6 @@ def _give(
     return None, summary, exits
 
 
-def _lay_ahead(plan: Plan, ticket: str) -> None:
-    """Lay the corners of a tile while it waits to be meshed, as for the coarse quadrics."""
-    prepared = _waiting.get(ticket)
-    if prepared is not None and prepared.kinds is not None:
-        prepared.laid = _lay_near(plan, prepared.levels[0].cells, prepared.kinds)
-
-
-def _lay_near(plan: Plan, cells: IntArray, kinds: BrickKinds) -> list[IntArray]:
-    """Return the corners of each fine level that the bricks of a tile ask for, and ancestors.
-
-    A node asks for the corners around it, up to a cell of their level away, and these are there
-    because of finest cells whose middle lies as far again, and half a finest cell, from them. On
-    coarser levels, which have few corners, those that the coarsest asks for are laid, and those
-    that points are weighed by.
-    """
-    weighing = 0.0 if np.isinf(plan.tolerance) else 4.0
-    lattice = plan.origin, plan.cell_size
-    is_near, is_wide = (
-        near_bricks(kinds, plan.grid, cells, *lattice, plan.cell_size * reach)
-        for reach in (2.75, 2.0**plan.coarse + 0.75 + weighing)
-    )
-    near, rest = (kernels.spread_keys(cells[some], -1, 2) for some in (is_near, is_wide & ~is_near))
-    if plan.coarse == 1:
-        return [near]
-    wide = kernels.unite_keys(kernels.parent_keys(near), kernels.parent_keys(rest))
-    return [near, *lay_vertices(wide, plan.coarse - 1)]
+def _lay_ahead(ticket: str) -> bool:
+    """Do a step of a tile that waits to be meshed; return whether there are more."""
+    return ticket in _waiting and _waiting[ticket].lay_some()

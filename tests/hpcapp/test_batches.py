@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from threading import Event
 from typing import Any
 
 import pytest
@@ -8,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpcapp.backends import SerialExecutor
-from hpcapp.batches import Workforce, cut_equal, map_batches
+from hpcapp.batches import Workforce, begin_batch, cut_equal, map_batches
 from hpccomponent.errors import InputError, TaskError, WorkerLostError
 
 
@@ -69,6 +70,38 @@ class BrokenPool(SerialExecutor):
 def test_a_broken_pool_is_a_lost_worker() -> None:
     with pytest.raises(WorkerLostError, match="died while it ran divide"):
         map_batches(Workforce(BrokenPool()), divide, [(1.0, 2.0)])
+
+
+def test_one_batch_runs_while_its_caller_goes_on() -> None:
+    with ThreadPoolExecutor(1) as pool:
+        asked = Event()
+        with begin_batch(Workforce(pool), asked.wait, (30.0,)) as found:
+            asked.set()  # would come too late if it had been waited for
+            assert found()
+        with begin_batch(Workforce(pool), divide, (3.0, 2.0)) as found:
+            assert found() == 1.5
+
+
+def test_one_batch_fails_like_many() -> None:
+    serial = Workforce(SerialExecutor())
+    with begin_batch(serial, divide, (1.0, 0.0)) as found, pytest.raises(TaskError, match="divide"):
+        found()
+    with begin_batch(serial, refuse, ("bad",)) as found, pytest.raises(InputError, match="mend it"):
+        found()
+    lost = pytest.raises(WorkerLostError, match="died while it ran divide")
+    with lost, begin_batch(Workforce(BrokenPool()), divide, (1.0, 2.0)):
+        raise AssertionError("it was never begun")
+
+
+def test_one_batch_is_given_up_where_its_caller_fails() -> None:
+    done: list[int] = []
+    with ThreadPoolExecutor(1) as pool:
+        released = Event()
+        pool.submit(released.wait, 30.0)
+        with pytest.raises(RuntimeError), begin_batch(Workforce(pool), done.append, (1,)):
+            raise RuntimeError
+        released.set()
+    assert not done
 
 
 class SharingPool(SerialExecutor):

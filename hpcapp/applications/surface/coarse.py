@@ -7,9 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from hpcapp.batches import Workforce, begin_batch
 from hpccomponent.surface.cell_points import CellMoments
-from hpccomponent.surface.far_field import FarField, crop_far_field, far_step, solve_far_field
-from hpccomponent.surface.field import BRICK, FieldLevel, Grid
+from hpccomponent.surface.far_field import (
+    FarField,
+    FarFieldPart,
+    crop_far_field,
+    far_step,
+    restore_far_field,
+)
+from hpccomponent.surface.field import FieldLevel, Grid
 from hpccomponent.surface.field_levels import find_trust
 from hpccomponent.surface.lattice import pack_places, unique_keys, unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray
@@ -17,14 +24,16 @@ from hpccomponent.surface.pyramid import (
     Level,
     Parents,
     Pyramid,
+    VertexQuadrics,
     fit_levels,
     lay_vertices,
     raise_levels,
 )
 from hpccomponent.surface.reach import HALO_STEPS, mark_near
+from hpccomponent.surface.region import solve_far
 from hpccomponent.surface.tile_plan import CoarseLevels, Plan
 
-__all__ = ["Coarse", "far_level", "fit_coarse", "solve_far"]
+__all__ = ["Coarse", "far_level", "fit_coarse"]
 
 _FAR_CELLS = 0.5  # steps of the far field, which samples no smaller cells than these
 
@@ -97,32 +106,18 @@ def far_level(grid: Grid, cell_size: float, height: int) -> int:
         How many levels there are.
     """
     level = 0
-    least = _FAR_CELLS * far_step(*_box(grid))
+    least = _FAR_CELLS * far_step(*grid.box)
     while level < height - 1 and cell_size * 2.0**level < least:
         level += 1
     return level
 
 
-def solve_far(plan: Plan, cells: IntArray, sums: FloatArray, threads: int) -> FarField:
-    """Solve for the far field.
-
-    Parameters
-    ----------
-    plan : Plan
-    cells, sums
-        See `region.sample_cells`; of the whole cloud, sorted by key.
-    threads : int
-        The result does not depend on it.
-    """
-    size = plan.cell_size * 2.0**plan.far
-    places = unpack_keys(cells) + 0.5 + sums[:, 1:4] / sums[:, :1]
-    return solve_far_field(
-        plan.origin + size * places, sums[:, 4:] / sums[:, :1], _box(plan.grid), size, threads
-    )
-
-
-def fit_coarse(plan: Plan, sums: list[tuple[Any, ...]], threads: int) -> Coarse:
+def fit_coarse(
+    plan: Plan, sums: list[tuple[Any, ...]], workforce: Workforce, threads: int
+) -> Coarse:
     """Put the coarse cells of all tiles together, and fit the levels from there up.
+
+    A worker solves for the far field meanwhile.
 
     Parameters
     ----------
@@ -130,7 +125,9 @@ def fit_coarse(plan: Plan, sums: list[tuple[Any, ...]], threads: int) -> Coarse:
     sums : list of tuple
         What `region.sum_tile` returned for each tile, in any order. It is emptied: most of it is
         needed but once.
+    workforce : Workforce
     threads : int
+        That the tasks of this process may take, and the fits.
         The result does not depend on it.
 
     Returns
@@ -140,7 +137,23 @@ def fit_coarse(plan: Plan, sums: list[tuple[Any, ...]], threads: int) -> Coarse:
     keys, moments, squares, corners, far_keys, sampled, *_ = map(list, zip(*sums, strict=True))
     sums.clear()
     far_cells, order = _sort(far_keys)
-    far = solve_far(plan, far_cells, _merge(sampled, order), threads)
+    samples = far_cells, _merge(sampled, order)
+    task = plan.to_values(), *samples, threads if workforce.in_process else 1
+    with begin_batch(workforce, solve_far, task) as solved:
+        pyramid, quadrics, parents = _fit(plan, keys, moments, squares, corners, threads)
+        far = restore_far_field(FarFieldPart(*solved()))
+    return Coarse(plan, parents, find_trust(pyramid, quadrics, far, threads), far)
+
+
+def _fit(
+    plan: Plan,
+    keys: list[IntArray],
+    moments: list[FloatArray],
+    squares: list[FloatArray],
+    corners: list[IntArray],
+    threads: int,
+) -> tuple[Pyramid, list[VertexQuadrics], Parents]:
+    """Fit the levels from the tiles' one up; the lists are those of `region.sum_tile`."""
     cells, order = _sort(keys)
     level = Level(cells, CellMoments(_merge(moments, order)), _merge(squares, order))
     moments.clear()
@@ -151,7 +164,7 @@ def fit_coarse(plan: Plan, sums: list[tuple[Any, ...]], threads: int) -> Coarse:
     pyramid = Pyramid(plan.origin, plan.cell_size, levels, laid, plan.coarse, plan.height)
     quadrics, parents = fit_levels(pyramid, plan.weights, None, threads)
     assert parents is not None  # noqa: S101 - tiles have finer levels
-    return Coarse(plan, parents, find_trust(pyramid, quadrics, far, threads), far)
+    return pyramid, quadrics, parents
 
 
 def _sort(parts: list[IntArray]) -> tuple[IntArray, IntArray]:
@@ -177,7 +190,3 @@ def _find_around(keys: IntArray, cells: IntArray, wide: int) -> IntArray:
     """Return the rows of the corners that lie within so many cells of some cells."""
     found: IntArray = np.flatnonzero(mark_near(keys, cells, wide, wide + 1))
     return found
-
-
-def _box(grid: Grid) -> tuple[FloatArray, FloatArray]:
-    return grid.origin, grid.origin + grid.step * BRICK * np.array(grid.bricks)

@@ -192,7 +192,7 @@ class HierarchicalMethod:
             sums.append(found)
             advance(len(sums), len(tiling))
         partition.patches = sum(part[-1] for part in sums)
-        return fit_coarse(plan, sums, self.threads)
+        return fit_coarse(plan, sums, workforce, self.threads)
 
     def extract(
         self,

@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-from hpcapp.applications.surface.coarse import solve_far
 from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.surface import PartSurface
 from hpccomponent.surface.field_levels import SlabFields, fit_above
@@ -15,7 +14,7 @@ from hpccomponent.surface.part_summary import summarize_part
 from hpccomponent.surface.points import PointCloud
 from hpccomponent.surface.pyramid import build_pyramid
 from hpccomponent.surface.reach import plan_whole
-from hpccomponent.surface.region import sample_cells
+from hpccomponent.surface.region import find_far, sample_cells
 from hpccomponent.surface.slab_growth import cut_slabs, grow_slabs
 from hpccomponent.surface.tile_plan import Plan
 
@@ -47,7 +46,7 @@ def mesh_slabs(
     pyramid = build_pyramid(cloud, plan.origin, plan.cell_size, plan.height, threads)
     kinds = plan_whole(plan.grid, cloud.positions)
     patches = len(pyramid.levels[0].cells)
-    far = solve_far(plan, *sample_cells(pyramid.levels[plan.far]), threads)
+    far = find_far(plan, *sample_cells(pyramid.levels[plan.far]), threads)
     above, parents = fit_above(pyramid, plan.weights, None, far, threads)
     fields = SlabFields(pyramid, plan.weights, parents, above, far, plan.grid, threads)
     surface = PartSurface([], [], cloud.origin)

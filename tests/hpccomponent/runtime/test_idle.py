@@ -3,7 +3,7 @@
 from hpccomponent.runtime.idle import IdleWork
 
 
-def fail() -> None:
+def fail() -> bool:
     raise ValueError("nobody needs it")
 
 
@@ -11,14 +11,14 @@ def test_work_is_done_in_turn_whatever_fails() -> None:
     done: list[str] = []
     work = IdleWork()
     work.serve()
-    work.add(lambda: done.append("first"))
-    work.add(fail)
-    work.add(lambda: done.append("last"))
-    for _ in range(3):
+    for name, steps in (("first", 1), ("second", 3)):
+        work.add(lambda name=name, steps=steps: done.append(name) or done.count(name) < steps)
+        work.add(fail)
+    for _ in range(6):
         assert work
         work.run_one()
     assert not work
-    assert done == ["first", "last"]
+    assert done == ["first", *["second"] * 3]
 
 
 def test_nothing_is_kept_where_nobody_serves_it() -> None:

@@ -1,0 +1,138 @@
+"""A tile's points in their cells, and the corners that its bricks ask for.
+
+::
+
+    points ──> cells, their moments up to the coarse level    asked for by sum_tile
+                 └──> kinds of bricks ──> corners of the fine levels    by mesh_tile
+
+The corners need nothing that the master has to find first, so they are laid a step at a time,
+whenever there is time for one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from typing import TypeVar
+
+import numpy as np
+
+from hpccomponent.surface import kernels
+from hpccomponent.surface.bricks import BrickKinds
+from hpccomponent.surface.points import IntArray
+from hpccomponent.surface.pyramid import lay_vertices, raise_levels, sort_level
+from hpccomponent.surface.reach import near_bricks, plan_tile
+from hpccomponent.surface.tile_plan import Plan
+from hpccomponent.surface.tile_points import CellPoints, TilePoints, take_points
+
+__all__ = ["PreparedTile", "finish", "lay_corners"]
+
+Found = TypeVar("Found")
+Corners = list[IntArray]
+
+
+class PreparedTile:
+    """What both tasks of a tile make of its points.
+
+    Parameters
+    ----------
+    plan : Plan
+    points : tuple
+        `CellPoints` of the tile and its halo.
+    threads : int
+        Nothing here depends on it.
+
+    Attributes
+    ----------
+    groups : ndarray of uint8, shape (n,)
+        See `tile_points.TilePoints`.
+    levels : list of Level
+        Up to the coarse level.
+    """
+
+    def __init__(self, plan: Plan, points: CellPoints, threads: int) -> None:
+        kernels.bound_free_memory()  # what tiles before this one have left
+        taken = take_points(points, plan.arrangement, plan.origin, plan.coarse_size)
+        self.groups = taken.groups
+        finest = sort_level(taken.cloud, plan.origin, plan.cell_size)
+        self.levels = raise_levels(finest, plan.coarse + 1, threads)
+        self._laid: tuple[BrickKinds | None, Corners] | None = None
+        self._steps = self._lay(plan, taken)
+
+    def lay_some(self) -> bool:
+        """Do the next step towards the corners; return whether there are more."""
+        return next(self._steps, None) is not None
+
+    def laid(self) -> tuple[BrickKinds | None, Corners]:
+        """Do what is left of the steps.
+
+        Returns
+        -------
+        kinds : BrickKinds or None
+            See `reach.plan_tile`.
+        corners : list of ndarray of int64
+            See `lay_corners`; empty where there are no such bricks.
+        """
+        while self.lay_some():
+            pass
+        assert self._laid is not None  # noqa: S101 - or the last step was not the last
+        return self._laid
+
+    def _lay(self, plan: Plan, taken: TilePoints) -> Iterator[str]:
+        kinds = plan_tile(plan.grid, *(taken.positions(group) for group in range(3)))
+        yield "kinds"
+        if kinds is None:
+            self._laid = None, []
+        else:
+            self._laid = kinds, (yield from lay_corners(plan, self.levels[0].cells, kinds))
+
+
+def lay_corners(plan: Plan, cells: IntArray, kinds: BrickKinds) -> Generator[str, None, Corners]:
+    """Find the corners of each fine level that some bricks ask for, and ancestors, in steps.
+
+    Parameters
+    ----------
+    plan : Plan
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the finest cells with points.
+    kinds : BrickKinds
+
+    Yields
+    ------
+    str
+        What was done in a step.
+
+    Returns
+    -------
+    list of ndarray of int64
+        Of each level below the coarse one.
+
+    Notes
+    -----
+    A node asks for the corners around it, up to a cell of their level away, and these are there
+    because of finest cells whose middle lies as far again, and half a finest cell, from them. On
+    coarser levels, which have few corners, those that the coarsest asks for are laid, and those
+    that points are weighed by.
+    """
+    weighing = 0.0 if np.isinf(plan.tolerance) else 4.0
+    lattice = plan.origin, plan.cell_size
+    is_near, is_wide = (
+        near_bricks(kinds, plan.grid, cells, *lattice, plan.cell_size * reach)
+        for reach in (2.75, 2.0**plan.coarse + 0.75 + weighing)
+    )
+    yield "near bricks"
+    near = kernels.spread_keys(cells[is_near], -1, 2)
+    yield "corners"
+    if plan.coarse == 1:
+        return [near]
+    rest = kernels.spread_keys(cells[is_wide & ~is_near], -1, 2)
+    wide = kernels.unite_keys(kernels.parent_keys(near), kernels.parent_keys(rest))
+    return [near, *lay_vertices(wide, plan.coarse - 1)]
+
+
+def finish(steps: Generator[object, None, Found]) -> Found:
+    """Do all that is left of some steps, and return what they return."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value  # type: ignore[no-any-return]
