@@ -52,6 +52,9 @@ def take_apart(task: str, arguments: tuple[Any, ...]) -> dict[str, Any]:
     if task == "sum_tile":
         plan, (_, own, *halo), *rest = arguments
         return {"own points": own, "halo": halo, "the rest": (plan, rest)}
+    if task == "solve_far":
+        plan, *samples = arguments
+        return {"far field": samples, "the rest": plan}
     if task == "mesh_tile":
         plan, (_, _, *halo), ticket, (parents, levels, far), *rest = arguments
         is_there = ticket is not None  # its points, halo and all, since `sum_tile`

@@ -24,6 +24,7 @@ def test_points_and_halos_are_told_apart(
     assert found["sent"]["sum_tile: own points"] / 20_000 == pytest.approx(24.0, rel=0.15)
     halo = found["sent"]["sum_tile: halo"] + found["sent"]["mesh_tile: halo"]
     assert 0 < halo < 3 * 24.0 * 20_000
+    assert found["sent"]["solve_far: far field"] > 64 * 100  # what each coarse cell has sampled
     traffic.print_table(found)
     *rows, _, verdict = capsys.readouterr().out.splitlines()
     assert [row.split("|")[1].strip() for row in rows[2:]] == list(traffic.PARTS)

@@ -1,4 +1,4 @@
-"""What the master computes itself: the coarse levels of all tiles together, and the far field."""
+"""What the master computes itself: the coarse levels of all tiles together."""
 
 from __future__ import annotations
 

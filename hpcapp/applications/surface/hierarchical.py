@@ -3,7 +3,7 @@
 ::
 
     scale ─> tiles ─> coarse sums of each tile ─> coarse quadrics, far field ─> surface in each tile
-                      (workers)                   (master)                      (workers)   ─> weld
+                      (workers)                   (master)         (a worker)   (workers)   ─> weld
 """
 
 from __future__ import annotations
