@@ -26,7 +26,7 @@ class IdleWork:
         self._is_served = True
 
     def add(self, step: Callable[[], bool]) -> None:
-        """Leave some work; it must matter to nobody if it is never done, or fails.
+        """Leave some work; it must matter to nobody if it is never done, or fails half-way.
 
         Parameters
         ----------
@@ -44,7 +44,7 @@ class IdleWork:
     def run_one(self) -> None:
         """Do one piece of work."""
         is_more = False
-        with suppress(Exception):  # the task that would have used it meets the error again
+        with suppress(Exception):
             is_more = self._waiting[0]()
         if not is_more:
             self._waiting.popleft()

@@ -145,8 +145,10 @@ def main(arguments: list[str] | None = None) -> int:
     blobs: dict[bytes, Any] = {}
     try:
         while True:
-            while idle_work and not channel.has_message(IDLE_S):
+            wait_s = IDLE_S
+            while idle_work and not channel.has_message(wait_s):
                 idle_work.run_one()
+                wait_s = 0.0
             control, payload = channel.receive()
             match decode_master_message(control):
                 case Batch() as batch:

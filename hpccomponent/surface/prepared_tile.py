@@ -11,7 +11,7 @@ whenever there is time for one.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from typing import TypeVar
 
 import numpy as np
@@ -28,6 +28,7 @@ __all__ = ["PreparedTile", "finish", "lay_corners"]
 
 Found = TypeVar("Found")
 Corners = list[IntArray]
+Laid = tuple[BrickKinds | None, Corners]
 
 
 class PreparedTile:
@@ -55,14 +56,19 @@ class PreparedTile:
         self.groups = taken.groups
         finest = sort_level(taken.cloud, plan.origin, plan.cell_size)
         self.levels = raise_levels(finest, plan.coarse + 1, threads)
-        self._laid: tuple[BrickKinds | None, Corners] | None = None
-        self._steps = self._lay(plan, taken)
+        self._laid: Laid | None = None
+        self._steps = _lay(plan, taken, finest.cells)  # without `self`, which would be a cycle
 
     def lay_some(self) -> bool:
         """Do the next step towards the corners; return whether there are more."""
-        return next(self._steps, None) is not None
+        if self._laid is None:
+            try:
+                next(self._steps)
+            except StopIteration as end:
+                self._laid = end.value
+        return self._laid is None
 
-    def laid(self) -> tuple[BrickKinds | None, Corners]:
+    def laid(self) -> Laid:
         """Do what is left of the steps.
 
         Returns
@@ -72,18 +78,15 @@ class PreparedTile:
         corners : list of ndarray of int64
             See `lay_corners`; empty where there are no such bricks.
         """
-        while self.lay_some():
-            pass
-        assert self._laid is not None  # noqa: S101 - or the last step was not the last
+        if self._laid is None:
+            self._laid = finish(self._steps)
         return self._laid
 
-    def _lay(self, plan: Plan, taken: TilePoints) -> Iterator[str]:
-        kinds = plan_tile(plan.grid, *(taken.positions(group) for group in range(3)))
-        yield "kinds"
-        if kinds is None:
-            self._laid = None, []
-        else:
-            self._laid = kinds, (yield from lay_corners(plan, self.levels[0].cells, kinds))
+
+def _lay(plan: Plan, taken: TilePoints, cells: IntArray) -> Generator[str, None, Laid]:
+    kinds = plan_tile(plan.grid, *(taken.positions(group) for group in range(3)))
+    yield "kinds"
+    return kinds, [] if kinds is None else (yield from lay_corners(plan, cells, kinds))
 
 
 def lay_corners(plan: Plan, cells: IntArray, kinds: BrickKinds) -> Generator[str, None, Corners]:

@@ -65,7 +65,7 @@ _NO_LEVEL = FieldLevel(
 
 
 KEPT_TILES = 3
-"""So many tiles that a process has summed wait there to be meshed, some 110 bytes a point."""
+"""So many tiles that a process has summed wait there to be meshed, some 130 bytes a point."""
 
 _waiting: dict[str, PreparedTile] = {}
 """By their tickets, the one that was summed first before the others."""
@@ -309,4 +309,8 @@ def _give(
 
 def _lay_ahead(ticket: str) -> bool:
     """Do a step of a tile that waits to be meshed; return whether there are more."""
-    return ticket in _waiting and _waiting[ticket].lay_some()
+    try:
+        return ticket in _waiting and _waiting[ticket].lay_some()
+    except BaseException:
+        del _waiting[ticket]  # `mesh_tile` prepares it anew, and meets the error if it stays
+        raise

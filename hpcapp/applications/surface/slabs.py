@@ -55,5 +55,6 @@ def mesh_slabs(
     for part, _ in grow_slabs(fields, kinds, bounds):
         surface.parts.append(part)
         surface.summaries.append(summarize_part(part))
-        advance(min(len(surface.parts), slabs), slabs)
+        advance(min(len(surface.parts), slabs), slabs)  # one without points has no part
+    advance(slabs, slabs)
     return surface, patches

@@ -1,3 +1,6 @@
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
@@ -10,7 +13,7 @@ from hpccomponent.runtime.idle import IdleWork
 from hpccomponent.surface import prepared_tile, region
 from hpccomponent.surface.arranged_cloud import arrange_cloud
 from hpccomponent.surface.points import PointCloud
-from hpccomponent.surface.prepared_tile import lay_corners
+from hpccomponent.surface.prepared_tile import PreparedTile, lay_corners
 from hpccomponent.surface.region import KEPT_TILES, mesh_tile, sum_tile
 
 
@@ -89,3 +92,55 @@ def test_corners_are_laid_in_idle_time_and_change_nothing(monkeypatch):
         assert done == ["begin", "end"] * (2 + steps)
         while idle:
             idle.run_one()
+
+
+def test_what_fails_in_idle_time_is_tried_again_by_the_task(monkeypatch):
+    idle = IdleWork()
+    idle.serve()
+    monkeypatch.setattr(region, "idle_work", idle)
+    method = HierarchicalMethod(48)
+    partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
+    plan, tiling = partition.plan.to_values(), partition.tiling
+    sums = [sum_tile(plan, tiling.tile(index), None) for index in range(2)]
+    coarse = fit_coarse(partition.plan, sums, Workforce(SerialExecutor()), 1)
+    given = tiling.tile(1), coarse.around(tiling.own(1)).to_values()
+    wanted = mesh_tile(plan, given[0], None, given[1])
+
+    def lack(*_):
+        raise MemoryError
+
+    for steps, name in ((0, "plan_tile"), (1, "near_bricks")):
+        sum_tile(plan, given[0], "d")
+        for _ in range(steps):
+            idle.run_one()
+        with monkeypatch.context() as patch:
+            patch.setattr(prepared_tile, name, lack)
+            idle.run_one()
+        assert not idle
+        assert_same(mesh_tile(plan, given[0], "d", given[1]), wanted)
+
+
+def test_tiles_leave_memory_with_their_last_use(monkeypatch):
+    """At once: a collector of cycles counts objects, and these are few but large."""
+    found = []
+
+    class Watched(PreparedTile):
+        def __init__(self, *given):
+            super().__init__(*given)
+            found.append(weakref.ref(self))
+
+    monkeypatch.setattr(region, "PreparedTile", Watched)
+    method = HierarchicalMethod(48)
+    partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
+    plan, points = partition.plan.to_values(), partition.tiling.tile(0)
+    gc.disable()
+    try:
+        sum_tile(plan, points)
+        assert [tile() for tile in found] == [None]
+        for number in range(KEPT_TILES + 2):
+            sum_tile(plan, points, f"e{number}")
+            found[-1]().lay_some()
+        assert [tile() is None for tile in found[1:]] == [True] * 2 + [False] * KEPT_TILES
+    finally:
+        gc.enable()
+        region._waiting.clear()
