@@ -56,16 +56,16 @@ def take_apart(task: str, arguments: tuple[Any, ...]) -> dict[str, Any]:
         plan, *samples = arguments
         return {"far field": samples, "the rest": plan}
     if task == "mesh_tile":
-        plan, (_, _, *halo), ticket, (parents, levels, far), *rest = arguments
+        plan, (_, _, *halo), ticket, (*polynomials, far), *rest = arguments
         is_there = ticket is not None  # its points, halo and all, since `sum_tile`
         return {
-            "halo": () if is_there else halo, "coarse polynomials": (parents, levels),
+            "halo": () if is_there else halo, "coarse polynomials": polynomials,
             "far field": far, "the rest": (plan, rest),
         }  # fmt: skip
     if task == "mesh_gap":
-        plan, bricks, (_, *points), missing, (parents, levels, far), *rest = arguments
+        plan, bricks, (_, *points), missing, (*polynomials, far), *rest = arguments
         return {
-            "halo": points, "coarse polynomials": (parents, levels), "far field": far,
+            "halo": points, "coarse polynomials": polynomials, "far field": far,
             "the rest": (plan, bricks, missing, rest),
         }  # fmt: skip
     return {"the rest": arguments}

@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpccomponent.surface.arrangement import Arrangement
 from hpccomponent.surface.far_field import FarFieldPart
@@ -110,29 +111,39 @@ class CoarseLevels:
     ----------
     parents : Parents
         What the finest of them offers to the next finer level.
-    levels : tuple of FieldLevel
-        Those of them that the field is made of, finest first.
+    trust : ndarray of float32, shape (v,), or None
+        See `field.FieldLevel`: the parents' own; None where they are too coarse for the field.
+    coarser : tuple of FieldLevel
+        What else of them the field is made of, finest first.
     far : FarFieldPart
         The far field.
     """
 
     parents: Parents
-    levels: tuple[FieldLevel, ...]
+    trust: NDArray[np.float32] | None
+    coarser: tuple[FieldLevel, ...]
     far: FarFieldPart
+
+    @property
+    def levels(self) -> tuple[FieldLevel, ...]:
+        """All that the field is made of, finest first."""
+        if self.trust is None:
+            return self.coarser
+        return FieldLevel(self.parents.keys, self.parents.coefficients, self.trust), *self.coarser
 
     def to_values(self) -> Values:
         """Return what a task may be given."""
         above = self.parents
         return (
             (above.keys, above.coefficients, above.support, above.variances),
-            tuple((level.keys, level.coefficients, level.trust) for level in self.levels),
+            self.trust,
+            tuple((level.keys, level.coefficients, level.trust) for level in self.coarser),
             self.far.to_values(),
         )
 
     @classmethod
     def from_values(cls, values: Values) -> CoarseLevels:
         """Return what `to_values` took apart."""
-        parents, levels, far = values
-        return cls(
-            Parents(*parents), tuple(FieldLevel(*level) for level in levels), FarFieldPart(*far)
-        )
+        parents, trust, coarser, far = values
+        levels = tuple(FieldLevel(*level) for level in coarser)
+        return cls(Parents(*parents), trust, levels, FarFieldPart(*far))

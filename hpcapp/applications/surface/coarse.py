@@ -48,6 +48,7 @@ class Coarse:
     parents : Parents
         What the level of the tiles' cells offers to the next finer one.
     levels : tuple of FieldLevel
+        Those that the field is made of: that level first, if any.
     far : FarField
     """
 
@@ -73,8 +74,9 @@ class Coarse:
         parents = Parents(
             above.keys[rows], above.coefficients[rows], above.support[rows], above.variances[rows]
         )
+        trust = self.levels[0].trust[rows] if self.levels else None
         levels = []
-        for depth, level in enumerate(self.levels):
+        for depth, level in enumerate(self.levels[1:], start=1):
             coarser = unique_keys(pack_places(unpack_keys(cells) >> depth))
             rows = _find_around(level.keys, coarser, int(np.ceil(reach / (size * 2**depth))) + 1)
             levels.append(FieldLevel(level.keys[rows], level.coefficients[rows], level.trust[rows]))
@@ -82,13 +84,15 @@ class Coarse:
         margin = reach + 2.0 * size
         low = plan.origin + size * places.min(axis=0) - margin
         high = plan.origin + size * (places.max(axis=0) + 1) + margin
-        return CoarseLevels(parents, tuple(levels), crop_far_field(self.far, low, high))
+        return CoarseLevels(parents, trust, tuple(levels), crop_far_field(self.far, low, high))
 
     def whole(self) -> CoarseLevels:
         """Return all of it."""
         low = self.far.origin
         high = low + self.far.step * len(self.far.values)
-        return CoarseLevels(self.parents, self.levels, crop_far_field(self.far, low, high))
+        far = crop_far_field(self.far, low, high)
+        trust = self.levels[0].trust if self.levels else None
+        return CoarseLevels(self.parents, trust, self.levels[1:], far)
 
 
 def far_level(grid: Grid, cell_size: float, height: int) -> int:
