@@ -11,7 +11,7 @@ from hpcapp.communicator.roster import Task, Worker
 __all__ = ["choose_to_run_again", "choose_to_split"]
 
 SPLIT_S = 0.5  # longer tasks may be split, where more workers than tasks are (soon) idle
-LAG = 1.5  # a task that is to take so many times as long as on an idle worker is run there too,
+LAG = 1.5  # a task that is to take so many times as long as by an idle worker is run there too,
 LAG_S = 0.25  # if that is more than so many seconds
 
 
@@ -73,7 +73,8 @@ def choose_to_run_again(
     chosen = []
     for worker in idle:
         for place, (left_s, task) in enumerate(lagging):
-            if left_s > LAG * forecast.expect(worker.identity, task) + LAG_S:
+            here_s = forecast.expect(worker.identity, task) + forecast.way_s(task.name)
+            if left_s > LAG * here_s + LAG_S:
                 chosen.append((worker, task))
                 del lagging[place]
                 break

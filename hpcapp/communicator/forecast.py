@@ -27,6 +27,7 @@ class Forecast:
         self._unit_s: dict[str, dict[bytes, float]] = {}
         self._common_s: dict[str, float] = {}  # see `_common`; until more is learned of a name
         self._spent_s: dict[bytes, tuple[float, float]] = {}  # and at slowness 1
+        self._way_s: dict[str, float] = {}
 
     def learn(self, worker: bytes, task: Task, seconds: float, way_s: float = 0.0) -> None:
         """Take note of how long a task took, and its way; recent ones weigh more.
@@ -46,6 +47,7 @@ class Forecast:
         unit_s = max(SHORTEST_S, taken_s / task.work)
         known[worker] = unit_s if before is None else (before + unit_s) / 2.0
         self._common_s.pop(task.name, None)
+        self._way_s[task.name] = (self._way_s.get(task.name, way_s) + way_s) / 2.0
 
     def forget(self, worker: bytes) -> None:
         """Let a lost worker count no more; the last one to know a task leaves what it knew."""
@@ -78,6 +80,14 @@ class Forecast:
         """Return how many times as long as the first worker a worker takes."""
         spent_s, common_s = self._spent_s.get(worker, (1.0, 1.0))
         return spent_s / common_s
+
+    def way_s(self, name: str) -> float:
+        """Return how long tasks of a name have lately been on their way, whatever the worker.
+
+        To it, in its queue, and back until this process has taken the result: of many at once
+        the last one waits for the others.
+        """
+        return self._way_s.get(name, 0.0)
 
     def expect(self, worker: bytes, task: Task) -> float:
         """Return how long a task is expected to take on a worker."""

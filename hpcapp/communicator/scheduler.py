@@ -324,14 +324,21 @@ class Scheduler:
         return actions
 
     def _find_holder(self, workers: Sequence[Worker], chosen: Worker) -> Worker:
-        """Return who is idle and has all that a task needs, where the chosen worker lacks some."""
+        """Return who is idle and has all that a task needs, if anyone; else the chosen worker.
+
+        Of several the one that has least besides: what the others have is asked for there.
+        """
         task = find_closest(self._queue, chosen)
-        if task.lacking_bytes(chosen):
-            for worker in workers:
-                is_free = not worker.batches and worker.next_s <= MOST_DETOUR * chosen.next_s
-                if is_free and not task.lacking_bytes(worker):
-                    return worker
-        return chosen
+        if not task.blobs:
+            return chosen
+        holders = [
+            worker
+            for worker in workers
+            if (worker is chosen or not worker.batches)
+            and worker.next_s <= MOST_DETOUR * chosen.next_s
+            and not task.lacking_bytes(worker)
+        ]
+        return min(holders, key=lambda worker: len(worker.blobs), default=chosen)
 
     def _split_last(self, workers: Sequence[Worker]) -> None:
         now = self._clock.now()

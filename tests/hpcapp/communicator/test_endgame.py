@@ -63,3 +63,11 @@ def test_what_is_nearly_done_twice_at_work_or_dangerous_is_left_alone() -> None:
         now = 0.5 if spoil == "time" else 5.0
         assert choose_to_run_again([slow, idle, other], [idle], forecast, now) == []
     assert choose_to_run_again([worker("slow", task(1))], [idle], forecast, 5.0)
+
+
+def test_what_may_be_on_its_way_as_long_as_others_were_is_left_alone() -> None:
+    forecast = Forecast()
+    forecast.learn(b"idle", task(0), 1.0, way_s=2.0)
+    slow, idle = worker("slow", task(1)), worker("idle")
+    assert choose_to_run_again([slow, idle], [idle], forecast, 4.5) == []
+    assert choose_to_run_again([slow, idle], [idle], forecast, 5.0)

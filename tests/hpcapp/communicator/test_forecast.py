@@ -85,6 +85,15 @@ def test_the_way_counts_but_for_the_first() -> None:
     assert forecast.expect(b"a", task()) == 2.0
 
 
+def test_the_way_of_a_name_is_that_of_its_last_tasks() -> None:
+    forecast = Forecast()
+    assert forecast.way_s("t") == 0.0
+    forecast.learn(b"a", task(), 1.0, way_s=4.0)
+    assert forecast.way_s("t") == 4.0
+    forecast.learn(b"b", task(), 1.0, way_s=2.0)
+    assert forecast.way_s("t") == 3.0
+
+
 def test_a_lost_worker_counts_no_more_unless_nobody_else_knows() -> None:
     forecast = Forecast()
     forecast.learn(b"a", task(), 1.0)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from hpcapp.communicator.policy import EqualPolicy, PullPolicy
+from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, PullPolicy
 from hpcapp.communicator.roster import (
     Action,
     AskRegister,
@@ -350,6 +350,30 @@ def test_an_idle_worker_that_has_the_blobs_of_a_task_gets_it(scheduler: Schedule
         actions = scheduler.dispatch()
         assert assigned(actions) == [(had[number], (3 + number,))]
         assert sent_blobs(actions) == [(had[number], [])]
+
+
+def test_of_two_workers_that_have_the_blobs_of_a_task_the_one_that_has_less_gets_it(
+    clock: ManualClock,
+) -> None:
+    """Or the task whose blob only the other one has would go to a third, and so on."""
+    scheduler = Scheduler(AdaptivePolicy(), clock, "1", lambda _: True)
+    names = [b"a", b"b", b"c"]
+    for name in names:
+        scheduler.register(name, introduce(name.decode()))
+    for number in range(3):
+        scheduler.submit(number, "t", 10, (blob(number),))
+    first, last, other = scheduler.dispatch()
+    clock.advance(1.0)
+    actions = finish(scheduler, first) + finish(scheduler, other)
+    clock.advance(9.0)  # the last one lags
+    again = next(action for action in actions + scheduler.tick() if isinstance(action, Assign))
+    assert again.tasks == last.tasks
+    assert not any(isinstance(action, Assign) for action in finish(scheduler, again))
+    finish(scheduler, last)
+    scheduler.submit(3, "t", 10, last.blobs)
+    assert assigned(scheduler.dispatch()) == [(last.worker, (3,))]
+    scheduler.submit(4, "t", 10, first.blobs if again.worker == first.worker else other.blobs)
+    assert assigned(scheduler.dispatch()) == [(again.worker, (4,))]
 
 
 def test_blobs_that_must_travel_count_as_bytes_of_the_batch(scheduler: Scheduler) -> None:
