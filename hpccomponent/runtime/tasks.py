@@ -8,7 +8,8 @@ may declare what it costs and how it can be split; a plain function need not.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, TypeVar
@@ -157,6 +158,19 @@ class TaskRegistry:
                 )
             self._functions[name] = _import(name, reference)
         return self._functions[name]
+
+    def import_ahead(self) -> Iterator[str]:
+        """Import all tasks, one by one, so that the first call of each does not wait for it.
+
+        Yields
+        ------
+        str
+            The name of one that was tried: what fails says so when the task is called.
+        """
+        for name in self.references():
+            with suppress(Exception, SystemExit):
+                self.resolve(name)
+            yield name
 
     def name_of(self, task: Callable[..., Any] | str) -> str:
         """Return the name under which a function, or a name itself, is registered.

@@ -39,7 +39,7 @@ __all__ = ["main", "run_batch", "run_call"]
 
 FLUSH_S = 0.005  # results wait this long for company, so that cheap tasks share a message
 FLUSH_BYTES = 256 * 1024
-IDLE_S = 0.1  # after results: the next batch comes sooner, if there is one
+IDLE_S = 0.1  # after a start or results: the next batch comes sooner, if there is one
 LINE_LENGTH = 1000
 
 
@@ -141,6 +141,8 @@ def main(arguments: list[str] | None = None) -> int:
         exit_at_end_of_pipe(options.lifeline_fd, 0)
     tasks = TaskRegistry(options.task)
     idle_work.serve()
+    ahead = tasks.import_ahead()
+    idle_work.add(lambda: next(ahead, None) is not None)
     channel = Channel(socket.socket(fileno=options.channel_fd))
     blobs: dict[bytes, Any] = {}
     try:

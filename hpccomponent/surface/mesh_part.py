@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -131,31 +131,57 @@ def join_parts(parts: list[MeshPart]) -> MeshPart:
     """
     if len(parts) < 2:
         return parts[0] if parts else MeshPart.empty()
+    parts = sorted(parts, key=lambda part: int(part.bricks[0]) if len(part.bricks) else 0)
     bricks = np.concatenate([part.bricks for part in parts])
-    guests = np.concatenate([part.guests for part in parts])
     of_vertices = np.concatenate([part.vertex_counts for part in parts])
-    of_faces = np.concatenate([part.face_counts for part in parts])
-    order = np.argsort(bricks)
-    vertex_rows, face_rows = _move_runs(of_vertices, order), _move_runs(of_faces, order)
+    order, starts = np.argsort(bricks), np.cumsum(of_vertices) - of_vertices
     foreign_bricks, foreign_numbers, meant = _name_foreign(
         bricks[order],
-        np.cumsum(of_vertices[order]) - of_vertices[order],
+        starts[order],
         np.concatenate([part.foreign_bricks for part in parts]),
         np.concatenate([part.foreign_numbers for part in parts]),
     )
-    vertices, faces = np.empty((len(vertex_rows), 3)), np.empty((len(face_rows), 3), np.int32)
-    vertex, face, name = 0, 0, 0
+    faces = np.concatenate([part.faces for part in parts])
+    face, vertex, name = 0, 0, 0
     for part in parts:
-        rows = vertex_rows[vertex : vertex + len(part.vertices)]
-        names = meant[name : name + len(part.foreign_bricks)]
-        vertices[rows] = part.vertices
-        corners = np.concatenate([rows, names[::-1]])  # ~i counts from the end
-        faces[face_rows[face : face + len(part.faces)]] = corners[part.faces]
-        vertex, face, name = vertex + len(rows), face + len(part.faces), name + len(names)
-    return MeshPart(
-        bricks[order], guests[order], of_vertices[order], of_faces[order], vertices, faces,
-        foreign_bricks, foreign_numbers,
-    )  # fmt: skip
+        own = faces[face : face + len(part.faces)].reshape(-1)
+        outside = np.flatnonzero(own < 0)
+        named = meant[name : name + len(part.foreign_bricks)][~own[outside]]
+        own += np.int32(vertex)
+        own[outside] = named
+        face, vertex = face + len(part.faces), vertex + len(part.vertices)
+        name += len(part.foreign_bricks)
+    joined = MeshPart(
+        bricks,
+        np.concatenate([part.guests for part in parts]),
+        of_vertices,
+        np.concatenate([part.face_counts for part in parts]),
+        np.concatenate([part.vertices for part in parts]),
+        faces,
+        foreign_bricks,
+        foreign_numbers,
+    )
+    return joined if (bricks[1:] > bricks[:-1]).all() else _sort_bricks(joined, order)
+
+
+def _sort_bricks(part: MeshPart, order: IntArray) -> MeshPart:
+    """Return a part whose bricks are in some order with its bricks put into another one."""
+    vertex_rows, face_rows = (
+        _move_runs(counts, order) for counts in (part.vertex_counts, part.face_counts)
+    )
+    vertices, faces = np.empty_like(part.vertices), np.empty_like(part.faces)
+    vertices[vertex_rows] = part.vertices
+    names = np.arange(-len(part.foreign_bricks), 0, dtype=np.int32)  # they stay what they are
+    faces[face_rows] = np.concatenate([vertex_rows, names])[part.faces]
+    return replace(
+        part,
+        bricks=part.bricks[order],
+        guests=part.guests[order],
+        vertex_counts=part.vertex_counts[order],
+        face_counts=part.face_counts[order],
+        vertices=vertices,
+        faces=faces,
+    )
 
 
 def _move_runs(counts: Int32Array, order: IntArray) -> Int32Array:
@@ -175,7 +201,7 @@ def _name_foreign(
     Parameters
     ----------
     bricks, starts : ndarray of int64, shape (b,)
-        The bricks of all, sorted, and the first vertex of each.
+        The bricks of all, sorted, and the first vertex of each, wherever it lies.
     names : ndarray of int64, shape (g,)
     numbers : ndarray of int32, shape (g,)
         Brick of each foreign vertex, and its number within that.

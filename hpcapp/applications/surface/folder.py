@@ -62,6 +62,6 @@ def plan_passes(path: Path, folder: Path, backend: Backend, points: int) -> Pass
         return Passes(backend.workforce, True, points)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=folder.parent) as sign:
-        sees = workers_see(backend.workforce, Path(sign.name))
-        sees_input = sees and workers_see(backend.workforce, Path(sign.name), path)
-    return Passes(backend.workforce, sees, points, sees_input)
+        sees_both = workers_see(backend.workforce, Path(sign.name), path)
+        sees = sees_both or workers_see(backend.workforce, Path(sign.name))
+    return Passes(backend.workforce, sees, points, sees_both)

@@ -21,6 +21,7 @@ from hpccomponent.protocol.messages import (
     decode_component_message,
     encode_message,
 )
+from tests.tasks.contract_tasks import wait_for_file
 
 Start = Callable[..., "subprocess.Popen[str]"]
 
@@ -122,6 +123,20 @@ def test_a_killed_component_takes_its_worker_along(master: Master, start: Start)
         poller.register(gone, zmq.POLLIN)
         assert poller.poll(10_000), "the worker outlived its component"
         os.close(gone)
+
+
+def test_a_worker_imports_its_tasks_while_it_waits_for_the_first(
+    master: Master, start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the import of some of them does."""
+    imported = tmp_path / "imported"
+    (tmp_path / "leaves.py").write_text("raise SystemExit(3)")
+    (tmp_path / "works.py").write_text(f"import pathlib; pathlib.Path({str(imported)!r}).touch()")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    component = start("--task", "one=leaves:f", "--task", "two=works:f")
+    master.hear_register()
+    wait_for_file(str(imported))
+    assert len(children(component.pid)) == 1
 
 
 def test_a_refused_component_says_why_and_asks_not_to_be_started_again(

@@ -73,7 +73,7 @@ def test_workers_elsewhere_are_asked_what_they_see(
 ) -> None:
     """Of a machine on which some of the files are not there."""
     seen = (sees, sees and sees_input)
-    monkeypatch.setattr(folder, "workers_see", lambda _, *files: seen[len(files) - 1])
+    monkeypatch.setattr(folder, "workers_see", lambda _, *files: seen[files[-1] == scan])
     with ThreadPoolExecutor(1) as executor:
         backend = Backend("dask", Workforce(executor))
         passes = plan_passes(scan, tmp_path / "job" / "points", backend, 1_000)
