@@ -61,20 +61,26 @@ def choose_to_run_again(
     """
     if not idle:
         return []
-    lagging = [
-        (left_s, task)
-        for worker in workers
-        if forecast.remaining_s(worker, now) > LAG_S
-        for task, left_s in forecast.ends(worker, now)
-        # A task that was lost with a worker may be what kills them: one at a time.
-        if not (task.is_done or task.losses or len(task.places) > 1)
-    ]
+
+    def lags(task: Task, left_s: float, unit_s: float) -> bool:
+        return left_s > LAG * (unit_s * task.work + forecast.way_s(task.name)) + LAG_S
+
+    least_s: dict[str, float] = {}  # a unit of work on whoever of the idle is fastest
+    lagging = []
+    for worker in workers:
+        for task, left_s in forecast.ends(worker, now):
+            name = task.name
+            if name not in least_s:
+                least_s[name] = min(forecast.unit_s(w.identity, name) for w in idle)
+            # A task that was lost with a worker may be what kills them: one at a time.
+            is_apart = task.is_done or task.losses or len(task.places) > 1
+            if not is_apart and lags(task, left_s, least_s[name]):
+                lagging.append((left_s, task))
     lagging.sort(key=lambda pair: -pair[0])
     chosen = []
     for worker in idle:
         for place, (left_s, task) in enumerate(lagging):
-            here_s = forecast.expect(worker.identity, task) + forecast.way_s(task.name)
-            if left_s > LAG * here_s + LAG_S:
+            if lags(task, left_s, forecast.unit_s(worker.identity, task.name)):
                 chosen.append((worker, task))
                 del lagging[place]
                 break

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import zmq
+from tasks.contract_tasks import wait_for_file
 
 from hpccomponent.protocol.connection import Connection, write_connection
 from hpccomponent.protocol.keys import make_key_pair
@@ -21,7 +22,6 @@ from hpccomponent.protocol.messages import (
     decode_component_message,
     encode_message,
 )
-from tests.tasks.contract_tasks import wait_for_file
 
 Start = Callable[..., "subprocess.Popen[str]"]
 
