@@ -41,7 +41,7 @@ class Forecast:
             if known.keys() - {worker}:
                 common_s = self._common(task.name) * task.work
             else:  # nobody to compare it with
-                common_s = taken_s / self._slowness(worker)
+                common_s = taken_s / self.slowness(worker)
             spent_s, before_s = self._spent_s.get(worker, (0.0, 0.0))
             self._spent_s[worker] = spent_s + taken_s, before_s + common_s
         unit_s = max(SHORTEST_S, taken_s / task.work)
@@ -65,19 +65,19 @@ class Forecast:
         if worker in known:
             return known[worker]
         if worker in self._spent_s:
-            return self._common(name) * self._slowness(worker)
+            return self._common(name) * self.slowness(worker)
         return sum(known.values()) / len(known)
 
     def _common(self, name: str) -> float:
         """Return how long a unit of work takes on a worker of slowness 1."""
         if name not in self._common_s:
             known = self._unit_s[name]
-            slowness = sum([self._slowness(worker) for worker in known])
+            slowness = sum([self.slowness(worker) for worker in known])
             self._common_s[name] = sum(known.values()) / slowness
         return self._common_s[name]
 
-    def _slowness(self, worker: bytes) -> float:
-        """Return how many times as long as the first worker a worker takes."""
+    def slowness(self, worker: bytes) -> float:
+        """Return how many times as long as the first worker a worker takes; 1 if unknown."""
         spent_s, common_s = self._spent_s.get(worker, (1.0, 1.0))
         return spent_s / common_s
 

@@ -41,6 +41,11 @@ class Load(Protocol):
         """Return how long the next task would take on it, in seconds; infinite if unknown."""
         ...
 
+    @property
+    def slowness(self) -> float:
+        """Return how many times as long as the others it has taken so far; 1 if unknown."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Placement:
@@ -145,9 +150,9 @@ class AdaptivePolicy:
             return None
         chosen = min(free, key=lambda i: (loads[i].remaining_s + loads[i].next_s, loads[i].queued))
         load = loads[chosen]
-        if math.isinf(load.next_s):  # nothing is known: one task each
-            idle = next((i for i in free if loads[i].queued == 0), None)
-            return None if idle is None else Placement(idle, 1)
+        if math.isinf(load.next_s):  # nothing is known of such tasks: one each
+            idle = [i for i in free if loads[i].queued == 0]
+            return Placement(min(idle, key=lambda i: loads[i].slowness), 1) if idle else None
         others = [other for i, other in enumerate(loads) if i != chosen]
         if load.remaining_s + load.next_s > _time_of(others, waiting):
             return None

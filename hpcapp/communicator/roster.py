@@ -79,10 +79,10 @@ class Worker:
     """A registered worker, under its identity on the socket.
 
     `batches` holds what is on its way or at work, in order, by the number of the batch; `since` is
-    when its present task began, as far as is known. `remaining_s` and `next_s` are what a policy
-    sees: how long it has to do, and how long the next task would take. `backlog` holds what waits
-    for this worker and no other. `blobs` are the keys of what has been sent to it; it may have let
-    some go, and says so when one is needed.
+    when its present task began, as far as is known. `remaining_s`, `next_s` and `slowness` are what
+    a policy sees (see `policy.Load`). `backlog` holds what waits for this worker and no other.
+    `blobs` are the keys of what has been sent to it; it may have let some go, and says so when one
+    is needed.
     """
 
     identity: bytes
@@ -95,6 +95,7 @@ class Worker:
     since: float = 0.0
     remaining_s: float = 0.0
     next_s: float = 0.0
+    slowness: float = 1.0
     batches: dict[int, Flight] = field(default_factory=dict)
     backlog: OrderedDict[int, Task] = field(default_factory=OrderedDict)
     blobs: set[bytes] = field(default_factory=set)

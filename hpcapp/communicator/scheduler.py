@@ -354,6 +354,7 @@ class Scheduler:
     def _estimate(self, worker: Worker, name: str) -> None:
         worker.remaining_s = self._forecast.remaining_s(worker, self._clock.now())
         worker.next_s = self._forecast.unit_s(worker.identity, name)
+        worker.slowness = self._forecast.slowness(worker.identity)
 
     def _run_again(self, workers: Sequence[Worker]) -> list[Action]:
         idle = [worker for worker in workers if not worker.batches]

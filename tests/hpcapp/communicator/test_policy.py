@@ -12,6 +12,7 @@ class Load:
     placed: int = 0
     remaining_s: float = 0.0
     next_s: float = 0.0
+    slowness: float = 1.0
 
 
 def test_equal_goes_round_robin_and_fixes_the_place() -> None:
@@ -41,6 +42,8 @@ def test_adaptive_gives_one_task_to_each_idle_worker_while_nothing_is_known() ->
     busy = Load(queued=1, remaining_s=math.inf, next_s=math.inf)
     assert adaptive(10, busy, unknown) == (1, 1)
     assert adaptive(10, busy, busy) is None
+    slow, fast = (Load(next_s=math.inf, slowness=times) for times in (4.0, 0.9))
+    assert adaptive(1, busy, slow, unknown, fast) == (3, 1)
 
 
 def test_adaptive_gives_by_speed_and_less_towards_the_end() -> None:

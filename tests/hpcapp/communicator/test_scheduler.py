@@ -376,6 +376,17 @@ def test_of_two_workers_that_have_the_blobs_of_a_task_the_one_that_has_less_gets
     assert assigned(scheduler.dispatch()) == [(again.worker, (4,))]
 
 
+def test_the_first_task_of_a_name_goes_to_who_was_fastest_with_others(clock: ManualClock) -> None:
+    scheduler = Scheduler(AdaptivePolicy(), clock, "1", lambda _: True)
+    for name in (b"slow", b"fast"):
+        scheduler.register(name, introduce(name.decode()))
+    for assign in submit(scheduler, 2):
+        assert isinstance(assign, Assign)
+        finish(scheduler, assign, 4.0 if assign.worker == b"slow" else 1.0)
+    scheduler.submit(7, "another", 10)
+    assert assigned(scheduler.dispatch()) == [(b"fast", (7,))]
+
+
 def test_blobs_that_must_travel_count_as_bytes_of_the_batch(scheduler: Scheduler) -> None:
     scheduler.register(b"a", introduce())
     for number in range(200):
