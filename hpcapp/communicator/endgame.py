@@ -11,7 +11,7 @@ from hpcapp.communicator.roster import Task, Worker
 __all__ = ["choose_to_run_again", "choose_to_split"]
 
 SPLIT_S = 0.5  # longer tasks may be split, where more workers than tasks are (soon) idle
-LAG = 1.5  # a task that is to take so many times as long as by an idle worker is run there too,
+LAG = 1.5  # what is to take so many times as long as an idle worker, with its way, runs there too,
 LAG_S = 0.25  # if that is more than so many seconds
 
 

@@ -43,7 +43,7 @@ class Load(Protocol):
 
     @property
     def slowness(self) -> float:
-        """Return how many times as long as the others it has taken so far; 1 if unknown."""
+        """Return how long it has taken so far, in a unit that all loads share; 1 if unknown."""
         ...
 
 

@@ -1,8 +1,8 @@
-"""What a task leaves to be done while its worker has nothing else to do.
+"""What is left to be done while a worker has nothing else to do.
 
 A task that returns early lets the master go on with what needs its result; what is left may save
-time in a later task, and is never needed. Only a worker process has such time: elsewhere nothing
-is kept.
+time in a later task, and is never needed. A worker that has had no task yet imports all of them.
+Only a worker process has such time: elsewhere nothing is kept.
 """
 
 from __future__ import annotations
