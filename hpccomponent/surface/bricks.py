@@ -166,7 +166,7 @@ class _Grown:
     def sorted(self) -> tuple[IntArray, Float32Array]:
         """Return all with their values, sorted."""
         joined = np.concatenate(self._keys)
-        order = np.argsort(joined)
+        order = np.argsort(joined, kind="stable")
         return joined[order], np.concatenate(self._values)[order]
 
 

@@ -378,7 +378,7 @@ def write_index(
             starts=np.concatenate([part.starts for part in parts]),
             **known,
         )
-    return open_disk_cloud(folder)
+    return _put_together(folder, arrangement, origin, box, parts, measured)
 
 
 def open_disk_cloud(folder: Path) -> DiskCloud:
@@ -412,16 +412,27 @@ def _open(folder: Path, *_version: int) -> DiskCloud:
     with np.load(folder / _INDEX, allow_pickle=False) as index:
         held = {name: index[name] for name in index.files}
     bounds = np.cumsum(held["blocks"])[:-1]
-    every, counts = held["keys"], held["counts"]
-    columns = (np.split(column, bounds) for column in (every, counts, held["starts"]))
+    columns = (np.split(held[name], bounds) for name in ("keys", "counts", "starts"))
     parts = [Part(*part) for part in zip(held["files"].tolist(), *columns, strict=True)]
-    keys, totals = merge_counts(every, counts)
     measured = None
     if "sample" in held:
         measured = Measured(float(held["spacing"]), PointCloud(*held["sample"]))
     arrangement = Arrangement(held["corner"], float(held["edge"]))
-    low, high = held["box"]
-    return DiskCloud(folder, arrangement, held["origin"], low, high, keys, totals, parts, measured)
+    return _put_together(folder, arrangement, held["origin"], held["box"], parts, measured)
+
+
+def _put_together(
+    folder: Path,
+    arrangement: Arrangement,
+    origin: FloatArray,
+    box: tuple[FloatArray, FloatArray] | FloatArray,
+    parts: Sequence[Part],
+    measured: Measured | None,
+) -> DiskCloud:
+    """Return the cloud of some parts."""
+    keys = np.concatenate([part.keys for part in parts])
+    merged = merge_counts(keys, np.concatenate([part.counts for part in parts]))
+    return DiskCloud(folder, arrangement, origin, box[0], box[1], *merged, list(parts), measured)
 
 
 @contextmanager

@@ -127,9 +127,8 @@ def find_first(keys: IntArray) -> tuple[IntArray, IntArray]:
     >>> [array.tolist() for array in find_first(np.array([7, 3, 7, 3]))]
     [[3, 7], [1, 0]]
     """
-    order = np.argsort(keys, kind="stable")
-    found = unique_keys(keys)
-    return found, order[np.searchsorted(keys, found, sorter=order)]
+    order, ordered, begins = _order(keys)
+    return ordered[begins], order[begins]
 
 
 def find_keys(keys: IntArray, wanted: IntArray) -> IntArray:
@@ -175,7 +174,7 @@ def find_layers(keys: IntArray, first: int, last: int) -> slice:
 
 
 def merge_counts(keys: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
-    """Sum counts by key; exact below 2^53.
+    """Sum counts by key.
 
     Parameters
     ----------
@@ -186,9 +185,9 @@ def merge_counts(keys: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
     merged, sums : ndarray of int64, shape (u,)
         The keys, sorted, each once, and the sum of each one's counts.
     """
-    merged = unique_keys(keys)
-    sums = np.bincount(np.searchsorted(merged, keys), counts, len(merged))
-    return merged, sums.astype(np.int64)
+    order, ordered, begins = _order(keys)
+    sums = np.add.reduceat(counts[order], np.flatnonzero(begins), dtype=np.int64)
+    return ordered[begins], sums
 
 
 def unique_keys(keys: NDArray[KeyT]) -> NDArray[KeyT]:
@@ -205,13 +204,28 @@ def unique_keys(keys: NDArray[KeyT]) -> NDArray[KeyT]:
     Notes
     -----
     Sorting keys is several times faster than the hash table of `numpy.unique`, whose first call
-    imports masked arrays besides.
+    imports masked arrays besides. Most keys come in sorted runs, which the stable sort merges
+    four times faster than the other one sorts them; on keys in no order it is a third slower.
     """
-    ordered = np.sort(keys)
+    ordered = np.sort(keys, kind="stable")
+    return ordered[_begins(ordered)]
+
+
+def _order(
+    keys: NDArray[KeyT],
+) -> tuple[IntArray, NDArray[KeyT], NDArray[np.bool_]]:
+    """Return how to sort keys, the same ones in place; the sorted keys; see `_begins`."""
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    return order, ordered, _begins(ordered)
+
+
+def _begins(ordered: NDArray[KeyT]) -> NDArray[np.bool_]:
+    """Tell which of some sorted keys are not the one before them."""
     first = np.empty(len(ordered), np.bool_)
     first[:1] = True
     np.not_equal(ordered[1:], ordered[:-1], out=first[1:])
-    return ordered[first]
+    return first
 
 
 def number_keys(keys: NDArray[KeyT]) -> tuple[NDArray[KeyT], IntArray]:
@@ -233,8 +247,10 @@ def number_keys(keys: NDArray[KeyT]) -> tuple[NDArray[KeyT], IntArray]:
     >>> [array.tolist() for array in number_keys(np.array([7, 3, 7]))]
     [[3, 7], [1, 0, 1]]
     """
-    found = unique_keys(keys)
-    return found, np.searchsorted(found, keys)
+    order, ordered, begins = _order(keys)
+    numbers = np.empty(len(keys), np.int64)
+    numbers[order] = np.cumsum(begins) - 1
+    return ordered[begins], numbers
 
 
 def unite_keys(first: IntArray, second: IntArray) -> IntArray:

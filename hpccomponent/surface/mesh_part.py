@@ -134,7 +134,7 @@ def join_parts(parts: list[MeshPart]) -> MeshPart:
     parts = sorted(parts, key=lambda part: int(part.bricks[0]) if len(part.bricks) else 0)
     bricks = np.concatenate([part.bricks for part in parts])
     of_vertices = np.concatenate([part.vertex_counts for part in parts])
-    order, starts = np.argsort(bricks), np.cumsum(of_vertices) - of_vertices
+    order, starts = np.argsort(bricks, kind="stable"), np.cumsum(of_vertices) - of_vertices
     foreign_bricks, foreign_numbers, meant = _name_foreign(
         bricks[order],
         starts[order],

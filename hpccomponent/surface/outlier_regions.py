@@ -20,7 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.lattice import find_keys, merge_counts, pack_places, unpack_keys
+from hpccomponent.surface.lattice import (
+    find_keys,
+    merge_counts,
+    number_keys,
+    pack_places,
+    unpack_keys,
+)
 from hpccomponent.surface.outliers import (
     EDGE,
     ISLAND_LEVEL,
@@ -124,9 +130,10 @@ def judge_sparse(regions: list[RegionRanks]) -> Judgement:
     coarse = merge_counts(np.concatenate(columns[1]), np.concatenate(columns[2]))
     coarse_levels = coarsen(*coarse)
     island = find_islands(coarse_levels)
-    keys, counts = merge_counts(np.concatenate(columns[3]), np.concatenate(columns[5]))
+    keys, rows = number_keys(np.concatenate(columns[3]))
+    counts = np.bincount(rows, np.concatenate(columns[5]), len(keys)).astype(np.int64)
     rank = np.empty(len(keys), np.int64)
-    rank[np.searchsorted(keys, np.concatenate(columns[3]))] = np.concatenate(columns[4])
+    rank[rows] = np.concatenate(columns[4])
     by_rank = np.sum(columns[0], axis=0)
     stray = np.zeros(len(keys), np.bool_)
     base = find_base(by_rank)

@@ -18,9 +18,9 @@ from hpccomponent.surface.connectivity import label_components
 from hpccomponent.surface.lattice import (
     cells_of,
     find_keys,
+    number_keys,
     pack_places,
     step_keys,
-    unique_keys,
     unpack_keys,
 )
 from hpccomponent.surface.points import FloatArray, IntArray, bounding_box
@@ -164,8 +164,7 @@ def count_cells(
         A point lies too many cells away.
     """
     places = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
-    keys = unique_keys(places)
-    cell_of = np.searchsorted(keys, places).astype(np.int64)
+    keys, cell_of = number_keys(places)
     return keys, np.bincount(cell_of, minlength=len(keys)).astype(np.int64), cell_of
 
 
@@ -197,8 +196,7 @@ def coarsen(keys: IntArray, counts: IntArray, wanted: int | None = None) -> list
     while len(levels) < wanted if wanted else len(levels[-1].keys) > 1:
         below = levels[-1]
         parents = pack_places(unpack_keys(below.keys) >> 1)
-        merged = unique_keys(parents)
-        rows = np.searchsorted(merged, parents)
+        merged, rows = number_keys(parents)
         levels.append(Level(merged, _sum_rows(rows, below.counts, len(merged)), rows[below.row_of]))
     return levels
 

@@ -174,7 +174,7 @@ def _fit(
 def _sort(parts: list[IntArray]) -> tuple[IntArray, IntArray]:
     """Return keys in their order, and where each came from."""
     keys = np.concatenate(parts)
-    order = np.argsort(keys)
+    order = np.argsort(keys, kind="stable")  # which merges sorted runs
     return keys[order], order
 
 
