@@ -2,7 +2,7 @@
 
 A task that returns early lets the master go on with what needs its result; what is left may save
 time in a later task, and is never needed. A worker that has had no task yet imports all of them.
-Only a worker process has such time: elsewhere nothing is kept.
+A worker process has such time, and a master that waits for results; elsewhere nothing is kept.
 """
 
 from __future__ import annotations
@@ -51,4 +51,4 @@ class IdleWork:
 
 
 idle_work = IdleWork()
-"""Of this process."""
+"""Of this process, where it is a worker."""

@@ -199,7 +199,9 @@ def _write(
     """Write the mesh, and describe what came of the job."""
     with clock.stage("write"):
         outcome.result.surface.write(target, outcome.backend.workforce)
-    report = _describe(settings, outcome)
+    with clock.stage("check"):  # most of it is done while workers write
+        topology = outcome.result.surface.check()
+    report = _describe(settings, outcome, topology)
     report["warnings"] = outcome.warnings
     report["dropped"] = {
         "non_finite_points": loaded.dropped.non_finite_points,
@@ -219,10 +221,9 @@ def _summarize(topology: Topology) -> str:
     )
 
 
-def _describe(settings: Settings, outcome: Outcome) -> dict[str, Any]:
+def _describe(settings: Settings, outcome: Outcome, topology: Topology) -> dict[str, Any]:
     result, backend = outcome.result, outcome.backend
     traffic = backend.traffic()
-    topology = result.topology
     return {
         "summary": _summarize(topology),
         "method": settings.method,

@@ -2,7 +2,7 @@
 
 ::
 
-    read ─> preprocess ─> partition ─> fit ─> extract ─> check ─> write
+    read ─> preprocess ─> partition ─> fit ─> extract ─> write ─> check
                           │            │       └─ hierarchical: tiles to the workers, parts back
                           │            └─ paper: batches to the workers, quadrics back
                           └─ patches (paper) or tiles (hierarchical)
@@ -16,7 +16,6 @@ from typing import Any
 
 from hpcapp.applications.surface.method import Method
 from hpcapp.applications.surface.surface import Surface
-from hpcapp.applications.surface.topology import Topology
 from hpcapp.batches import Workforce
 from hpcapp.progress import StageClock
 from hpccomponent.errors import UsageError
@@ -36,8 +35,6 @@ class Reconstruction:
     ----------
     surface : Surface
         The 0-level iso-surface.
-    topology : Topology
-        What is found of it.
     points : int
         Points that were left after preprocessing.
     facts : dict
@@ -45,7 +42,6 @@ class Reconstruction:
     """
 
     surface: Surface
-    topology: Topology
     points: int
     facts: dict[str, Any]
 
@@ -95,6 +91,4 @@ def reconstruct(
         quadrics = method.fit(partition, workforce, clock.progress.advance)
     with clock.stage("extract"):
         surface = method.extract(partition, quadrics, workforce, clock.progress.advance)
-    with clock.stage("check"):
-        topology = surface.check()
-    return Reconstruction(surface, topology, len(cloud), method.facts(partition))
+    return Reconstruction(surface, len(cloud), method.facts(partition))

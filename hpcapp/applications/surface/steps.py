@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from hpcapp.applications.surface.choice import Choice, Job
@@ -36,7 +37,7 @@ from hpcapp.backends import Backend
 from hpcapp.progress import StageClock
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.disk_cloud import DiskCloud
-from hpccomponent.surface.points import PointCloud, bounding_box
+from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -136,8 +137,9 @@ def run_loaded(
         "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
         method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),
     )  # fmt: skip
+    doubts = workforce.later(partial(_doubt_points, grid, cloud))
     result = run_pipeline(cloud, method, workforce, clock, choose_steps(settings))
-    return Outcome(result, grid, backend, choice, _warn(settings, grid, cloud, result))
+    return Outcome(result, grid, backend, choice, _warn(settings, doubts(), result))
 
 
 def choose_tile(settings: Settings, backend: Backend) -> int | None:
@@ -148,20 +150,33 @@ def choose_tile(settings: Settings, backend: Backend) -> int | None:
     return fitting_tile(settings.max_memory, workforce.workers if workforce.in_process else 1)
 
 
-def _warn(
-    settings: Settings, grid: int, cloud: PointCloud | DiskCloud, result: Reconstruction
-) -> list[str]:
-    """Log what should make the user doubt the mesh, and return it for the report."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Doubts:
+    """What the points give to doubt of, and what their mesh is judged by; see `doubts`."""
+
+    resolution: list[str]
+    normals: list[str]
+    low: FloatArray
+    high: FloatArray
+    step: float
+
+
+def _doubt_points(grid: int, cloud: PointCloud | DiskCloud) -> _Doubts:
     if isinstance(cloud, PointCloud):
         low, high = bounding_box(cloud.positions)
     else:
         low, high, cloud = cloud.low, cloud.high, sample_cloud(cloud)
     step = float((high - low).max()) / grid
-    doubts = doubt_resolution(cloud, step)  # explains all that the others would find
-    if not doubts:
-        doubts = doubt_normals(cloud)
-        if settings.method != "paper":  # which leaves sheets in its boxes wherever a patch ends
-            doubts += doubt_closure(low, high, result.surface, step)
+    resolution = doubt_resolution(cloud, step)
+    return _Doubts(resolution, [] if resolution else doubt_normals(cloud), low, high, step)
+
+
+def _warn(settings: Settings, found: _Doubts, result: Reconstruction) -> list[str]:
+    """Log what should make the user doubt the mesh, and return it for the report."""
+    doubts = found.resolution + found.normals
+    # A paper's mesh has sheets in its boxes wherever a patch ends; too few cells explain the rest.
+    if not found.resolution and settings.method != "paper":
+        doubts += doubt_closure(found.low, found.high, result.surface, found.step)
     for doubt in doubts:
         log.warning("warning: %s", doubt)
     return doubts

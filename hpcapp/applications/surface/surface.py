@@ -24,7 +24,7 @@ from hpcapp.applications.surface.welded import (
     stream_tiles,
     take_tile,
 )
-from hpcapp.batches import Workforce, stream_batches
+from hpcapp.batches import Later, Workforce, stream_batches
 from hpcapp.io import (
     TILES_SUFFIX,
     needs_double,
@@ -115,6 +115,7 @@ class PartSurface:
     origin: FloatArray
     keeping: Keeping | None = None
     _plan: WeldPlan | None = None
+    _topology: Later[Topology] | None = None
 
     @property
     def plan(self) -> WeldPlan:
@@ -133,7 +134,9 @@ class PartSurface:
 
     def check(self) -> Topology:
         """Judge its topology."""
-        return self.plan.topology
+        if self._topology is None:
+            self._topology = Later(self.plan.judge)
+        return self._topology()
 
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
         """Return the share of the vertices that lie outside a box, 0 to 1."""
@@ -183,8 +186,9 @@ class PartSurface:
             yield lambda index: MeshPart.from_values(near.get(str(index)))
 
     def _share_ply(self, path: Path, workforce: Workforce, place: str) -> None:
-        """Let the workers write a PLY."""
+        """Let the workers write a PLY, and judge the topology meanwhile."""
         plan = self.plan
+        self._topology = self._topology or workforce.later(plan.judge)
         counts = (plan.vertex_count, plan.face_count)
         with shared_ply(path, counts, self.origin, plan.box) as shared:
             values = shared.to_values()
@@ -196,8 +200,9 @@ class PartSurface:
                 write_part(self.load(index), plan.places(index), shared)
 
     def _share_tiles(self, path: Path, workforce: Workforce, place: str) -> None:
-        """Let the workers write a folder of tiles."""
+        """Let the workers write a folder of tiles, and judge the topology meanwhile."""
         plan = self.plan
+        self._topology = self._topology or workforce.later(plan.judge)
         is_double = needs_double(plan.box, self.origin)
         with shared_tiles(path) as file_of:
 

@@ -46,8 +46,10 @@ class WeldPlan:
     box : ndarray of float64, shape (2, 3)
         The lowest and highest coordinates of the vertices; zeros where there are none. In length
         units of the input, in the local frame.
-    topology : Topology
-        What `check_mesh` would find on the mesh.
+    component : ndarray of int64
+        Of each of the parts' components, the one of the mesh that it belongs to.
+    entries : Components
+        What each brick has of the mesh's components that stay.
     """
 
     summaries: tuple[PartSummary, ...]
@@ -56,7 +58,8 @@ class WeldPlan:
     vertex_starts: IntArray
     face_starts: IntArray
     box: FloatArray
-    topology: Topology
+    component: IntArray
+    entries: Components
 
     def givers(self, first: int, last: int) -> Iterator[tuple[int, IntArray]]:
         """Return which part gives which of some bricks.
@@ -105,6 +108,10 @@ class WeldPlan:
     def face_count(self) -> int:
         """Faces of the mesh."""
         return int(self.face_starts[-1])
+
+    def judge(self) -> Topology:
+        """Return what `check_mesh` would find on the mesh."""
+        return judge_parts(self.summaries, self.bricks, self.component, self.kept, self.entries)
 
     def places(self, index: int) -> PartPlaces:
         """Return where the vertices and faces of a part go.
@@ -165,8 +172,9 @@ def plan_weld(summaries: Sequence[PartSummary]) -> WeldPlan:
         for counts in (components.vertices, components.faces)
     )
     box = _bound(np.concatenate([s.bounds for s in summaries])[kept])
-    topology = judge_parts(summaries, bricks, component, kept, components)
-    return WeldPlan(tuple(summaries), bricks, kept, vertex_starts, face_starts, box, topology)
+    return WeldPlan(
+        tuple(summaries), bricks, kept, vertex_starts, face_starts, box, component, components
+    )
 
 
 def _collect_entries(
