@@ -20,7 +20,7 @@ from hpccomponent.surface.moments import COLUMNS
 from hpccomponent.surface.parallel import run_batches
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 
-__all__ = ["CellMoments", "SortedPoints", "merge_finest", "sort_cloud"]
+__all__ = ["CellMoments", "PartMoments", "SortedPoints", "merge_parents", "sort_cloud"]
 
 _SLAB = 1 << 11  # cells whose moments are summed at once: 0.7 MB, which stays in the cache
 _AT_ONCE = 64  # slabs whose sums wait to be put together
@@ -46,6 +46,40 @@ class CellMoments:
     def sum(self, cells: slice) -> FloatArray:
         """Return the moments of a run of cells."""
         return self.moments[cells]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartMoments:
+    """The moments of each cell of a level, as several have found them: of some cells each.
+
+    Put together they would be as much memory again.
+
+    Parameters
+    ----------
+    parts : list of ndarray of float64, shape (k, 44)
+        See `CellMoments`.
+    rows : list of ndarray of int64, shape (k,)
+        The cells of each part, sorted; every cell is in one of them.
+    """
+
+    parts: list[FloatArray]
+    rows: list[IntArray]
+
+    @property
+    def counts(self) -> FloatArray:
+        """Points in each cell."""
+        counts = np.empty(sum(map(len, self.rows)))
+        for moments, rows in zip(self.parts, self.rows, strict=True):
+            counts[rows] = moments[:, 0]
+        return counts
+
+    def sum(self, cells: slice) -> FloatArray:
+        """Return the moments of a run of cells."""
+        sums = np.empty((cells.stop - cells.start, COLUMNS))
+        for moments, rows in zip(self.parts, self.rows, strict=True):
+            first, end = np.searchsorted(rows, (cells.start, cells.stop))
+            sums[rows[first:end] - cells.start] = moments[first:end]
+        return sums
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,16 +160,16 @@ def sort_cloud(
     return cells, SortedPoints(cloud, origin, cell_size, offsets, rows)
 
 
-def merge_finest(
-    cells: IntArray, points: SortedPoints, threads: int = 1
+def merge_parents(
+    cells: IntArray, points: SortedPoints | PartMoments, threads: int = 1
 ) -> tuple[IntArray, FloatArray]:
-    """Sum the moments of the parents of the finest cells.
+    """Sum the moments of the parents of cells whose own are nowhere as a whole.
 
     Parameters
     ----------
     cells : ndarray of int64, shape (c,)
-        Sorted keys of the finest cells.
-    points : SortedPoints
+        Sorted keys of a level's cells.
+    points : SortedPoints or PartMoments
         In these.
     threads : int
         The result does not depend on it.

@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 
 from hpccomponent.cutting import cut_equal
 from hpccomponent.surface import kernels
-from hpccomponent.surface.cell_points import CellMoments, SortedPoints, merge_finest, sort_cloud
+from hpccomponent.surface.cell_points import (
+    CellMoments,
+    PartMoments,
+    SortedPoints,
+    merge_parents,
+    sort_cloud,
+)
 from hpccomponent.surface.crowding import sum_squares, surrounded_vertices
 from hpccomponent.surface.hermite import BASIS
 from hpccomponent.surface.lattice import (
@@ -65,14 +71,14 @@ class Level:
     ----------
     cells : ndarray of int64, shape (c,)
         Sorted keys of the occupied cells.
-    points : SortedPoints or CellMoments
+    points : SortedPoints, CellMoments or PartMoments
         What the fits know of the points in each cell: those of the finest level themselves.
     squares : ndarray of float64, shape (c,)
         Sums of the squared counts of each cell's children; none at the finest level.
     """
 
     cells: IntArray
-    points: SortedPoints | CellMoments
+    points: SortedPoints | CellMoments | PartMoments
     squares: FloatArray
 
 
@@ -226,10 +232,10 @@ def raise_levels(finest: Level, levels: int, threads: int = 1) -> list[Level]:
     raised = [finest]
     while len(raised) < levels:
         finer = raised[-1]
-        if isinstance(finer.points, SortedPoints):
-            cells, moments = merge_finest(finer.cells, finer.points, threads)
-        else:
+        if isinstance(finer.points, CellMoments):
             cells, moments = kernels.merge_cells(finer.cells, finer.points.moments)
+        else:
+            cells, moments = merge_parents(finer.cells, finer.points, threads)
         squares = sum_squares(finer.cells, finer.points.counts, cells)
         raised.append(Level(cells, CellMoments(moments), squares))
     return raised
@@ -386,7 +392,7 @@ def _fit_weighed(
     blend = corners, first.coefficients.take(rows, axis=0), spread
     points = weigh_points(finest.cells, finest.points, blend, weights.tolerance, threads)
     pyramid.levels[0] = replace(finest, points=points)
-    moments = merge_finest(finest.cells, points, threads)[1]
+    moments = merge_parents(finest.cells, points, threads)[1]
     weighed = replace(level, points=CellMoments(moments))
     _fit_level(weighed, corners, rows, quadrics, noise, weights, threads)
     quadrics.counts[:], quadrics.variances[:] = counts, variances

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hpcapp.batches import Workforce, begin_batch
-from hpccomponent.surface.cell_points import CellMoments
+from hpccomponent.surface.cell_points import PartMoments
 from hpccomponent.surface.far_field import (
     FarField,
     FarFieldPart,
@@ -140,8 +140,8 @@ def fit_coarse(
     """
     keys, moments, squares, corners, far_keys, sampled, *_ = map(list, zip(*sums, strict=True))
     sums.clear()
-    far_cells, order = _sort(far_keys)
-    samples = far_cells, _merge(sampled, order)
+    far_cells, rows = _sort(far_keys)
+    samples = far_cells, _merge(sampled, rows)
     task = plan.to_values(), *samples, threads if workforce.in_process else 1
     with begin_batch(workforce, solve_far, task) as solved:
         pyramid, quadrics, parents = _fit(plan, keys, moments, squares, corners, threads)
@@ -158,35 +158,33 @@ def _fit(
     threads: int,
 ) -> tuple[Pyramid, list[VertexQuadrics], Parents]:
     """Fit the levels from the tiles' one up; the lists are those of `region.sum_tile`."""
-    cells, order = _sort(keys)
-    level = Level(cells, CellMoments(_merge(moments, order)), _merge(squares, order))
-    moments.clear()
+    cells, rows = _sort(keys)
+    level = Level(cells, PartMoments(moments, rows), _merge(squares, rows))
     vertices = unique_keys(np.concatenate(corners))
     height = plan.height - plan.coarse
     levels = raise_levels(level, height, threads)
     laid = lay_vertices(vertices, height)
     pyramid = Pyramid(plan.origin, plan.cell_size, levels, laid, plan.coarse, plan.height)
     quadrics, parents = fit_levels(pyramid, plan.weights, None, threads)
+    moments.clear()  # no level has them any more
     assert parents is not None  # noqa: S101 - tiles have finer levels
     return pyramid, quadrics, parents
 
 
-def _sort(parts: list[IntArray]) -> tuple[IntArray, IntArray]:
-    """Return keys in their order, and where each came from."""
+def _sort(parts: list[IntArray]) -> tuple[IntArray, list[IntArray]]:
+    """Return the keys of all parts in their order, and where those of each part stand there."""
     keys = np.concatenate(parts)
     order = np.argsort(keys, kind="stable")  # which merges sorted runs
-    return keys[order], order
-
-
-def _merge(parts: list[FloatArray], order: IntArray) -> FloatArray:
-    """Return the rows of all parts in an order, each copied once."""
-    merged = np.empty((len(order), *parts[0].shape[1:]), parts[0].dtype)
     rows = np.empty_like(order)
     rows[order] = np.arange(len(order))
-    start = 0
-    for part in parts:
-        merged[rows[start : start + len(part)]] = part
-        start += len(part)
+    return keys[order], np.split(rows, np.cumsum([len(part) for part in parts])[:-1])
+
+
+def _merge(parts: list[FloatArray], rows: list[IntArray]) -> FloatArray:
+    """Put the rows of all parts where they stand, each copied once."""
+    merged = np.empty((sum(map(len, rows)), *parts[0].shape[1:]), parts[0].dtype)
+    for part, at in zip(parts, rows, strict=True):
+        merged[at] = part
     return merged
 
 

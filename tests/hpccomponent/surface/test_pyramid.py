@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hpccomponent.surface import kernels
+from hpccomponent.surface.cell_points import PartMoments
 from hpccomponent.surface.lattice import find_keys, unpack_keys
 from hpccomponent.surface.moments import accumulate_moments
 from hpccomponent.surface.points import PointCloud, bounding_box
@@ -9,6 +12,7 @@ from hpccomponent.surface.pyramid import (
     build_pyramid,
     count_levels,
     fit_levels,
+    raise_levels,
 )
 from hpccomponent.surface.weights import Weights, weigh_levels
 
@@ -56,6 +60,22 @@ def test_every_level_counts_every_point(cloud):
     for level, vertices in zip(pyramid.levels, pyramid.vertices, strict=True):
         assert level.points.counts.sum() == len(cloud)
         assert np.isin(kernels.spread_keys(level.cells, 0, 1), vertices).all()
+
+
+def test_levels_upon_parts_are_those_upon_the_whole(cloud):
+    level = build(cloud, 0.02).levels[1]
+    owners = np.random.default_rng(2).integers(0, 4, len(level.cells))  # nobody has the fourth's
+    rows = [np.flatnonzero(owners == part) for part in range(4)]
+    rows[0], rows[3] = np.sort(np.concatenate([rows[0], rows[3]])), rows[3][:0]
+    parts = PartMoments([level.points.moments[at] for at in rows], rows)
+    np.testing.assert_array_equal(parts.counts, level.points.counts)
+    for run in (slice(0, len(level.cells)), slice(5, 6), slice(7, 7)):
+        assert parts.sum(run).tobytes() == level.points.sum(run).tobytes()
+    whole, apart = (raise_levels(replace(level, points=some), 4) for some in (level.points, parts))
+    for expected, found in zip(whole[1:], apart[1:], strict=True):
+        np.testing.assert_array_equal(found.cells, expected.cells)
+        np.testing.assert_array_equal(found.squares, expected.squares)
+        assert found.points.moments.tobytes() == expected.points.moments.tobytes()
 
 
 def test_vertices_know_the_points_of_the_eight_cells_around_them(cloud):
