@@ -19,7 +19,6 @@ module:func  the Executor that a function makes
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -29,6 +28,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from hpcapp.batches import Workforce
 from hpccomponent.errors import UsageError
+from hpccomponent.limits import available_cores
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -41,7 +41,6 @@ __all__ = [
     "Backend",
     "SerialExecutor",
     "Traffic",
-    "available_cores",
     "check_backend",
     "open_backend",
     "open_executor",
@@ -110,11 +109,6 @@ class SerialExecutor(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
-
-
-def available_cores() -> int:
-    """Return how many cores this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def check_backend(name: str) -> None:

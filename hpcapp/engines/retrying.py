@@ -25,9 +25,9 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecu
 from contextlib import AbstractContextManager, ExitStack
 from typing import Any, TypeVar
 
-from hpcapp.backends import available_cores
 from hpcapp.engines.calls import align, run_task
 from hpccomponent.errors import WorkerLostError
+from hpccomponent.limits import available_cores
 from hpccomponent.runtime.numerics import numerics_id
 
 __all__ = ["MOST_LOSSES", "RetryingExecutor", "count_broken", "count_workers"]

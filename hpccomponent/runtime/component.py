@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import zmq
 
 from hpccomponent.errors import ProtocolError
+from hpccomponent.limits import available_cores
 from hpccomponent.protocol.connection import Connection
 from hpccomponent.protocol.frames import LARGEST_FRAME, group_frames, split_buffers
 from hpccomponent.protocol.messages import (
@@ -277,7 +278,7 @@ def _introduce(connection: Connection, options: ComponentOptions) -> Register:
         incarnation=secrets.token_hex(8),
         build=options.build,
         numerics=numerics_id(options.build),
-        cores=os.cpu_count() or 1,
+        cores=available_cores(),
         memory_bytes=memory_bytes,
         largest_frame=LARGEST_FRAME,
         blob_bytes=memory_bytes // BLOB_SHARE,

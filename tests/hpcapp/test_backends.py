@@ -11,10 +11,11 @@ from typing import Any
 
 import pytest
 
-from hpcapp.backends import BACKENDS, SerialExecutor, available_cores, open_executor
+from hpcapp.backends import BACKENDS, SerialExecutor, open_executor
 from hpcapp.batches import map_batches
 from hpcapp.process_pool import open_processes
 from hpccomponent.errors import UsageError, WorkerLostError
+from hpccomponent.limits import available_cores
 
 
 @pytest.mark.parametrize(

@@ -19,74 +19,12 @@ def lay_out(root: Path, files: dict[str, str]) -> Path:
     return root
 
 
-@pytest.fixture
-def many_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(64)), raising=False)
-
-
 def test_this_machine_has_cores_and_memory() -> None:
     here = read_machine()
     assert here.cores >= 1
     assert here.memory > 2**24
     assert here.architecture
     assert here.python.split()[1].startswith("3.")
-
-
-def test_affinity_bounds_the_cores(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {3, 5, 7}, raising=False)
-    assert read_machine(tmp_path).cores == 3
-
-
-@pytest.mark.parametrize(
-    ("files", "cores"),
-    [
-        ({"sys/fs/cgroup/a/b/cpu.max": "250000 100000"}, 2),
-        (
-            {"sys/fs/cgroup/a/b/cpu.max": "max 100000", "sys/fs/cgroup/a/cpu.max": "300000 100000"},
-            3,
-        ),
-        ({"sys/fs/cgroup/a/b/cpu.max": "1000 100000"}, 1),
-        ({"sys/fs/cgroup/cpu.max": "400000 100000"}, 4),
-        ({"sys/fs/cgroup/unified/a/b/cpu.max": "500000 100000"}, 5),
-        ({"sys/fs/cgroup/a/b/cpu.max": "max 100000"}, 64),
-        ({"sys/fs/cgroup/a/b/cpu.max": "rubbish"}, 64),
-    ],
-)
-@pytest.mark.usefixtures("many_cores")
-def test_quota_of_cgroup_2_bounds_the_cores(
-    tmp_path: Path, files: dict[str, str], cores: int
-) -> None:
-    root = lay_out(tmp_path, {"proc/self/cgroup": "0::/a/b\n", **files})
-    assert read_machine(root).cores == cores
-
-
-@pytest.mark.parametrize("mount", ["cpu", "cpu,cpuacct"])
-@pytest.mark.parametrize("path", ["job/7", ""])
-@pytest.mark.usefixtures("many_cores")
-def test_quota_of_cgroup_1_bounds_the_cores(tmp_path: Path, mount: str, path: str) -> None:
-    group = f"sys/fs/cgroup/{mount}/{path}"
-    root = lay_out(
-        tmp_path,
-        {
-            "proc/self/cgroup": "4:memory:/job/7\n3:cpu,cpuacct:/job/7\n1:name=systemd:/x\n",
-            f"{group}/cpu.cfs_quota_us": "600000\n",
-            f"{group}/cpu.cfs_period_us": "100000\n",
-        },
-    )
-    assert read_machine(root).cores == 6
-
-
-@pytest.mark.usefixtures("many_cores")
-def test_no_quota_in_cgroup_1_is_no_bound(tmp_path: Path) -> None:
-    root = lay_out(
-        tmp_path,
-        {
-            "proc/self/cgroup": "3:cpu:/\n",
-            "sys/fs/cgroup/cpu/cpu.cfs_quota_us": "-1\n",
-            "sys/fs/cgroup/cpu/cpu.cfs_period_us": "100000\n",
-        },
-    )
-    assert read_machine(root).cores == 64
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,10 @@ from pathlib import Path
 from hpcapp.applications.surface.memory import count_most_points
 from hpcapp.applications.surface.passes import Passes
 from hpcapp.applications.surface.settings import Settings, choose_steps, name_backend
-from hpcapp.backends import BACKENDS, Backend, available_cores
+from hpcapp.backends import BACKENDS, Backend
 from hpcapp.io import open_points
 from hpcapp.shared_files import workers_see
+from hpccomponent.limits import available_cores
 
 __all__ = ["may_pay_in_folder", "plan_passes"]
 

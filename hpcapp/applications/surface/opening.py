@@ -26,12 +26,12 @@ from hpcapp.applications.surface.measuring import measure_here, measure_workers
 from hpcapp.applications.surface.settings import Settings, choose_local, name_backend
 from hpcapp.backends import (
     Backend,
-    available_cores,
     open_backend,
     open_executor,
     wrap_communicator,
 )
 from hpccomponent.errors import NoWorkersError
+from hpccomponent.limits import available_cores
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -15,9 +15,9 @@ from hpcapp.applications.surface.hierarchical import MARGIN, HierarchicalMethod
 from hpcapp.applications.surface.keeping import Keeping
 from hpcapp.applications.surface.method import Method
 from hpcapp.applications.surface.pipeline import Preprocess
-from hpcapp.backends import available_cores
 from hpcapp.batches import Workforce
 from hpccomponent.errors import UsageError
+from hpccomponent.limits import available_cores
 from hpccomponent.surface.points import FloatArray
 
 __all__ = [

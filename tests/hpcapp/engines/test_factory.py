@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
-from hpcapp.backends import available_cores, open_executor
+from hpcapp.backends import open_executor
 from hpcapp.batches import map_batches
 from hpcapp.engines.factory import is_factory
 from hpccomponent.errors import UsageError, WorkerLostError
+from hpccomponent.limits import available_cores
 
 MODULE = '''
 """Factories for a test."""

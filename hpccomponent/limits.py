@@ -1,0 +1,73 @@
+"""What of a machine this process may use: affinity, and the limits of its control groups.
+
+Files are read below `root`, so that tests can lay out a machine of their own.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+__all__ = ["available_cores", "control_groups", "read_text"]
+
+_ROOT = Path("/")
+
+
+def control_groups(controller: str, root: Path = _ROOT) -> Iterator[Path]:
+    """Yield the folders of this process's control groups and of all groups above them.
+
+    A limit may sit on any level. Inside a container the path in ``/proc/self/cgroup`` is often
+    the host's and not to be seen; then the mount itself is the container's group.
+
+    Parameters
+    ----------
+    controller : str
+        ``cpu`` or ``memory``: what the groups limit; in version 2 they limit everything.
+    root : Path
+        Where ``proc`` and ``sys`` lie.
+    """
+    mounts = root / "sys/fs/cgroup"
+    for line in read_text(root / "proc/self/cgroup").splitlines():
+        _, controllers, path = line.split(":", 2)
+        names = controllers.split(",")
+        if not controllers:
+            tops = [mounts, mounts / "unified"]
+        elif controller in names:
+            tops = [mounts / name for name in (controllers, *names)]
+        else:
+            continue
+        parts = [part for part in path.split("/") if part and part != ".."]
+        for top in dict.fromkeys(tops):
+            yield from (top.joinpath(*parts[:depth]) for depth in range(len(parts), -1, -1))
+
+
+def available_cores(root: Path = _ROOT) -> int:
+    """Return how many cores this process may keep busy: by affinity and by quota, at least one.
+
+    Parameters
+    ----------
+    root : Path
+        Where ``proc`` and ``sys`` lie.
+    """
+    if hasattr(os, "sched_getaffinity"):
+        cores = float(len(os.sched_getaffinity(0)))
+    else:
+        cores = float(os.cpu_count() or 1)
+    for group in control_groups("cpu", root):
+        quota_and_period = read_text(group / "cpu.max").split() or [  # version 2, then version 1
+            read_text(group / "cpu.cfs_quota_us").strip(),
+            read_text(group / "cpu.cfs_period_us").strip(),
+        ]
+        if all(part.isdigit() for part in quota_and_period):  # "max" and -1 mean no limit
+            quota, period = map(int, quota_and_period)
+            cores = min(cores, quota / max(period, 1))
+    return max(1, int(cores))
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file, or nothing where it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
