@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import TypeVar
 
 from hpcapp.applications.surface.estimates import choose_scale
-from hpcapp.applications.surface.hierarchical import TILE_POINTS
 from hpcapp.applications.surface.ingest import ingest_file
 from hpcapp.applications.surface.passes import Passes
 from hpcapp.applications.surface.region_cleaning import clean_regions
+from hpcapp.applications.surface.sizes import TILE_POINTS
 from hpcapp.backends import open_executor
 from hpcapp.io import open_points
 

@@ -1,4 +1,7 @@
-"""Whether a cloud goes through a folder, and who works there. Who may import it: the job."""
+"""Whether a cloud goes through a folder, who works there, and on how much at once.
+
+Who may import it: the job and its steps.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from hpcapp.applications.surface.memory import count_most_points
+from hpcapp.applications.surface.memory import count_most_points, fitting_tile
 from hpcapp.applications.surface.passes import Passes
 from hpcapp.applications.surface.settings import Settings, choose_steps, name_backend
 from hpcapp.backends import BACKENDS, Backend
@@ -14,7 +17,7 @@ from hpcapp.io import open_points
 from hpcapp.shared_files import workers_see
 from hpccomponent.limits import available_cores
 
-__all__ = ["may_pay_in_folder", "plan_passes"]
+__all__ = ["choose_tile", "may_pay_in_folder", "plan_passes"]
 
 FOLDER_FROM_POINTS = 200_000
 """With fewer, what is saved by workers that read for themselves is less than what files cost."""
@@ -44,6 +47,14 @@ def may_pay_in_folder(settings: Settings) -> bool:
             return False
     is_ply = settings.points.suffix.lower() == ".ply"
     return is_ply and open_points(settings.points).records is not None
+
+
+def choose_tile(settings: Settings, backend: Backend) -> int | None:
+    """Return how many points a tile may have so that a process keeps to its memory."""
+    if settings.max_memory is None:
+        return None
+    workforce = backend.workforce
+    return fitting_tile(settings.max_memory, workforce.workers if workforce.in_process else 1)
 
 
 def plan_passes(path: Path, folder: Path, backend: Backend, points: int) -> Passes:

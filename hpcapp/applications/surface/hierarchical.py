@@ -18,6 +18,7 @@ from hpcapp.applications.surface.estimates import Scale, choose_scale
 from hpcapp.applications.surface.keeping import Keeping
 from hpcapp.applications.surface.method import Advance
 from hpcapp.applications.surface.regions import mesh_regions
+from hpcapp.applications.surface.sizes import LARGE_TILE, MARGIN, TILE_POINTS, TILES_EACH
 from hpcapp.applications.surface.slabs import mesh_slabs
 from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.applications.surface.tiles import Tiling
@@ -33,26 +34,13 @@ from hpccomponent.surface.region import KEPT_TILES, sum_tile
 from hpccomponent.surface.tile_plan import Plan
 
 __all__ = [
-    "LARGE_TILE",
-    "MARGIN",
-    "TILES_EACH",
-    "TILE_POINTS",
     "HierarchicalMethod",
     "HierarchicalPartition",
     "plan_grid",
 ]
 
-MARGIN = 4
-"""Cells of the grid that stay free on each side of the cloud."""
-
 _LEAST_GRID = 16
 _ROBUST_LEVELS = 2  # whose fits ask the points themselves, where these are weighed
-TILE_POINTS = 2_500_000
-"""Of a tile where nothing else asks for smaller ones: what it takes stays below a gigabyte."""
-LARGE_TILE = 1_000_000
-"""Points: smaller tiles cost more for their halos than is gained by handing them out freely."""
-TILES_EACH = 4
-"""Of a worker, where they are as large as that; one at least."""
 
 
 @dataclass(slots=True, eq=False)

@@ -15,11 +15,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.choice import Job
-from hpcapp.applications.surface.folder import may_pay_in_folder, plan_passes
-from hpcapp.applications.surface.hierarchical import TILE_POINTS
+from hpcapp.applications.surface.folder import choose_tile, may_pay_in_folder, plan_passes
 from hpcapp.applications.surface.keeping import Keeping, digest
 from hpcapp.applications.surface.loading import Loaded, load_folder, load_memory
 from hpcapp.applications.surface.memory import check_memory, count_most_points, fits_memory
@@ -31,14 +30,17 @@ from hpcapp.applications.surface.settings import (
     choose_grid,
     name_backend,
 )
-from hpcapp.applications.surface.steps import Outcome, choose_tile, run_loaded, run_memory
-from hpcapp.applications.surface.topology import Topology
+from hpcapp.applications.surface.sizes import TILE_POINTS
 from hpcapp.backends import BACKENDS, Backend
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface import kernels
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.points import PointCloud
+
+if TYPE_CHECKING:
+    from hpcapp.applications.surface.steps import Outcome
+    from hpcapp.applications.surface.topology import Topology
 
 __all__ = ["Settings", "run_job"]
 
@@ -144,6 +146,8 @@ def _run_in_memory(
     settings: Settings, room: _Room, target: Path, clock: StageClock
 ) -> dict[str, Any]:
     """Run a job whose points are in memory."""
+    from hpcapp.applications.surface.steps import run_memory  # see `loading.load_folder`
+
     with approach_workers(settings, _guess_job(settings, room)) as opener:
         loaded = load_memory(settings, clock)
         loaded.report(settings.points)
@@ -163,6 +167,8 @@ def _run_in_folder(
         else:
             loaded, keeping = _load_there(settings, room, backend, clock)
         loaded.report(settings.points)
+        from hpcapp.applications.surface.steps import run_loaded  # imported by now: `load_folder`
+
         grid = choose_grid(settings, *loaded.box)
         if isinstance(loaded.cloud, PointCloud):
             check_memory(settings.method, grid, loaded.cloud)

@@ -10,12 +10,13 @@ import logging
 import secrets
 import shutil
 from dataclasses import asdict, dataclass, replace
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 from hpcapp.applications.surface.cleaning import Cleaned, arrange_points, clean_cloud, drop_far
 from hpcapp.applications.surface.ingest import ingest_file
 from hpcapp.applications.surface.passes import Passes, measure_spacing
-from hpcapp.applications.surface.region_cleaning import clean_regions, measure_cloud
 from hpcapp.applications.surface.settings import Settings
 from hpcapp.io import drop_unusable, open_points, read_points
 from hpcapp.io.usable import Dropped
@@ -28,6 +29,12 @@ __all__ = ["Loaded", "arrange_usable", "clean_points", "load_folder", "load_memo
 log = logging.getLogger("hpcapp")
 
 _NOTE = "loaded.json"
+# What a job needs once its points are there: half of what it imports.
+_LATER = (
+    "hpcapp.applications.surface.region_cleaning",
+    "hpcapp.applications.surface.steps",
+    "hpcapp.applications.surface.hierarchical",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,8 +171,12 @@ def load_folder(settings: Settings, folder: Path, passes: Passes, clock: StageCl
     run = secrets.token_hex(4)  # a worker that is late must not write into a later run's points
     arranged, cleaned_folder = folder / f"arranged-{run}", folder / f"cleaned-{run}"
     arranged.mkdir(parents=True)
+    for module in _LATER:
+        passes.workforce.later(partial(import_module, module))
     with clock.stage("read"):
         read = ingest_file(open_points(settings.points), arranged, passes, drop_far=settings.clean)
+    from hpcapp.applications.surface.region_cleaning import clean_regions, measure_cloud
+
     cloud, cleaned = read.cloud, Cleaned(0, 0)
     if settings.clean:
         cleaned_folder.mkdir()

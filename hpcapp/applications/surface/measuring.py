@@ -12,7 +12,6 @@ import numpy as np
 
 from hpcapp.applications.surface.choice import Here, Link, There
 from hpcapp.batches import Workforce
-from hpccomponent.surface.calibration import probe, time_kernels
 
 __all__ = ["measure_here", "measure_workers"]
 
@@ -29,6 +28,8 @@ def measure_here(threads: int) -> Here:
     threads : int
         That one process would use.
     """
+    from hpccomponent.surface.calibration import time_kernels  # heavy, and not for every job
+
     return Here(time_kernels(_RUNS), threads)
 
 
@@ -74,6 +75,8 @@ def _ask(
     workforce: Workforce, payload: np.ndarray, runs: int, patience_s: float | None = None
 ) -> tuple[float, list[tuple[str, float]]] | None:
     """Have as many probes run as there are workers; return how long it took, and their answers."""
+    from hpccomponent.surface.calibration import probe
+
     start = perf_counter()
     futures = [workforce.executor.submit(probe, payload, runs) for _ in range(workforce.workers)]
     if wait(futures, patience_s).not_done:

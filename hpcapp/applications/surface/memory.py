@@ -9,7 +9,7 @@ import re
 import sys
 from pathlib import Path
 
-from hpcapp.applications.surface.hierarchical import TILE_POINTS
+from hpcapp.applications.surface.sizes import TILE_POINTS
 from hpccomponent.errors import UsageError
 from hpccomponent.surface import kernels
 from hpccomponent.surface.points import PointCloud, bounding_box

@@ -7,18 +7,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hpcapp.applications.surface.hierarchical import MARGIN, HierarchicalMethod
-from hpcapp.applications.surface.keeping import Keeping
-from hpcapp.applications.surface.method import Method
-from hpcapp.applications.surface.pipeline import Preprocess
+from hpcapp.applications.surface.sizes import MARGIN
 from hpcapp.batches import Workforce
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
 from hpccomponent.surface.points import FloatArray
+
+if TYPE_CHECKING:
+    from hpcapp.applications.surface.keeping import Keeping
+    from hpcapp.applications.surface.method import Method
+    from hpcapp.applications.surface.pipeline import Preprocess
 
 __all__ = [
     "DEFAULT_GRID",
@@ -127,11 +129,13 @@ def choose_method(
     keeping: Keeping | None = None,
 ) -> Method[Any, Any]:
     """Return the strategy; see `HierarchicalMethod` and `PaperMethod`."""
-    if settings.method == "hierarchical":
+    if settings.method == "hierarchical":  # each stands on heavy modules
+        from hpcapp.applications.surface.hierarchical import HierarchicalMethod
+
         return HierarchicalMethod(
             grid, settings.smoothness, settings.detail, threads, tile_points, keeping
         )
-    from hpcapp.applications.surface.paper import PaperMethod  # it stands on heavy modules
+    from hpcapp.applications.surface.paper import PaperMethod
 
     return PaperMethod(
         delta=settings.delta,

@@ -20,9 +20,10 @@ from hpcapp.applications.surface.doubts import (
     doubt_resolution,
     sample_cloud,
 )
+from hpcapp.applications.surface.folder import choose_tile
 from hpcapp.applications.surface.keeping import Keeping
 from hpcapp.applications.surface.loading import Loaded
-from hpcapp.applications.surface.memory import check_memory, fitting_tile
+from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.opening import Opener
 from hpcapp.applications.surface.pipeline import Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
@@ -42,7 +43,7 @@ from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Outcome", "choose_tile", "run_loaded", "run_memory"]
+__all__ = ["Outcome", "run_loaded", "run_memory"]
 
 log = logging.getLogger("hpcapp")
 
@@ -140,14 +141,6 @@ def run_loaded(
     doubts = workforce.later(partial(_doubt_points, grid, cloud))
     result = run_pipeline(cloud, method, workforce, clock, choose_steps(settings))
     return Outcome(result, grid, backend, choice, _warn(settings, doubts(), result))
-
-
-def choose_tile(settings: Settings, backend: Backend) -> int | None:
-    """Return how many points a tile may have so that a process keeps to its memory."""
-    if settings.max_memory is None:
-        return None
-    workforce = backend.workforce
-    return fitting_tile(settings.max_memory, workforce.workers if workforce.in_process else 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
