@@ -99,7 +99,12 @@ class Workforce:
             See `Later`; results that come meanwhile wait for it.
         """
         later = Later(find)
-        self._idle.add(lambda: bool(later() and False))
+
+        def step() -> bool:
+            later()
+            return False
+
+        self._idle.add(step)
         return later
 
     def spend_wait(self, futures: Iterable[Future[Any]]) -> None:

@@ -6,16 +6,9 @@ import os
 from pathlib import Path
 
 import pytest
+from made_up_machine import lay_out
 
 from hpccomponent.limits import available_cores
-
-
-def lay_out(root: Path, files: dict[str, str]) -> Path:
-    for name, text in files.items():
-        path = root / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    return root
 
 
 @pytest.fixture

@@ -6,17 +6,10 @@ import os
 from pathlib import Path
 
 import pytest
+from made_up_machine import lay_out
 
 from hpcloader import machine
 from hpcloader.machine import read_machine
-
-
-def lay_out(root: Path, files: dict[str, str]) -> Path:
-    for name, text in files.items():
-        path = root / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    return root
 
 
 def test_this_machine_has_cores_and_memory() -> None:

@@ -157,10 +157,12 @@ class PartSurface:
         """Write it to a file, whose suffix chooses the format.
 
         Workers write their parts of a PLY, or their tiles, themselves where they have put their
-        parts away themselves; what they do not see, and every other format, is written here.
+        parts away themselves, and the topology is judged meanwhile; what they do not see, and every
+        other format, is written here.
         """
         suffix = path.suffix.lower()
         if suffix in (".ply", TILES_SUFFIX) and self.keeping is not None and self.keeping.is_shared:
+            self._topology = self._topology or workforce.later(self.plan.judge)
             write = self._share_ply if suffix == ".ply" else self._share_tiles
             write(path, workforce, self.keeping.place)
             return
@@ -186,9 +188,8 @@ class PartSurface:
             yield lambda index: MeshPart.from_values(near.get(str(index)))
 
     def _share_ply(self, path: Path, workforce: Workforce, place: str) -> None:
-        """Let the workers write a PLY, and judge the topology meanwhile."""
+        """Let the workers write a PLY."""
         plan = self.plan
-        self._topology = self._topology or workforce.later(plan.judge)
         counts = (plan.vertex_count, plan.face_count)
         with shared_ply(path, counts, self.origin, plan.box) as shared:
             values = shared.to_values()
@@ -200,9 +201,8 @@ class PartSurface:
                 write_part(self.load(index), plan.places(index), shared)
 
     def _share_tiles(self, path: Path, workforce: Workforce, place: str) -> None:
-        """Let the workers write a folder of tiles, and judge the topology meanwhile."""
+        """Let the workers write a folder of tiles."""
         plan = self.plan
-        self._topology = self._topology or workforce.later(plan.judge)
         is_double = needs_double(plan.box, self.origin)
         with shared_tiles(path) as file_of:
 
