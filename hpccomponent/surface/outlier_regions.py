@@ -44,6 +44,7 @@ __all__ = [
     "MARGIN",
     "Judgement",
     "RegionRanks",
+    "has_sparse",
     "judge_region",
     "judge_sparse",
     "rank_region",
@@ -112,6 +113,12 @@ def rank_region(
     held = coarse > 0
     keys = levels[0].keys[some]
     return by_rank, level.keys[held], coarse[held], keys, rank[some], counts[some]
+
+
+def has_sparse(ranks: RegionRanks) -> bool:
+    """Tell whether some of a region's own points lie in cells of higher ranks than most do."""
+    by_rank = ranks[0]
+    return bool(by_rank[find_base(by_rank) + 1 :].any())
 
 
 def judge_sparse(regions: list[RegionRanks]) -> Judgement:

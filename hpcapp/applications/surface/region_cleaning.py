@@ -7,13 +7,15 @@
     folder <── kept points, mended normals, sample <── mend ── regions <──┘
 
 Each region is read with a margin, some thirty spacings wide, and its task is a pure function of
-these points. The points are read once for each of these steps.
+these points. The points are read once for each of these steps. Workers mend regions without sparse
+cells while the master judges: should points be dropped after all, that was in vain.
 Who may import it: the job.
 """
 
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +33,12 @@ from hpccomponent.surface.block_tasks import sample_blocks, survey_blocks
 from hpccomponent.surface.cloud_regions import DroppedCells
 from hpccomponent.surface.disk_cloud import DiskCloud, Measured, Part, write_index, write_part
 from hpccomponent.surface.lattice import pack_places, unique_keys
-from hpccomponent.surface.outlier_regions import judge_sparse
+from hpccomponent.surface.outlier_regions import (
+    Judgement,
+    RegionRanks,
+    has_sparse,
+    judge_sparse,
+)
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 from hpccomponent.surface.region_tasks import judge_blocks, mend_blocks, rank_blocks
 
@@ -71,13 +78,20 @@ def clean_regions(
     regions = cut_regions(cloud.keys, cloud.counts, passes.count_pieces(len(cloud)))
     box = len(cloud), cloud.low, cloud.high
     spacing = measure_spacing(cloud, passes, box, (), boxes)
-    dropped = _find_outliers(cloud, regions, spacing, passes)
+    ranks = _rank(cloud, regions, spacing, passes)
+    judgement = passes.workforce.later(partial(judge_sparse, ranks))
+    mended: dict[int, Any] = {}
+    mend = partial(_mend, cloud, regions, folder, passes)
+    if not passes.workforce.in_process:
+        clear = [region for region, found in enumerate(ranks) if not has_sparse(found)]
+        mended = mend(clear, (len(cloud), cloud.low, spacing), ())
+    dropped = _find_outliers(cloud, regions, spacing, passes, (ranks, judgement()))
     if dropped:
-        box = _survey(cloud, passes, dropped)
+        box, mended = _survey(cloud, passes, dropped), {}
         spacing = measure_spacing(cloud, passes, box, dropped)
-    parts, flipped, sample = _mend(
-        cloud, regions, (box[0], box[1], spacing), dropped, folder, passes
-    )
+    left = [region for region in range(len(regions)) if region not in mended]
+    mended |= mend(left, (box[0], box[1], spacing), dropped)
+    parts, flipped, sample = _put_together(cloud, regions, folder, mended)
     cleaned = write_index(folder, cloud.arrangement, cloud.origin, box[1:], parts)
     cleaned = measure_cloud(cleaned, passes, spacing, sample)
     return cleaned, Cleaned(len(cloud) - box[0], flipped)
@@ -131,15 +145,28 @@ def cut_regions(keys: IntArray, counts: IntArray, pieces: int) -> list[IntArray]
     return [keys[region_of == region] for region in range(int(region_of.max()) + 1)]
 
 
-def _find_outliers(
+def _rank(
     cloud: DiskCloud, regions: list[IntArray], spacing: float, passes: Passes
-) -> DroppedCells:
-    """Return the cells whose points are outliers; nothing where there are none."""
+) -> list[RegionRanks]:
+    """Rank the points of each region."""
     margin = outlier_regions.MARGIN * spacing
     common = cloud.low, spacing
     found = dict(passes.map_regions(rank_blocks, cloud, regions, margin, (), lambda _: common))
-    judged = judge_sparse([found[i] for i in range(len(regions))])
-    asked = [blocks for i, blocks in enumerate(regions) if found[i][0][judged.base + 1 : -1].any()]
+    return [found[region] for region in range(len(regions))]
+
+
+def _find_outliers(
+    cloud: DiskCloud,
+    regions: list[IntArray],
+    spacing: float,
+    passes: Passes,
+    known: tuple[list[RegionRanks], Judgement],
+) -> DroppedCells:
+    """Return the cells whose points are outliers; nothing where there are none."""
+    ranks, judged = known
+    margin = outlier_regions.MARGIN * spacing
+    common = cloud.low, spacing
+    asked = [blocks for i, blocks in enumerate(regions) if ranks[i][0][judged.base + 1 : -1].any()]
     more = (*common, judged.base)
     rest = passes.map_regions(judge_blocks, cloud, asked, margin, (), lambda _: more)
     strays = unique_keys(np.concatenate([judged.stray_cells, *(cells for _, cells in rest)]))
@@ -160,33 +187,47 @@ def _survey(
 def _mend(
     cloud: DiskCloud,
     regions: list[IntArray],
-    known: tuple[int, FloatArray, float],
-    dropped: DroppedCells,
     folder: Path,
     passes: Passes,
-) -> tuple[list[Part], int, Points]:
-    """Write what changes; return the parts of the cloud that is left, flipped normals, a sample."""
+    asked: list[int],
+    known: tuple[int, FloatArray, float],
+    dropped: DroppedCells,
+) -> dict[int, Any]:
+    """Mend some regions; what changes is written. Return what `mend_blocks` says of each."""
     points, low, spacing = known
     sampled = SAMPLED_BOX * spacing, max(first_share(points), 1)
-    changed: dict[int, Part] = {}
-    flipped, samples = 0, {}
 
-    def more(region: int) -> tuple[Any, ...]:
-        return low, spacing, (str(folder), region) if passes.workers_see else None, sampled
+    def number(index: int) -> int:
+        """Return that of the part; a worker that is late must not write in a later one's place."""
+        return asked[index] + (len(regions) if dropped else 0)
 
-    margin = normals_module.MARGIN * spacing
-    for region, result in passes.map_regions(mend_blocks, cloud, regions, margin, dropped, more):
-        packed, turned, samples[region] = result
+    def more(index: int) -> tuple[Any, ...]:
+        return low, spacing, (str(folder), number(index)) if passes.workers_see else None, sampled
+
+    margin, found = normals_module.MARGIN * spacing, {}
+    blocks = [regions[region] for region in asked]
+    for index, result in passes.map_regions(mend_blocks, cloud, blocks, margin, dropped, more):
+        packed, turned, sample = result
+        part = None
         if packed is not None:
             if not passes.workers_see:
-                packed = write_part(folder, region, [PackedPoints(*packed)])
-            changed[region] = Part.whole(region, *packed)
-        flipped += turned
+                packed = write_part(folder, number(index), [PackedPoints(*packed)])
+            part = Part.whole(number(index), *packed)
+        found[asked[index]] = part, turned, sample
+    return found
+
+
+def _put_together(
+    cloud: DiskCloud, regions: list[IntArray], folder: Path, mended: dict[int, Any]
+) -> tuple[list[Part], int, Points]:
+    """Return the parts of the cloud that is left, how many normals were flipped, and a sample."""
+    changed = [region for region in sorted(mended) if mended[region][0] is not None]
     old = np.sort(np.concatenate([np.zeros(0, np.int64), *(regions[i] for i in changed)]))
     there = os.path.relpath(cloud.folder, folder)
     parts = [part.without(old, there) for part in cloud.parts]
-    parts = [part for part in parts if len(part.keys)] + [changed[i] for i in sorted(changed)]
-    positions, normals = np.concatenate([samples[i] for i in sorted(samples)], axis=1)
+    parts = [part for part in parts if len(part.keys)] + [mended[i][0] for i in changed]
+    flipped = sum(turned for _, turned, _ in mended.values())
+    positions, normals = np.concatenate([mended[i][2] for i in sorted(mended)], axis=1)
     return parts, flipped, (positions, normals)
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -148,8 +149,31 @@ def test_only_regions_that_change_are_written(tmp_path: Path, workers_see: bool)
 
 
 @pytest.mark.parametrize("workers_see", [True, False])
-def test_workers_do_not_show(tmp_path: Path, workers_see: bool) -> None:
+@pytest.mark.parametrize("name", ["spoilt", "islands", "clean"])
+def test_workers_do_not_show(tmp_path: Path, name: str, workers_see: bool) -> None:
     """Whether they see the folder, and write to it, or are sent points."""
     with ThreadPoolExecutor(3) as executor:
         passes = Passes(Workforce(executor, 3, 4), workers_see, 4_000)
-        _assert_cleaned_alike(CLOUDS["spoilt"](np.random.default_rng(5)), tmp_path, passes)
+        _assert_cleaned_alike(CLOUDS[name](np.random.default_rng(5)), tmp_path, passes)
+
+
+class _Recorder(ThreadPoolExecutor):
+    """Notes the names of the tasks that it is given."""
+
+    def __init__(self, workers: int) -> None:
+        super().__init__(workers)
+        self.names: list[str] = []
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        self.names.append(fn.__name__)
+        return super().submit(fn, *args, **kwargs)
+
+
+@pytest.mark.parametrize(("name", "is_vain"), [("clean", False), ("islands", True)])
+def test_workers_mend_before_all_is_judged(tmp_path: Path, name: str, is_vain: bool) -> None:
+    """Where points are dropped after all, regions are mended once more."""
+    with _Recorder(3) as recorder:
+        passes = Passes(Workforce(recorder, 3, 4), True, 4_000)
+        _assert_cleaned_alike(CLOUDS[name](np.random.default_rng(5)), tmp_path, passes)
+    names = recorder.names
+    assert (names.count("mend_blocks") > names.count("rank_blocks")) == is_vain
