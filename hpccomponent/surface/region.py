@@ -73,7 +73,11 @@ _waiting: dict[str, PreparedTile] = {}
 
 @declare(cost=lambda _plan, points, *_: estimate_work(points))
 def sum_tile(
-    plan: Values, points: CellPoints, ticket: str | None = None, threads: int = 1
+    plan: Values,
+    points: CellPoints,
+    ticket: str | None = None,
+    keep: tuple[str, str] | None = None,
+    threads: int = 1,
 ) -> Values:
     """Sum the moments of a tile's points in the cells of the coarse level (a task).
 
@@ -87,13 +91,15 @@ def sum_tile(
         A name that nothing else has: what is prepared of the points waits for `mesh_tile` with
         this ticket, until the process has summed `KEPT_TILES` more. What either task returns
         does not depend on it.
+    keep : tuple of str, optional
+        A store (see `hpccomponent.store`) and a name, under which the moments are put there.
     threads : int
         The result does not depend on it.
 
     Returns
     -------
     cells, moments, squares
-        Of the `pyramid.Level`.
+        Of the `pyramid.Level`; None for moments that are kept.
     vertices
         What its points lay there (see `ancestors.corners_at`).
     far_cells, far_sums
@@ -117,7 +123,11 @@ def sum_tile(
     moments = coarse.points.sum(slice(0, len(coarse.cells)))[at]
     sampled = prepared.levels[common.far]
     samples = sample_cells(sampled, np.flatnonzero(mark_ancestors(own, common.far, sampled.cells)))
-    return coarse.cells[at], moments, coarse.squares[at], vertices, *samples, len(own)
+    if keep is not None:
+        place, name = keep
+        hold_store(place).put(name, moments)
+    given = moments if keep is None else None
+    return coarse.cells[at], given, coarse.squares[at], vertices, *samples, len(own)
 
 
 def sample_cells(level: Level, rows: IntArray | None = None) -> tuple[IntArray, FloatArray]:

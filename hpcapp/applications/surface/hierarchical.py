@@ -24,6 +24,7 @@ from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.applications.surface.tiles import Tiling
 from hpcapp.batches import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.store import hold_store
 from hpccomponent.surface.arranged_cloud import ArrangedCloud, arrange_cloud
 from hpccomponent.surface.arrangement import choose_arrangement
 from hpccomponent.surface.disk_cloud import DiskCloud
@@ -171,12 +172,16 @@ class HierarchicalMethod:
         tiling, plan = partition.tiling, partition.plan
         if tiling is None:
             return None
-        values = plan.to_values()
+        values, places = plan.to_values(), self._places(partition, workforce)
         batches = (
-            (values, tiling.core(index), ticket) for index, ticket in enumerate(tiling.tickets)
+            (values, tiling.core(index), tiling.tickets[index], places[index])
+            for index in range(len(tiling))
         )
         sums = []
-        for _, found in stream_batches(workforce, sum_tile, batches, 2 * workforce.workers):
+        for index, found in stream_batches(workforce, sum_tile, batches, 2 * workforce.workers):
+            if (place := places[index]) is not None:
+                cells, _, *more = found
+                found = cells, hold_store(place[0]).get(place[1]), *more
             sums.append(found)
             advance(len(sums), len(tiling))
         partition.patches = sum(part[-1] for part in sums)
@@ -212,6 +217,18 @@ class HierarchicalMethod:
                 "check that the normals point out of the object, and try a finer --grid",
             )
         return surface
+
+    def _places(
+        self, partition: HierarchicalPartition, workforce: Workforce
+    ) -> list[tuple[str, str] | None]:
+        """Return where each tile's moments are put; None where they come back to this process."""
+        tiling, keeping = partition.tiling, self.keeping
+        assert tiling is not None  # noqa: S101 - there are moments of tiles only
+        if keeping is None or not keeping.holds_files or workforce.in_process:
+            return [None] * len(tiling)
+        plan = partition.plan.to_values()
+        names = (keeping.name("sums", plan, tiling.own(index)) for index in range(len(tiling)))
+        return [(keeping.place, name) for name in names]
 
     def _count_tiles(
         self, cloud: PointCloud | ArrangedCloud, height: int, workforce: Workforce

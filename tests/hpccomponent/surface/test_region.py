@@ -10,6 +10,7 @@ from hpcapp.backends import SerialExecutor
 from hpcapp.batches import Workforce
 from hpccomponent.errors import JobError
 from hpccomponent.runtime.idle import IdleWork
+from hpccomponent.store import FolderStore
 from hpccomponent.surface import prepared_tile, region
 from hpccomponent.surface.arranged_cloud import arrange_cloud
 from hpccomponent.surface.points import PointCloud
@@ -54,6 +55,17 @@ def test_a_tile_is_prepared_once_where_its_ticket_comes_back():
             mesh_tile(plan, nowhere, ticket, around)
     for number in range(KEPT_TILES):  # nothing is left in memory
         mesh_tile(plan, points[0], f"c{number}", around)
+
+
+def test_moments_can_be_kept_in_a_folder(tmp_path):
+    method = HierarchicalMethod(48)
+    partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
+    plan, points = partition.plan.to_values(), partition.tiling.tile(0)
+    cells, moments, *more = sum_tile(plan, points)
+    kept_cells, nothing, *kept_more = sum_tile(plan, points, None, (str(tmp_path), "job/sums"))
+    assert nothing is None
+    assert_same((kept_cells, *kept_more), (cells, *more))
+    assert_same(FolderStore(tmp_path).get("job/sums"), moments)
 
 
 def test_corners_are_laid_in_idle_time_and_change_nothing(monkeypatch):
