@@ -52,6 +52,7 @@ def reconstruct(
     workforce: Workforce,
     clock: StageClock,
     preprocess: tuple[tuple[str, Preprocess], ...] = (),
+    meanwhile: Callable[[], object] | None = None,
 ) -> Reconstruction:
     """Turn oriented points into a mesh.
 
@@ -67,6 +68,8 @@ def reconstruct(
         Times and announces the stages.
     preprocess : tuple of (str, callable)
         Named steps that run first, in order, on clouds in memory.
+    meanwhile : callable, optional
+        Left for `Workforce.later` when the cloud is cut: before, no worker is waited for long.
 
     Returns
     -------
@@ -87,6 +90,8 @@ def reconstruct(
             cloud = step(cloud)
     with clock.stage("partition"):
         partition = method.partition(cloud, workforce)
+    if meanwhile is not None:
+        workforce.later(meanwhile)
     with clock.stage("fit"):
         quadrics = method.fit(partition, workforce, clock.progress.advance)
     with clock.stage("extract"):

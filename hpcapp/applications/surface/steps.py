@@ -35,6 +35,7 @@ from hpcapp.applications.surface.settings import (
     choose_threads,
 )
 from hpcapp.backends import Backend
+from hpcapp.batches import Later
 from hpcapp.progress import StageClock
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.disk_cloud import DiskCloud
@@ -138,8 +139,8 @@ def run_loaded(
         "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
         method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),
     )  # fmt: skip
-    doubts = workforce.later(partial(_doubt_points, grid, cloud))
-    result = run_pipeline(cloud, method, workforce, clock, choose_steps(settings))
+    doubts = Later(partial(_doubt_points, grid, cloud))
+    result = run_pipeline(cloud, method, workforce, clock, choose_steps(settings), doubts)
     return Outcome(result, grid, backend, choice, _warn(settings, doubts(), result))
 
 

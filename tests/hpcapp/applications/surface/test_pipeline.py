@@ -1,5 +1,10 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from threading import Event
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -27,6 +32,23 @@ def test_the_stages_run_in_the_papers_order(sphere: PointCloud) -> None:
     assert topology.faces == len(mesh.faces)
     radii = np.linalg.norm(mesh.vertices, axis=1)
     assert np.median(np.abs(radii - 1.0)) < 0.05
+
+
+def test_what_is_left_for_meanwhile_is_done_while_patches_are_fitted(sphere: PointCloud) -> None:
+    clock, asked = StageClock(SilentProgress()), Event()
+    stages: list[str] = []
+
+    class Waiting(ThreadPoolExecutor):
+        def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+            return super().submit(lambda: asked.wait(30.0) and fn(*args, **kwargs))
+
+    def meanwhile() -> None:
+        stages.extend(clock.seconds)
+        asked.set()
+
+    with Waiting(1) as pool:
+        reconstruct(sphere, PaperMethod(grid=24), Workforce(pool), clock, (), meanwhile)
+    assert stages == ["partition"]
 
 
 def test_what_a_step_refuses_ends_the_job(sphere: PointCloud) -> None:
