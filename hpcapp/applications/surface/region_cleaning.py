@@ -80,13 +80,13 @@ def clean_regions(
     spacing = measure_spacing(cloud, passes, box, (), boxes)
     ranks = _rank(cloud, regions, spacing, passes)
     judgement = passes.workforce.later(partial(judge_sparse, ranks))
-    mended: dict[int, Any] = {}
     mend = partial(_mend, cloud, regions, folder, passes)
-    if not passes.workforce.in_process:
-        clear = [region for region, found in enumerate(ranks) if not has_sparse(found)]
-        mended = mend(clear, (len(cloud), cloud.low, spacing), ())
+    mended = mend(_find_clear(ranks, passes), (len(cloud), cloud.low, spacing), ())
     dropped = _find_outliers(cloud, regions, spacing, passes, (ranks, judgement()))
     if dropped:
+        for part, *_ in mended.values():
+            if part is not None:
+                (folder / part.file).unlink(missing_ok=True)
         box, mended = _survey(cloud, passes, dropped), {}
         spacing = measure_spacing(cloud, passes, box, dropped)
     left = [region for region in range(len(regions)) if region not in mended]
@@ -153,6 +153,16 @@ def _rank(
     common = cloud.low, spacing
     found = dict(passes.map_regions(rank_blocks, cloud, regions, margin, (), lambda _: common))
     return [found[region] for region in range(len(regions))]
+
+
+def _find_clear(ranks: list[RegionRanks], passes: Passes) -> list[int]:
+    """Return the regions that are mended before all is judged, as if no point were dropped.
+
+    There are none where nobody else is waiting for the judgement, or where that would send points.
+    """
+    if passes.workforce.in_process or not passes.workers_see:
+        return []
+    return [region for region, found in enumerate(ranks) if not has_sparse(found)]
 
 
 def _find_outliers(
