@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["available_cores", "control_groups", "read_text"]
+__all__ = ["available_cores", "available_memory", "control_groups", "memory_limit", "read_text"]
 
 _ROOT = Path("/")
 
@@ -63,6 +63,44 @@ def available_cores(root: Path = _ROOT) -> int:
             quota, period = map(int, quota_and_period)
             cores = min(cores, quota / max(period, 1))
     return max(1, int(cores))
+
+
+def available_memory(root: Path = _ROOT) -> float | None:
+    """Return the memory that can still be had, in bytes; None where the system does not say.
+
+    Of the machine, and of each control group with a limit: what it holds of files that nobody has
+    used lately is given back before anything else, and counts as free.
+
+    Parameters
+    ----------
+    root : Path
+        Where ``proc`` and ``sys`` lie.
+    """
+    fields = _read_fields(root / "proc/meminfo")
+    free = [1024.0 * fields["MemAvailable:"]] if "MemAvailable:" in fields else []
+    for group in control_groups("memory", root):
+        limit = memory_limit(group)
+        used = read_text(group / "memory.current") or read_text(group / "memory.usage_in_bytes")
+        if limit is not None and used.strip().isdigit():
+            told = _read_fields(group / "memory.stat")
+            idle = told.get("total_inactive_file", told.get("inactive_file", 0))
+            free.append(max(0.0, float(limit - int(used) + idle)))
+    return min(free, default=None)
+
+
+def memory_limit(group: Path) -> int | None:
+    """Return the bytes that the processes of a control group may use; None for no limit."""
+    for name in ("memory.max", "memory.limit_in_bytes"):  # version 2, then version 1
+        limit = read_text(group / name).strip()
+        if limit.isdigit():  # not "max"
+            return int(limit)
+    return None
+
+
+def _read_fields(path: Path) -> dict[str, int]:
+    """Return the numbers of a file of lines that begin with a name and a number."""
+    lines = (line.split() for line in read_text(path).splitlines())
+    return {words[0]: int(words[1]) for words in lines if len(words) > 1 and words[1].isdigit()}
 
 
 def read_text(path: Path) -> str:

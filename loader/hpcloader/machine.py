@@ -13,7 +13,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from hpccomponent.limits import available_cores, control_groups, read_text
+from hpccomponent.limits import available_cores, control_groups, memory_limit, read_text
 
 __all__ = ["Machine", "read_machine"]
 
@@ -92,12 +92,8 @@ def _memory(root: Path) -> int:
             memory = int(line.split()[1]) * 1024
     if memory == sys.maxsize and "SC_PHYS_PAGES" in os.sysconf_names:
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    for group in control_groups("memory", root):
-        for name in ("memory.max", "memory.limit_in_bytes"):
-            limit = read_text(group / name).strip()
-            if limit.isdigit():
-                memory = min(memory, int(limit))
-    return memory
+    limits = map(memory_limit, control_groups("memory", root))
+    return min([memory, *(limit for limit in limits if limit is not None)])
 
 
 def _gpus(root: Path) -> tuple[str, ...]:

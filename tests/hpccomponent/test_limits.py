@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from made_up_machine import lay_out
 
-from hpccomponent.limits import available_cores
+from hpccomponent.limits import available_cores, available_memory
 
 
 @pytest.fixture
@@ -75,3 +75,54 @@ def test_no_quota_in_cgroup_1_is_no_bound(tmp_path: Path) -> None:
         },
     )
     assert available_cores(root) == 64
+
+
+MEMINFO = {"proc/meminfo": "MemTotal:  9000 kB\nMemFree: 1 kB\nMemAvailable:  8000 kB\n"}
+
+
+def test_this_process_has_memory() -> None:
+    found = available_memory()
+    assert found is None or found > 0.0
+
+
+def test_memory_that_the_system_does_not_tell_is_not_known(tmp_path: Path) -> None:
+    assert available_memory(tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("groups", "left"),
+    [
+        ({}, 8_192_000),
+        ({"a/memory.max": "max", "a/memory.current": "5"}, 8_192_000),
+        ({"a/memory.max": "5000", "a/memory.current": "2000"}, 3000),
+        ({"memory.max": "5000", "memory.current": "2000", "a/memory.max": "max"}, 3000),
+        (
+            {
+                "a/memory.max": "5000",
+                "a/memory.current": "4900",
+                "a/memory.stat": "anon 900\nfile 4000\ninactive_file 3000\nactive_file 1000\n",
+            },
+            3100,
+        ),
+        ({"a/memory.max": "5000", "a/memory.current": "6000"}, 0),
+        ({"a/memory.max": "5000"}, 8_192_000),
+    ],
+)
+def test_the_least_of_machine_and_groups_of_version_2_is_left(
+    tmp_path: Path, groups: dict[str, str], left: int
+) -> None:
+    files = {f"sys/fs/cgroup/{name}": text for name, text in groups.items()}
+    root = lay_out(tmp_path, MEMINFO | {"proc/self/cgroup": "0::/a\n"} | files)
+    assert available_memory(root) == left
+
+
+def test_what_a_group_of_version_1_has_left(tmp_path: Path) -> None:
+    files = {
+        "proc/self/cgroup": "4:memory:/a\n",
+        "sys/fs/cgroup/memory/a/memory.limit_in_bytes": "5000\n",
+        "sys/fs/cgroup/memory/a/memory.usage_in_bytes": "4000\n",
+        "sys/fs/cgroup/memory/a/memory.stat": "inactive_file 1\ntotal_inactive_file 500\n",
+        "sys/fs/cgroup/memory/memory.limit_in_bytes": "9223372036854771712\n",
+        "sys/fs/cgroup/memory/memory.usage_in_bytes": "4000\n",
+    }
+    assert available_memory(lay_out(tmp_path, MEMINFO | files)) == 1500

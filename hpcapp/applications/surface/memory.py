@@ -6,17 +6,16 @@ Who may import it: the job.
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 
 from hpcapp.applications.surface.sizes import TILE_POINTS
 from hpccomponent.errors import UsageError
+from hpccomponent.limits import available_memory
 from hpccomponent.surface import kernels
 from hpccomponent.surface.points import PointCloud, bounding_box
 from hpccomponent.surface.spacing import estimate_spacing
 
 __all__ = [
-    "available_memory",
     "check_memory",
     "count_most_points",
     "estimate_memory",
@@ -181,33 +180,3 @@ def estimate_memory(method: str, grid: int, cloud: PointCloud) -> float:
     _, boxes = kernels.count_boxes(cloud.positions, low, box, one_in)
     surface = BYTES_PER_SURFACE_CELL * one_in * boxes * (box / step) ** 2
     return BYTES_OF_PROGRAM + BYTES_PER_POINT * len(cloud) + surface
-
-
-def available_memory() -> float | None:
-    """Return the memory that can still be had, in bytes; None where the system does not say.
-
-    Both the machine's and the control group's limit count, on Linux.
-    """
-    if not sys.platform.startswith("linux"):
-        return None
-    free = [_read_meminfo(Path("/proc/meminfo")), _read_group(Path("/sys/fs/cgroup"))]
-    known = [size for size in free if size is not None]
-    return min(known) if known else None
-
-
-def _read_meminfo(path: Path) -> float | None:
-    try:
-        lines = path.read_text().splitlines()
-    except OSError:
-        return None
-    fields = {name: rest.split() for name, _, rest in (line.partition(":") for line in lines)}
-    return 1024.0 * int(fields["MemAvailable"][0]) if "MemAvailable" in fields else None
-
-
-def _read_group(folder: Path) -> float | None:
-    try:
-        limit = (folder / "memory.max").read_text().strip()
-        used = int((folder / "memory.current").read_text())
-    except (OSError, ValueError):
-        return None
-    return None if limit == "max" else max(0.0, float(int(limit) - used))

@@ -1,11 +1,9 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from hpcapp.applications.surface import memory
-from hpcapp.applications.surface.memory import available_memory, check_memory, estimate_memory
+from hpcapp.applications.surface.memory import check_memory, estimate_memory
 from hpccomponent.errors import UsageError
 from hpccomponent.surface.points import PointCloud
 
@@ -35,17 +33,3 @@ def test_a_system_that_does_not_say_refuses_nothing(
 ) -> None:
     monkeypatch.setattr(memory, "available_memory", lambda: None)
     check_memory("paper", 4096, sphere)
-
-
-def test_the_smaller_of_machine_and_control_group_counts(tmp_path: Path) -> None:
-    meminfo = tmp_path / "meminfo"
-    meminfo.write_text("MemTotal:  9 kB\nMemAvailable:  4 kB\n")
-    assert memory._read_meminfo(meminfo) == 4096.0
-    assert memory._read_meminfo(tmp_path / "none") is None
-    (tmp_path / "memory.max").write_text("5000\n")
-    (tmp_path / "memory.current").write_text("2000\n")
-    assert memory._read_group(tmp_path) == 3000.0
-    (tmp_path / "memory.max").write_text("max\n")
-    assert memory._read_group(tmp_path) is None
-    found = available_memory()
-    assert found is None or found > 0.0
