@@ -92,7 +92,8 @@ def sum_tile(
         this ticket, until the process has summed `KEPT_TILES` more. What either task returns
         does not depend on it.
     keep : tuple of str, optional
-        A store (see `hpccomponent.store`) and a name, under which the moments are put there.
+        A store (see `hpccomponent.store`) and a name, under which the moments are put there, if
+        nothing has that name: a tile that is summed twice must not replace what is being read.
     threads : int
         The result does not depend on it.
 
@@ -125,7 +126,9 @@ def sum_tile(
     samples = sample_cells(sampled, np.flatnonzero(mark_ancestors(own, common.far, sampled.cells)))
     if keep is not None:
         place, name = keep
-        hold_store(place).put(name, moments)
+        store = hold_store(place)
+        if not store.has(name):
+            store.put(name, moments)
     given = moments if keep is None else None
     return coarse.cells[at], given, coarse.squares[at], vertices, *samples, len(own)
 

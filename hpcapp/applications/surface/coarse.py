@@ -127,8 +127,8 @@ def fit_coarse(
     ----------
     plan : Plan
     sums : list of tuple
-        What `region.sum_tile` returned for each tile, in any order. It is emptied: most of it is
-        needed but once.
+        What `region.sum_tile` returned for each tile, in any order, its moments in place. It is
+        emptied: most of it is needed but once.
     workforce : Workforce
     threads : int
         That the tasks of this process may take, and the fits.

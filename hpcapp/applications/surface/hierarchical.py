@@ -8,6 +8,8 @@
 
 from __future__ import annotations
 
+import secrets
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +26,6 @@ from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.applications.surface.tiles import Tiling
 from hpcapp.batches import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.store import hold_store
 from hpccomponent.surface.arranged_cloud import ArrangedCloud, arrange_cloud
 from hpccomponent.surface.arrangement import choose_arrangement
 from hpccomponent.surface.disk_cloud import DiskCloud
@@ -172,16 +173,19 @@ class HierarchicalMethod:
         tiling, plan = partition.tiling, partition.plan
         if tiling is None:
             return None
-        values, places = plan.to_values(), self._places(partition, workforce)
-        batches = (
-            (values, tiling.core(index), tiling.tickets[index], places[index])
-            for index in range(len(tiling))
-        )
+        values, keeping = plan.to_values(), self._find_shared(partition.cloud, workforce)
+        run = secrets.token_hex(8)  # nothing that an earlier one has left is taken
+
+        def batches() -> Iterator[tuple[Any, ...]]:
+            for index, ticket in enumerate(tiling.tickets):
+                keep = None if keeping is None else (keeping.place, keeping.name_sums(run, index))
+                yield values, tiling.core(index), ticket, keep
+
         sums = []
-        for index, found in stream_batches(workforce, sum_tile, batches, 2 * workforce.workers):
-            if (place := places[index]) is not None:
+        for index, found in stream_batches(workforce, sum_tile, batches(), 2 * workforce.workers):
+            if keeping is not None:
                 cells, _, *more = found
-                found = cells, hold_store(place[0]).get(place[1]), *more
+                found = cells, keeping.store.get(keeping.name_sums(run, index)), *more
             sums.append(found)
             advance(len(sums), len(tiling))
         partition.patches = sum(part[-1] for part in sums)
@@ -218,17 +222,13 @@ class HierarchicalMethod:
             )
         return surface
 
-    def _places(
-        self, partition: HierarchicalPartition, workforce: Workforce
-    ) -> list[tuple[str, str] | None]:
-        """Return where each tile's moments are put; None where they come back to this process."""
-        tiling, keeping = partition.tiling, self.keeping
-        assert tiling is not None  # noqa: S101 - there are moments of tiles only
-        if keeping is None or not keeping.holds_files or workforce.in_process:
-            return [None] * len(tiling)
-        plan = partition.plan.to_values()
-        names = (keeping.name("sums", plan, tiling.own(index)) for index in range(len(tiling)))
-        return [(keeping.place, name) for name in names]
+    def _find_shared(
+        self, cloud: PointCloud | ArrangedCloud, workforce: Workforce
+    ) -> Keeping | None:
+        """Return the folder that workers read the points from, if they do: moments go there."""
+        if workforce.in_process or not isinstance(cloud, DiskCloud):
+            return None
+        return self.keeping if self.keeping is not None and self.keeping.holds_files else None
 
     def _count_tiles(
         self, cloud: PointCloud | ArrangedCloud, height: int, workforce: Workforce

@@ -1,7 +1,8 @@
 """Finished tiles, kept where a job that was killed finds them again.
 
 A tile's name is a hash of all that it is made of: the input, the settings, the kernels, and which
-cells are its own. So nothing that is found can be of another job.
+cells are its own. So nothing that is found can be of another job. The sums of tiles lie beside
+them, for the time of one run.
 
 Who may import it: the job and the default method.
 """
@@ -86,6 +87,10 @@ class Keeping:
     def name(self, *values: Any) -> str:
         """Return the name of what is made of some values."""
         return f"{self.job}/{digest(*values)}"
+
+    def name_sums(self, run: str, tile: int) -> str:
+        """Return the name of a tile's moments in one run of the job."""
+        return f"{self.job}/sums/{run}-{tile}"
 
     def find(self, name: str) -> Any | None:
         """Return what is kept under a name, None where nothing is or where it is not wanted."""

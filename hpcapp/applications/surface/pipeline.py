@@ -69,7 +69,7 @@ def reconstruct(
     preprocess : tuple of (str, callable)
         Named steps that run first, in order, on clouds in memory.
     meanwhile : callable, optional
-        Left for `Workforce.later` when the cloud is cut: before, no worker is waited for long.
+        Left for `Workforce.later` once the cloud is cut: short passes before would wait for it.
 
     Returns
     -------

@@ -7,14 +7,16 @@
     folder <── kept points, mended normals, sample <── mend ── regions <──┘
 
 Each region is read with a margin, some thirty spacings wide, and its task is a pure function of
-these points. The points are read once for each of these steps. Workers mend regions without sparse
-cells while the master judges: should points be dropped after all, that was in vain.
+these points. The points are read once for each of these steps. Workers that see the folder mend
+regions without sparse cells while the master judges: should points be dropped after all, that was
+in vain.
 Who may import it: the job.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -43,6 +45,9 @@ from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 from hpccomponent.surface.region_tasks import judge_blocks, mend_blocks, rank_blocks
 
 __all__ = ["clean_regions", "cut_regions", "measure_cloud"]
+
+Mended = tuple[Part | None, int, FloatArray]
+"""Of a region: what was written of it, if it changes, its flipped normals, and its sample."""
 
 
 def clean_regions(
@@ -81,12 +86,14 @@ def clean_regions(
     ranks = _rank(cloud, regions, spacing, passes)
     judgement = passes.workforce.later(partial(judge_sparse, ranks))
     mend = partial(_mend, cloud, regions, folder, passes)
-    mended = mend(_find_clear(ranks, passes), (len(cloud), cloud.low, spacing), ())
+    mended: dict[int, Mended] = {}
+    known = len(cloud), cloud.low, spacing
+    for region, result in mend(_find_clear(ranks, passes), known, ()):
+        if judgement().drops_points:  # the master has found it while it waited
+            break
+        mended[region] = result
     dropped = _find_outliers(cloud, regions, spacing, passes, (ranks, judgement()))
     if dropped:
-        for part, *_ in mended.values():
-            if part is not None:
-                (folder / part.file).unlink(missing_ok=True)
         box, mended = _survey(cloud, passes, dropped), {}
         spacing = measure_spacing(cloud, passes, box, dropped)
     left = [region for region in range(len(regions)) if region not in mended]
@@ -202,8 +209,8 @@ def _mend(
     asked: list[int],
     known: tuple[int, FloatArray, float],
     dropped: DroppedCells,
-) -> dict[int, Any]:
-    """Mend some regions; what changes is written. Return what `mend_blocks` says of each."""
+) -> Iterator[tuple[int, Mended]]:
+    """Mend some regions, and yield what came of each; what changes is written."""
     points, low, spacing = known
     sampled = SAMPLED_BOX * spacing, max(first_share(points), 1)
 
@@ -214,7 +221,7 @@ def _mend(
     def more(index: int) -> tuple[Any, ...]:
         return low, spacing, (str(folder), number(index)) if passes.workers_see else None, sampled
 
-    margin, found = normals_module.MARGIN * spacing, {}
+    margin = normals_module.MARGIN * spacing
     blocks = [regions[region] for region in asked]
     for index, result in passes.map_regions(mend_blocks, cloud, blocks, margin, dropped, more):
         packed, turned, sample = result
@@ -223,19 +230,18 @@ def _mend(
             if not passes.workers_see:
                 packed = write_part(folder, number(index), [PackedPoints(*packed)])
             part = Part.whole(number(index), *packed)
-        found[asked[index]] = part, turned, sample
-    return found
+        yield asked[index], (part, turned, sample)
 
 
 def _put_together(
-    cloud: DiskCloud, regions: list[IntArray], folder: Path, mended: dict[int, Any]
+    cloud: DiskCloud, regions: list[IntArray], folder: Path, mended: dict[int, Mended]
 ) -> tuple[list[Part], int, Points]:
     """Return the parts of the cloud that is left, how many normals were flipped, and a sample."""
-    changed = [region for region in sorted(mended) if mended[region][0] is not None]
+    changed = {i: part for i, (part, _, _) in sorted(mended.items()) if part is not None}
     old = np.sort(np.concatenate([np.zeros(0, np.int64), *(regions[i] for i in changed)]))
     there = os.path.relpath(cloud.folder, folder)
     parts = [part.without(old, there) for part in cloud.parts]
-    parts = [part for part in parts if len(part.keys)] + [mended[i][0] for i in changed]
+    parts = [part for part in parts if len(part.keys)] + list(changed.values())
     flipped = sum(turned for _, turned, _ in mended.values())
     positions, normals = np.concatenate([mended[i][2] for i in sorted(mended)], axis=1)
     return parts, flipped, (positions, normals)

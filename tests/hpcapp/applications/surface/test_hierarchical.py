@@ -8,10 +8,13 @@ import pytest
 from hpcapp.applications.surface import estimates, slabs
 from hpcapp.applications.surface.cleaning import arrange_points
 from hpcapp.applications.surface.hierarchical import HierarchicalMethod, plan_grid
+from hpcapp.applications.surface.keeping import Keeping
 from hpcapp.applications.surface.topology import check_mesh
 from hpcapp.batches import Workforce
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface import field_levels, slab_growth
+from hpccomponent.surface.arranged_cloud import arrange_cloud
+from hpccomponent.surface.disk_cloud import DiskCloudWriter
 from hpccomponent.surface.field import BRICK
 from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.points import PointCloud
@@ -262,3 +265,41 @@ def test_the_bunny_is_closed_in_one_piece():
     cloud = read_points(Path(folder) / "bunny_35947.ply")
     mesh, _ = reconstruct(cloud, HierarchicalMethod(128))
     assert_closed(mesh, genus=0)
+
+
+class Recorder(ThreadPoolExecutor):
+    """Remembers what it was given to run, and what came of it."""
+
+    def __init__(self):
+        super().__init__(2)
+        self.futures = []
+
+    def submit(self, fn, /, *args, **kwargs):
+        self.futures.append((fn.__name__, super().submit(fn, *args, **kwargs)))
+        return self.futures[-1][1]
+
+
+@pytest.mark.parametrize("is_shared", [True, False])
+def test_moments_of_tiles_go_through_the_folder_that_points_are_read_from(tmp_path, is_shared):
+    cloud = arrange_cloud(sphere(20_000))
+    points = tmp_path / "points"
+    points.mkdir()
+    writer = DiskCloudWriter(points, cloud.arrangement, cloud.origin)
+    writer.add(cloud.cloud.positions, cloud.cloud.normals)
+    keeping = Keeping(str(tmp_path / "kept"), "job", is_shared=is_shared)
+    method = HierarchicalMethod(48, keeping=keeping)
+    found = []
+    for given, workforce_of in ((writer.finish(), Recorder), (cloud.cloud, ThreadPoolExecutor)):
+        with workforce_of() as executor:
+            workforce = Workforce(executor, 3)
+            partition = method.partition(given, workforce)
+            found.append(method.fit(partition, workforce, ignore))
+            if given is not cloud.cloud:
+                names, futures = zip(*executor.futures, strict=True)
+                sums = [f.result() for n, f in zip(names, futures, strict=True) if n == "sum_tile"]
+    assert len(sums) == 3
+    assert all((moments is None) == is_shared for _, moments, *_ in sums)
+    assert bool(keeping.store.list("job/sums/")) == is_shared
+    np.testing.assert_array_equal(found[0].parents.coefficients, found[1].parents.coefficients)
+    keeping.clear()
+    assert keeping.store.list() == []

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from threading import Event
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,7 @@ import pytest
 from hpcapp.applications.surface.paper import PaperMethod
 from hpcapp.applications.surface.pipeline import reconstruct
 from hpcapp.backends import SerialExecutor
-from hpcapp.batches import Workforce
+from hpcapp.batches import Later, Workforce
 from hpcapp.progress import SilentProgress, StageClock
 from hpccomponent.errors import InputError
 from hpccomponent.surface.points import PointCloud
@@ -34,21 +32,20 @@ def test_the_stages_run_in_the_papers_order(sphere: PointCloud) -> None:
     assert np.median(np.abs(radii - 1.0)) < 0.05
 
 
-def test_what_is_left_for_meanwhile_is_done_while_patches_are_fitted(sphere: PointCloud) -> None:
-    clock, asked = StageClock(SilentProgress()), Event()
-    stages: list[str] = []
+def test_what_is_left_for_meanwhile_is_left_once_the_cloud_is_cut(sphere: PointCloud) -> None:
+    clock, left = StageClock(SilentProgress()), []
 
-    class Waiting(ThreadPoolExecutor):
-        def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-            return super().submit(lambda: asked.wait(30.0) and fn(*args, **kwargs))
+    class Recording(Workforce):
+        def later(self, find: Callable[[], Any]) -> Later[Any]:
+            left.append((find, list(clock.seconds)))
+            return super().later(find)
 
     def meanwhile() -> None:
-        stages.extend(clock.seconds)
-        asked.set()
+        raise AssertionError  # in one process nobody waits
 
-    with Waiting(1) as pool:
-        reconstruct(sphere, PaperMethod(grid=24), Workforce(pool), clock, (), meanwhile)
-    assert stages == ["partition"]
+    workforce = Recording(SerialExecutor(), in_process=True)
+    reconstruct(sphere, PaperMethod(grid=24), workforce, clock, (), meanwhile)
+    assert left == [(meanwhile, ["partition"])]
 
 
 def test_what_a_step_refuses_ends_the_job(sphere: PointCloud) -> None:

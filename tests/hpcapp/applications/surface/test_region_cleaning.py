@@ -52,6 +52,14 @@ def _islands(random: Random) -> PointCloud:
     return _oriented(np.concatenate([*pieces, sheet]))
 
 
+def _spoilt_islands(random: Random) -> PointCloud:
+    """The same, with some normals that point inwards where no point is dropped."""
+    cloud = _islands(random)
+    assert cloud.normals is not None
+    cloud.normals[np.flatnonzero(cloud.positions[:40_000, 0] > 0.9)[::40]] *= -1.0
+    return cloud
+
+
 def _repeated(random: Random) -> PointCloud:
     """Each point many times, which is counted once."""
     return _oriented(np.repeat(_sphere(random, 900), 40, axis=0))
@@ -76,6 +84,7 @@ CLOUDS: dict[str, Callable[[Random], PointCloud]] = {
     "clean": lambda _: _scan("torus"),
     "uneven": _uneven,
     "islands": _islands,
+    "spoilt islands": _spoilt_islands,
     "repeated": _repeated,
     "fog": _fog,
 }
@@ -149,7 +158,7 @@ def test_only_regions_that_change_are_written(tmp_path: Path, workers_see: bool)
 
 
 @pytest.mark.parametrize("workers_see", [True, False])
-@pytest.mark.parametrize("name", ["spoilt", "islands", "clean"])
+@pytest.mark.parametrize("name", ["spoilt", "islands", "spoilt islands", "clean"])
 def test_workers_do_not_show(tmp_path: Path, name: str, workers_see: bool) -> None:
     """Whether they see the folder, and write to it, or are sent points."""
     with ThreadPoolExecutor(3) as executor:
