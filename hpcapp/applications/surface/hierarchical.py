@@ -158,10 +158,8 @@ class HierarchicalMethod:
         )  # fmt: skip
         if not count:
             return HierarchicalPartition(cloud, scale, plan, None)
-        keeping = self.keeping
-        can_read = isinstance(cloud, DiskCloud) and keeping is not None and keeping.holds_files
         arranged = arrange_cloud(cloud) if isinstance(cloud, PointCloud) else cloud
-        are_read = workforce.in_process or can_read
+        are_read = workforce.in_process or self._find_shared(cloud) is not None
         kept = KEPT_TILES if self.tile_points is None else 1  # else memory is short
         tiling = Tiling(arranged, plan, count, workforce, are_read, kept)
         return HierarchicalPartition(cloud, scale, plan, tiling)
@@ -173,7 +171,8 @@ class HierarchicalMethod:
         tiling, plan = partition.tiling, partition.plan
         if tiling is None:
             return None
-        values, keeping = plan.to_values(), self._find_shared(partition.cloud, workforce)
+        values = plan.to_values()
+        keeping = None if workforce.in_process else self._find_shared(partition.cloud)
         run = secrets.token_hex(8)  # nothing that an earlier one has left is taken
 
         def batches() -> Iterator[tuple[Any, ...]]:
@@ -222,13 +221,11 @@ class HierarchicalMethod:
             )
         return surface
 
-    def _find_shared(
-        self, cloud: PointCloud | ArrangedCloud, workforce: Workforce
-    ) -> Keeping | None:
-        """Return the folder that workers read the points from, if they do: moments go there."""
-        if workforce.in_process or not isinstance(cloud, DiskCloud):
-            return None
-        return self.keeping if self.keeping is not None and self.keeping.holds_files else None
+    def _find_shared(self, cloud: PointCloud | ArrangedCloud) -> Keeping | None:
+        """Return the folder that workers read the points from, if they do."""
+        if isinstance(cloud, DiskCloud) and self.keeping is not None and self.keeping.holds_files:
+            return self.keeping
+        return None
 
     def _count_tiles(
         self, cloud: PointCloud | ArrangedCloud, height: int, workforce: Workforce

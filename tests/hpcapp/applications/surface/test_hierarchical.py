@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorder import Recorder
 
 from hpcapp.applications.surface import estimates, slabs
 from hpcapp.applications.surface.cleaning import arrange_points
@@ -267,18 +268,6 @@ def test_the_bunny_is_closed_in_one_piece():
     assert_closed(mesh, genus=0)
 
 
-class Recorder(ThreadPoolExecutor):
-    """Remembers what it was given to run, and what came of it."""
-
-    def __init__(self):
-        super().__init__(2)
-        self.futures = []
-
-    def submit(self, fn, /, *args, **kwargs):
-        self.futures.append((fn.__name__, super().submit(fn, *args, **kwargs)))
-        return self.futures[-1][1]
-
-
 @pytest.mark.parametrize("is_shared", [True, False])
 def test_moments_of_tiles_go_through_the_folder_that_points_are_read_from(tmp_path, is_shared):
     cloud = arrange_cloud(sphere(20_000))
@@ -288,18 +277,17 @@ def test_moments_of_tiles_go_through_the_folder_that_points_are_read_from(tmp_pa
     writer.add(cloud.cloud.positions, cloud.cloud.normals)
     keeping = Keeping(str(tmp_path / "kept"), "job", is_shared=is_shared)
     method = HierarchicalMethod(48, keeping=keeping)
-    found = []
-    for given, workforce_of in ((writer.finish(), Recorder), (cloud.cloud, ThreadPoolExecutor)):
-        with workforce_of() as executor:
+    fitted, sums = [], []
+    for given in (writer.finish(), cloud.cloud):
+        with Recorder(2) as executor:
             workforce = Workforce(executor, 3)
             partition = method.partition(given, workforce)
-            found.append(method.fit(partition, workforce, ignore))
-            if given is not cloud.cloud:
-                names, futures = zip(*executor.futures, strict=True)
-                sums = [f.result() for n, f in zip(names, futures, strict=True) if n == "sum_tile"]
-    assert len(sums) == 3
-    assert all((moments is None) == is_shared for _, moments, *_ in sums)
+            fitted.append(method.fit(partition, workforce, ignore))
+        sums.append([future.result() for name, future in executor.tasks if name == "sum_tile"])
+    assert [len(of_cloud) for of_cloud in sums] == [3, 3]
+    assert all((moments is None) == is_shared for _, moments, *_ in sums[0])
+    assert all(moments is not None for _, moments, *_ in sums[1])
     assert bool(keeping.store.list("job/sums/")) == is_shared
-    np.testing.assert_array_equal(found[0].parents.coefficients, found[1].parents.coefficients)
+    np.testing.assert_array_equal(*(coarse.parents.coefficients for coarse in fitted))
     keeping.clear()
     assert keeping.store.list() == []

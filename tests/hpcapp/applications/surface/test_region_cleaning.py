@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from recorder import Recorder
 
 from hpcapp.applications.surface.cleaning import Cleaned, clean_cloud
 from hpcapp.applications.surface.estimates import choose_scale
@@ -166,23 +166,11 @@ def test_workers_do_not_show(tmp_path: Path, name: str, workers_see: bool) -> No
         _assert_cleaned_alike(CLOUDS[name](np.random.default_rng(5)), tmp_path, passes)
 
 
-class _Recorder(ThreadPoolExecutor):
-    """Notes the names of the tasks that it is given."""
-
-    def __init__(self, workers: int) -> None:
-        super().__init__(workers)
-        self.names: list[str] = []
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        self.names.append(fn.__name__)
-        return super().submit(fn, *args, **kwargs)
-
-
 @pytest.mark.parametrize(("name", "is_vain"), [("clean", False), ("islands", True)])
 def test_workers_mend_before_all_is_judged(tmp_path: Path, name: str, is_vain: bool) -> None:
     """Where points are dropped after all, regions are mended once more."""
-    with _Recorder(3) as recorder:
+    with Recorder(3) as recorder:
         passes = Passes(Workforce(recorder, 3, 4), True, 4_000)
         _assert_cleaned_alike(CLOUDS[name](np.random.default_rng(5)), tmp_path, passes)
-    names = recorder.names
+    names = [name for name, _ in recorder.tasks]
     assert (names.count("mend_blocks") > names.count("rank_blocks")) == is_vain
