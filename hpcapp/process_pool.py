@@ -42,25 +42,36 @@ def open_processes(count: int) -> Iterator[Executor]:
         mp_context=multiprocessing.get_context("spawn"),
         initializer=_serve_the_master,
     )
-    watcher = None
     try:
         _start_workers(pool, count)
-        watcher = threading.Thread(target=_watch_workers, args=_insides(pool), name="pool watcher")
-        watcher.start()
-        yield pool
+        with _watched(pool):
+            yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-        if watcher is not None and watcher.ident is not None:
-            watcher.join()
 
 
-def _insides(pool: Any) -> tuple[list[Any], Any]:
-    """Return the workers of a pool, and the end of a pipe that they write results to.
+@contextmanager
+def _watched(pool: Any) -> Iterator[None]:
+    """Watch the workers of a pool, and shut it down in the end.
 
-    Private to the standard library, which offers no other way to learn of a lost worker.
+    What is private to the standard library is read here: it offers no other way to learn of a
+    lost worker.
     """
-    results: Any = pool._result_queue
-    return list(pool._processes.values()), results._writer
+    processes, results = list(pool._processes.values()), pool._result_queue
+    manager = pool._executor_manager_thread
+    watcher = threading.Thread(
+        target=_watch_workers, args=(processes, results._writer), name="pool watcher"
+    )
+    watcher.start()
+    try:
+        yield
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        watcher.join()
+        manager.join()
+        # Only now: a pool that waits closes the pipe that the watcher may be closing, and a
+        # descriptor that is closed twice may be another's by then.
+        results.close()
 
 
 def _watch_workers(processes: list[Any], writer: Any) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import struct
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,6 @@ import pytest
 
 from hpcapp.backends import BACKENDS, SerialExecutor, open_executor
 from hpcapp.batches import map_batches
-from hpcapp.process_pool import open_processes
 from hpccomponent.errors import UsageError, WorkerLostError
 from hpccomponent.limits import available_cores
 
@@ -94,19 +91,6 @@ def test_a_task_that_kills_every_worker_is_given_up(tasks: Any) -> None:
 def test_processes_compute_on_one_thread() -> None:
     with open_executor("processes", workers=1) as backend:
         assert backend.executor.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
-
-
-@pytest.mark.usefixtures("standing_helpers")
-def test_a_worker_that_dies_while_it_writes_its_result_is_noticed() -> None:
-    with open_processes(2) as pool:
-        assert isinstance(pool, ProcessPoolExecutor)
-        waiting = pool.submit(bytes, 8)
-        waiting.result()
-        os.write(pool._result_queue._writer.fileno(), struct.pack("!i", 1 << 20))  # and no more
-        waiting = pool.submit(bytes, 8)
-        os.kill(next(iter(pool._processes)), signal.SIGKILL)
-        with pytest.raises(BrokenExecutor):
-            waiting.result()
 
 
 @pytest.mark.usefixtures("standing_helpers")
