@@ -32,7 +32,7 @@ from hpccomponent.surface.disk_cloud import DiskCloud
 from hpccomponent.surface.field import BRICK, Grid
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 from hpccomponent.surface.pyramid import count_levels
-from hpccomponent.surface.region import KEPT_TILES, sum_tile
+from hpccomponent.surface.region import sum_tile
 from hpccomponent.surface.tile_plan import Plan
 
 __all__ = [
@@ -160,8 +160,7 @@ class HierarchicalMethod:
             return HierarchicalPartition(cloud, scale, plan, None)
         arranged = arrange_cloud(cloud) if isinstance(cloud, PointCloud) else cloud
         are_read = workforce.in_process or self._find_shared(cloud) is not None
-        kept = KEPT_TILES if self.tile_points is None else 1  # else memory is short
-        tiling = Tiling(arranged, plan, count, workforce, are_read, kept)
+        tiling = Tiling(arranged, plan, count, workforce, are_read, self.tile_points is not None)
         return HierarchicalPartition(cloud, scale, plan, tiling)
 
     def fit(

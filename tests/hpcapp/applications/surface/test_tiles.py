@@ -1,10 +1,13 @@
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpcapp.applications.surface.tiles import cut_tiles
+from hpcapp.applications.surface.tiles import cut_tiles, weigh_cells
 from hpccomponent.surface.lattice import pack_places, spread_keys, unique_keys
 from hpccomponent.surface.reach import mark_near
+from hpccomponent.surface.tile_plan import Plan
 
 
 @given(st.integers(0, 2**32), st.integers(1, 200), st.integers(1, 20))
@@ -31,3 +34,21 @@ def test_tiles_are_compact():
         flat = np.array([1, 1, 0])
         assert len(own) == 64
         assert np.count_nonzero(mark_near(around, own, flat, flat)) == 100
+
+
+def test_where_points_are_few_the_surface_is_work_still():
+    """A flat square, one half of it scanned a hundred times as densely: its surface is the same."""
+    places = np.argwhere(np.ones((64, 32, 1), bool))
+    keys = pack_places(places)
+    counts = np.where(places[:, 0] < 32, 4, 400)
+    low = np.zeros(3)
+    plan = Plan(low, 1.0, 5, 3, 0.0, low, 0.5, (40, 20, 2), low, 8.0, 3)
+    work = weigh_cells(plan, counts)
+    assert np.all(work > counts)
+    assert np.ptp(work - counts) < 1e-9
+    finer = replace(plan, step=0.25)
+    assert np.all(weigh_cells(finer, counts) > work)  # more nodes
+    sizes = np.bincount(cut_tiles(keys, work, 8))
+    by_points = np.bincount(cut_tiles(keys, counts, 8))
+    assert by_points.max() > 8 * by_points.min()
+    assert sizes.max() < 4 * sizes.min()
