@@ -53,7 +53,7 @@ def take_apart(task: str, arguments: tuple[Any, ...]) -> dict[str, Any]:
         plan, (_, own, *halo), *rest = arguments
         return {"own points": own, "halo": halo, "the rest": (plan, rest)}
     if task == "solve_far":
-        plan, *samples = arguments
+        plan, samples, *_ = arguments
         return {"far field": samples, "the rest": plan}
     if task == "mesh_tile":
         plan, (_, _, *halo), ticket, (*polynomials, far), *rest = arguments

@@ -13,6 +13,7 @@ quadric that its bricks ask for is the one that the whole cloud would give, bit 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -78,7 +79,7 @@ def sum_tile(
     ticket: str | None = None,
     keep: tuple[str, str] | None = None,
     threads: int = 1,
-) -> Values:
+) -> tuple[Values | None, Values, int]:
     """Sum the moments of a tile's points in the cells of the coarse level (a task).
 
     Parameters
@@ -92,19 +93,20 @@ def sum_tile(
         this ticket, until the process has summed `KEPT_TILES` more. What either task returns
         does not depend on it.
     keep : tuple of str, optional
-        A store (see `hpccomponent.store`) and a name, under which the moments are put there, if
-        nothing has that name: a tile that is summed twice must not replace what is being read.
+        A store (see `hpccomponent.store`) and a name, under which the lattice is put there, and
+        the samples beside it, if nothing has that name: a tile that is summed twice must not
+        replace what is being read.
     threads : int
         The result does not depend on it.
 
     Returns
     -------
-    cells, moments, squares
-        Of the `pyramid.Level`; None for moments that are kept.
-    vertices
-        What its points lay there (see `ancestors.corners_at`).
-    far_cells, far_sums
-        The same of the level that the far field is made of (see `sample_cells`).
+    lattice : tuple or None
+        The cells, moments and squares of the `pyramid.Level`, and the vertices that its points
+        lay there (see `ancestors.corners_at`); None where they are kept.
+    samples : tuple
+        What `sample_cells` gives of the level that the far field is made of; the store and the
+        name where it is kept.
     patches : int
         The finest cells with points.
     """
@@ -124,13 +126,15 @@ def sum_tile(
     moments = coarse.points.sum(slice(0, len(coarse.cells)))[at]
     sampled = prepared.levels[common.far]
     samples = sample_cells(sampled, np.flatnonzero(mark_ancestors(own, common.far, sampled.cells)))
-    if keep is not None:
-        place, name = keep
-        store = hold_store(place)
-        if not store.has(name):
-            store.put(name, moments)
-    given = moments if keep is None else None
-    return coarse.cells[at], given, coarse.squares[at], vertices, *samples, len(own)
+    lattice = coarse.cells[at], moments, coarse.squares[at], vertices
+    if keep is None:
+        return lattice, samples, len(own)
+    place, name = keep
+    beside, store = f"{name}-far", hold_store(place)
+    for one, value in ((name, lattice), (beside, samples)):
+        if not store.has(one):
+            store.put(one, value)
+    return None, (place, beside), len(own)
 
 
 def sample_cells(level: Level, rows: IntArray | None = None) -> tuple[IntArray, FloatArray]:
@@ -170,15 +174,17 @@ def find_far(plan: Plan, cells: IntArray, sums: FloatArray, threads: int) -> Far
     return solve_far_field(centroids, normals, plan.grid.box, size, threads)
 
 
-def solve_far(plan: Values, cells: IntArray, sums: FloatArray, threads: int = 1) -> Values:
+def solve_far(plan: Values, samples: Sequence[Values], threads: int = 1) -> Values:
     """Solve for the far field, as far as anything asks for it (a task).
 
     Parameters
     ----------
     plan : tuple
         Of a `Plan`.
-    cells, sums, threads
-        See `find_far`.
+    samples : sequence of tuple
+        Of all tiles, as `sum_tile` has returned them.
+    threads : int
+        The result does not depend on it.
 
     Returns
     -------
@@ -190,7 +196,13 @@ def solve_far(plan: Values, cells: IntArray, sums: FloatArray, threads: int = 1)
     coarsest = max(common.coarse, FIELD_LEVELS - 1)
     margin = HALO_STEPS * common.step + 4.0 * common.cell_size * 2.0**coarsest
     low, high = common.grid.box
-    far = find_far(common, cells, sums, threads)
+    found = [
+        hold_store(first).get(second) if isinstance(first, str) else (first, second)
+        for first, second in samples
+    ]
+    cells, sums = (np.concatenate(column) for column in zip(*found, strict=True))
+    order = np.argsort(cells, kind="stable")  # which merges sorted runs
+    far = find_far(common, cells[order], sums[order], threads)
     return crop_far_field(far, low - margin, high + margin).to_values()
 
 

@@ -19,7 +19,7 @@ from hpccomponent.surface.far_field import (
 from hpccomponent.surface.field import FieldLevel, Grid
 from hpccomponent.surface.field_levels import find_trust
 from hpccomponent.surface.lattice import pack_places, unique_keys, unpack_keys
-from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.points import IntArray
 from hpccomponent.surface.pyramid import (
     Level,
     Parents,
@@ -117,7 +117,11 @@ def far_level(grid: Grid, cell_size: float, height: int) -> int:
 
 
 def fit_coarse(
-    plan: Plan, sums: list[tuple[Any, ...]], workforce: Workforce, threads: int
+    plan: Plan,
+    lattices: list[tuple[Any, ...]],
+    samples: list[tuple[Any, ...]],
+    workforce: Workforce,
+    threads: int,
 ) -> Coarse:
     """Put the coarse cells of all tiles together, and fit the levels from there up.
 
@@ -126,9 +130,9 @@ def fit_coarse(
     Parameters
     ----------
     plan : Plan
-    sums : list of tuple
-        What `region.sum_tile` returned for each tile, in any order, its moments in place. It is
-        emptied: most of it is needed but once.
+    lattices, samples : list of tuple
+        What `region.sum_tile` gave of each tile, in any order. The first list is emptied: most of
+        it is needed but once.
     workforce : Workforce
     threads : int
         That the tasks of this process may take, and the fits.
@@ -138,28 +142,21 @@ def fit_coarse(
     -------
     Coarse
     """
-    keys, moments, squares, corners, far_keys, sampled, *_ = map(list, zip(*sums, strict=True))
-    sums.clear()
-    far_cells, rows = _sort(far_keys)
-    samples = far_cells, _merge(sampled, rows)
-    task = plan.to_values(), *samples, threads if workforce.in_process else 1
+    task = plan.to_values(), samples, threads if workforce.in_process else 1
     with begin_batch(workforce, solve_far, task) as solved:
-        pyramid, quadrics, parents = _fit(plan, keys, moments, squares, corners, threads)
+        pyramid, quadrics, parents = _fit(plan, lattices, threads)
         far = restore_far_field(FarFieldPart(*solved()))
     return Coarse(plan, parents, find_trust(pyramid, quadrics, far, threads), far)
 
 
 def _fit(
-    plan: Plan,
-    keys: list[IntArray],
-    moments: list[FloatArray],
-    squares: list[FloatArray],
-    corners: list[IntArray],
-    threads: int,
+    plan: Plan, lattices: list[tuple[Any, ...]], threads: int
 ) -> tuple[Pyramid, list[VertexQuadrics], Parents]:
-    """Fit the levels from the tiles' one up; the lists are those of `region.sum_tile`."""
-    cells, rows = _sort(keys)
-    level = Level(cells, PartMoments(moments, rows), _merge(squares, rows))
+    """Fit the levels from the tiles' one up."""
+    keys, moments, squares, corners = map(list, zip(*lattices, strict=True))
+    lattices.clear()
+    cells, order, rows = _sort(keys)
+    level = Level(cells, PartMoments(moments, rows), np.concatenate(squares)[order])
     vertices = unique_keys(np.concatenate(corners))
     height = plan.height - plan.coarse
     levels = raise_levels(level, height, threads)
@@ -171,21 +168,13 @@ def _fit(
     return pyramid, quadrics, parents
 
 
-def _sort(parts: list[IntArray]) -> tuple[IntArray, list[IntArray]]:
-    """Return the keys of all parts in their order, and where those of each part stand there."""
+def _sort(parts: list[IntArray]) -> tuple[IntArray, IntArray, list[IntArray]]:
+    """Return the keys of all parts in their order, this, and where those of each part stand."""
     keys = np.concatenate(parts)
     order = np.argsort(keys, kind="stable")  # which merges sorted runs
     rows = np.empty_like(order)
     rows[order] = np.arange(len(order))
-    return keys[order], np.split(rows, np.cumsum([len(part) for part in parts])[:-1])
-
-
-def _merge(parts: list[FloatArray], rows: list[IntArray]) -> FloatArray:
-    """Put the rows of all parts where they stand, each copied once."""
-    merged = np.empty((sum(map(len, rows)), *parts[0].shape[1:]), parts[0].dtype)
-    for part, at in zip(parts, rows, strict=True):
-        merged[at] = part
-    return merged
+    return keys[order], order, np.split(rows, np.cumsum([len(part) for part in parts])[:-1])
 
 
 def _find_around(keys: IntArray, cells: IntArray, wide: int) -> IntArray:

@@ -33,7 +33,7 @@ from hpccomponent.surface.field import BRICK, Grid
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 from hpccomponent.surface.pyramid import count_levels
 from hpccomponent.surface.region import sum_tile
-from hpccomponent.surface.tile_plan import Plan
+from hpccomponent.surface.tile_plan import Plan, Values
 
 __all__ = [
     "HierarchicalMethod",
@@ -179,15 +179,18 @@ class HierarchicalMethod:
                 keep = None if keeping is None else (keeping.place, keeping.name_sums(run, index))
                 yield values, tiling.core(index), ticket, keep
 
-        sums = []
+        lattices: list[Values] = []
+        samples: list[Values] = []
         for index, found in stream_batches(workforce, sum_tile, batches(), 2 * workforce.workers):
+            lattice, sampled, patches = found
             if keeping is not None:
-                cells, _, *more = found
-                found = cells, keeping.store.get(keeping.name_sums(run, index)), *more
-            sums.append(found)
-            advance(len(sums), len(tiling))
-        partition.patches = sum(part[-1] for part in sums)
-        return fit_coarse(plan, sums, workforce, self.threads)
+                lattice = keeping.store.get(keeping.name_sums(run, index))
+            assert lattice is not None  # noqa: S101 - it comes back where it is not kept
+            lattices.append(lattice)
+            samples.append(sampled)
+            partition.patches += patches
+            advance(len(lattices), len(tiling))
+        return fit_coarse(plan, lattices, samples, workforce, self.threads)
 
     def extract(
         self,

@@ -89,7 +89,7 @@ class Keeping:
         return f"{self.job}/{digest(*values)}"
 
     def name_sums(self, run: str, tile: int) -> str:
-        """Return the name of a tile's moments in one run of the job."""
+        """Return the name of a tile's sums in one run of the job."""
         return f"{self.job}/sums/{run}-{tile}"
 
     def find(self, name: str) -> Any | None:

@@ -166,8 +166,7 @@ def weigh_cells(plan: Plan, counts: IntArray) -> FloatArray:
         where points are few it asks for as many quadrics and nodes as where they are many.
     """
     each = _CELL_WORK + _STEP_WORK * (plan.cell_size / plan.step) ** 2
-    work: FloatArray = counts + 4.0**plan.coarse * each
-    return work
+    return counts.astype(np.float64) + 4.0**plan.coarse * each
 
 
 def cut_tiles(cells: IntArray, work: IntArray | FloatArray, count: int) -> IntArray:

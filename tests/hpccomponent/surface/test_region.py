@@ -15,7 +15,7 @@ from hpccomponent.surface import prepared_tile, region
 from hpccomponent.surface.arranged_cloud import arrange_cloud
 from hpccomponent.surface.points import PointCloud
 from hpccomponent.surface.prepared_tile import PreparedTile, lay_corners
-from hpccomponent.surface.region import KEPT_TILES, mesh_tile, sum_tile
+from hpccomponent.surface.region import KEPT_TILES, mesh_tile, solve_far, sum_tile
 
 
 def ball(count):
@@ -32,6 +32,11 @@ def assert_same(found, wanted):
         np.testing.assert_array_equal(found, wanted)
 
 
+def fit_sums(plan, sums):
+    lattices, samples, _ = map(list, zip(*sums, strict=True))
+    return fit_coarse(plan, lattices, samples, Workforce(SerialExecutor()), 1)
+
+
 def test_a_tile_is_prepared_once_where_its_ticket_comes_back():
     """The second task gets along without the points; with another ticket it must read them."""
     method = HierarchicalMethod(48)
@@ -42,7 +47,7 @@ def test_a_tile_is_prepared_once_where_its_ticket_comes_back():
     sums = [sum_tile(plan, some, ticket) for some, ticket in zip(points, "ab", strict=True)]
     for index in range(2):
         assert_same(sum_tile(plan, points[index][:2]), sums[index])  # without its halo
-    coarse = fit_coarse(partition.plan, sums, Workforce(SerialExecutor()), 1)
+    coarse = fit_sums(partition.plan, sums)
     nowhere = ("there", "/nowhere", *tiling.groups(1))
     around = coarse.around(tiling.own(1)).to_values()
     wanted = mesh_tile(plan, points[1], None, around)
@@ -57,15 +62,27 @@ def test_a_tile_is_prepared_once_where_its_ticket_comes_back():
         mesh_tile(plan, points[0], f"c{number}", around)
 
 
-def test_moments_can_be_kept_in_a_folder(tmp_path):
+def test_sums_can_be_kept_in_a_folder(tmp_path):
+    """What a tile has sampled lies beside its lattice, and is read by who solves."""
     method = HierarchicalMethod(48)
     partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
-    plan, points = partition.plan.to_values(), partition.tiling.tile(0)
-    cells, moments, *more = sum_tile(plan, points)
-    kept_cells, nothing, *kept_more = sum_tile(plan, points, None, (str(tmp_path), "job/sums"))
-    assert nothing is None
-    assert_same((kept_cells, *kept_more), (cells, *more))
-    assert_same(FolderStore(tmp_path).get("job/sums"), moments)
+    plan, tiling = partition.plan.to_values(), partition.tiling
+    tiles = [tiling.tile(index) for index in range(len(tiling))]
+    sums = [sum_tile(plan, points) for points in tiles]
+    names = [f"job/sums-{index}" for index in range(len(tiles))]
+    kept = [
+        sum_tile(plan, points, None, (str(tmp_path), name))
+        for points, name in zip(tiles, names, strict=True)
+    ]
+    store = FolderStore(tmp_path)
+    for name, (lattice, samples, patches), found in zip(names, sums, kept, strict=True):
+        nothing, place, same = found
+        assert (nothing, same) == (None, patches)
+        assert_same(store.get(name), lattice)
+        assert_same(store.get(place[1]), samples)
+    far = [solve_far(plan, [some for _, some, _ in found]) for found in (sums, kept, sums[::-1])]
+    assert_same(far[1], far[0])
+    assert_same(far[2], far[0])
 
 
 def test_corners_are_laid_in_idle_time_and_change_nothing(monkeypatch):
@@ -87,7 +104,7 @@ def test_corners_are_laid_in_idle_time_and_change_nothing(monkeypatch):
     points = [tiling.tile(index) for index in range(2)]
     sums = [sum_tile(plan, some, name) for some, name in zip(points, "ab", strict=True)]
     assert not done
-    coarse = fit_coarse(partition.plan, sums, Workforce(SerialExecutor()), 1)
+    coarse = fit_sums(partition.plan, sums)
     around = [coarse.around(tiling.own(index)).to_values() for index in range(2)]
     wanted = mesh_tile(plan, points[1], "b", around[1])
     assert done == ["begin", "end"]
@@ -114,7 +131,7 @@ def test_what_fails_in_idle_time_is_tried_again_by_the_task(monkeypatch):
     partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
     plan, tiling = partition.plan.to_values(), partition.tiling
     sums = [sum_tile(plan, tiling.tile(index), None) for index in range(2)]
-    coarse = fit_coarse(partition.plan, sums, Workforce(SerialExecutor()), 1)
+    coarse = fit_sums(partition.plan, sums)
     given = tiling.tile(1), coarse.around(tiling.own(1)).to_values()
     wanted = mesh_tile(plan, given[0], None, given[1])
 

@@ -285,8 +285,8 @@ def test_moments_of_tiles_go_through_the_folder_that_points_are_read_from(tmp_pa
             fitted.append(method.fit(partition, workforce, ignore))
         sums.append([future.result() for name, future in executor.tasks if name == "sum_tile"])
     assert [len(of_cloud) for of_cloud in sums] == [3, 3]
-    assert all((moments is None) == is_shared for _, moments, *_ in sums[0])
-    assert all(moments is not None for _, moments, *_ in sums[1])
+    assert all((lattice is None) == is_shared for lattice, *_ in sums[0])
+    assert all(lattice is not None for lattice, *_ in sums[1])
     assert bool(keeping.store.list("job/sums/")) == is_shared
     np.testing.assert_array_equal(*(coarse.parents.coefficients for coarse in fitted))
     keeping.clear()
