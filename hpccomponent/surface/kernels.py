@@ -81,10 +81,10 @@ def keep_memory() -> None:
         _native.keep_memory()
 
 
-def bound_free_memory() -> None:
-    """Give the system back what memory is free, kept or not, if that is 256 MB or more."""
+def bound_free_memory(size: int = 1 << 28) -> None:
+    """Give the system back what memory is free, kept or not, if it is so many bytes or more."""
     if _native is not None:
-        _native.bound_free_memory()
+        _native.bound_free_memory(size)
 
 
 def bound_points(positions: FloatArray) -> tuple[FloatArray, FloatArray]:

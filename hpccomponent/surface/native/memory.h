@@ -54,14 +54,12 @@ inline void give_back_memory() {
 #endif
 }
 
-constexpr size_t MOST_FREE = size_t{1} << 28;
-
-// Give back all that is free if it is much: pieces that did not fit what was asked for. Less is
-// sooner used again.
-inline void bound_free_memory() {
+// Give back all that is free if it is as much as that: pieces that did not fit what was asked for.
+// Less is sooner used again.
+inline void bound_free_memory(size_t bytes) {
 #if defined(__GLIBC__)
 #if __GLIBC_PREREQ(2, 33)
-  if (mallinfo2().fordblks < MOST_FREE) return;
+  if (mallinfo2().fordblks < bytes) return;
 #endif
   malloc_trim(0);
 #endif

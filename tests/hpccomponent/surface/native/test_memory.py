@@ -30,10 +30,11 @@ def held():
 if %r:
     kernels.keep_memory()
 before = held()
-rows = np.ones({LITTLE} << 17)
-del rows
-kernels.bound_free_memory()
-print(held() - before)
+for least in (), (1 << 25,):
+    rows = np.ones({LITTLE} << 17)
+    del rows
+    kernels.bound_free_memory(*least)
+    print(held() - before)
 for _ in range(2):
     rows = np.ones({MEGABYTES} << 17)
     del rows
@@ -44,7 +45,7 @@ print(held() - before)
 
 
 def grow(keep: bool, variables: dict[str, str]) -> list[float]:
-    """Return the MB that a process holds more: with little free, with much, and bounded then."""
+    """Return the MB that a process holds more: with little free, less, much, and bounded."""
     command = [sys.executable, "-P", "-c", PROGRAM % keep]
     variables = {k: v for k, v in os.environ.items() if not k.startswith("MALLOC_")} | variables
     done = subprocess.run(command, env=variables, capture_output=True, text=True, check=True)
@@ -57,7 +58,8 @@ def test_by_default_it_is_given_back() -> None:
 
 @pytest.mark.parametrize(("keep", "variables"), [(True, {}), (False, KEPT_MEMORY)])
 def test_it_is_kept_until_it_is_much(keep: bool, variables: dict[str, str]) -> None:
-    little, freed, bounded = grow(keep, variables)
+    little, less, freed, bounded = grow(keep, variables)
     assert LITTLE * 0.9 < little < LITTLE * 1.1
+    assert less < LITTLE / 10
     assert MEGABYTES * 0.9 < freed < MEGABYTES * 1.1  # the second array lay where the first did
     assert bounded < MEGABYTES / 10
