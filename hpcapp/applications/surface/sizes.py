@@ -11,5 +11,6 @@ TILE_POINTS = 2_500_000
 """Of a tile where nothing else asks for smaller ones: what it takes stays below a gigabyte."""
 LARGE_TILE = 1_000_000
 """Points: smaller tiles cost more for their halos than is gained by handing them out freely."""
-TILES_EACH = 4
-"""Of a worker, where they are as large as that; one at least."""
+TILES_EACH = 2
+"""Of a worker, where they are as large as that; one at least. Each more costs halos, and more than
+`region.KEPT_TILES` are prepared twice."""
