@@ -30,25 +30,35 @@ def test_a_worker_that_dies_while_it_writes_its_result_is_noticed() -> None:
 def test_the_pipe_that_the_watcher_closes_is_not_closed_a_second_time_meanwhile(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    is_closing, overlapped = threading.Event(), threading.Event()
+    is_closing, is_closed, has_come = threading.Event(), threading.Event(), threading.Event()
+    owner, join = threading.current_thread(), threading.Thread.join
+    is_second: list[bool] = []  # of each time that the owner closes the pipe
+
+    def join_and_say_so(thread: threading.Thread, timeout: float | None = None) -> None:
+        if thread.name == "pool watcher":
+            has_come.set()
+        join(thread, timeout)
+
+    monkeypatch.setattr(threading.Thread, "join", join_and_say_so)
     with open_processes(1) as pool:
         assert isinstance(pool, ProcessPoolExecutor)
         writer = pool._result_queue._writer
-        close, owner = writer.close, threading.current_thread()
+        close = writer.close
 
-        def close_slowly() -> None:
+        def close_in_turn() -> None:
             if threading.current_thread() is owner:
-                if is_closing.is_set():
-                    overlapped.set()
+                is_second.append(is_closed.is_set())
+                has_come.set()
                 return
             is_closing.set()
-            overlapped.wait(0.2)  # the owner has all the time to come by, and must not
-            is_closing.clear()
+            has_come.wait()  # until the owner waits for the watcher, or closes what it closes
             close()
+            is_closed.set()
 
-        monkeypatch.setattr(writer, "close", close_slowly)
+        monkeypatch.setattr(writer, "close", close_in_turn)
         waiting = pool.submit(os.getpid)
         os.kill(waiting.result(), signal.SIGKILL)
         is_closing.wait()
-    assert not overlapped.is_set()
+    assert is_second
+    assert all(is_second)
     assert writer.closed
