@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from hpccomponent.errors import InputError
 from hpccomponent.surface import kernels
 from hpccomponent.surface.build import load_native
-from hpccomponent.surface.cells import take_cells
 from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.points import FloatArray, IntArray
 
@@ -31,11 +30,11 @@ __all__ = [
     "Arrangement",
     "PackedPoints",
     "choose_arrangement",
+    "list_blocks",
     "pack_points",
     "pack_records",
     "pack_snapped",
     "snap_points",
-    "unpack_cells",
     "unpack_near",
     "unpack_points",
     "unpack_records",
@@ -221,7 +220,7 @@ def unpack_points(arrangement: Arrangement, packed: PackedPoints) -> tuple[Float
         Those of float32.
     """
     unpack = unpack_records if _native is None else _native.unpack_records
-    points: tuple[FloatArray, FloatArray] = unpack(*_to_arrays(arrangement, packed))
+    points: tuple[FloatArray, FloatArray] = unpack(*list_blocks(arrangement, packed))
     return points
 
 
@@ -244,33 +243,7 @@ def unpack_near(
         Which ones they are.
     """
     unpack: Any = unpack_within if _native is None else _native.unpack_within
-    found: tuple[FloatArray, IntArray] = unpack(*_to_arrays(arrangement, packed), low, high)
-    return found
-
-
-def unpack_cells(
-    arrangement: Arrangement,
-    packed: PackedPoints,
-    origin: FloatArray,
-    cell_size: float,
-    wanted: IntArray,
-    groups: NDArray[np.uint8],
-) -> tuple[FloatArray, FloatArray, NDArray[np.uint8]]:
-    """Return those of the points that were packed that lie in some cells; see `unpack_points`.
-
-    Parameters
-    ----------
-    arrangement : Arrangement
-    packed : PackedPoints
-    origin, cell_size, wanted, groups
-        See `cells.take_cells`, whose results these are.
-    """
-    if _native is None:
-        points = unpack_points(arrangement, packed)
-        return take_cells(*points, origin, cell_size, wanted, groups)
-    found: tuple[FloatArray, FloatArray, NDArray[np.uint8]] = _native.unpack_cells(
-        *_to_arrays(arrangement, packed), origin, cell_size, wanted, groups
-    )
+    found: tuple[FloatArray, IntArray] = unpack(*list_blocks(arrangement, packed), low, high)
     return found
 
 
@@ -348,7 +321,9 @@ def unpack_within(
     return positions[rows], rows
 
 
-def _to_arrays(arrangement: Arrangement, packed: PackedPoints) -> tuple[Any, ...]:
+def list_blocks(
+    arrangement: Arrangement, packed: PackedPoints
+) -> tuple[Float32Array, IntArray, FloatArray, float]:
     """Return packed points as `unpack_records` takes them."""
     corners = unpack_keys(packed.keys) * arrangement.edge + arrangement.origin
     counts = np.ascontiguousarray(packed.counts, np.int64)

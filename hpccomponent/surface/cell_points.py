@@ -10,17 +10,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
+from hpccomponent.surface.field import Grid
 from hpccomponent.surface.lattice import BITS, unique_keys
 from hpccomponent.surface.moments import COLUMNS
 from hpccomponent.surface.parallel import run_batches
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 
-__all__ = ["CellMoments", "PartMoments", "SortedPoints", "merge_parents", "sort_cloud"]
+__all__ = [
+    "CellMoments",
+    "CellRows",
+    "CloudRows",
+    "PartMoments",
+    "SortedPoints",
+    "merge_parents",
+    "sort_cloud",
+]
 
 _SLAB = 1 << 11  # cells whose moments are summed at once: 0.7 MB, which stays in the cache
 _AT_ONCE = 64  # slabs whose sums wait to be put together
@@ -82,31 +92,92 @@ class PartMoments:
         return sums
 
 
+class CellRows(Protocol):
+    """Points in the order of their cells, wherever they are held: here, or packed."""
+
+    def __len__(self) -> int: ...
+
+    def place(
+        self, rows: slice, origin: FloatArray, cell_size: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return some points relative to the centres of their cells; see `cells.gather_points`.
+
+        Parameters
+        ----------
+        rows : slice
+        origin, cell_size
+            Of the lattice.
+        """
+
+    def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: NDArray[np.bool_]) -> IntArray:
+        """Return the bricks that hold a point of some cells; see `bricks.seed_bricks`.
+
+        Parameters
+        ----------
+        grid : Grid
+        offsets : ndarray of int64, shape (c + 1,)
+            Cell i holds the points offsets[i] to offsets[i + 1], and these are all.
+        wanted : ndarray of bool, shape (c,)
+            Which cells.
+        """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudRows:
+    """Points of a cloud in the order of their cells; see `CellRows`.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        With normals.
+    rows : ndarray of uint32, shape (n,)
+        Of the cloud.
+    """
+
+    cloud: PointCloud
+    rows: NDArray[np.uint32]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def place(
+        self, rows: slice, origin: FloatArray, cell_size: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `CellRows`."""
+        positions, normals = self.cloud.positions, self.cloud.normals
+        assert normals is not None  # noqa: S101 - checked by the method, at its border
+        return kernels.gather_points(positions, normals, self.rows[rows], origin, cell_size)
+
+    def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: NDArray[np.bool_]) -> IntArray:
+        """See `CellRows`."""
+        rows = self.rows[np.repeat(wanted, np.diff(offsets))]
+        if not len(rows):
+            return np.empty(0, np.int64)
+        return kernels.seed_bricks(grid, self.cloud.positions.take(rows, axis=0))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SortedPoints:
     """The points of each cell of the finest level.
 
     Parameters
     ----------
-    cloud : PointCloud
-        With normals.
+    rows : CellRows
+        Those of other cells may be among them.
     origin : ndarray of float64, shape (3,)
         Where corner (0, 0, 0) of the lattice lies.
     cell_size : float
         In length units of the input.
     offsets : ndarray of int64, shape (c + 1,)
-        Cell i holds the points rows[offsets[i]] to rows[offsets[i + 1]].
-    rows : ndarray of uint32, shape (n,)
-        Of the cloud; those of other cells may be among them.
+        Cell i holds the points offsets[i] to offsets[i + 1].
     weights : ndarray of float64, shape (n,), optional
         How much each of these counts; 1 by default.
     """
 
-    cloud: PointCloud
+    rows: CellRows
     origin: FloatArray
     cell_size: float
     offsets: IntArray
-    rows: NDArray[np.uint32]
     weights: FloatArray | None = None
 
     @property
@@ -127,12 +198,9 @@ class SortedPoints:
 
     def place(self, cells: slice) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return the points in a run of cells, relative to these, with normals and offsets."""
-        assert self.cloud.normals is not None  # noqa: S101 - checked by the method, at its border
         offsets = self.offsets[cells.start : cells.stop + 1]
-        rows = self.rows[offsets[0] : offsets[-1]]
-        local, normals = kernels.gather_points(
-            self.cloud.positions, self.cloud.normals, rows, self.origin, self.cell_size
-        )
+        rows = slice(int(offsets[0]), int(offsets[-1]))
+        local, normals = self.rows.place(rows, self.origin, self.cell_size)
         return local, normals, offsets - offsets[0]
 
 
@@ -157,7 +225,7 @@ def sort_cloud(
     points : SortedPoints
     """
     cells, offsets, rows = kernels.sort_points(cloud.positions, origin, cell_size)
-    return cells, SortedPoints(cloud, origin, cell_size, offsets, rows)
+    return cells, SortedPoints(CloudRows(cloud, rows), origin, cell_size, offsets)
 
 
 def merge_parents(

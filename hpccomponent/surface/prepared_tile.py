@@ -19,7 +19,7 @@ import numpy as np
 from hpccomponent.surface import kernels
 from hpccomponent.surface.bricks import BrickKinds
 from hpccomponent.surface.points import IntArray
-from hpccomponent.surface.pyramid import lay_vertices, raise_levels, sort_level
+from hpccomponent.surface.pyramid import Level, lay_vertices, raise_levels
 from hpccomponent.surface.reach import near_bricks, plan_tile
 from hpccomponent.surface.tile_plan import Plan
 from hpccomponent.surface.tile_points import CellPoints, TilePoints, take_points
@@ -44,20 +44,20 @@ class PreparedTile:
 
     Attributes
     ----------
-    groups : ndarray of uint8, shape (n,)
-        See `tile_points.TilePoints`.
+    groups : ndarray of uint8, shape (c,)
+        Of the finest cells; see `tile_points.TilePoints`.
     levels : list of Level
         Up to the coarse level.
     """
 
     def __init__(self, plan: Plan, points: CellPoints, threads: int) -> None:
         kernels.bound_free_memory()  # what tiles before this one have left
-        taken = take_points(points, plan.arrangement, plan.origin, plan.coarse_size)
+        taken = take_points(points, plan)
         self.groups = taken.groups
-        finest = sort_level(taken.cloud, plan.origin, plan.cell_size)
+        finest = Level(taken.cells, taken.points, np.empty(0))
         self.levels = raise_levels(finest, plan.coarse + 1, threads)
         self._laid: Laid | None = None
-        self._steps = _lay(plan, taken, finest.cells)  # without `self`, which would be a cycle
+        self._steps = _lay(plan, taken)  # without `self`, which would be a cycle
 
     def lay_some(self) -> bool:
         """Do the next step towards the corners; return whether there are more."""
@@ -83,8 +83,10 @@ class PreparedTile:
         return self._laid
 
 
-def _lay(plan: Plan, taken: TilePoints, cells: IntArray) -> Generator[str, None, Laid]:
-    kinds = plan_tile(plan.grid, *(taken.positions(group) for group in range(3)))
+def _lay(plan: Plan, taken: TilePoints) -> Generator[str, None, Laid]:
+    kinds = plan_tile(plan.grid, *(taken.seed_bricks(plan.grid, group) for group in range(3)))
+    cells = taken.cells
+    del taken  # the points leave memory with their level
     yield "kinds"
     return kinds, [] if kinds is None else (yield from lay_corners(plan, cells, kinds))
 

@@ -80,7 +80,7 @@ def plan_whole(grid: Grid, positions: FloatArray) -> BrickKinds:
         Of all points, in length units of the input.
     """
     kinds = BrickKinds(np.zeros(3, np.int64), np.full(grid.bricks, OPEN, np.uint8))
-    kinds.mark(_seed(grid, positions), OWN)
+    kinds.mark(kernels.seed_bricks(grid, positions), OWN)
     return kinds
 
 
@@ -108,26 +108,21 @@ def cut_slab(kinds: BrickKinds, first: int, end: int) -> BrickKinds:
     return BrickKinds(np.array([low, *kinds.first[1:]]), cut)
 
 
-def plan_tile(
-    grid: Grid, core: FloatArray, before: FloatArray, after: FloatArray
-) -> BrickKinds | None:
+def plan_tile(grid: Grid, own: IntArray, earlier: IntArray, later: IntArray) -> BrickKinds | None:
     """Tell how far a tile may grow.
 
     Parameters
     ----------
     grid : Grid
-    core : ndarray of float64, shape (n, 3)
-        Positions of the tile's points, in length units of the input.
-    before, after : ndarray of float64, shape (m, 3)
-        Those around it that belong to tiles before and after it.
+    own, earlier, later : ndarray of int64
+        Sorted keys of the bricks that hold points of the tile, and points around it that belong to
+        tiles before and after it.
 
     Returns
     -------
     BrickKinds or None
         None where every brick of the tile belongs to one before it.
     """
-    earlier, later = (_seed(grid, positions) for positions in (before, after))
-    own = _seed(grid, core)
     own = own[find_keys(earlier, own) == len(earlier)]
     if not len(own):
         return None
@@ -146,7 +141,7 @@ def plan_tile(
 
 
 def plan_gap(
-    grid: Grid, exits: IntArray, known: FloatArray, missing: FloatArray, size: float, reach: float
+    grid: Grid, exits: IntArray, seeds: IntArray, missing: FloatArray, size: float, reach: float
 ) -> BrickKinds:
     """Tell how far the surface may be followed from bricks without points, as over a hole.
 
@@ -155,8 +150,8 @@ def plan_gap(
     grid : Grid
     exits : ndarray of int64, shape (e,)
         Keys of the bricks to begin with.
-    known : ndarray of float64, shape (n, 3)
-        Positions of the points around them, in length units of the input.
+    seeds : ndarray of int64
+        Sorted keys of the bricks that hold points around them.
     missing : ndarray of float64, shape (c, 3)
         Low corners of the cells whose points are not known here.
     size : float
@@ -177,7 +172,6 @@ def plan_gap(
     inner = ~_dilate(~known_all)
     kinds = np.where(inner, OPEN, np.where(known_all, BESIDE, OUT)).astype(np.uint8)
     found = BrickKinds(np.zeros(3, np.int64), kinds)
-    seeds = _seed(grid, known)
     found.mark(seeds[found.at(seeds) != OUT], FOREIGN)
     found.mark(exits, OWN)
     return found
@@ -268,11 +262,6 @@ def look_near(
         index = index * length + np.clip(low, 0, length - 1)
     found: BoolArray = inside & (pairs.reshape(-1)[index] >> spans & 1).astype(np.bool_)
     return found
-
-
-def _seed(grid: Grid, positions: FloatArray) -> IntArray:
-    """Return the bricks that hold a point, if there are points."""
-    return kernels.seed_bricks(grid, positions) if len(positions) else np.empty(0, np.int64)
 
 
 def _dilate(mask: BoolArray) -> BoolArray:

@@ -23,7 +23,6 @@ from hpccomponent.runtime.tasks import declare
 from hpccomponent.store import hold_store
 from hpccomponent.surface.ancestors import corners_at, mark_ancestors
 from hpccomponent.surface.bricks import BrickKinds
-from hpccomponent.surface.cell_points import SortedPoints
 from hpccomponent.surface.far_field import (
     FarField,
     crop_far_field,
@@ -42,7 +41,6 @@ from hpccomponent.surface.pyramid import (
     Level,
     Pyramid,
     raise_levels,
-    sort_level,
 )
 from hpccomponent.surface.reach import HALO_STEPS, plan_gap
 from hpccomponent.surface.slab_growth import grow_tile
@@ -118,9 +116,7 @@ def sum_tile(
         _waiting[ticket] = prepared
         idle_work.add(partial(_lay_ahead, ticket))
     finest, coarse = prepared.levels[0], prepared.levels[-1]
-    assert isinstance(finest.points, SortedPoints)  # noqa: S101 - the finest level has points
-    starts = finest.points.rows[finest.points.offsets[:-1]]
-    own = finest.cells[prepared.groups[starts] == 0]
+    own = finest.cells[prepared.groups == 0]
     marks = mark_ancestors(own, common.coarse, coarse.cells)
     at, vertices = np.flatnonzero(marks), corners_at(coarse.cells, marks)
     moments = coarse.points.sum(slice(0, len(coarse.cells)))[at]
@@ -288,12 +284,13 @@ def mesh_gap(
         As those of `mesh_tile`.
     """
     common = Plan(*plan)
-    cloud = take_points(points, common.arrangement, common.origin, common.coarse_size).cloud
+    taken = take_points(points, common)
+    seeds = taken.seed_bricks(common.grid, 0)
     low = common.origin + common.coarse_size * unpack_keys(missing)
-    kinds = plan_gap(common.grid, exits, cloud.positions, low, common.coarse_size, common.reach)
+    kinds = plan_gap(common.grid, exits, seeds, low, common.coarse_size, common.reach)
     levels, corners = [], [_NO_LEVEL.keys]
-    if len(cloud):
-        finest = sort_level(cloud, common.origin, common.cell_size)
+    if len(taken.cells):
+        finest = Level(taken.cells, taken.points, np.empty(0))
         levels = raise_levels(finest, common.coarse, threads)
         corners = finish(lay_corners(common, finest.cells, kinds))
     return _give(*_mesh_region(common, levels, corners, kinds, coarse, threads), keep)

@@ -12,19 +12,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.surface import kernels
 from hpccomponent.surface.arranged_cloud import ArrangedCloud
 from hpccomponent.surface.arrangement import (
     Arrangement,
     PackedPoints,
     pack_points,
-    unpack_cells,
     unpack_points,
 )
 from hpccomponent.surface.build import load_native
+from hpccomponent.surface.cell_points import CloudRows, SortedPoints
 from hpccomponent.surface.cells import take_cells
 from hpccomponent.surface.disk_cloud import DiskCloud, open_disk_cloud
+from hpccomponent.surface.field import Grid
 from hpccomponent.surface.lattice import find_keys, pack_places, unique_keys, unpack_keys
+from hpccomponent.surface.packed_cells import sort_tile
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
+from hpccomponent.surface.tile_plan import Plan
 
 __all__ = ["CellPoints", "TilePoints", "estimate_work", "pack_cloud", "read_cells", "take_points"]
 
@@ -40,22 +44,25 @@ each group's cells, and a folder that the worker sees, or in this process the cl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TilePoints:
-    """Points in some groups of coarse cells.
+    """Points in some groups of coarse cells, sorted by the finest ones.
 
     Parameters
     ----------
-    cloud : PointCloud
-        With normals; within a cell in the order of the whole cloud.
-    groups : ndarray of uint8, shape (n,)
-        The group of each point.
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the finest cells with points.
+    points : SortedPoints
+        In these; within a cell in the order of the whole cloud.
+    groups : ndarray of uint8, shape (c,)
+        The group of each cell.
     """
 
-    cloud: PointCloud
+    cells: IntArray
+    points: SortedPoints
     groups: NDArray[np.uint8]
 
-    def positions(self, group: int) -> FloatArray:
-        """Return the positions of a group."""
-        return self.cloud.positions.take(np.flatnonzero(self.groups == group), axis=0)
+    def seed_bricks(self, grid: Grid, group: int) -> IntArray:
+        """Return the sorted keys of the bricks that hold a point of a group."""
+        return self.points.rows.seed_bricks(grid, self.points.offsets, self.groups == group)
 
 
 def estimate_work(points: CellPoints) -> float:
@@ -92,40 +99,52 @@ def _count_bytes(value: Any) -> int:
     return size
 
 
-def take_points(
-    points: CellPoints, arrangement: Arrangement, origin: FloatArray, size: float
-) -> TilePoints:
+def take_points(points: CellPoints, plan: Plan) -> TilePoints:
     """Return the points that a task has been given.
 
     Parameters
     ----------
     points : CellPoints
-    arrangement : Arrangement
-        That they are packed by.
-    origin : ndarray of float64, shape (3,)
-    size : float
-        Of the coarse cells, in length units of the input.
-
-    Returns
-    -------
-    TilePoints
+        There may be none.
+    plan : Plan
+        Of the whole cloud.
     """
     form, *groups = points
     if form == "there":
-        cloud, *cells = groups
-        if isinstance(cloud, str):
-            cloud = open_disk_cloud(Path(cloud))
-        return read_cells(cloud, origin, size, cells)
-    taken = [unpack_points(arrangement, PackedPoints(*group)) for group in groups]
+        where, *cells = groups
+        cloud = open_disk_cloud(Path(where)) if isinstance(where, str) else where
+        if isinstance(cloud, DiskCloud):
+            return _read_packed(cloud, plan, cells)
+        return _sort_groups(*read_cells(cloud, plan.origin, plan.coarse_size, cells), plan)
+    taken = [unpack_points(plan.arrangement, PackedPoints(*group)) for group in groups]
     positions, normals = (np.concatenate(some) for some in zip(*taken, strict=True))
-    counts = [len(some) for some, _ in taken]
-    numbers = np.repeat(np.arange(len(taken), dtype=np.uint8), counts)
-    return TilePoints(PointCloud(positions, normals), numbers)
+    numbers = np.repeat(np.arange(len(taken), dtype=np.uint8), [len(some) for some, _ in taken])
+    return _sort_groups(PointCloud(positions, normals), numbers, plan)
+
+
+def _read_packed(cloud: DiskCloud, plan: Plan, cells: list[IntArray]) -> TilePoints:
+    """Return the points in some groups of coarse cells, as they are packed in a folder."""
+    wanted, numbers = _number_cells(cells)
+    blocks = _find_blocks(cloud.arrangement, wanted, plan.origin, plan.coarse_size)
+    lattice = plan.origin, plan.cell_size, plan.coarse
+    packed = cloud.take_packed(blocks)
+    found = sort_tile(cloud.arrangement, packed, *lattice, wanted, numbers)
+    finest, offsets, rows, groups = found
+    return TilePoints(finest, SortedPoints(rows, plan.origin, plan.cell_size, offsets), groups)
+
+
+def _sort_groups(cloud: PointCloud, numbers: NDArray[np.uint8], plan: Plan) -> TilePoints:
+    """Return the points of a cloud, each with the number of its group."""
+    cells, offsets, rows = np.empty(0, np.int64), np.zeros(1, np.int64), np.empty(0, np.uint32)
+    if len(cloud):
+        cells, offsets, rows = kernels.sort_points(cloud.positions, plan.origin, plan.cell_size)
+    points = SortedPoints(CloudRows(cloud, rows), plan.origin, plan.cell_size, offsets)
+    return TilePoints(cells, points, numbers[rows[offsets[:-1]]])
 
 
 def read_cells(
-    cloud: ArrangedCloud, origin: FloatArray, size: float, groups: list[IntArray]
-) -> TilePoints:
+    cloud: ArrangedCloud, origin: FloatArray, size: float, cells: list[IntArray]
+) -> tuple[PointCloud, NDArray[np.uint8]]:
     """Return the points in some groups of coarse cells.
 
     Parameters
@@ -135,27 +154,31 @@ def read_cells(
         Where corner (0, 0, 0) of the cells lies.
     size : float
         Of a cell, in length units of the input.
-    groups : list of ndarray of int64
-        Sorted keys of cells.
+    cells : list of ndarray of int64
+        Sorted keys of the cells of each group.
 
     Returns
     -------
-    TilePoints
-        In the cloud's order.
+    cloud : PointCloud
+        With normals, in the cloud's order.
+    groups : ndarray of uint8, shape (n,)
+        The group of each point.
     """
-    wanted = unique_keys(np.concatenate(groups))
-    group_of = np.empty(len(wanted), np.uint8)
-    for number, group in enumerate(groups):
-        group_of[find_keys(wanted, group)] = number
+    wanted, numbers = _number_cells(cells)
     blocks = _find_blocks(cloud.arrangement, wanted, origin, size)
-    if isinstance(cloud, DiskCloud):
-        packed = cloud.take_packed(blocks)
-        found = unpack_cells(cloud.arrangement, packed, origin, size, wanted, group_of)
-    else:
-        take: Any = take_cells if _native is None else _native.take_cells
-        found = take(*cloud.take_blocks(blocks), origin, size, wanted, group_of)
-    positions, normals, numbers = found
-    return TilePoints(PointCloud(positions, normals), numbers)
+    take: Any = take_cells if _native is None else _native.take_cells
+    found = take(*cloud.take_blocks(blocks), origin, size, wanted, numbers)
+    positions, normals, groups = found
+    return PointCloud(positions, normals), groups
+
+
+def _number_cells(cells: list[IntArray]) -> tuple[IntArray, NDArray[np.uint8]]:
+    """Return the cells of some groups, sorted, and the number of each one's group."""
+    wanted = unique_keys(np.concatenate(cells))
+    numbers = np.empty(len(wanted), np.uint8)
+    for number, group in enumerate(cells):
+        numbers[find_keys(wanted, group)] = number
+    return wanted, numbers
 
 
 def pack_cloud(arrangement: Arrangement, cloud: PointCloud) -> tuple[Any, ...]:

@@ -130,9 +130,9 @@ class Tiling:
             there = self._cloud
             return ("there", str(there.folder) if isinstance(there, DiskCloud) else there, *groups)
         plan = self._plan
-        read = read_cells(self._cloud, plan.origin, plan.coarse_size, groups)
+        cloud, group_of = read_cells(self._cloud, plan.origin, plan.coarse_size, groups)
         packed = [
-            pack_cloud(plan.arrangement, read.cloud.take(np.flatnonzero(read.groups == number)))
+            pack_cloud(plan.arrangement, cloud.take(np.flatnonzero(group_of == number)))
             for number in range(len(groups))
         ]
         if index is not None and not isinstance(self._cloud, DiskCloud):

@@ -12,9 +12,11 @@ const int64_t* check_sides(const Input& bricks);
 // Return the points' rows in the order of their cells, stably, and the cells' squeezed keys.
 Ranking rank_points(const double* points, int64_t count, const double* origin, double size, Span& span);
 
-// Find the row of each point's cell among those of a table.
-void find_rows(const double* points, int64_t count, const double* origin, double size, const KeyRows& table,
-               uint32_t* rows);
+// Find the cell of each point.
+void find_places(const double* points, int64_t count, const double* origin, double size, Place* places);
+
+// Express points relative to the centres of their cells, in cells.
+void centre_points(double* points, int64_t count, const double* origin, double size);
 
 // Check that cell i holds the points offsets[i] to offsets[i + 1], and that these are all.
 const int64_t* check_offsets(const Input& offsets, int64_t cells, int64_t points);

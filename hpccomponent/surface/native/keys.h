@@ -148,21 +148,22 @@ void radix_sort(Buffer<Item>& items, int64_t count, int bits, const Rank& rank) 
 // Rows in the order of their keys; a row and its key are one number where they fit.
 class Ranking {
  public:
-  // For keys of so many bits.
-  Ranking(int64_t count, int bits) : count_(count), bits_(bits) {
-    while ((count - 1) >> row_bits_ > 0) ++row_bits_;
+  // For some of so many rows, and keys of so many bits.
+  Ranking(int64_t rows, int bits) : bits_(bits) {
+    while ((rows - 1) >> row_bits_ > 0) ++row_bits_;
     if (bits + row_bits_ <= 64) {
-      packed_ = make_buffer<uint64_t>(count);
+      packed_ = make_buffer<uint64_t>(rows);
     } else {
-      apart_ = make_buffer<Apart>(count);
+      apart_ = make_buffer<Apart>(rows);
     }
   }
 
-  void set(int64_t row, uint64_t key) {
+  // Rows come in rising order.
+  void add(int64_t row, uint64_t key) {
     if (packed_) {
-      packed_[row] = key << row_bits_ | static_cast<uint64_t>(row);
+      packed_[count_++] = key << row_bits_ | static_cast<uint64_t>(row);
     } else {
-      apart_[row] = {key, static_cast<uint32_t>(row)};
+      apart_[count_++] = {key, static_cast<uint32_t>(row)};
     }
   }
 
@@ -184,12 +185,19 @@ class Ranking {
   }
   bool begins(int64_t i) const { return !i || key(i) != key(i - 1); }
 
+  // How many different keys there are.
+  int64_t runs() const {
+    int64_t runs = 0;
+    for (int64_t i = 0; i < count_; ++i) runs += begins(i);
+    return runs;
+  }
+
  private:
   struct Apart {
     uint64_t key;
     uint32_t row;
   };
-  int64_t count_;
+  int64_t count_ = 0;
   int bits_, row_bits_ = 0;
   Buffer<uint64_t> packed_;
   Buffer<Apart> apart_;

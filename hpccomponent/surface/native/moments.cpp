@@ -177,7 +177,7 @@ Ranking rank_children(const int64_t* cells, int64_t count, Span& span) {
   for (int64_t i = 0; i < count; ++i) {
     const Place p = unpack(cells[i]);
     const uint64_t octant = (p[0] & 1) | (p[1] & 1) << 1 | (p[2] & 1) << 2;
-    order.set(i, span.squeeze({p[0] >> 1, p[1] >> 1, p[2] >> 1}) << 3 | octant);
+    order.add(i, span.squeeze({p[0] >> 1, p[1] >> 1, p[2] >> 1}) << 3 | octant);
   }
   order.sort();
   return order;

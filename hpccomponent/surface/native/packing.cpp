@@ -1,8 +1,10 @@
-// Arranged points in 24 bytes each: sorted into the blocks of a cloud, and read out of them.
+// Arranged points in 24 bytes each: sorted into the blocks of a cloud, read out of them, and sorted
+// into the cells of a tile.
 #include <cmath>
 
 #include "clones.h"
 #include "families.h"
+#include "seeds.h"
 
 namespace hpc {
 namespace {
@@ -119,44 +121,156 @@ nb::tuple unpack_within(Input records_of, Input counts_of, Input corners_of, dou
   return nb::make_tuple(give(std::move(positions), {count, 3}), give(std::move(rows), {count}));
 }
 
-nb::tuple unpack_cells(Input records_of, Input counts_of, Input corners_of, double edge, Input origin_of, double size,
-                       Input cells_of, Input groups_of) {
+// Points are taken in chunks of so many.
+constexpr int CHUNK = 64;
+
+void unpack_position(const float* record, const double* corner, double edge, double* position) {
+  for (int axis = 0; axis < 3; ++axis) position[axis] = static_cast<double>(record[axis]) * edge + corner[axis];
+}
+
+nb::tuple sort_packed(Input records_of, Input counts_of, Input corners_of, double edge, Input origin_of, double size,
+                      int64_t depth, Input wanted_of, Input numbers_of) {
   const Packed packed(records_of, counts_of, corners_of, edge);
+  if (packed.points >= UINT32_MAX) refuse("records: expected fewer than 2^32 - 1");
   const double* origin = check<double>(origin_of, "origin", {3});
   check_positive(size, "cell_size");
-  const int64_t* cells = check_keys(cells_of, "cells");
-  const int64_t known = rows_of(cells_of);
-  const uint8_t* groups = check<uint8_t>(groups_of, "groups", {known});
-  auto positions = make_buffer<double>(3 * packed.points), normals = make_buffer<double>(3 * packed.points);
-  auto numbers = make_buffer<uint8_t>(packed.points);
-  int64_t found = 0;
+  if (depth < 0 || depth >= BITS) refuse("depth: expected 0 to 20");
+  const int64_t* wanted = check_keys(wanted_of, "wanted");
+  const int64_t known = rows_of(wanted_of);
+  const uint8_t* numbers = check<uint8_t>(numbers_of, "numbers", {known});
+  Large<int64_t> cells, offsets;
+  Large<uint8_t> groups;
+  Buffer<float> records;
+  Buffer<uint32_t> blocks;
+  size_t kept = 0;
   {
     nb::gil_scoped_release unlocked;
-    const KeyRows table(cells, known);
-    int64_t most = 0;
-    for (int64_t block = 0; block < packed.blocks; ++block) most = std::max(most, packed.counts[block]);
-    auto rows = make_buffer<uint32_t>(most);
-    for (int64_t block = 0, at = 0; block < packed.blocks; at += packed.counts[block++]) {
-      // Unpacked to where they stay if they are wanted, and then moved together.
-      double *position = positions.get() + 3 * found, *normal = normals.get() + 3 * found;
-      const int64_t count = packed.counts[block];
-      unpack_block(packed.records + RECORD * at, count, packed.corners + 3 * block, edge, position, normal);
-      find_rows(position, count, origin, size, table, rows.get());
-      int64_t kept = 0;
-      for (int64_t i = 0; i < count; ++i) {
-        if (rows[i] >= known) continue;
-        if (kept < i) {
-          std::copy_n(position + 3 * i, 3, position + 3 * kept);
-          std::copy_n(normal + 3 * i, 3, normal + 3 * kept);
-        }
-        numbers[found + kept++] = groups[rows[i]];
+    const KeyRows table(wanted, known);
+    Place low{0, 0, 0}, high{0, 0, 0};  // of the finest cells
+    for (int64_t i = 0; i < known; ++i) {
+      const Place place = unpack(wanted[i]);
+      for (int axis = 0; axis < 3; ++axis) {
+        const int64_t first = place[axis] * (int64_t{1} << depth), last = first + (int64_t{1} << depth) - 1;
+        low[axis] = i ? std::min(low[axis], first) : first;
+        high[axis] = i ? std::max(high[axis], last) : last;
       }
-      found += kept;
     }
+    const Span span(low, high);
+    const auto find_above = [&](const Place& place) {
+      return table.find(pack({place[0] >> depth, place[1] >> depth, place[2] >> depth}));
+    };
+    Ranking ranked(packed.points, span.bits());
+    auto block_of = make_buffer<uint32_t>(packed.points);
+    for (int64_t block = 0, at = 0; block < packed.blocks; ++block)
+      for (int64_t left = packed.counts[block]; left;) {
+        const int64_t width = std::min<int64_t>(CHUNK, left);
+        double positions[3 * CHUNK];
+        Place places[CHUNK];
+        for (int64_t i = 0; i < width; ++i)
+          unpack_position(packed.records + RECORD * (at + i), packed.corners + 3 * block, edge, positions + 3 * i);
+        find_places(positions, width, origin, size, places);
+        for (int64_t i = 0; i < width; ++i, ++at) {
+          block_of[at] = static_cast<uint32_t>(block);
+          if (find_above(places[i]) < known) ranked.add(at, span.squeeze(places[i]));
+        }
+        left -= width;
+      }
+    ranked.sort();
+    const int64_t count = ranked.count(), runs = ranked.runs();
+    kept = static_cast<size_t>(count);
+    cells.reserve(runs);
+    groups.reserve(runs);
+    offsets.reserve(runs + 1);
+    records = make_buffer<float>(RECORD * count);
+    blocks = make_buffer<uint32_t>(count);
+    for (int64_t i = 0; i < count; ++i) {
+      // Neighbours in space lie anywhere in their block: ask for what comes soon.
+      fetch(packed.records + RECORD * static_cast<int64_t>(ranked.row(std::min(i + AHEAD, count - 1))));
+      const int64_t row = ranked.row(i);
+      std::copy_n(packed.records + RECORD * row, RECORD, records.get() + RECORD * i);
+      blocks[i] = block_of[row];
+      if (!ranked.begins(i)) continue;
+      const Place place = span.restore(ranked.key(i));
+      cells.push_back(pack(place));
+      groups.push_back(numbers[find_above(place)]);
+      offsets.push_back(i);
+    }
+    offsets.push_back(count);
   }
-  const size_t count = static_cast<size_t>(found);
-  return nb::make_tuple(give(std::move(positions), {count, 3}), give(std::move(normals), {count, 3}),
-                        give(std::move(numbers), {count}));
+  return nb::make_tuple(give(std::move(cells)), give(std::move(offsets)), give(std::move(records), {kept, RECORD}),
+                        give(std::move(blocks), {kept}), give(std::move(groups)));
+}
+
+// Packed points in any order, each with the row of its block's corner.
+struct Scattered {
+  const float* records;
+  const uint32_t* blocks;
+  const double* corners;
+  int64_t points;
+  double edge;
+
+  Scattered(const Input& records_of, const Input& blocks_of, const Input& corners_of, double edge_of)
+      : records(check<float>(records_of, "records", {ANY, RECORD})),
+        blocks(check<uint32_t>(blocks_of, "blocks", {rows_of(records_of)})),
+        corners(check<double>(corners_of, "corners", {ANY, 3})),
+        points(rows_of(records_of)),
+        edge(edge_of) {
+    check_positive(edge, "edge");
+    for (int64_t i = 0; i < points; ++i)
+      if (blocks[i] >= rows_of(corners_of)) refuse("blocks: one that is not there");
+  }
+
+  void unpack(int64_t row, double* position) const {
+    unpack_position(records + RECORD * row, corners + 3 * static_cast<int64_t>(blocks[row]), edge, position);
+  }
+};
+
+nb::tuple place_packed(Input records_of, Input blocks_of, Input corners_of, double edge, Input origin_of, double size) {
+  const Scattered packed(records_of, blocks_of, corners_of, edge);
+  const double* origin = check<double>(origin_of, "origin", {3});
+  check_positive(size, "cell_size");
+  auto local = make_buffer<double>(3 * packed.points), normals = make_buffer<double>(3 * packed.points);
+  {
+    nb::gil_scoped_release unlocked;
+    for (int64_t i = 0; i < packed.points; ++i) {
+      packed.unpack(i, local.get() + 3 * i);
+      for (int axis = 0; axis < 3; ++axis) normals[3 * i + axis] = packed.records[RECORD * i + 3 + axis];
+    }
+    centre_points(local.get(), packed.points, origin, size);
+  }
+  const size_t count = static_cast<size_t>(packed.points);
+  return nb::make_tuple(give(std::move(local), {count, 3}), give(std::move(normals), {count, 3}));
+}
+
+Output<int64_t> seed_packed(Input records_of, Input blocks_of, Input corners_of, double edge, Input offsets_of,
+                            Input wanted_of, Input origin_of, double brick, Input bricks) {
+  const Scattered packed(records_of, blocks_of, corners_of, edge);
+  const int64_t cells = rows_of(wanted_of);
+  const int64_t* offsets = check_offsets(offsets_of, cells, packed.points);
+  const bool* wanted = check<bool>(wanted_of, "wanted", {cells});
+  const double* origin = check<double>(origin_of, "origin", {3});
+  check_positive(brick, "edge");
+  BrickSet held(check_sides(bricks));
+  {
+    nb::gil_scoped_release unlocked;
+    double positions[3 * CHUNK];
+    Place places[CHUNK];
+    int width = 0;
+    const auto add = [&] {
+      find_places(positions, width, origin, brick, places);
+      for (int i = 0; i < width; ++i) held.add(places[i]);
+      width = 0;
+    };
+    for (int64_t cell = 0; cell < cells; ++cell) {
+      if (!wanted[cell]) continue;
+      for (int64_t row = offsets[cell]; row < offsets[cell + 1]; ++row) {
+        packed.unpack(row, positions + 3 * width++);
+        if (width == CHUNK) add();
+      }
+    }
+    add();
+  }
+  return give(held.keys());
 }
 
 }  // namespace
@@ -165,7 +279,9 @@ void bind_packing(nb::module_& module) {
   module.def("pack_records", &pack_records);
   module.def("unpack_records", &unpack_records);
   module.def("unpack_within", &unpack_within);
-  module.def("unpack_cells", &unpack_cells);
+  module.def("sort_packed", &sort_packed);
+  module.def("place_packed", &place_packed);
+  module.def("seed_packed", &seed_packed);
 }
 
 }  // namespace hpc

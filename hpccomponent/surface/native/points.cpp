@@ -2,6 +2,7 @@
 #include "clones.h"
 #include "families.h"
 #include "keys.h"
+#include "seeds.h"
 
 namespace hpc {
 namespace {
@@ -165,7 +166,7 @@ Ranking rank_points(const double* points, int64_t count, const double* origin, d
   visit_places(corners, 2, origin, size, [&](int64_t i, const Place& place) { bounds[i] = place; });
   span = Span(bounds[0], bounds[1]);
   Ranking ranked(count, span.bits());
-  visit_places(points, count, origin, size, [&](int64_t i, const Place& place) { ranked.set(i, span.squeeze(place)); });
+  visit_places(points, count, origin, size, [&](int64_t i, const Place& place) { ranked.add(i, span.squeeze(place)); });
   ranked.sort();
   return ranked;
 }
@@ -184,8 +185,7 @@ nb::tuple sort_points(Input positions, Input origin_of, double size) {
     nb::gil_scoped_release unlocked;
     Span span({0, 0, 0}, {0, 0, 0});
     const Ranking ranked = rank_points(point, count, origin, size, span);
-    int64_t runs = 0;
-    for (int64_t i = 0; i < count; ++i) runs += ranked.begins(i);
+    const int64_t runs = ranked.runs();
     cells.reserve(runs);
     offsets.reserve(runs + 1);
     rows = make_buffer<uint32_t>(count);
@@ -217,7 +217,8 @@ nb::tuple take_cells(Input positions, Input normals, Input origin_of, double siz
   int64_t held = 0;
   {
     nb::gil_scoped_release unlocked;
-    find_rows(point, count, origin, size, KeyRows(cells, known), rows.get());
+    const KeyRows table(cells, known);
+    visit_places(point, count, origin, size, [&](int64_t i, const Place& place) { rows[i] = table.find(pack(place)); });
     for (int64_t i = 0; i < count; ++i) held += rows[i] < known;
     for (auto& some : taken) some = make_buffer<double>(3 * held);
     numbers = make_buffer<uint8_t>(held);
@@ -232,22 +233,6 @@ nb::tuple take_cells(Input positions, Input normals, Input origin_of, double siz
   const size_t found = static_cast<size_t>(held);
   return nb::make_tuple(give(std::move(taken[0]), {found, 3}), give(std::move(taken[1]), {found, 3}),
                         give(std::move(numbers), {found}));
-}
-
-// Express points relative to the centres of their cells, in cells.
-HPC_CLONES void centre_points(double* points, int64_t count, const double* origin, double size) {
-  constexpr int WIDTH = 24;
-  double corner[WIDTH];
-  for (int i = 0; i < WIDTH; ++i) corner[i] = origin[i % 3];
-  for (int64_t at = 0; at < 3 * count; at += WIDTH) {
-    double* some = points + at;
-    const int width = static_cast<int>(std::min<int64_t>(WIDTH, 3 * count - at));
-    HPC_LANES
-    for (int i = 0; i < width; ++i) {
-      const double place = (some[i] - corner[i]) / size;
-      some[i] = place - std::floor(place) - 0.5;
-    }
-  }
 }
 
 nb::tuple gather_points(Input positions, Input normals, Input rows_wanted, Input origin_of, double size) {
@@ -284,32 +269,34 @@ nb::tuple gather_points(Input positions, Input normals, Input rows_wanted, Input
 Output<int64_t> seed_bricks(Input positions, Input origin_of, double edge, Input bricks) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const double* origin = check<double>(origin_of, "origin", {3});
-  const int64_t* sides = check_sides(bricks);
   check_positive(edge, "edge");
-  const int64_t count = rows_of(positions);
-  Large<int64_t> seeds;
+  BrickSet held(check_sides(bricks));
   {
     nb::gil_scoped_release unlocked;
-    std::vector<bool> held(static_cast<size_t>(sides[0] * sides[1] * sides[2]));
-    visit_places(point, count, origin, edge, [&](int64_t, const Place& place) {
-      for (int axis = 0; axis < 3; ++axis)
-        if (place[axis] < 0 || place[axis] >= sides[axis]) refuse("positions: a point lies off the grid");
-      held[static_cast<size_t>((place[0] * sides[1] + place[1]) * sides[2] + place[2])] = true;
-    });
-    int64_t at = 0;
-    for (int64_t x = 0; x < sides[0]; ++x)
-      for (int64_t y = 0; y < sides[1]; ++y)
-        for (int64_t z = 0; z < sides[2]; ++z)
-          if (held[static_cast<size_t>(at++)]) seeds.push_back(pack({x, y, z}));
+    visit_places(point, rows_of(positions), origin, edge, [&](int64_t, const Place& place) { held.add(place); });
   }
-  return give(std::move(seeds));
+  return give(held.keys());
 }
 
 }  // namespace
 
-void find_rows(const double* points, int64_t count, const double* origin, double size, const KeyRows& table,
-               uint32_t* rows) {
-  visit_places(points, count, origin, size, [&](int64_t i, const Place& place) { rows[i] = table.find(pack(place)); });
+void find_places(const double* points, int64_t count, const double* origin, double size, Place* places) {
+  visit_places(points, count, origin, size, [&](int64_t i, const Place& place) { places[i] = place; });
+}
+
+HPC_CLONES void centre_points(double* points, int64_t count, const double* origin, double size) {
+  constexpr int WIDTH = 24;
+  double corner[WIDTH];
+  for (int i = 0; i < WIDTH; ++i) corner[i] = origin[i % 3];
+  for (int64_t at = 0; at < 3 * count; at += WIDTH) {
+    double* some = points + at;
+    const int width = static_cast<int>(std::min<int64_t>(WIDTH, 3 * count - at));
+    HPC_LANES
+    for (int i = 0; i < width; ++i) {
+      const double place = (some[i] - corner[i]) / size;
+      some[i] = place - std::floor(place) - 0.5;
+    }
+  }
 }
 
 const int64_t* check_sides(const Input& bricks) {

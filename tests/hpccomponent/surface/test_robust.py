@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpccomponent.surface.cell_points import sort_cloud
+from hpccomponent.surface.cell_points import CloudRows, SortedPoints, sort_cloud
 from hpccomponent.surface.lattice import pack_places, spread_keys
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 from hpccomponent.surface.robust import (
@@ -35,13 +35,19 @@ def plane_level(edge: float) -> tuple[IntArray, Any, Any]:
     return pack_places(places), coefficients, np.full(len(places), 0.25, np.float32)
 
 
+def rows_of(points: SortedPoints) -> IntArray:
+    """Return which points of the cloud these are."""
+    assert isinstance(points.rows, CloudRows)
+    return points.rows.rows.astype(np.int64)
+
+
 @pytest.mark.parametrize("depth", [0, 1])
 def test_distances_from_a_plane(depth: int) -> None:
     heights = np.random.default_rng(2).uniform(-0.05, 0.05, 400)
     cells, points = sort_cloud(plane(heights), np.zeros(3), SIZE)
     local, _, offsets = points.place(slice(0, len(cells)))
     level = plane_level(SIZE * 2.0**depth)
-    expected = (heights[points.rows] / (SIZE * 2.0**depth)) ** 2 / 0.25
+    expected = (heights[rows_of(points)] / (SIZE * 2.0**depth)) ** 2 / 0.25
     found = rate_points(local, offsets, cells, depth, *level)
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
@@ -49,7 +55,7 @@ def test_distances_from_a_plane(depth: int) -> None:
 def test_points_far_off_count_little() -> None:
     heights = np.random.default_rng(2).uniform(-0.05, 0.05, 400)
     cells, points = sort_cloud(plane(heights), np.zeros(3), SIZE)
-    squares = (heights[points.rows] / (2.0 * SIZE)) ** 2 / 0.25
+    squares = (heights[rows_of(points)] / (2.0 * SIZE)) ** 2 / 0.25
     found = weigh_points(cells, points, plane_level(2.0 * SIZE), 3.0).weights
     assert found is not None
     np.testing.assert_allclose(found, 1.0 / (1.0 + squares / 3.0), atol=1e-6)
@@ -72,7 +78,7 @@ def test_kurtosis_of_noise_that_differs_from_place_to_place() -> None:
     random = np.random.default_rng(3)
     cloud = PointCloud(random.uniform(0.0, 1.0, size=(60_000, 3)), np.ones((60_000, 3)))
     cells, points = sort_cloud(cloud, np.zeros(3), 1.0 / 16.0)
-    left = cloud.positions[points.rows, 0] > 0.5
+    left = cloud.positions[rows_of(points), 0] > 0.5
     scale = np.where(left, 5.0, 1.0)
     gaussian = tell_kurtosis((scale * random.normal(size=60_000)) ** 2, cells, points.offsets)
     tailed = tell_kurtosis(

@@ -24,6 +24,7 @@ from hpccomponent.surface import (
     lattice,
     moments,
     outliers,
+    packed_cells,
     reach,
     robust,
     spacing,
@@ -144,13 +145,18 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
     ):
         np.testing.assert_array_equal(found, wanted)
     some = keys[::2].copy(), (keys[::2] % 3).astype(np.uint8)
-    unpacked = arrangement.unpack_records(*places)
-    for found, wanted in zip(
-        native.unpack_cells(*places, origin + 0.3 * size, size, *some),
-        cells.take_cells(*unpacked, origin + 0.3 * size, size, *some),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(found, wanted)
+    for lattice_of in ((origin, 0.3 * size, 0), (origin + 0.3 * size, 0.5 * size, 1)):
+        sorted_by_cell = packed_cells.sort_packed(*places, *lattice_of, *some)
+        for found, wanted in zip(
+            native.sort_packed(*places, *lattice_of, *some), sorted_by_cell, strict=True
+        ):
+            assert found.dtype == wanted.dtype
+            np.testing.assert_array_equal(found, wanted)
+        scattered = sorted_by_cell[2], sorted_by_cell[3], *places[2:], *lattice_of[:2]
+        for found, wanted in zip(
+            native.place_packed(*scattered), packed_cells.place_packed(*scattered), strict=True
+        ):
+            np.testing.assert_array_equal(found, wanted)
     np.testing.assert_array_equal(native.bound_points(positions), spacing.bound_points(positions))
     for one_in in (1, 3):
         counted = native.count_boxes(positions, origin, size, one_in)

@@ -23,7 +23,7 @@ KERNELS = (
     "bound_points", "sample_boxes", "integrate_normals", "sample_corners",
     "find_seams", "sum_bricks", "accumulate_weighted", "rate_points",
     "pack_records", "unpack_records", "unpack_within", "take_cells", "mark_ancestors", "look_near",
-    "mark_near", "unpack_cells", "label_cells",
+    "mark_near", "sort_packed", "place_packed", "seed_packed", "label_cells",
 )  # fmt: skip
 
 numbers = st.one_of(
@@ -84,15 +84,37 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
         ("mark_ancestors", keys, 3, keys),
         ("mark_near", keys, keys, *random.integers(-1, draw(st.sampled_from([9, 130])), (2, 3))),
         (
-            "unpack_cells",
+            "sort_packed",
             records,
             np.array([rows]),
             np.ones((1, 3)),
             0.1,
             np.ones(3),
             0.1,
+            draw(st.integers(-1, 22)),
             keys,
             np.ones(len(keys), np.uint8),
+        ),
+        (
+            "place_packed",
+            records,
+            random.integers(0, 3, size=rows).astype(np.uint32),
+            points[:2].copy(),
+            0.1,
+            np.ones(3),
+            0.1,
+        ),
+        (
+            "seed_packed",
+            records,
+            np.zeros(rows, np.uint32),
+            points[:1].copy(),
+            0.1,
+            random.integers(-1, rows + 1, size=2),
+            np.ones(1, np.bool_),
+            np.ones(3),
+            0.1,
+            random.integers(-1, 9, size=3),
         ),
         ("look_near", keys, np.ones(3), 0.1, means.astype(np.uint8)[None], np.ones(3), 1.0, 0.5, 2),
         (
