@@ -7,7 +7,6 @@ when it is used, and heavy libraries only inside it, so that the command starts 
 from __future__ import annotations
 
 import contextlib
-import gc
 import logging
 import os
 import signal
@@ -18,6 +17,7 @@ from typing import Any, NoReturn
 import click
 
 from hpccomponent.errors import HpcError
+from hpccomponent.runtime.collecting import rare_collections
 
 __all__ = ["hpcapp", "main"]
 
@@ -28,7 +28,6 @@ SHIPPED = {
     "info": "hpcapp.applications.surface.commands:info",
 }
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
-_OBJECTS_BETWEEN_COLLECTIONS = 100_000
 
 
 class Verbs(click.Group):
@@ -139,13 +138,11 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in arguments
     _fill_closed_descriptors()
-    # Modules and arrays make hardly any cycles: looking for them costs a twentieth of a small job.
-    gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _interrupt)
-    code = _run(arguments, debug)
-    gc.freeze()  # at the exit, too, it costs 50 ms to look for cycles among all that was loaded
+    with rare_collections():
+        code = _run(arguments, debug)
     sys.exit(code)
 
 

@@ -10,6 +10,7 @@ import sys
 
 from hpccomponent.errors import HpcError
 from hpccomponent.protocol.connection import read_connection
+from hpccomponent.runtime.collecting import rare_collections
 from hpccomponent.runtime.component import ComponentOptions, run_component
 from hpccomponent.runtime.lifetime import die_with_parent
 from hpccomponent.runtime.tasks import TaskRegistry
@@ -59,4 +60,6 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with rare_collections():
+        code = main()
+    sys.exit(code)

@@ -31,6 +31,7 @@ from hpccomponent.protocol.messages import (
     encode_message,
 )
 from hpccomponent.runtime.channel import Channel, ChannelClosedError, cut_payload
+from hpccomponent.runtime.collecting import rare_collections
 from hpccomponent.runtime.idle import idle_work
 from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
 from hpccomponent.runtime.tasks import TaskRegistry
@@ -166,4 +167,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with rare_collections():
+        code = main()
+    sys.exit(code)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hpccomponent.errors import HpcError
+from hpccomponent.runtime.collecting import rare_collections
 from hpcloader.builds import BUILD_VARIABLE, Choice, choose_build, read_catalogue
 from hpcloader.daemon import Daemon
 from hpcloader.machine import Machine, read_machine
@@ -117,4 +118,6 @@ def _facts_text(machine: Machine, choice: Choice) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with rare_collections():
+        code = main()
+    sys.exit(code)
