@@ -101,6 +101,11 @@ class SlabFields:
     grid: Grid
     threads: int = 1
 
+    def let_go(self) -> None:
+        """Take points and corners out of the pyramid, whoever else holds it: no more is fitted."""
+        self.pyramid.levels.clear()
+        self.pyramid.vertices.clear()
+
     def cut(self, first: int, end: int, quadrics: int) -> list[int]:
         """Cut layers of bricks along x into slabs.
 

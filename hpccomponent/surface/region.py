@@ -305,6 +305,13 @@ def _mesh_region(
     threads: int,
 ) -> tuple[MeshPart, IntArray]:
     """Fit the fine levels where bricks may be evaluated, and extract the surface there."""
+    return grow_tile(_fit_fields(plan, levels, corners, coarse, threads), kinds)
+
+
+def _fit_fields(
+    plan: Plan, levels: list[Level], corners: list[IntArray], coarse: Values, threads: int
+) -> SlabFields:
+    """Fit the fine levels but the finest one, which is fitted slab by slab."""
     coarser = CoarseLevels.from_values(coarse)
     far = restore_far_field(coarser.far)
     fine = tuple(_NO_LEVEL for _ in range(1, min(plan.coarse, FIELD_LEVELS)))
@@ -313,8 +320,7 @@ def _mesh_region(
     if levels:
         fine, parents = fit_above(pyramid, plan.weights, coarser.parents, far, threads)
     above = fine + coarser.levels
-    fields = SlabFields(pyramid, plan.weights, parents, above, far, plan.grid, threads)
-    return grow_tile(fields, kinds)
+    return SlabFields(pyramid, plan.weights, parents, above, far, plan.grid, threads)
 
 
 def _give(

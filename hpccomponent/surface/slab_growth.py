@@ -83,6 +83,7 @@ def grow_tile(fields: SlabFields, kinds: BrickKinds) -> tuple[MeshPart, IntArray
     Parameters
     ----------
     fields : SlabFields
+        What it is made of is let go when the last slab is there: the part takes its place.
     kinds : BrickKinds
 
     Returns
@@ -92,5 +93,7 @@ def grow_tile(fields: SlabFields, kinds: BrickKinds) -> tuple[MeshPart, IntArray
         See `bricks.grow_bricks`.
     """
     found = list(grow_slabs(fields, kinds, cut_slabs(fields, kinds)))
+    fields.let_go()
+    del fields
     exits = unique_keys(np.concatenate([np.empty(0, np.int64), *(exits for _, exits in found)]))
     return join_parts([part for part, _ in found]), exits
