@@ -149,7 +149,7 @@ def test_shutdown_finishes_what_is_submitted_and_the_components_leave(
     futures = [executor.submit("contract.echo", number) for number in range(200)]
     executor.shutdown(wait=True)
     assert [future.result(0) for future in futures] == list(range(200))
-    assert [component.wait(10) for component in components] == [0, 0]
+    assert [component.wait() for component in components] == [0, 0]
 
 
 def test_shutdown_can_cancel_what_waits(executor) -> None:
@@ -169,7 +169,7 @@ def test_leaving_with_an_error_abandons_running_tasks(
         raise KeyboardInterrupt
     with pytest.raises(JobError, match="shut down"):
         running.result(0)
-    assert component.wait(10) == 0
+    assert component.wait() == 0
     assert not is_alive(worker)
 
 
@@ -254,7 +254,7 @@ def test_a_preempted_component_says_goodbye_and_its_task_goes_on_elsewhere(
     started.unlink()
     start_component()
     victim.terminate()
-    assert victim.wait(10) == 0
+    assert victim.wait() == 0
     await_file(started)
     released.touch()
     future.result(WAIT)
@@ -289,7 +289,7 @@ def test_a_revoked_worker_leaves(executor, start_component) -> None:
     component = start_component("w", connection)
     executor.wait_for_workers(1, WAIT)
     executor.revoke(connection.public_key)
-    assert component.wait(10) == 2
+    assert component.wait() == 2
     assert "revoked" in component.stderr.read()
     assert executor.workers == 0
 

@@ -98,7 +98,7 @@ def test_sigterm_ends_it_and_its_worker(master: Master, start: Start) -> None:
     (worker,) = children(component.pid)
     component.send_signal(signal.SIGINT)  # the terminal's Ctrl-C is not for it
     component.terminate()
-    assert component.wait(10) == 0
+    assert component.wait() == 0
     assert not is_alive(worker)
 
 
@@ -108,7 +108,7 @@ def test_the_end_of_the_lifeline_ends_it(master: Master, start: Start) -> None:
     os.close(reading)
     master.hear_register()
     os.close(writing)
-    assert component.wait(10) == 0
+    assert component.wait() == 0
 
 
 def test_a_killed_component_takes_its_worker_along(master: Master, start: Start) -> None:
@@ -116,7 +116,7 @@ def test_a_killed_component_takes_its_worker_along(master: Master, start: Start)
     master.hear_register()
     (worker,) = children(component.pid)
     component.kill()
-    component.wait(10)
+    component.wait()
     gone = os.pidfd_open(worker) if is_alive(worker) else None
     if gone is not None:
         poller = zmq.Poller()
@@ -145,7 +145,7 @@ def test_a_refused_component_says_why_and_asks_not_to_be_started_again(
     component = start()
     identity, _ = master.hear_register()
     master.router.send_multipart([identity, encode_message(Refused("wrong release"))])
-    assert component.wait(10) == 2
+    assert component.wait() == 2
     assert "wrong release" in component.stderr.read()
 
 
@@ -154,7 +154,7 @@ def test_a_silent_master_is_left(master: Master, start: Start) -> None:
     identity, _ = master.hear_register()
     welcome = Registered("s", 0.1, 0.5, 1 << 20)
     master.router.send_multipart([identity, encode_message(welcome)])
-    assert component.wait(10) == 5
+    assert component.wait() == 5
     assert "silent" in component.stderr.read()
 
 
@@ -164,12 +164,12 @@ def test_junk_from_the_master_is_dropped(master: Master, start: Start) -> None:
     master.router.send_multipart([identity, b"junk"])
     master.router.send_multipart([identity, b"", b"x", b"y"])
     master.router.send_multipart([identity, encode_message(Refused("the end"))])
-    assert component.wait(10) == 2
+    assert component.wait() == 2
 
 
 def test_usage_and_configuration_errors_exit_2(start: Start, tmp_path: Path) -> None:
     component = start("--task", "malformed")
-    assert component.wait(10) == 2
+    assert component.wait() == 2
     assert "NAME=module:function" in component.stderr.read()
     (tmp_path / "connection.json").unlink()
     command = [sys.executable, "-P", "-m", "hpccomponent", "--connection", str(tmp_path / "none")]

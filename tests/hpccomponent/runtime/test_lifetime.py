@@ -17,7 +17,7 @@ def test_the_end_of_a_pipe_ends_a_process_that_computes() -> None:
     process = subprocess.Popen([sys.executable, "-c", code], pass_fds=(reading,))
     os.close(reading)
     os.close(writing)
-    assert process.wait(10) == 7
+    assert process.wait() == 7
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the kernel's signal is Linux's")

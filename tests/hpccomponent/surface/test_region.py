@@ -11,11 +11,13 @@ from hpcapp.batches import Workforce
 from hpccomponent.errors import JobError
 from hpccomponent.runtime.idle import IdleWork
 from hpccomponent.store import FolderStore
-from hpccomponent.surface import prepared_tile, region
+from hpccomponent.surface import prepared_tile, region, slab_growth
 from hpccomponent.surface.arranged_cloud import arrange_cloud
+from hpccomponent.surface.mesh_part import join_parts
 from hpccomponent.surface.points import PointCloud
 from hpccomponent.surface.prepared_tile import PreparedTile, lay_corners
 from hpccomponent.surface.region import KEPT_TILES, mesh_tile, solve_far, sum_tile
+from hpccomponent.surface.tile_points import take_points
 
 
 def ball(count):
@@ -147,6 +149,31 @@ def test_what_fails_in_idle_time_is_tried_again_by_the_task(monkeypatch):
             idle.run_one()
         assert not idle
         assert_same(mesh_tile(plan, given[0], "d", given[1]), wanted)
+
+
+def test_what_a_tile_is_made_of_leaves_memory_before_its_slabs_are_joined(monkeypatch):
+    method = HierarchicalMethod(48)
+    partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
+    plan, tiling = partition.plan.to_values(), partition.tiling
+    sums = [sum_tile(plan, tiling.tile(index), None) for index in range(2)]
+    coarse = fit_sums(partition.plan, sums).around(tiling.own(1)).to_values()
+    made, held = [], []
+
+    def sort(*given):
+        taken = take_points(*given)
+        made.append(weakref.ref(taken.points.offsets))
+        return taken
+
+    def join(parts):
+        held.append(made[-1]() is not None)
+        return join_parts(parts)
+
+    monkeypatch.setattr(prepared_tile, "take_points", sort)
+    monkeypatch.setattr(slab_growth, "join_parts", join)
+    sum_tile(plan, tiling.tile(1), "f")
+    for ticket in (None, "f"):
+        mesh_tile(plan, tiling.tile(1), ticket, coarse)
+    assert held == [False, False]
 
 
 def test_tiles_leave_memory_with_their_last_use(monkeypatch):
