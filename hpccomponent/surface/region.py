@@ -64,7 +64,7 @@ _NO_LEVEL = FieldLevel(
 
 
 KEPT_TILES = 3
-"""So many tiles that a process has summed wait there to be meshed, some 130 bytes a point."""
+"""So many tiles that a process has summed wait there to be meshed, some 100 bytes a point."""
 
 _waiting: dict[str, PreparedTile] = {}
 """By their tickets, the one that was summed first before the others."""

@@ -146,11 +146,13 @@ nb::tuple sort_packed(Input records_of, Input counts_of, Input corners_of, doubl
   {
     nb::gil_scoped_release unlocked;
     const KeyRows table(wanted, known);
-    Place low{0, 0, 0}, high{0, 0, 0};  // of the finest cells
+    Place low{0, 0, 0}, high{0, 0, 0};  // of the finest cells, as far as the lattice goes
     for (int64_t i = 0; i < known; ++i) {
       const Place place = unpack(wanted[i]);
       for (int axis = 0; axis < 3; ++axis) {
-        const int64_t first = place[axis] * (int64_t{1} << depth), last = first + (int64_t{1} << depth) - 1;
+        const int64_t side = int64_t{1} << depth;
+        const int64_t first = std::clamp(place[axis] * side, -BIAS, BIAS - 1);
+        const int64_t last = std::clamp(place[axis] * side + side - 1, -BIAS, BIAS - 1);
         low[axis] = i ? std::min(low[axis], first) : first;
         high[axis] = i ? std::max(high[axis], last) : last;
       }

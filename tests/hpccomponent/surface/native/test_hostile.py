@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hpccomponent.surface.case_table import case_triangles
+from hpccomponent.surface.lattice import pack_places
 
 KERNELS = (
     "accumulate_moments", "balance_vertices", "corner_moments", "count_boxes", "count_cells",
@@ -139,6 +140,18 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
     name, *values = draw(st.sampled_from(calls))
     with contextlib.suppress(ValueError):
         getattr(native, name)(*values)
+
+
+def test_coarse_cells_beyond_the_lattice(native: ModuleType) -> None:
+    """They hold no point; a key of their finest cells would have more than 64 bits."""
+    wanted = np.sort(pack_places(np.array([[-(2**20)] * 3, [0] * 3, [2**20 - 1] * 3])))
+    packed = np.full((5, 6), 0.5, np.float32), np.array([5]), np.zeros((1, 3)), 1.0
+    lattice = np.zeros(3), 0.25, 20, wanted, np.arange(3, dtype=np.uint8)
+    cells, offsets, records, _, groups = native.sort_packed(*packed, *lattice)
+    assert cells.tolist() == pack_places(np.array([[2, 2, 2]])).tolist()
+    assert offsets.tolist() == [0, 5]
+    assert len(records) == 5
+    assert groups.tolist() == [1]
 
 
 def test_messages_name_the_argument(native: ModuleType) -> None:
