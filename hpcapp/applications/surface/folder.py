@@ -17,7 +17,7 @@ from hpcapp.io import open_points
 from hpcapp.shared_files import workers_see
 from hpccomponent.limits import available_cores
 
-__all__ = ["choose_tile", "may_pay_in_folder", "plan_passes"]
+__all__ = ["all_see_folder", "choose_tile", "may_pay_in_folder", "plan_passes"]
 
 FOLDER_FROM_POINTS = 200_000
 """With fewer, what is saved by workers that read for themselves is less than what files cost."""
@@ -55,6 +55,14 @@ def choose_tile(settings: Settings, backend: Backend) -> int | None:
         return None
     workforce = backend.workforce
     return fitting_tile(settings.max_memory, workforce.workers if workforce.in_process else 1)
+
+
+def all_see_folder(folder: Path, backend: Backend) -> bool:
+    """Find out whether every worker sees a folder, which is there."""
+    if backend.name in BACKENDS:  # on this machine
+        return True
+    with tempfile.NamedTemporaryFile(dir=folder) as sign:
+        return workers_see(backend.workforce, Path(sign.name))
 
 
 def plan_passes(path: Path, folder: Path, backend: Backend, points: int) -> Passes:

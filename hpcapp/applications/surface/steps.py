@@ -9,8 +9,9 @@ import logging
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpcapp.applications.surface.choice import Choice, Job
@@ -20,7 +21,7 @@ from hpcapp.applications.surface.doubts import (
     doubt_resolution,
     sample_cloud,
 )
-from hpcapp.applications.surface.folder import choose_tile
+from hpcapp.applications.surface.folder import all_see_folder, choose_tile
 from hpcapp.applications.surface.keeping import Keeping
 from hpcapp.applications.surface.loading import Loaded
 from hpcapp.applications.surface.memory import check_memory
@@ -105,6 +106,8 @@ def run_memory(
     check_memory(settings.method, grid, cloud)
     is_cut = keeping is not None or settings.max_memory is not None
     with opener.open(Job(len(cloud), grid, is_cut), executor) as (backend, choice):
+        if keeping and keeping.holds_files and not all_see_folder(Path(keeping.place), backend):
+            keeping = replace(keeping, is_shared=False)
         yield run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
 
 

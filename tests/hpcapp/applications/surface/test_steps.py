@@ -1,0 +1,73 @@
+"""A cloud in memory, and workers on machines that do not see where its tiles are kept."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor, Future
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hpcapp.applications.surface.keeping import Keeping
+from hpcapp.applications.surface.loading import load_memory
+from hpcapp.applications.surface.opening import approach_workers
+from hpcapp.applications.surface.settings import Settings
+from hpcapp.applications.surface.steps import run_memory
+from hpcapp.io import write_points
+from hpcapp.progress import SilentProgress, StageClock
+from hpccomponent.surface.points import PointCloud
+
+
+class OtherMachine(Executor):
+    """Where a folder of the master's is another one under the same name.
+
+    Parameters
+    ----------
+    folder, other : Path
+        The master's, and the one that is there.
+    """
+
+    def __init__(self, folder: Path, other: Path) -> None:
+        self._folder, self._other = str(folder), str(other)
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Run a task with the names as they are understood there."""
+        future: Future[Any] = Future()
+        future.set_running_or_notify_cancel()
+        try:
+            future.set_result(fn(*(self._understand(value) for value in args), **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def _understand(self, value: Any) -> Any:
+        if isinstance(value, str):
+            return value.replace(self._folder, self._other)
+        if isinstance(value, tuple | list):
+            return type(value)(self._understand(one) for one in value)
+        return value
+
+
+@pytest.mark.parametrize("sees", [True, False])
+def test_tiles_are_kept_by_who_sees_the_folder(tmp_path: Path, sees: bool) -> None:
+    normals = np.random.default_rng(1).normal(size=(4_000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    write_points(tmp_path / "ball.ply", PointCloud(normals, normals))
+    here, there = tmp_path / "here", tmp_path / "there"
+    here.mkdir()
+    there.mkdir()
+    settings = Settings(tmp_path / "ball.ply", "-", grid=48, workers=2, temp_dir=str(here))
+    clock = StageClock(SilentProgress())
+    loaded = load_memory(settings, clock)
+    keeping, machine = Keeping(str(here), "job"), OtherMachine(here, here if sees else there)
+    with (
+        approach_workers(settings) as opener,
+        run_memory(settings, loaded, opener, clock, keeping, machine) as outcome,
+    ):
+        mesh = outcome.result.surface.mesh()
+        assert list(there.iterdir()) == []
+        kept = keeping.store.list("job/")
+    assert len(kept) >= 2
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 1.0, atol=0.01)
+    assert len(mesh.vertices) - len(mesh.faces) // 2 == 2  # closed, of genus 0
