@@ -1,6 +1,7 @@
 """A program that hardly ever looks for cycles among its objects.
 
-Used by every program here, as it starts: never by what is imported into another one.
+Used by the master's command, the loader, the component and the worker as they start: never by what
+is imported into another program.
 """
 
 from __future__ import annotations

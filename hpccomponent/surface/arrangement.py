@@ -30,7 +30,6 @@ __all__ = [
     "Arrangement",
     "PackedPoints",
     "choose_arrangement",
-    "list_blocks",
     "pack_points",
     "pack_records",
     "pack_snapped",
@@ -39,6 +38,7 @@ __all__ = [
     "unpack_points",
     "unpack_records",
     "unpack_within",
+    "unpacking_arguments",
 ]
 
 Float32Array = NDArray[np.float32]
@@ -220,7 +220,7 @@ def unpack_points(arrangement: Arrangement, packed: PackedPoints) -> tuple[Float
         Those of float32.
     """
     unpack = unpack_records if _native is None else _native.unpack_records
-    points: tuple[FloatArray, FloatArray] = unpack(*list_blocks(arrangement, packed))
+    points: tuple[FloatArray, FloatArray] = unpack(*unpacking_arguments(arrangement, packed))
     return points
 
 
@@ -243,8 +243,30 @@ def unpack_near(
         Which ones they are.
     """
     unpack: Any = unpack_within if _native is None else _native.unpack_within
-    found: tuple[FloatArray, IntArray] = unpack(*list_blocks(arrangement, packed), low, high)
+    found: tuple[FloatArray, IntArray] = unpack(
+        *unpacking_arguments(arrangement, packed), low, high
+    )
     return found
+
+
+def unpacking_arguments(
+    arrangement: Arrangement, packed: PackedPoints
+) -> tuple[Float32Array, IntArray, FloatArray, float]:
+    """Return what the kernels take that unpack points.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    packed : PackedPoints
+
+    Returns
+    -------
+    records, counts, corners, edge
+        See `unpack_records`.
+    """
+    corners = unpack_keys(packed.keys) * arrangement.edge + arrangement.origin
+    counts = np.ascontiguousarray(packed.counts, np.int64)
+    return packed.to_records(), counts, corners, arrangement.edge
 
 
 def pack_records(
@@ -319,12 +341,3 @@ def unpack_within(
     positions, _ = unpack_records(records, counts, corners, edge)
     rows = np.flatnonzero(((positions >= low) & (positions <= high)).all(axis=1))
     return positions[rows], rows
-
-
-def list_blocks(
-    arrangement: Arrangement, packed: PackedPoints
-) -> tuple[Float32Array, IntArray, FloatArray, float]:
-    """Return packed points as `unpack_records` takes them."""
-    corners = unpack_keys(packed.keys) * arrangement.edge + arrangement.origin
-    counts = np.ascontiguousarray(packed.counts, np.int64)
-    return packed.to_records(), counts, corners, arrangement.edge

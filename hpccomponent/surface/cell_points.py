@@ -151,8 +151,6 @@ class CloudRows:
     def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: NDArray[np.bool_]) -> IntArray:
         """See `CellRows`."""
         rows = self.rows[np.repeat(wanted, np.diff(offsets))]
-        if not len(rows):
-            return np.empty(0, np.int64)
         return kernels.seed_bricks(grid, self.cloud.positions.take(rows, axis=0))
 
 
@@ -162,7 +160,7 @@ class SortedPoints:
 
     Parameters
     ----------
-    rows : CellRows
+    held : CellRows
         Those of other cells may be among them.
     origin : ndarray of float64, shape (3,)
         Where corner (0, 0, 0) of the lattice lies.
@@ -174,7 +172,7 @@ class SortedPoints:
         How much each of these counts; 1 by default.
     """
 
-    rows: CellRows
+    held: CellRows
     origin: FloatArray
     cell_size: float
     offsets: IntArray
@@ -200,7 +198,7 @@ class SortedPoints:
         """Return the points in a run of cells, relative to these, with normals and offsets."""
         offsets = self.offsets[cells.start : cells.stop + 1]
         rows = slice(int(offsets[0]), int(offsets[-1]))
-        local, normals = self.rows.place(rows, self.origin, self.cell_size)
+        local, normals = self.held.place(rows, self.origin, self.cell_size)
         return local, normals, offsets - offsets[0]
 
 

@@ -18,7 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import bricks
-from hpccomponent.surface.arrangement import Arrangement, PackedPoints, list_blocks, unpack_records
+from hpccomponent.surface.arrangement import (
+    Arrangement,
+    PackedPoints,
+    unpack_records,
+    unpacking_arguments,
+)
 from hpccomponent.surface.build import load_native
 from hpccomponent.surface.field import BRICK, Grid
 from hpccomponent.surface.lattice import cells_of, find_keys, pack_places, unique_keys
@@ -108,7 +113,7 @@ def sort_tile(
         The number of the coarse cell that each lies in.
     """
     sort = sort_packed if _native is None else _native.sort_packed
-    records, counts, corners, edge = list_blocks(arrangement, packed)
+    records, counts, corners, edge = unpacking_arguments(arrangement, packed)
     lattice = origin, cell_size, depth, wanted, numbers
     cells, offsets, taken, blocks, groups = sort(records, counts, corners, edge, *lattice)
     return cells, offsets, PackedRows(taken, blocks, corners, edge), groups

@@ -19,7 +19,7 @@ import numpy as np
 from hpccomponent.surface import kernels
 from hpccomponent.surface.bricks import BrickKinds
 from hpccomponent.surface.points import IntArray
-from hpccomponent.surface.pyramid import Level, lay_vertices, raise_levels
+from hpccomponent.surface.pyramid import lay_vertices, raise_levels
 from hpccomponent.surface.reach import near_bricks, plan_tile
 from hpccomponent.surface.tile_plan import Plan
 from hpccomponent.surface.tile_points import CellPoints, TilePoints, take_points
@@ -54,8 +54,7 @@ class PreparedTile:
         kernels.bound_free_memory()  # what tiles before this one have left
         taken = take_points(points, plan)
         self.groups = taken.groups
-        finest = Level(taken.cells, taken.points, np.empty(0))
-        self.levels = raise_levels(finest, plan.coarse + 1, threads)
+        self.levels = raise_levels(taken.finest, plan.coarse + 1, threads)
         self._laid: Laid | None = None
         self._steps = _lay(plan, taken)  # without `self`, which would be a cycle
 
@@ -85,7 +84,7 @@ class PreparedTile:
 
 def _lay(plan: Plan, taken: TilePoints) -> Generator[str, None, Laid]:
     kinds = plan_tile(plan.grid, *(taken.seed_bricks(plan.grid, group) for group in range(3)))
-    cells = taken.cells
+    cells = taken.finest.cells
     del taken  # the points leave memory with their level
     yield "kinds"
     return kinds, [] if kinds is None else (yield from lay_corners(plan, cells, kinds))

@@ -47,7 +47,6 @@ __all__ = [
     "fit_levels",
     "lay_vertices",
     "raise_levels",
-    "sort_level",
 ]
 
 Float32Array = NDArray[np.float32]
@@ -197,20 +196,10 @@ def build_pyramid(
     -------
     Pyramid
     """
-    levels = raise_levels(sort_level(cloud, origin, cell_size), height, threads)
+    finest = Level(*sort_cloud(cloud, origin, cell_size), np.empty(0))
+    levels = raise_levels(finest, height, threads)
     vertices = lay_vertices(kernels.spread_keys(levels[0].cells, -1, 2), height)
     return Pyramid(origin, cell_size, levels, vertices, 0, height)
-
-
-def sort_level(cloud: PointCloud, origin: FloatArray, cell_size: float) -> Level:
-    """Sort the points into the finest cells.
-
-    Parameters
-    ----------
-    cloud, origin, cell_size
-        See `build_pyramid`.
-    """
-    return Level(*sort_cloud(cloud, origin, cell_size), np.empty(0))
 
 
 def raise_levels(finest: Level, levels: int, threads: int = 1) -> list[Level]:

@@ -64,7 +64,8 @@ _NO_LEVEL = FieldLevel(
 
 
 KEPT_TILES = 3
-"""So many tiles that a process has summed wait there to be meshed, some 100 bytes a point."""
+"""So many tiles that a process has summed wait there to be meshed, some 100 bytes a point
+where it reads them from a folder, and 130 where it is sent them."""
 
 _waiting: dict[str, PreparedTile] = {}
 """By their tickets, the one that was summed first before the others."""
@@ -289,10 +290,10 @@ def mesh_gap(
     low = common.origin + common.coarse_size * unpack_keys(missing)
     kinds = plan_gap(common.grid, exits, seeds, low, common.coarse_size, common.reach)
     levels, corners = [], [_NO_LEVEL.keys]
-    if len(taken.cells):
-        finest = Level(taken.cells, taken.points, np.empty(0))
-        levels = raise_levels(finest, common.coarse, threads)
-        corners = finish(lay_corners(common, finest.cells, kinds))
+    if len(taken.finest.cells):
+        levels = raise_levels(taken.finest, common.coarse, threads)
+        corners = finish(lay_corners(common, taken.finest.cells, kinds))
+    del taken  # the points leave memory with their level
     return _give(*_mesh_region(common, levels, corners, kinds, coarse, threads), keep)
 
 
@@ -311,7 +312,10 @@ def _mesh_region(
 def _fit_fields(
     plan: Plan, levels: list[Level], corners: list[IntArray], coarse: Values, threads: int
 ) -> SlabFields:
-    """Fit the fine levels but the finest one, which is fitted slab by slab."""
+    """Fit the fine levels but the finest one, which is fitted slab by slab.
+
+    A function of its own, so that nobody else holds what is made here: see `grow_tile`.
+    """
     coarser = CoarseLevels.from_values(coarse)
     far = restore_far_field(coarser.far)
     fine = tuple(_NO_LEVEL for _ in range(1, min(plan.coarse, FIELD_LEVELS)))

@@ -143,7 +143,7 @@ def weigh_points(
     -------
     SortedPoints
     """
-    weights = np.empty(len(points.rows))
+    weights = np.empty(len(points.held))
 
     def weigh(part: slice) -> None:
         squares = measure_points(cells, points, part, 1, blend)

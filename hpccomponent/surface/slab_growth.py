@@ -94,6 +94,6 @@ def grow_tile(fields: SlabFields, kinds: BrickKinds) -> tuple[MeshPart, IntArray
     """
     found = list(grow_slabs(fields, kinds, cut_slabs(fields, kinds)))
     fields.let_go()
-    del fields
+    del fields  # with the levels and the far field, where the caller has handed them over
     exits = unique_keys(np.concatenate([np.empty(0, np.int64), *(exits for _, exits in found)]))
     return join_parts([part for part, _ in found]), exits

@@ -28,6 +28,7 @@ from hpccomponent.surface.field import Grid
 from hpccomponent.surface.lattice import find_keys, pack_places, unique_keys, unpack_keys
 from hpccomponent.surface.packed_cells import sort_tile
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
+from hpccomponent.surface.pyramid import Level
 from hpccomponent.surface.tile_plan import Plan
 
 __all__ = ["CellPoints", "TilePoints", "estimate_work", "pack_cloud", "read_cells", "take_points"]
@@ -48,21 +49,20 @@ class TilePoints:
 
     Parameters
     ----------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of the finest cells with points.
-    points : SortedPoints
-        In these; within a cell in the order of the whole cloud.
+    finest : Level
+        The finest cells, and their points; within a cell in the order of the whole cloud.
     groups : ndarray of uint8, shape (c,)
         The group of each cell.
     """
 
-    cells: IntArray
-    points: SortedPoints
+    finest: Level
     groups: NDArray[np.uint8]
 
     def seed_bricks(self, grid: Grid, group: int) -> IntArray:
         """Return the sorted keys of the bricks that hold a point of a group."""
-        return self.points.rows.seed_bricks(grid, self.points.offsets, self.groups == group)
+        points = self.finest.points
+        assert isinstance(points, SortedPoints)  # noqa: S101 - the finest level has points
+        return points.held.seed_bricks(grid, points.offsets, self.groups == group)
 
 
 def estimate_work(points: CellPoints) -> float:
@@ -128,9 +128,10 @@ def _read_packed(cloud: DiskCloud, plan: Plan, cells: list[IntArray]) -> TilePoi
     blocks = _find_blocks(cloud.arrangement, wanted, plan.origin, plan.coarse_size)
     lattice = plan.origin, plan.cell_size, plan.coarse
     packed = cloud.take_packed(blocks)
-    found = sort_tile(cloud.arrangement, packed, *lattice, wanted, numbers)
-    finest, offsets, rows, groups = found
-    return TilePoints(finest, SortedPoints(rows, plan.origin, plan.cell_size, offsets), groups)
+    sorted_points = sort_tile(cloud.arrangement, packed, *lattice, wanted, numbers)
+    finest, offsets, held, groups = sorted_points
+    points = SortedPoints(held, plan.origin, plan.cell_size, offsets)
+    return TilePoints(Level(finest, points, np.empty(0)), groups)
 
 
 def _sort_groups(cloud: PointCloud, numbers: NDArray[np.uint8], plan: Plan) -> TilePoints:
@@ -139,7 +140,7 @@ def _sort_groups(cloud: PointCloud, numbers: NDArray[np.uint8], plan: Plan) -> T
     if len(cloud):
         cells, offsets, rows = kernels.sort_points(cloud.positions, plan.origin, plan.cell_size)
     points = SortedPoints(CloudRows(cloud, rows), plan.origin, plan.cell_size, offsets)
-    return TilePoints(cells, points, numbers[rows[offsets[:-1]]])
+    return TilePoints(Level(cells, points, np.empty(0)), numbers[rows[offsets[:-1]]])
 
 
 def read_cells(

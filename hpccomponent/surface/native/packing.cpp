@@ -247,14 +247,16 @@ nb::tuple place_packed(Input records_of, Input blocks_of, Input corners_of, doub
 Output<int64_t> seed_packed(Input records_of, Input blocks_of, Input corners_of, double edge, Input offsets_of,
                             Input wanted_of, Input origin_of, double brick, Input bricks) {
   const Scattered packed(records_of, blocks_of, corners_of, edge);
+  const bool* wanted = check<bool>(wanted_of, "wanted", {ANY});
   const int64_t cells = rows_of(wanted_of);
   const int64_t* offsets = check_offsets(offsets_of, cells, packed.points);
-  const bool* wanted = check<bool>(wanted_of, "wanted", {cells});
   const double* origin = check<double>(origin_of, "origin", {3});
   check_positive(brick, "edge");
-  BrickSet held(check_sides(bricks));
+  const int64_t* sides = check_sides(bricks);
+  Large<int64_t> seeds;
   {
     nb::gil_scoped_release unlocked;
+    BrickSet held(sides);
     double positions[3 * CHUNK];
     Place places[CHUNK];
     int width = 0;
@@ -271,8 +273,9 @@ Output<int64_t> seed_packed(Input records_of, Input blocks_of, Input corners_of,
       }
     }
     add();
+    seeds = held.keys();
   }
-  return give(held.keys());
+  return give(std::move(seeds));
 }
 
 }  // namespace

@@ -270,12 +270,16 @@ Output<int64_t> seed_bricks(Input positions, Input origin_of, double edge, Input
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const double* origin = check<double>(origin_of, "origin", {3});
   check_positive(edge, "edge");
-  BrickSet held(check_sides(bricks));
+  const int64_t* sides = check_sides(bricks);
+  const int64_t count = rows_of(positions);
+  Large<int64_t> seeds;
   {
     nb::gil_scoped_release unlocked;
-    visit_places(point, rows_of(positions), origin, edge, [&](int64_t, const Place& place) { held.add(place); });
+    BrickSet held(sides);
+    visit_places(point, count, origin, edge, [&](int64_t, const Place& place) { held.add(place); });
+    seeds = held.keys();
   }
-  return give(held.keys());
+  return give(std::move(seeds));
 }
 
 }  // namespace

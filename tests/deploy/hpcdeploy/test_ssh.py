@@ -98,7 +98,7 @@ def test_a_vanished_connection_is_told_as_such(
         seen.wait()
         machines.stop(server)
 
-    cutter = threading.Thread(target=cut)
+    cutter = threading.Thread(target=cut, daemon=True)
     cutter.start()
     with pytest.raises(CloudError, match="worker-1: the connection was lost"):
         shell.follow("echo up; tail -f /dev/null", lambda line: seen.set())

@@ -6,8 +6,6 @@ PROGRAM = """
 import gc, json
 from hpccomponent.runtime.collecting import rare_collections
 with rare_collections():
-    loop = []
-    loop.append(loop)
     held = [[] for _ in range(20_000)]
     print(json.dumps([gc.get_count()[0] > 20_000, gc.get_freeze_count()]))
 print(json.dumps([len(gc.get_objects()) < 1000, gc.get_freeze_count() > 20_000]))

@@ -161,7 +161,7 @@ def test_what_a_tile_is_made_of_leaves_memory_before_its_slabs_are_joined(monkey
 
     def sort(*given):
         taken = take_points(*given)
-        made.append(weakref.ref(taken.points.offsets))
+        made.append(weakref.ref(taken.finest.points.offsets))
         return taken
 
     def join(parts):
@@ -171,7 +171,7 @@ def test_what_a_tile_is_made_of_leaves_memory_before_its_slabs_are_joined(monkey
     monkeypatch.setattr(prepared_tile, "take_points", sort)
     monkeypatch.setattr(slab_growth, "join_parts", join)
     sum_tile(plan, tiling.tile(1), "f")
-    for ticket in (None, "f"):
+    for ticket in ("f", None):
         mesh_tile(plan, tiling.tile(1), ticket, coarse)
     assert held == [False, False]
 

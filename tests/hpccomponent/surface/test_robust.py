@@ -37,8 +37,8 @@ def plane_level(edge: float) -> tuple[IntArray, Any, Any]:
 
 def rows_of(points: SortedPoints) -> IntArray:
     """Return which points of the cloud these are."""
-    assert isinstance(points.rows, CloudRows)
-    return points.rows.rows.astype(np.int64)
+    assert isinstance(points.held, CloudRows)
+    return points.held.rows.astype(np.int64)
 
 
 @pytest.mark.parametrize("depth", [0, 1])

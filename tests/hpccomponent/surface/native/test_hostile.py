@@ -112,7 +112,7 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
             points[:1].copy(),
             0.1,
             random.integers(-1, rows + 1, size=2),
-            np.ones(1, np.bool_),
+            draw(st.sampled_from([np.ones(1, np.bool_), np.array(True)])),
             np.ones(3),
             0.1,
             random.integers(-1, 9, size=3),
