@@ -122,16 +122,15 @@ def take_points(points: CellPoints, plan: Plan) -> TilePoints:
     return _sort_groups(PointCloud(positions, normals), numbers, plan)
 
 
-def _read_packed(cloud: DiskCloud, plan: Plan, cells: list[IntArray]) -> TilePoints:
+def _read_packed(cloud: DiskCloud, plan: Plan, asked: list[IntArray]) -> TilePoints:
     """Return the points in some groups of coarse cells, as they are packed in a folder."""
-    wanted, numbers = _number_cells(cells)
+    wanted, numbers = _number_cells(asked)
     blocks = _find_blocks(cloud.arrangement, wanted, plan.origin, plan.coarse_size)
     lattice = plan.origin, plan.cell_size, plan.coarse
     packed = cloud.take_packed(blocks)
-    sorted_points = sort_tile(cloud.arrangement, packed, *lattice, wanted, numbers)
-    finest, offsets, held, groups = sorted_points
+    cells, offsets, held, groups = sort_tile(cloud.arrangement, packed, *lattice, wanted, numbers)
     points = SortedPoints(held, plan.origin, plan.cell_size, offsets)
-    return TilePoints(Level(finest, points, np.empty(0)), groups)
+    return TilePoints(Level(cells, points, np.empty(0)), groups)
 
 
 def _sort_groups(cloud: PointCloud, numbers: NDArray[np.uint8], plan: Plan) -> TilePoints:

@@ -83,5 +83,5 @@ def plan_passes(path: Path, folder: Path, backend: Backend, points: int) -> Pass
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=folder.parent) as sign:
         sees_both = workers_see(backend.workforce, Path(sign.name), path)
-        sees = sees_both or workers_see(backend.workforce, Path(sign.name))
+    sees = sees_both or all_see_folder(folder.parent, backend)
     return Passes(backend.workforce, sees, points, sees_both)

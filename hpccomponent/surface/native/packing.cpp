@@ -94,6 +94,10 @@ nb::tuple unpack_records(Input records_of, Input counts_of, Input corners_of, do
   return nb::make_tuple(give(std::move(positions), {count, 3}), give(std::move(normals), {count, 3}));
 }
 
+void unpack_position(const float* record, const double* corner, double edge, double* position) {
+  for (int axis = 0; axis < 3; ++axis) position[axis] = static_cast<double>(record[axis]) * edge + corner[axis];
+}
+
 nb::tuple unpack_within(Input records_of, Input counts_of, Input corners_of, double edge, Input low_of, Input high_of) {
   const Packed packed(records_of, counts_of, corners_of, edge);
   const double *low = check<double>(low_of, "low", {3}), *high = check<double>(high_of, "high", {3});
@@ -107,11 +111,10 @@ nb::tuple unpack_within(Input records_of, Input counts_of, Input corners_of, dou
       const double* corner = packed.corners + 3 * block;
       for (const int64_t stop = at + packed.counts[block]; at < stop; ++at) {
         double* position = positions.get() + 3 * found;
+        unpack_position(packed.records + RECORD * at, corner, edge, position);
         bool within = true;
-        for (int axis = 0; axis < 3; ++axis) {
-          position[axis] = static_cast<double>(packed.records[RECORD * at + axis]) * edge + corner[axis];
+        for (int axis = 0; axis < 3; ++axis)
           within = within && position[axis] >= low[axis] && position[axis] <= high[axis];
-        }
         rows[found] = at;
         found += within;  // what does not count is written over
       }
@@ -123,10 +126,6 @@ nb::tuple unpack_within(Input records_of, Input counts_of, Input corners_of, dou
 
 // Points are taken in chunks of so many.
 constexpr int CHUNK = 64;
-
-void unpack_position(const float* record, const double* corner, double edge, double* position) {
-  for (int axis = 0; axis < 3; ++axis) position[axis] = static_cast<double>(record[axis]) * edge + corner[axis];
-}
 
 nb::tuple sort_packed(Input records_of, Input counts_of, Input corners_of, double edge, Input origin_of, double size,
                       int64_t depth, Input wanted_of, Input numbers_of) {
