@@ -24,7 +24,6 @@ from hpccomponent.surface.seams import BrickSums, Seams
 __all__ = [
     "accumulate_moments",
     "balance_vertices",
-    "bound_free_memory",
     "bound_points",
     "corner_moments",
     "count_boxes",
@@ -38,7 +37,6 @@ __all__ = [
     "grow_surface",
     "inherit_level",
     "integrate_normals",
-    "keep_memory",
     "label_components",
     "merge_cells",
     "parent_keys",
@@ -73,18 +71,6 @@ def _singles(values: Any) -> Float32Array:
 
 def _integers(values: Any) -> IntArray:
     return np.ascontiguousarray(values, np.int64)
-
-
-def keep_memory() -> None:
-    """Have this process use memory that it has freed again, instead of giving it back."""
-    if _native is not None:
-        _native.keep_memory()
-
-
-def bound_free_memory(size: int = 1 << 28) -> None:
-    """Give the system back what memory is free, kept or not, if it is so many bytes or more."""
-    if _native is not None:
-        _native.bound_free_memory(size)
 
 
 def bound_points(positions: FloatArray) -> tuple[FloatArray, FloatArray]:

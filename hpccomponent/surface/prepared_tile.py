@@ -18,6 +18,7 @@ import numpy as np
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.bricks import BrickKinds
+from hpccomponent.surface.freed_memory import bound_free_memory
 from hpccomponent.surface.points import IntArray
 from hpccomponent.surface.pyramid import lay_vertices, raise_levels
 from hpccomponent.surface.reach import near_bricks, plan_tile
@@ -47,11 +48,11 @@ class PreparedTile:
     groups : ndarray of uint8, shape (c,)
         Of the finest cells; see `tile_points.TilePoints`.
     levels : list of Level
-        Up to the coarse level.
+        Up to the coarse level; `mesh_tile` asks for those below it.
     """
 
     def __init__(self, plan: Plan, points: CellPoints, threads: int) -> None:
-        kernels.bound_free_memory()  # what tiles before this one have left
+        bound_free_memory()  # what tiles before this one have left
         taken = take_points(points, plan)
         self.groups = taken.groups
         self.levels = raise_levels(taken.finest, plan.coarse + 1, threads)

@@ -31,6 +31,7 @@ from hpccomponent.surface.far_field import (
 )
 from hpccomponent.surface.field import FieldLevel
 from hpccomponent.surface.field_levels import SlabFields, fit_above
+from hpccomponent.surface.freed_memory import leave_for_files
 from hpccomponent.surface.hermite import BASIS
 from hpccomponent.surface.lattice import unpack_keys
 from hpccomponent.surface.mesh_part import MeshPart
@@ -124,6 +125,7 @@ def sum_tile(
     sampled = prepared.levels[common.far]
     samples = sample_cells(sampled, np.flatnonzero(mark_ancestors(own, common.far, sampled.cells)))
     lattice = coarse.cells[at], moments, coarse.squares[at], vertices
+    del prepared.levels[common.coarse :]  # `mesh_tile` is told what all tiles make of them
     if keep is None:
         return lattice, samples, len(own)
     place, name = keep
@@ -335,6 +337,8 @@ def _give(
     if keep is None:
         return values, summary, exits
     place, name = keep
+    if not _waiting:
+        leave_for_files()  # no other tile needs what this one has left
     hold_store(place).put(name, (values, summary, exits))
     return None, summary, exits
 

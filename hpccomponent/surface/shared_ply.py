@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import OutputError
 from hpccomponent.store import hold_store
-from hpccomponent.surface import kernels
+from hpccomponent.surface.freed_memory import leave_for_files
 from hpccomponent.surface.mesh_part import MeshPart
 from hpccomponent.surface.part_places import PartPlaces, Runs, place_faces, place_vertices
 from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = [
     "FACE_SIZE",
-    "LEAVINGS",
     "SharedPly",
     "face_rows",
     "mesh_header",
@@ -34,10 +33,6 @@ __all__ = [
     "write_kept",
     "write_part",
 ]
-
-LEAVINGS = 1 << 25
-"""Bytes: so much memory that tiles have left, or more, is given back before a part is written, and
-the file's pages are made of it."""
 
 _CORNERS = np.dtype("V12")  # three int32, moved as one
 _FACE = np.dtype([("n", "u1"), ("corners", _CORNERS)])
@@ -197,7 +192,7 @@ def write_kept(kept: tuple[str, str], places: tuple[Any, ...], shared: tuple[Any
     JobError, CloudError
         The part cannot be read.
     """
-    kernels.bound_free_memory(LEAVINGS)
+    leave_for_files()  # what tiles have left
     ply, (place, name) = SharedPly.from_values(shared), kept
     try:
         file = os.open(ply.path, os.O_WRONLY)

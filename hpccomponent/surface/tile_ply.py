@@ -14,12 +14,12 @@ import numpy as np
 
 from hpccomponent.errors import OutputError
 from hpccomponent.store import hold_store
-from hpccomponent.surface import kernels
+from hpccomponent.surface.freed_memory import leave_for_files
 from hpccomponent.surface.lattice import number_keys, unique_keys
 from hpccomponent.surface.mesh_part import MeshPart
 from hpccomponent.surface.part_places import PartPlaces, place_faces
 from hpccomponent.surface.points import FloatArray, IntArray
-from hpccomponent.surface.shared_ply import LEAVINGS, face_rows, mesh_header, vertex_rows
+from hpccomponent.surface.shared_ply import face_rows, mesh_header, vertex_rows
 
 __all__ = ["cut_tile", "write_kept_tile"]
 
@@ -86,7 +86,7 @@ def write_kept_tile(
     JobError, CloudError
         A part cannot be read.
     """
-    kernels.bound_free_memory(LEAVINGS)
+    leave_for_files()  # what tiles have left
     (place, name), (path, target, is_double, origin) = kept, ply
     if not os.access(os.path.dirname(path), os.W_OK | os.X_OK):
         return False

@@ -34,8 +34,8 @@ from hpcapp.applications.surface.sizes import TILE_POINTS
 from hpcapp.backends import BACKENDS, Backend
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface import kernels
 from hpccomponent.surface.build import kernel_id
+from hpccomponent.surface.freed_memory import keep_memory
 from hpccomponent.surface.points import PointCloud
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
     """
     clock = StageClock(progress)
     if count_most_points(settings.points) >= LARGE_CLOUD:
-        kernels.keep_memory()
+        keep_memory()
     with open_output(settings.output, settings.points) as target, _open_room(settings) as room:
         run = _run_in_memory if room.folder is None else _run_in_folder
         report = run(settings, room, target, clock)

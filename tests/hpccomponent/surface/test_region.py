@@ -176,6 +176,27 @@ def test_what_a_tile_is_made_of_leaves_memory_before_its_slabs_are_joined(monkey
     assert held == [False, False]
 
 
+def test_what_the_last_tile_has_left_goes_before_that_is_kept(monkeypatch, tmp_path):
+    """While another waits to be meshed, it takes the memory that this one has left."""
+    method = HierarchicalMethod(48)
+    partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
+    plan, tiling = partition.plan.to_values(), partition.tiling
+    points = [tiling.tile(index) for index in range(2)]
+    sums = [sum_tile(plan, some, ticket) for some, ticket in zip(points, "gh", strict=True)]
+    coarse = fit_sums(partition.plan, sums)
+    events, put = [], FolderStore.put
+    monkeypatch.setattr(region, "leave_for_files", lambda: events.append("left"))
+    monkeypatch.setattr(
+        FolderStore,
+        "put",
+        lambda store, name, value: (events.append(name), put(store, name, value)),
+    )
+    for index, ticket in enumerate("gh"):
+        around = coarse.around(tiling.own(index)).to_values()
+        mesh_tile(plan, points[index], ticket, around, (str(tmp_path), f"tile-{index}"))
+    assert events == ["tile-0", "left", "tile-1"]
+
+
 def test_tiles_leave_memory_with_their_last_use(monkeypatch):
     """At once: a collector of cycles counts objects, and these are few but large."""
     found = []

@@ -21,25 +21,25 @@ LITTLE, MEGABYTES = 100, 400
 
 PROGRAM = f"""
 import numpy as np
-from hpccomponent.surface import kernels
+from hpccomponent.surface.freed_memory import bound_free_memory, keep_memory, leave_for_files
 
 def held():
     with open("/proc/self/statm") as file:
         return int(file.read().split()[1]) * {os.sysconf("SC_PAGE_SIZE")} / 2**20
 
 if %r:
-    kernels.keep_memory()
+    keep_memory()
 before = held()
-for least in (), (1 << 25,):
+for give_back in bound_free_memory, leave_for_files:
     rows = np.ones({LITTLE} << 17)
     del rows
-    kernels.bound_free_memory(*least)
+    give_back()
     print(held() - before)
 for _ in range(2):
     rows = np.ones({MEGABYTES} << 17)
     del rows
 print(held() - before)
-kernels.bound_free_memory()
+bound_free_memory()
 print(held() - before)
 """
 
