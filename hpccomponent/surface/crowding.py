@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.lattice import OCTANTS, pack_places, step_keys, unpack_keys
+from hpccomponent.surface.lattice import OCTANTS, ancestor_keys, step_keys
 from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = ["crowd_vertices", "sum_squares", "surrounded_vertices"]
@@ -34,7 +34,7 @@ def sum_squares(children: IntArray, counts: FloatArray, parents: IntArray) -> Fl
     -------
     ndarray of float64, shape (p,)
     """
-    owners = kernels.find_keys(parents, pack_places(unpack_keys(children) >> 1))
+    owners = kernels.find_keys(parents, ancestor_keys(children))
     return np.bincount(owners, counts**2, len(parents)).astype(np.float64)
 
 

@@ -18,6 +18,7 @@ from hpccomponent.surface.points import FloatArray, IntArray
 __all__ = [
     "BITS",
     "OCTANTS",
+    "ancestor_keys",
     "cells_of",
     "corner_parents",
     "find_first",
@@ -92,6 +93,31 @@ def unpack_keys(keys: IntArray) -> IntArray:
     """
     parts = [(keys >> shift & _MASK) - _BIAS for shift in (2 * BITS, BITS, 0)]
     return np.stack(parts, axis=-1)
+
+
+def ancestor_keys(keys: IntArray, levels: int = 1) -> IntArray:
+    """Return the key of the cell, so many levels further up, that each cell lies in.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (...)
+    levels : int
+        0 to 20.
+
+    Returns
+    -------
+    ndarray of int64, shape (...)
+
+    Examples
+    --------
+    >>> unpack_keys(ancestor_keys(pack_places(np.array([[-3, 0, 7]])))).tolist()
+    [[-2, 0, 3]]
+    """
+    whole = sum(_STRIDES)
+    coordinates = keys >> levels
+    coordinates &= (_MASK >> levels) * whole  # what has come from the next coordinate goes
+    coordinates += (_BIAS - (_BIAS >> levels)) * whole
+    return coordinates
 
 
 def step_keys(keys: IntArray, step: IntArray) -> IntArray:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hpccomponent.surface.build import load_native
 from hpccomponent.surface.connectivity import label_components
 from hpccomponent.surface.lattice import (
+    ancestor_keys,
     cells_of,
     find_keys,
     number_keys,
@@ -195,8 +196,7 @@ def coarsen(keys: IntArray, counts: IntArray, wanted: int | None = None) -> list
     levels = [Level(keys, counts, np.arange(len(keys)))]
     while len(levels) < wanted if wanted else len(levels[-1].keys) > 1:
         below = levels[-1]
-        parents = pack_places(unpack_keys(below.keys) >> 1)
-        merged, rows = number_keys(parents)
+        merged, rows = number_keys(ancestor_keys(below.keys))
         levels.append(Level(merged, _sum_rows(rows, below.counts, len(merged)), rows[below.row_of]))
     return levels
 

@@ -25,6 +25,7 @@ from hpccomponent.surface.build import load_native
 from hpccomponent.surface.cell_points import SortedPoints
 from hpccomponent.surface.lattice import (
     OCTANTS,
+    ancestor_keys,
     find_keys,
     number_keys,
     pack_places,
@@ -172,7 +173,7 @@ def tell_kurtosis(squares: FloatArray, cells: IntArray, offsets: IntArray) -> fl
     float
         3 of Gaussian ones, and where there are too few points to tell.
     """
-    blocks = number_keys(pack_places(unpack_keys(cells) >> _BLOCK))[1]
+    blocks = number_keys(ancestor_keys(cells, _BLOCK))[1]
     owners = np.repeat(blocks, np.diff(offsets))
     counts = np.bincount(owners)
     second = np.bincount(owners, squares)

@@ -18,7 +18,7 @@ from hpccomponent.surface.far_field import (
 )
 from hpccomponent.surface.field import FieldLevel, Grid
 from hpccomponent.surface.field_levels import find_trust
-from hpccomponent.surface.lattice import pack_places, unique_keys, unpack_keys
+from hpccomponent.surface.lattice import ancestor_keys, unique_keys, unpack_keys
 from hpccomponent.surface.points import IntArray
 from hpccomponent.surface.pyramid import (
     Level,
@@ -77,7 +77,7 @@ class Coarse:
         trust = self.levels[0].trust[rows] if self.levels else None
         levels = []
         for depth, level in enumerate(self.levels[1:], start=1):
-            coarser = unique_keys(pack_places(unpack_keys(cells) >> depth))
+            coarser = unique_keys(ancestor_keys(cells, depth))
             rows = _find_around(level.keys, coarser, int(np.ceil(reach / (size * 2**depth))) + 1)
             levels.append(FieldLevel(level.keys[rows], level.coefficients[rows], level.trust[rows]))
         places = unpack_keys(cells)

@@ -7,6 +7,7 @@ from hypothesis.extra.numpy import arrays
 from hpccomponent.errors import InputError
 from hpccomponent.surface.lattice import (
     OCTANTS,
+    ancestor_keys,
     cells_of,
     corner_parents,
     find_keys,
@@ -34,6 +35,14 @@ def test_a_step_of_keys_is_a_step_of_places(places, step):
     places = places // 2
     stepped = step_keys(pack_places(places), np.array(step))
     assert np.array_equal(unpack_keys(stepped), places + step)
+
+
+@given(places_lists, st.integers(0, 20))
+def test_an_ancestor_of_keys_is_that_of_their_places(places, levels):
+    edges = np.array([[-(2**20)] * 3, [2**20 - 1] * 3, [-1, 0, -(2**20)]])
+    places = np.concatenate([places.reshape(-1, 3), edges])
+    found = ancestor_keys(pack_places(places), levels)
+    np.testing.assert_array_equal(found, pack_places(places >> levels))
 
 
 def test_a_place_out_of_range_is_refused():
