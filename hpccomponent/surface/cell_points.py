@@ -42,20 +42,31 @@ class CellMoments:
 
     Parameters
     ----------
-    moments : ndarray of float64, shape (c, 44)
-        About the centres of the cells, in their units.
+    pieces : list of ndarray of float64, shape (k, 44)
+        Of some cells each, one after the other: about the centres of the cells, in their units.
+
+    Notes
+    -----
+    Pieces of some megabytes lie where other arrays have been: in one piece the moments of a
+    tile would find no place there that is large enough.
     """
 
-    moments: FloatArray
+    pieces: list[FloatArray]
 
     @property
     def counts(self) -> FloatArray:
         """Points in each cell."""
-        return self.moments[:, 0]
+        return np.concatenate([np.empty(0), *(piece[:, 0] for piece in self.pieces)])
 
     def sum(self, cells: slice) -> FloatArray:
         """Return the moments of a run of cells."""
-        return self.moments[cells]
+        found, start = [np.empty((0, COLUMNS))], 0
+        for piece in self.pieces:
+            first, stop = max(cells.start - start, 0), min(cells.stop - start, len(piece))
+            if first < stop:
+                found.append(piece[first:stop])
+            start += len(piece)
+        return found[1] if len(found) == 2 else np.concatenate(found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,15 +238,15 @@ def sort_cloud(
 
 
 def merge_parents(
-    cells: IntArray, points: SortedPoints | PartMoments, threads: int = 1
-) -> tuple[IntArray, FloatArray]:
-    """Sum the moments of the parents of cells whose own are nowhere as a whole.
+    cells: IntArray, points: SortedPoints | CellMoments | PartMoments, threads: int = 1
+) -> tuple[IntArray, CellMoments]:
+    """Sum the moments of the parents of cells.
 
     Parameters
     ----------
     cells : ndarray of int64, shape (c,)
         Sorted keys of a level's cells.
-    points : SortedPoints or PartMoments
+    points : SortedPoints, CellMoments or PartMoments
         In these.
     threads : int
         The result does not depend on it.
@@ -244,26 +255,20 @@ def merge_parents(
     -------
     parents : ndarray of int64, shape (p,)
         Sorted keys.
-    moments : ndarray of float64, shape (p, 44)
-        In units of the parents.
+    moments : CellMoments
     """
     slabs = _cut_slabs(cells, max(threads, -(-len(cells) // _SLAB)))
     parents: list[IntArray] = []
-    moments, known = np.empty((len(cells) // 3, COLUMNS)), 0  # on a surface a quarter is enough
+    pieces: list[FloatArray] = []
     for start in range(0, len(slabs), _AT_ONCE):
         merged = run_batches(
             lambda slab: kernels.merge_cells(cells[slab], points.sum(slab)),
             slabs[start : start + _AT_ONCE],
             threads,
         )
-        for keys, sums in merged:
-            if known + len(keys) > len(moments):
-                moments.resize((3 * (known + len(keys)) // 2, COLUMNS), refcheck=False)
-            moments[known : known + len(keys)] = sums
-            known += len(keys)
-            parents.append(keys)
-    moments.resize((known, COLUMNS), refcheck=False)
-    return np.concatenate(parents), moments
+        parents += [keys for keys, _ in merged]
+        pieces.append(np.concatenate([sums for _, sums in merged]))
+    return np.concatenate(parents), CellMoments(pieces)
 
 
 def _cut_slabs(cells: IntArray, parts: int) -> list[slice]:

@@ -31,7 +31,6 @@ from hpccomponent.surface.lattice import (
     find_layers,
     step_keys,
 )
-from hpccomponent.surface.moments import COLUMNS
 from hpccomponent.surface.parallel import run_batches
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 from hpccomponent.surface.robust import weigh_points
@@ -221,12 +220,9 @@ def raise_levels(finest: Level, levels: int, threads: int = 1) -> list[Level]:
     raised = [finest]
     while len(raised) < levels:
         finer = raised[-1]
-        if isinstance(finer.points, CellMoments):
-            cells, moments = kernels.merge_cells(finer.cells, finer.points.moments)
-        else:
-            cells, moments = merge_parents(finer.cells, finer.points, threads)
+        cells, moments = merge_parents(finer.cells, finer.points, threads)
         squares = sum_squares(finer.cells, finer.points.counts, cells)
-        raised.append(Level(cells, CellMoments(moments), squares))
+        raised.append(Level(cells, moments, squares))
     return raised
 
 
@@ -281,10 +277,10 @@ def fit_levels(
     """
     kept: list[VertexQuadrics] = []
     for index in reversed(range(lowest, len(pyramid.levels))):
-        level, vertices = pyramid.levels[index], pyramid.vertices[index]
+        cells, vertices = pyramid.levels[index].cells, pyramid.vertices[index]
         depth = pyramid.first + index
         quadrics = _inherit_level(vertices, parents, threads)
-        touched = kernels.spread_keys(level.cells, 0, 1)
+        touched = kernels.spread_keys(cells, 0, 1)
         rows = kernels.find_keys(vertices, touched, threads)
         asked = rows < len(vertices)
         if not asked.all():
@@ -295,12 +291,17 @@ def fit_levels(
         if depth == 1 and index == 1 and np.isfinite(weights[1].tolerance):
             _fit_weighed(pyramid, *arguments)
         else:
-            _fit_level(level, *arguments)
-        pyramid.levels[index] = replace(level, points=CellMoments(np.empty((0, COLUMNS))))
-        parents = _offer_level(vertices, level.cells, quadrics) if depth else None
+            _fit_level(pyramid.levels[index], *arguments)
+        _drop_points(pyramid, index)
+        parents = _offer_level(vertices, cells, quadrics) if depth else None
         if depth < FIELD_LEVELS:
             kept.insert(0, quadrics)
     return kept, parents
+
+
+def _drop_points(pyramid: Pyramid, index: int) -> None:
+    """Take what a level knows of its points out of memory."""
+    pyramid.levels[index] = replace(pyramid.levels[index], points=CellMoments([]))
 
 
 def _inherit_level(vertices: IntArray, parents: Parents | None, threads: int) -> VertexQuadrics:
@@ -372,17 +373,18 @@ def _fit_weighed(
 
     Counts and variances stay those of points that count alike.
     """
-    level, finest = pyramid.levels[1], pyramid.levels[0]
+    finest = pyramid.levels[0]
     assert isinstance(finest.points, SortedPoints)  # noqa: S101 - the finest level has points
     first = replace(quadrics, coefficients=quadrics.coefficients.copy())
-    _fit_level(level, corners, rows, first, noise, weights, threads)
+    _fit_level(pyramid.levels[1], corners, rows, first, noise, weights, threads)
+    _drop_points(pyramid, 1)  # before they are summed anew
     counts, variances = first.counts.copy(), first.variances.copy()
     spread = np.maximum(noise, _DETAIL * variances[rows, 0])
     blend = corners, first.coefficients.take(rows, axis=0), spread
     points = weigh_points(finest.cells, finest.points, blend, weights.tolerance, threads)
     pyramid.levels[0] = replace(finest, points=points)
     moments = merge_parents(finest.cells, points, threads)[1]
-    weighed = replace(level, points=CellMoments(moments))
+    weighed = replace(pyramid.levels[1], points=moments)
     _fit_level(weighed, corners, rows, quadrics, noise, weights, threads)
     quadrics.counts[:], quadrics.variances[:] = counts, variances
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.cell_points import PartMoments
+from hpccomponent.surface.cell_points import CellMoments, PartMoments
 from hpccomponent.surface.lattice import find_keys, unpack_keys
 from hpccomponent.surface.moments import accumulate_moments
 from hpccomponent.surface.points import PointCloud, bounding_box
@@ -67,15 +67,24 @@ def test_levels_upon_parts_are_those_upon_the_whole(cloud):
     owners = np.random.default_rng(2).integers(0, 4, len(level.cells))  # nobody has the fourth's
     rows = [np.flatnonzero(owners == part) for part in range(4)]
     rows[0], rows[3] = np.sort(np.concatenate([rows[0], rows[3]])), rows[3][:0]
-    parts = PartMoments([level.points.moments[at] for at in rows], rows)
+    every = slice(0, len(level.cells))
+    moments = level.points.sum(every)
+    parts = PartMoments([moments[at] for at in rows], rows)
     np.testing.assert_array_equal(parts.counts, level.points.counts)
-    for run in (slice(0, len(level.cells)), slice(5, 6), slice(7, 7)):
-        assert parts.sum(run).tobytes() == level.points.sum(run).tobytes()
-    whole, apart = (raise_levels(replace(level, points=some), 4) for some in (level.points, parts))
-    for expected, found in zip(whole[1:], apart[1:], strict=True):
-        np.testing.assert_array_equal(found.cells, expected.cells)
-        np.testing.assert_array_equal(found.squares, expected.squares)
-        assert found.points.moments.tobytes() == expected.points.moments.tobytes()
+    pieces = CellMoments([moments[:6], moments[6:6], moments[6:9], moments[9:]])
+    np.testing.assert_array_equal(pieces.counts, level.points.counts)
+    for run in (every, slice(5, 6), slice(7, 7), slice(5, 10), slice(0, 0)):
+        for some in (level.points, pieces, parts):
+            assert some.sum(run).tobytes() == moments[run].tobytes()
+    whole, *others = (
+        raise_levels(replace(level, points=some), 4) for some in (level.points, pieces, parts)
+    )
+    for other in others:
+        for expected, found in zip(whole[1:], other[1:], strict=True):
+            np.testing.assert_array_equal(found.cells, expected.cells)
+            np.testing.assert_array_equal(found.squares, expected.squares)
+            of_all = slice(0, len(found.cells))
+            assert found.points.sum(of_all).tobytes() == expected.points.sum(of_all).tobytes()
 
 
 def test_vertices_know_the_points_of_the_eight_cells_around_them(cloud):
