@@ -17,7 +17,7 @@ Who may import it: applications, and tasks on machines that see the folder.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -166,8 +166,10 @@ class DiskCloud:
             targets = [view[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)]
             breaks = np.flatnonzero(begins[1:] != begins[:-1] + sizes[:-1]) + 1
             bounds = [0, *breaks.tolist(), len(held)]
-            pieces = [(_POINT_BYTES * int(begins[a]), targets[a:b]) for a, b in pairwise(bounds)]
-            self._read(part, pieces)
+            starts = (_POINT_BYTES * begins[bounds[:-1]]).tolist()
+            lengths = (_POINT_BYTES * np.add.reduceat(sizes, bounds[:-1])).tolist()
+            runs = [targets[a:b] for a, b in pairwise(bounds)]
+            self._read(part, zip(starts, lengths, runs, strict=True))
         return PackedPoints.from_records(self.keys[rows], counts, records)
 
     def take_every(self, step: int) -> Points:
@@ -195,12 +197,17 @@ class DiskCloud:
         for run in cut_blocks(self.counts, points):
             yield self.take_blocks(self.keys[run])
 
-    def _read(self, part: Part, pieces: list[tuple[int, list[memoryview]]]) -> None:
-        """Fill buffers from a part: those of a piece one after the other, from its first byte."""
+    def _read(self, part: Part, runs: Iterable[tuple[int, int, list[memoryview]]]) -> None:
+        """Fill buffers from a part: those of a run one after the other, from its first byte on.
+
+        Of each run its first byte, its length and its buffers. There are many, and few bytes each.
+        """
         path = self.folder / part.file
         with self._opened(part), path.open("rb", buffering=0) as file:
-            for start, targets in pieces:
-                _fill(file.fileno(), start, targets, path)
+            number, read = file.fileno(), os.preadv
+            for start, length, targets in runs:
+                if len(targets) > _MOST_BUFFERS or read(number, targets, start) != length:
+                    _fill(number, start, targets, path)  # in several calls
 
     @contextmanager
     def _opened(self, part: Part) -> Iterator[None]:
