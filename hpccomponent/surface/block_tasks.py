@@ -5,6 +5,7 @@ Who may import it: the master that cuts the runs of blocks.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,10 @@ import numpy as np
 from hpccomponent.surface import kernels
 from hpccomponent.surface.arranged_cloud import Points
 from hpccomponent.surface.cloud_regions import Region, take_region
+from hpccomponent.surface.disk_cloud import open_disk_cloud
 from hpccomponent.surface.file_ranges import BoxCounts
 from hpccomponent.surface.lattice import merge_counts
+from hpccomponent.surface.packed_cells import count_tile
 from hpccomponent.surface.points import FloatArray, IntArray
 from hpccomponent.surface.spacing import sample_box_keys
 
@@ -110,7 +113,7 @@ def count_block_cells(
     Parameters
     ----------
     points : tuple
-        `BlockPoints`.
+        `BlockPoints`, without `DroppedCells`.
     origin : ndarray of float64, shape (3,)
         Corner of a cell.
     size : float
@@ -121,8 +124,10 @@ def count_block_cells(
     keys, counts : ndarray of int64, shape (c,)
         Sorted by key.
     """
-    positions = _take(points).positions
-    return count_cells(positions, origin, size)
+    folder, blocks, dropped = points
+    assert not dropped  # noqa: S101 - tiles are cut when a cloud is clean
+    cloud = open_disk_cloud(Path(folder))
+    return count_tile(cloud.arrangement, cloud.take_packed(blocks), origin, size)
 
 
 def count_cells(

@@ -6,7 +6,7 @@
                             │ some cells of them, when they are asked for
                             └──> positions and normals: 48 bytes, bit for bit those of the cloud
 
-The functions of arrays are kernels. Who may import it: the tasks of a tile.
+The functions of arrays are kernels. Who may import it: the tasks of a tile, and those of blocks.
 """
 
 from __future__ import annotations
@@ -26,10 +26,16 @@ from hpccomponent.surface.arrangement import (
 )
 from hpccomponent.surface.build import load_native
 from hpccomponent.surface.field import BRICK, Grid
-from hpccomponent.surface.lattice import cells_of, find_keys, pack_places, unique_keys
+from hpccomponent.surface.lattice import (
+    cells_of,
+    find_keys,
+    number_keys,
+    pack_places,
+    unique_keys,
+)
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["PackedRows", "place_packed", "sort_packed", "sort_tile"]
+__all__ = ["PackedRows", "count_packed", "count_tile", "place_packed", "sort_packed", "sort_tile"]
 
 BoolArray = NDArray[np.bool_]
 ByteArray = NDArray[np.uint8]
@@ -117,6 +123,55 @@ def sort_tile(
     lattice = origin, cell_size, depth, wanted, numbers
     cells, offsets, taken, blocks, groups = sort(records, counts, corners, edge, *lattice)
     return cells, offsets, PackedRows(taken, blocks, corners, edge), groups
+
+
+def count_tile(
+    arrangement: Arrangement, packed: PackedPoints, origin: FloatArray, cell_size: float
+) -> tuple[IntArray, IntArray]:
+    """Count packed points in the occupied cells of a lattice.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    packed : PackedPoints
+    origin, cell_size
+        See `count_packed`, whose results these are.
+    """
+    count = count_packed if _native is None else _native.count_packed
+    counted: tuple[IntArray, IntArray] = count(
+        *unpacking_arguments(arrangement, packed), origin, cell_size
+    )
+    return counted
+
+
+def count_packed(
+    records: Float32Array,
+    counts: IntArray,
+    corners: FloatArray,
+    edge: float,
+    origin: FloatArray,
+    cell_size: float,
+) -> tuple[IntArray, IntArray]:
+    """Count packed points in the occupied cells of a lattice, in numpy.
+
+    Parameters
+    ----------
+    records, counts, corners, edge
+        See `arrangement.unpack_records`.
+    origin : ndarray of float64, shape (3,)
+        Corner of a cell.
+    cell_size : float
+        In length units of the input. Cells are to be few.
+
+    Returns
+    -------
+    cells, counts : ndarray of int64, shape (c,)
+        Sorted keys, and the points in each.
+    """
+    positions, _ = unpack_records(records, counts, corners, edge)
+    keys = pack_places(np.floor(cells_of(positions, origin, cell_size)).astype(np.int64))
+    cells, rows = number_keys(keys)
+    return cells, np.bincount(rows, minlength=len(cells)).astype(np.int64)
 
 
 def sort_packed(

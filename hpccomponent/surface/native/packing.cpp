@@ -1,6 +1,10 @@
 // Arranged points in 24 bytes each: sorted into the blocks of a cloud, read out of them, and sorted
 // into the cells of a tile.
+#include <algorithm>
 #include <cmath>
+#include <unordered_map>
+#include <utility>
+#include <vector>
 
 #include "clones.h"
 #include "families.h"
@@ -202,6 +206,40 @@ nb::tuple sort_packed(Input records_of, Input counts_of, Input corners_of, doubl
                         give(std::move(blocks), {kept}), give(std::move(groups)));
 }
 
+// Count packed points in the occupied cells of a lattice that has few: coarse ones.
+nb::tuple count_packed(Input records_of, Input counts_of, Input corners_of, double edge, Input origin_of, double size) {
+  const Packed packed(records_of, counts_of, corners_of, edge);
+  const double* origin = check<double>(origin_of, "origin", {3});
+  check_positive(size, "cell_size");
+  Large<int64_t> cells, counts;
+  {
+    nb::gil_scoped_release unlocked;
+    std::unordered_map<int64_t, int64_t> held;
+    int64_t last = -1, *in_last = nullptr;  // points come block by block: mostly in the same cell
+    for (int64_t block = 0, at = 0; block < packed.blocks; ++block)
+      for (const int64_t stop = at + packed.counts[block]; at < stop;) {
+        const int64_t width = std::min<int64_t>(CHUNK, stop - at);
+        double positions[3 * CHUNK];
+        Place places[CHUNK];
+        for (int64_t i = 0; i < width; ++i, ++at)
+          unpack_position(packed.records + RECORD * at, packed.corners + 3 * block, edge, positions + 3 * i);
+        find_places(positions, width, origin, size, places);
+        for (int64_t i = 0; i < width; ++i) {
+          const int64_t key = pack(places[i]);
+          if (key != last) in_last = &held[last = key];
+          ++*in_last;
+        }
+      }
+    std::vector<std::pair<int64_t, int64_t>> sorted(held.begin(), held.end());
+    std::sort(sorted.begin(), sorted.end());
+    for (const auto& [key, count] : sorted) {
+      cells.push_back(key);
+      counts.push_back(count);
+    }
+  }
+  return nb::make_tuple(give(std::move(cells)), give(std::move(counts)));
+}
+
 // Packed points in any order, each with the row of its block's corner.
 struct Scattered {
   const float* records;
@@ -284,6 +322,7 @@ void bind_packing(nb::module_& module) {
   module.def("unpack_records", &unpack_records);
   module.def("unpack_within", &unpack_within);
   module.def("sort_packed", &sort_packed);
+  module.def("count_packed", &count_packed);
   module.def("place_packed", &place_packed);
   module.def("seed_packed", &seed_packed);
 }

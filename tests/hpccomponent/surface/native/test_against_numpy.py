@@ -152,6 +152,13 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
         ):
             assert found.dtype == wanted.dtype
             np.testing.assert_array_equal(found, wanted)
+        for found, wanted in zip(
+            native.count_packed(*places, *lattice_of[:2]),
+            packed_cells.count_packed(*places, *lattice_of[:2]),
+            strict=True,
+        ):
+            assert found.dtype == wanted.dtype
+            np.testing.assert_array_equal(found, wanted)
         scattered = sorted_by_cell[2], sorted_by_cell[3], *places[2:], *lattice_of[:2]
         for found, wanted in zip(
             native.place_packed(*scattered), packed_cells.place_packed(*scattered), strict=True

@@ -24,7 +24,8 @@ KERNELS = (
     "bound_points", "sample_boxes", "integrate_normals", "sample_corners",
     "find_seams", "sum_bricks", "accumulate_weighted", "rate_points",
     "pack_records", "unpack_records", "unpack_within", "take_cells", "mark_ancestors", "look_near",
-    "mark_near", "sort_packed", "place_packed", "seed_packed", "label_cells",
+    "mark_near", "sort_packed", "place_packed", "seed_packed", "count_packed",
+    "label_cells",
 )  # fmt: skip
 
 numbers = st.one_of(
@@ -96,6 +97,7 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
             keys,
             np.ones(len(keys), np.uint8),
         ),
+        ("count_packed", records, np.array([rows]), np.ones((1, 3)), 0.1, np.ones(3), 0.1),
         (
             "place_packed",
             records,
