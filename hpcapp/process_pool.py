@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -21,6 +22,8 @@ from hpccomponent.runtime.process import THREAD_VARIABLES
 __all__ = ["open_processes"]
 
 EXIT_ORPHANED = 1
+
+_NOTED_S = 1.0  # so long nobody waits to note an exit code
 
 
 @contextmanager
@@ -83,13 +86,26 @@ def _watch_workers(processes: list[Any], writer: Any) -> None:
     running = {process.sentinel: process for process in processes}
     while running:
         ended = [running.pop(sentinel) for sentinel in wait(list(running))]
-        for process in ended:
-            process.join()  # its pipe closes a moment before its exit code is known
-        if any(process.exitcode for process in ended):
+        codes = [_exit_code(process) for process in ended]
+        if any(code != 0 for code in codes):
             for process in running.values():
                 process.kill()
             writer.close()
             return
+
+
+def _exit_code(process: Any) -> int | None:
+    """Return the exit code of a worker that is about to end; None if nobody notes it.
+
+    Its pipe closes a moment before there is one, and if the pool's own thread is the one that
+    collects it, another moment passes until it is noted.
+    """
+    process.join()
+    deadline = time.monotonic() + _NOTED_S
+    while process.exitcode is None and time.monotonic() < deadline:
+        time.sleep(0.001)
+    code: int | None = process.exitcode
+    return code
 
 
 def _serve_the_master() -> None:

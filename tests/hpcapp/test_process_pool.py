@@ -10,7 +10,7 @@ from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 
 import pytest
 
-from hpcapp.process_pool import open_processes
+from hpcapp.process_pool import _watch_workers, open_processes
 
 
 @pytest.mark.usefixtures("standing_helpers")
@@ -62,3 +62,35 @@ def test_the_pipe_that_the_watcher_closes_is_not_closed_a_second_time_meanwhile(
     assert is_second
     assert all(is_second)
     assert writer.closed
+
+
+@pytest.mark.parametrize(("codes", "is_lost"), [([None, None, -9], True), ([None, 0], False)])
+def test_an_exit_code_that_another_thread_notes_is_waited_for(
+    codes: list[int | None], is_lost: bool
+) -> None:
+    """The pool's own thread collects workers, too, and notes how one ended a moment later."""
+
+    class Ended:
+        def __init__(self) -> None:
+            self.sentinel, writer = os.pipe()
+            os.close(writer)
+
+        @property
+        def exitcode(self) -> int | None:
+            return codes.pop(0) if len(codes) > 1 else codes[0]
+
+        def join(self) -> None:
+            """Find that somebody else has collected it."""
+
+    class Pipe:
+        is_closed = False
+
+        def close(self) -> None:
+            self.is_closed = True
+
+    process, pipe = Ended(), Pipe()
+    try:
+        _watch_workers([process], pipe)
+    finally:
+        os.close(process.sentinel)
+    assert pipe.is_closed == is_lost
