@@ -29,7 +29,7 @@ from hpccomponent.surface.field import BRICK, Grid
 from hpccomponent.surface.lattice import (
     cells_of,
     find_keys,
-    number_keys,
+    merge_counts,
     pack_places,
     unique_keys,
 )
@@ -170,8 +170,7 @@ def count_packed(
     """
     positions, _ = unpack_records(records, counts, corners, edge)
     keys = pack_places(np.floor(cells_of(positions, origin, cell_size)).astype(np.int64))
-    cells, rows = number_keys(keys)
-    return cells, np.bincount(rows, minlength=len(cells)).astype(np.int64)
+    return merge_counts(keys, np.ones(len(keys), np.int64))
 
 
 def sort_packed(

@@ -242,6 +242,7 @@ def mesh_tile(
     """
     common = Plan(*plan)
     prepared = _waiting.pop(ticket, None) if ticket is not None else None
+    is_last = ticket is not None and not _waiting
     if prepared is None:
         prepared = PreparedTile(common, points, threads)
     kinds, corners = prepared.laid()
@@ -249,7 +250,7 @@ def mesh_tile(
         return _give(MeshPart.empty(), np.empty(0, np.int64), keep)
     levels = prepared.levels[: common.coarse]
     del prepared
-    return _give(*_mesh_region(common, levels, corners, kinds, coarse, threads), keep)
+    return _give(*_mesh_region(common, levels, corners, kinds, coarse, threads), keep, is_last)
 
 
 @declare(cost=lambda _plan, exits, points, *_: len(exits) + estimate_work(points))
@@ -330,14 +331,14 @@ def _fit_fields(
 
 
 def _give(
-    part: MeshPart, exits: IntArray, keep: tuple[str, str] | None
+    part: MeshPart, exits: IntArray, keep: tuple[str, str] | None, is_last: bool = False
 ) -> tuple[Values | None, Values, IntArray]:
-    """Return a part with its summary, or put it where it is kept."""
+    """Return a part with its summary, or put it where it is kept; the last that was prepared."""
     values, summary = part.to_values(), summarize_part(part).to_values()
     if keep is None:
         return values, summary, exits
     place, name = keep
-    if not _waiting:
+    if is_last:
         leave_for_files()  # no other tile needs what this one has left
     hold_store(place).put(name, (values, summary, exits))
     return None, summary, exits

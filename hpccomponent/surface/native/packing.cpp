@@ -1,5 +1,5 @@
-// Arranged points in 24 bytes each: sorted into the blocks of a cloud, read out of them, and sorted
-// into the cells of a tile.
+// Arranged points in 24 bytes each: sorted into the blocks of a cloud, read out of them, sorted into
+// the cells of a tile, and counted in coarse ones.
 #include <algorithm>
 #include <cmath>
 #include <unordered_map>

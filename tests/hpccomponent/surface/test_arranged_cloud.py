@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpccomponent.errors import JobError, OutputError
+from hpccomponent.surface import disk_cloud
 from hpccomponent.surface.arranged_cloud import MemoryCloud, Points, arrange_cloud, cut_blocks
 from hpccomponent.surface.arrangement import pack_points
 from hpccomponent.surface.disk_cloud import (
@@ -150,6 +152,25 @@ def test_a_cloud_is_opened_again(tmp_path: Path, memory: MemoryCloud) -> None:
     opened = open_disk_cloud(tmp_path)
     assert opened.take_blocks(memory.keys)[0].tobytes() == memory.cloud.positions.tobytes()
     assert len(opened) == len(written)
+
+
+@pytest.mark.parametrize("most", [1, 2, 1024])
+def test_blocks_are_read_in_as_many_calls_as_it_takes(
+    tmp_path: Path, memory: MemoryCloud, monkeypatch: pytest.MonkeyPatch, most: int
+) -> None:
+    disk = _write(_scan(), memory, tmp_path, 1_000)
+    read, calls = os.preadv, []
+
+    def read_less(file: int, buffers: list[memoryview], start: int) -> int:
+        """Read so many buffers at most, and half of the last."""
+        calls.append(len(buffers))
+        *whole, last = buffers[:most]
+        return read(file, [*whole, last[: -(-len(last) // 2)]], start)
+
+    monkeypatch.setattr(disk_cloud, "_MOST_BUFFERS", most + 1)
+    monkeypatch.setattr(os, "preadv", read_less)
+    assert disk.take_blocks(memory.keys)[0].tobytes() == memory.cloud.positions.tobytes()
+    assert 1 < max(calls) <= most + 1
 
 
 def test_folders_that_were_tampered_with(tmp_path: Path, memory: MemoryCloud) -> None:

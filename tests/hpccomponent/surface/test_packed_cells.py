@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from hpccomponent.surface import packed_cells
 from hpccomponent.surface.arranged_cloud import arrange_cloud
-from hpccomponent.surface.arrangement import pack_points
+from hpccomponent.surface.arrangement import PackedPoints, pack_points
 from hpccomponent.surface.build import load_native
 from hpccomponent.surface.cell_points import CloudRows
 from hpccomponent.surface.cells import sort_points, take_cells
 from hpccomponent.surface.field import Grid
 from hpccomponent.surface.lattice import pack_places, unique_keys
-from hpccomponent.surface.packed_cells import sort_tile
+from hpccomponent.surface.packed_cells import count_tile, sort_tile
 from hpccomponent.surface.points import PointCloud
 
 
@@ -94,3 +94,21 @@ def test_no_cell_is_wanted(build: ModuleType | None) -> None:
     )
     assert [len(cells), len(rows), len(groups), *offsets] == [0, 0, 0, 0]
     assert not len(rows.seed_bricks(Grid(np.zeros(3), 0.1, (2, 2, 2)), offsets, groups == 0))
+
+
+@pytest.mark.usefixtures("build")
+@pytest.mark.parametrize("size", [0.05, 0.7, 9.0])
+def test_points_are_counted_as_if_they_were_sorted(size: float) -> None:
+    random = np.random.default_rng(4)
+    arranged = arrange_cloud(PointCloud(*random.uniform(size=(2, 30_000, 3)) ** 9))
+    blocks, cloud = arranged.arrangement, arranged.cloud
+    assert cloud.normals is not None
+    packed = pack_points(blocks, cloud.positions, cloud.normals)
+    assert packed.counts.max() > 64  # what the kernel takes at once
+    origin = random.normal(size=3)
+    cells, offsets, _ = sort_points(cloud.positions, origin, size)
+    keys, counts = count_tile(blocks, packed, origin, size)
+    np.testing.assert_array_equal(keys, cells)
+    np.testing.assert_array_equal(counts, np.diff(offsets))
+    nothing = PackedPoints(*(column[:0] for column in packed.to_values()))  # type: ignore[arg-type]
+    assert [len(column) for column in count_tile(blocks, nothing, origin, size)] == [0, 0]

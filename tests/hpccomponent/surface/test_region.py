@@ -182,19 +182,16 @@ def test_what_the_last_tile_has_left_goes_before_that_is_kept(monkeypatch, tmp_p
     partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
     plan, tiling = partition.plan.to_values(), partition.tiling
     points = [tiling.tile(index) for index in range(2)]
+    events = []
+    monkeypatch.setattr(region, "_waiting", {})
+    monkeypatch.setattr(region, "leave_for_files", lambda: events.append("left"))
+    monkeypatch.setattr(FolderStore, "put", lambda store, name, value: events.append(name))
     sums = [sum_tile(plan, some, ticket) for some, ticket in zip(points, "gh", strict=True)]
     coarse = fit_sums(partition.plan, sums)
-    events, put = [], FolderStore.put
-    monkeypatch.setattr(region, "leave_for_files", lambda: events.append("left"))
-    monkeypatch.setattr(
-        FolderStore,
-        "put",
-        lambda store, name, value: (events.append(name), put(store, name, value)),
-    )
-    for index, ticket in enumerate("gh"):
+    for index, ticket in ((0, "g"), (1, "h"), (1, None)):  # without tickets more may follow
         around = coarse.around(tiling.own(index)).to_values()
         mesh_tile(plan, points[index], ticket, around, (str(tmp_path), f"tile-{index}"))
-    assert events == ["tile-0", "left", "tile-1"]
+    assert events == ["tile-0", "left", "tile-1", "tile-1"]
 
 
 def test_tiles_leave_memory_with_their_last_use(monkeypatch):

@@ -97,7 +97,15 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
             keys,
             np.ones(len(keys), np.uint8),
         ),
-        ("count_packed", records, np.array([rows]), np.ones((1, 3)), 0.1, np.ones(3), 0.1),
+        (
+            "count_packed",
+            records,
+            random.integers(-1, rows + 1, size=2),
+            points[:2].copy(),
+            0.1,
+            np.ones(3),
+            0.1,
+        ),
         (
             "place_packed",
             records,
