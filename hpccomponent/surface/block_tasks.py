@@ -16,7 +16,7 @@ from hpccomponent.surface.cloud_regions import Region, take_region
 from hpccomponent.surface.disk_cloud import open_disk_cloud
 from hpccomponent.surface.file_ranges import BoxCounts
 from hpccomponent.surface.lattice import merge_counts
-from hpccomponent.surface.packed_cells import count_tile
+from hpccomponent.surface.packed_cells import count_points
 from hpccomponent.surface.points import FloatArray, IntArray
 from hpccomponent.surface.spacing import sample_box_keys
 
@@ -127,7 +127,7 @@ def count_block_cells(
     folder, blocks, dropped = points
     assert not dropped  # noqa: S101 - tiles are cut when a cloud is clean
     cloud = open_disk_cloud(Path(folder))
-    return count_tile(cloud.arrangement, cloud.take_packed(blocks), origin, size)
+    return count_points(cloud.arrangement, cloud.take_packed(blocks), origin, size)
 
 
 def count_cells(

@@ -114,10 +114,10 @@ def ancestor_keys(keys: IntArray, levels: int = 1) -> IntArray:
     [[-2, 0, 3]]
     """
     whole = sum(_STRIDES)
-    coordinates = keys >> levels
-    coordinates &= (_MASK >> levels) * whole  # what has come from the next coordinate goes
-    coordinates += (_BIAS - (_BIAS >> levels)) * whole
-    return coordinates
+    ancestors = keys >> levels
+    ancestors &= (_MASK >> levels) * whole  # what has come from the next coordinate goes
+    ancestors += (_BIAS - (_BIAS >> levels)) * whole
+    return ancestors
 
 
 def step_keys(keys: IntArray, step: IntArray) -> IntArray:

@@ -35,7 +35,7 @@ from hpccomponent.surface.lattice import (
 )
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["PackedRows", "count_packed", "count_tile", "place_packed", "sort_packed", "sort_tile"]
+__all__ = ["PackedRows", "count_packed", "count_points", "place_packed", "sort_packed", "sort_tile"]
 
 BoolArray = NDArray[np.bool_]
 ByteArray = NDArray[np.uint8]
@@ -125,7 +125,7 @@ def sort_tile(
     return cells, offsets, PackedRows(taken, blocks, corners, edge), groups
 
 
-def count_tile(
+def count_points(
     arrangement: Arrangement, packed: PackedPoints, origin: FloatArray, cell_size: float
 ) -> tuple[IntArray, IntArray]:
     """Count packed points in the occupied cells of a lattice.

@@ -333,13 +333,16 @@ def _fit_fields(
 def _give(
     part: MeshPart, exits: IntArray, keep: tuple[str, str] | None, is_last: bool = False
 ) -> tuple[Values | None, Values, IntArray]:
-    """Return a part with its summary, or put it where it is kept; the last that was prepared."""
+    """Return a part with its summary, or put it where it is kept.
+
+    Of the last tile that was prepared here, what it has left goes before that.
+    """
     values, summary = part.to_values(), summarize_part(part).to_values()
     if keep is None:
         return values, summary, exits
     place, name = keep
     if is_last:
-        leave_for_files()  # no other tile needs what this one has left
+        leave_for_files()
     hold_store(place).put(name, (values, summary, exits))
     return None, summary, exits
 

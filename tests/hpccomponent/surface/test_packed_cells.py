@@ -18,7 +18,7 @@ from hpccomponent.surface.cell_points import CloudRows
 from hpccomponent.surface.cells import sort_points, take_cells
 from hpccomponent.surface.field import Grid
 from hpccomponent.surface.lattice import pack_places, unique_keys
-from hpccomponent.surface.packed_cells import count_tile, sort_tile
+from hpccomponent.surface.packed_cells import count_points, sort_tile
 from hpccomponent.surface.points import PointCloud
 
 
@@ -107,8 +107,8 @@ def test_points_are_counted_as_if_they_were_sorted(size: float) -> None:
     assert packed.counts.max() > 64  # what the kernel takes at once
     origin = random.normal(size=3)
     cells, offsets, _ = sort_points(cloud.positions, origin, size)
-    keys, counts = count_tile(blocks, packed, origin, size)
+    keys, counts = count_points(blocks, packed, origin, size)
     np.testing.assert_array_equal(keys, cells)
     np.testing.assert_array_equal(counts, np.diff(offsets))
     nothing = PackedPoints(*(column[:0] for column in packed.to_values()))  # type: ignore[arg-type]
-    assert [len(column) for column in count_tile(blocks, nothing, origin, size)] == [0, 0]
+    assert [len(column) for column in count_points(blocks, nothing, origin, size)] == [0, 0]
