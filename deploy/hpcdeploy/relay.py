@@ -21,12 +21,13 @@ import contextlib
 import json
 import sys
 from collections import deque
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.inventory import hold_cluster, read_inventory
 
-__all__ = ["BEAT_S", "WANTED", "splice"]
+__all__ = ["BEAT_S", "WANTED", "closing", "splice"]
 
 WANTED = b"w"
 """Written by the relay on the control connection: a worker waits for a data connection."""
@@ -39,18 +40,34 @@ CHUNK = 1 << 18
 Pair = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
+@contextlib.asynccontextmanager
+async def closing(end: Pair) -> AsyncIterator[Pair]:
+    """Close a connection at the end of the block; what it still holds is dropped."""
+    try:
+        yield end
+    finally:
+        end[1].transport.abort()
+        with contextlib.suppress(OSError):
+            await end[1].wait_closed()
+
+
 async def splice(one: Pair, other: Pair) -> None:
     """Hand everything on between two connections until either ends; close both."""
-    try:
-        ways = [_pour(one[0], other[1]), _pour(other[0], one[1])]
-        tasks = [asyncio.ensure_future(way) for way in ways]
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-    finally:
+    async with closing(one), closing(other):
+        tasks = [
+            asyncio.ensure_future(_pour(*way)) for way in ((one[0], other[1]), (other[0], one[1]))
+        ]
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
         for _, writer in (one, other):
             writer.close()
+        for _, writer in (one, other):
+            with contextlib.suppress(OSError):
+                await writer.wait_closed()  # it sends what it holds
 
 
 async def _pour(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

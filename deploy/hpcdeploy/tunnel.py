@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from hpccomponent.errors import CloudError
 from hpcdeploy.cluster import open_cluster
 from hpcdeploy.layout import machine_folder
-from hpcdeploy.relay import BEAT_S, WANTED, splice
+from hpcdeploy.relay import BEAT_S, WANTED, closing, splice
 from hpcdeploy.shell import Shell
 
 __all__ = ["Lead", "lead_workers", "open_remote_inventory"]
@@ -144,23 +144,22 @@ async def _serve(
     control: tuple[asyncio.StreamReader, asyncio.StreamWriter], port: int, master: int
 ) -> None:
     """Make a way to the master for each worker that the relay announces."""
-    reader, writer = control
-    ways: set[asyncio.Task[None]] = set()
-    beat = asyncio.ensure_future(_beat(writer))
-    try:
-        while wanted := await reader.read(1024):
-            for _ in range(wanted.count(WANTED)):
-                way = asyncio.ensure_future(_make_way(port, master))
-                ways.add(way)
-                way.add_done_callback(ways.discard)
-        log.warning("the way to the cluster's head is cut: its workers are lost to this job")
-    finally:
-        for task in (beat, *ways):
-            task.cancel()
-        await asyncio.gather(beat, *ways, return_exceptions=True)
-        writer.close()
-        with suppress(OSError):
-            await writer.wait_closed()
+    async with closing(control) as (reader, writer):
+        ways: set[asyncio.Task[None]] = set()
+        beat = asyncio.ensure_future(_beat(writer))
+        try:
+            with suppress(OSError):
+                while wanted := await reader.read(1024):
+                    for _ in range(wanted.count(WANTED)):
+                        way = asyncio.ensure_future(_make_way(port, master))
+                        ways.add(way)
+                        way.add_done_callback(ways.discard)
+            log.warning("the way to the cluster's head is cut: its workers are lost to this job")
+        finally:
+            tasks = (beat, *ways)
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
 
 
 async def _beat(writer: asyncio.StreamWriter) -> None:
@@ -173,5 +172,5 @@ async def _beat(writer: asyncio.StreamWriter) -> None:
 
 async def _make_way(port: int, master: int) -> None:
     with suppress(OSError):
-        ends = [await asyncio.open_connection("127.0.0.1", number) for number in (port, master)]
-        await splice(ends[0], ends[1])
+        async with closing(await asyncio.open_connection("127.0.0.1", port)) as inside:
+            await splice(inside, await asyncio.open_connection("127.0.0.1", master))

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import logging
+import os
+import shlex
+import socket
+import struct
 import sys
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +26,7 @@ from hpcapp.cluster import open_inventory
 from hpccomponent.errors import CloudError
 from hpccomponent.inventory import hold_cluster
 from hpcdeploy.local_shell import LocalShell
+from hpcdeploy.relay import WANTED
 from hpcdeploy.ssh import SshShell
 from hpcdeploy.ssh_connect import connect
 from hpcdeploy.ssh_target import Target
@@ -119,6 +126,58 @@ def test_a_master_elsewhere_waits_for_its_turn(
         with lead_workers(shell, FOLDER, "tcp://127.0.0.1:9"):
             assert "in use by another program" in caplog.text
         caplog.handler.removeFilter(free)
+
+
+@pytest.fixture
+def relay(tmp_path: Path) -> Iterator[socket.socket]:
+    """Yield what stands where a relay listens, of a head that is ``tmp_path``."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(60)
+        python = tmp_path / FOLDER / "venv/bin/python"
+        python.parent.mkdir(parents=True)
+        os.mkfifo(tmp_path / "ended")
+        said = json.dumps({"port": server.getsockname()[1]})
+        python.write_text(f"#!/bin/sh\necho {shlex.quote(said)}\nexec cat {tmp_path}/ended\n")
+        python.chmod(0o755)
+        yield server
+
+
+@contextmanager
+def lead_from(relay: socket.socket, home: Path, endpoint: str) -> Iterator[socket.socket]:
+    """Lead workers to a master; yield the control connection."""
+    with (
+        lead_workers(LocalShell("head", home), FOLDER, endpoint),
+        relay.accept()[0] as control,
+        (home / "ended").open("w"),
+    ):
+        control.settimeout(60)
+        yield control
+
+
+def test_a_way_to_no_master_is_closed(relay: socket.socket, tmp_path: Path) -> None:
+    with lead_from(relay, tmp_path, "tcp://127.0.0.1:9") as control:
+        control.send(WANTED)
+        with relay.accept()[0] as way:
+            way.settimeout(60)
+            assert way.recv(1) == b""
+
+
+def test_a_way_that_is_cut_is_said(
+    relay: socket.socket, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    said = threading.Event()
+
+    def hear(record: logging.LogRecord) -> bool:
+        if "its workers are lost" in record.getMessage():
+            said.set()
+        return True
+
+    with lead_from(relay, tmp_path, "tcp://127.0.0.1:9") as control:
+        caplog.handler.addFilter(hear)
+        control.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        control.close()  # it is reset
+        assert said.wait(60)
+        caplog.handler.removeFilter(hear)
 
 
 def test_a_head_without_a_relay_is_one_line(tmp_path: Path) -> None:
