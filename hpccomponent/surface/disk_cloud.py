@@ -53,6 +53,7 @@ __all__ = [
 _INDEX = "index.npz"
 _COLUMNS = 6  # float32 a point: offset and normal
 _POINT_BYTES = 4 * _COLUMNS
+_ROWS_AT_ONCE = 1 << 16  # what is made of them stays in the cache
 _MOST_BUFFERS = 1024  # that one call fills, on Linux
 
 
@@ -323,17 +324,19 @@ def _name_part(number: int) -> str:
 
 def _interleave(pieces: Sequence[PackedPoints]) -> Iterator[memoryview]:
     """Yield the records of some pieces, block after block."""
-    views = [piece.to_records().reshape(-1).view(np.uint8).data for piece in pieces]
-    if len(pieces) == 1:
-        yield views[0]
-        return
+    records = np.concatenate([piece.to_records() for piece in pieces])
+    counts = np.concatenate([piece.counts for piece in pieces])
     order = np.argsort(np.concatenate([piece.keys for piece in pieces]), kind="stable")
-    owners = np.repeat(np.arange(len(pieces)), [len(piece.keys) for piece in pieces])[order]
-    sizes = [_POINT_BYTES * piece.counts for piece in pieces]
-    ends = np.concatenate([np.cumsum(of_piece) for of_piece in sizes])[order]
-    starts = ends - np.concatenate(sizes)[order]
-    for owner, start, end in zip(owners.tolist(), starts.tolist(), ends.tolist(), strict=True):
-        yield views[owner][start:end]
+    sizes = counts[order]
+    ends = np.cumsum(sizes)
+    moves = (np.cumsum(counts) - counts)[order] - (ends - sizes)  # from where a block's come
+    for start in range(0, len(records), _ROWS_AT_ONCE):
+        stop = min(start + _ROWS_AT_ONCE, len(records))
+        first, last = np.searchsorted(ends, (start, stop - 1), "right")
+        runs = slice(first, last + 1)
+        within = np.diff(np.clip(ends[runs], None, stop), prepend=start)
+        rows = np.repeat(moves[runs], within) + np.arange(start, stop)
+        yield records.take(rows, axis=0).reshape(-1).view(np.uint8).data
 
 
 def write_index(

@@ -32,7 +32,7 @@ from hpccomponent.surface.usable_points import Dropped, Reach, are_usable, selec
 
 __all__ = ["BoxCounts", "FilePoints", "arrange_range", "bound_range", "survey_range", "unite_boxes"]
 
-_AT_ONCE = 1 << 18  # points: what is made of some is used again for the next
+_AT_ONCE = 1 << 16  # points: what is made of them stays in the cache
 _NOWHERE = np.zeros((0, 3))
 
 FilePoints = tuple[Any, ...]

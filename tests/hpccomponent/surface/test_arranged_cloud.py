@@ -129,8 +129,12 @@ def test_an_index_may_leave_out_blocks_of_parts_elsewhere(
     assert len(_rows(some)) == len(some[0])
 
 
-def test_a_part_is_the_same_in_pieces(tmp_path: Path, memory: MemoryCloud) -> None:
+@pytest.mark.parametrize("at_once", [1, 7, 1_000, 1 << 16])
+def test_a_part_is_the_same_in_pieces(
+    tmp_path: Path, memory: MemoryCloud, at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Blocks hold the points of one piece after those of another."""
+    monkeypatch.setattr("hpccomponent.surface.disk_cloud._ROWS_AT_ONCE", at_once)
     scan = _scan()
     assert scan.normals is not None
     arrangement = memory.arrangement
