@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from hpccomponent.errors import CloudError
 from hpcdeploy.cluster import open_cluster
 from hpcdeploy.layout import machine_folder
-from hpcdeploy.relay import BEAT_S, WANTED, closing, splice
+from hpcdeploy.relay import BEAT_S, WANTED, Pair, closing, splice
 from hpcdeploy.shell import Shell
 
 __all__ = ["Lead", "lead_workers", "open_remote_inventory"]
@@ -140,9 +140,7 @@ def _run(loop: asyncio.AbstractEventLoop, tunnel: asyncio.Task[None]) -> None:
     loop.run_until_complete(loop.shutdown_asyncgens())
 
 
-async def _serve(
-    control: tuple[asyncio.StreamReader, asyncio.StreamWriter], port: int, master: int
-) -> None:
+async def _serve(control: Pair, port: int, master: int) -> None:
     """Make a way to the master for each worker that the relay announces."""
     async with closing(control) as (reader, writer):
         ways: set[asyncio.Task[None]] = set()

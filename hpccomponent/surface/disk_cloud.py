@@ -324,6 +324,9 @@ def _name_part(number: int) -> str:
 
 def _interleave(pieces: Sequence[PackedPoints]) -> Iterator[memoryview]:
     """Yield the records of some pieces, block after block."""
+    if len(pieces) == 1:
+        yield pieces[0].to_records().reshape(-1).view(np.uint8).data
+        return
     records = np.concatenate([piece.to_records() for piece in pieces])
     counts = np.concatenate([piece.counts for piece in pieces])
     order = np.argsort(np.concatenate([piece.keys for piece in pieces]), kind="stable")

@@ -51,11 +51,11 @@ def machines(tmp_path: Path) -> Iterator[Machines]:
         yield machines
 
 
-def install(home: Path) -> None:
+def install(home: Path, script: str = f'exec {sys.executable} "$@"') -> None:
     """Make the environment of a machine."""
     python = home / FOLDER / "venv/bin/python"
     python.parent.mkdir(parents=True)
-    python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+    python.write_text(f"#!/bin/sh\n{script}\n")
     python.chmod(0o755)
 
 
@@ -133,12 +133,9 @@ def relay(tmp_path: Path) -> Iterator[socket.socket]:
     """Yield what stands where a relay listens, of a head that is ``tmp_path``."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(60)
-        python = tmp_path / FOLDER / "venv/bin/python"
-        python.parent.mkdir(parents=True)
         os.mkfifo(tmp_path / "ended")
         said = json.dumps({"port": server.getsockname()[1]})
-        python.write_text(f"#!/bin/sh\necho {shlex.quote(said)}\nexec cat {tmp_path}/ended\n")
-        python.chmod(0o755)
+        install(tmp_path, f"echo {shlex.quote(said)}\nexec cat {tmp_path}/ended")
         yield server
 
 
