@@ -1,7 +1,8 @@
 """What is known of the points in the cells of a level: the points themselves, or their moments.
 
 A row of moments is larger than a handful of points. So the finest level has none: moments are
-summed where a batch needs them, and only for the cells of that batch.
+summed where a batch needs them, and only for the cells of that batch. Those of the level above
+it, which has most of the rest, are kept in single precision; of every other level in double.
 
 Who may import it: the pyramid and its tests.
 """
@@ -32,6 +33,8 @@ __all__ = [
     "sort_cloud",
 ]
 
+Float32Array = NDArray[np.float32]
+
 _SLAB = 1 << 11  # cells whose moments are summed at once: 0.7 MB, which stays in the cache
 _AT_ONCE = 64  # slabs whose sums wait to be put together
 
@@ -42,7 +45,7 @@ class CellMoments:
 
     Parameters
     ----------
-    pieces : list of ndarray of float64, shape (k, 44)
+    pieces : list of ndarray of float64 or float32, shape (k, 44)
         Of some cells each, one after the other: about the centres of the cells, in their units.
 
     Notes
@@ -51,22 +54,26 @@ class CellMoments:
     tile would find no place there that is large enough.
     """
 
-    pieces: list[FloatArray]
+    pieces: list[FloatArray | Float32Array]
 
     @property
     def counts(self) -> FloatArray:
         """Points in each cell."""
-        return np.concatenate([np.empty(0), *(piece[:, 0] for piece in self.pieces)])
+        counts = [np.empty(0), *(piece[:, 0] for piece in self.pieces)]
+        return np.concatenate(counts, dtype=np.float64)
 
     def sum(self, cells: slice) -> FloatArray:
         """Return the moments of a run of cells."""
-        found, start = [np.empty((0, COLUMNS))], 0
+        found: list[FloatArray | Float32Array] = [np.empty((0, COLUMNS))]
+        start = 0
         for piece in self.pieces:
             first, stop = max(cells.start - start, 0), min(cells.stop - start, len(piece))
             if first < stop:
                 found.append(piece[first:stop])
             start += len(piece)
-        return found[1] if len(found) == 2 else np.concatenate(found)
+        if len(found) == 2:
+            return found[1].astype(np.float64, copy=False)
+        return np.concatenate(found, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,10 +263,12 @@ def merge_parents(
     parents : ndarray of int64, shape (p,)
         Sorted keys.
     moments : CellMoments
+        Rounded to float32 where `points` are those of the finest level.
     """
+    rounded = isinstance(points, SortedPoints)
     slabs = _cut_slabs(cells, max(threads, -(-len(cells) // _SLAB)))
     parents: list[IntArray] = []
-    pieces: list[FloatArray] = []
+    pieces: list[FloatArray | Float32Array] = []
     for start in range(0, len(slabs), _AT_ONCE):
         merged = run_batches(
             lambda slab: kernels.merge_cells(cells[slab], points.sum(slab)),
@@ -267,8 +276,16 @@ def merge_parents(
             threads,
         )
         parents += [keys for keys, _ in merged]
-        pieces.append(np.concatenate([sums for _, sums in merged]))
+        sums = [moments for _, moments in merged]
+        pieces.append(_put_together(sums, rounded))
     return np.concatenate(parents), CellMoments(pieces)
+
+
+def _put_together(sums: list[FloatArray], rounded: bool) -> FloatArray | Float32Array:
+    """Join moments of runs of cells, in single precision if asked for."""
+    if rounded:
+        return np.concatenate(sums, dtype=np.float32, casting="same_kind")
+    return np.concatenate(sums)
 
 
 def _cut_slabs(cells: IntArray, parts: int) -> list[slice]:
