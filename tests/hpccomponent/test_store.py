@@ -131,9 +131,25 @@ def test_any_changed_byte_is_found_out(at: int, change: int) -> None:
         from_bytes(memoryview(bytes(content)))
 
 
+@given(st.integers(0, 40), st.integers(1, 100_000))
+def test_a_cut_or_longer_value_is_found_out(pages: int, change: int) -> None:
+    content = _content((np.zeros(pages * 512), np.zeros(3)))
+    for other in (content[:-change], content + bytes(change)):
+        with pytest.raises(DamagedError):
+            from_bytes(memoryview(other))
+
+
+def test_pages_that_change_places_are_found_out() -> None:
+    content = _content(np.arange(4_096))
+    start = content.index(np.arange(16).tobytes())
+    first, second = content[start : start + 4096], content[start + 4096 : start + 8192]
+    with pytest.raises(DamagedError, match="checksum"):
+        from_bytes(memoryview(content[:start] + second + first + content[start + 8192 :]))
+
+
 @given(st.binary(max_size=200), st.integers(0, 200))
 def test_other_bytes_are_no_value(junk: bytes, kept: int) -> None:
-    for content in (junk, b"hpcvalue2" + junk, _content(7)[: min(kept, len(_content(7)) - 1)]):
+    for content in (junk, b"hpcvalue3" + junk, _content(7)[: min(kept, len(_content(7)) - 1)]):
         with pytest.raises(DamagedError):
             from_bytes(memoryview(content))
 
@@ -144,7 +160,7 @@ def test_a_damaged_value_is_named(bucket: Any, tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(content)
     (tmp_path / "empty").write_bytes(b"")
     for place, name in (("s3://lab", "a"), (str(tmp_path), "a"), (f"folder:{tmp_path}", "empty")):
-        with pytest.raises(JobError, match=f"/{name} .*(checksum|empty)") as refusal:
+        with pytest.raises(JobError, match=f"/{name} .*(length|empty)") as refusal:
             open_store(place).get(name)
         assert refusal.value.exit_code == 1
 
@@ -154,19 +170,21 @@ def test_a_file_is_checked_when_it_is_first_read(
 ) -> None:
     checked: list[int] = []
 
-    def check(content: memoryview) -> int:
+    def check(content: bytes, before: int) -> int:
         checked.append(len(content))
-        return crc32(content)
+        return crc32(content, before)
 
     crc32 = zlib.crc32
     store = FolderStore(tmp_path)
     for value in (1, 2):  # another file of the same name is checked anew
         store.put("a", np.full(10_000, value))
-        with monkeypatch.context() as patch:
-            patch.setattr(zlib, "crc32", check)
-            found = [store.get("a") for _ in range(3)]
-        assert [values.tolist() for values in found] == [[value] * 10_000] * 3
-        assert len(checked) == value
+        for is_first in (True, False, False):
+            checked.clear()
+            with monkeypatch.context() as patch:
+                patch.setattr(zlib, "crc32", check)
+                found = store.get("a")
+            assert found.tolist() == [value] * 10_000
+            assert bool(checked) == is_first
 
 
 def test_arrays_of_a_folder_are_mapped_and_let_go(tmp_path: Path) -> None:
