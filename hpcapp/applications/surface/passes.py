@@ -29,8 +29,6 @@ __all__ = ["Boxes", "Passes", "cut_even", "measure_spacing", "merge_boxes", "nea
 Boxes = dict[float, tuple[int, int]]
 """By the edge of boxes, the points in a sample of them and how many of these hold some."""
 
-_LEAST = 1_000_000  # points in a task, beyond one a worker: the margins of smaller ones cost more
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Passes:
@@ -54,13 +52,12 @@ class Passes:
     workers_see_input: bool = True
 
     def count_pieces(self, points: int) -> int:
-        """Return into how many pieces a pass through so many points is cut."""
-        most = -(-points // self.points)
-        workforce = self._workforce
-        if workforce.in_process and workforce.workers == 1:
-            return most
-        each = min(max(points // (workforce.workers * _LEAST), 1), workforce.batches_per_worker)
-        return max(most, workforce.workers * each)
+        """Return into how many pieces a pass through so many points is cut.
+
+        No more than memory asks for, so that margins are few, but as many for each worker.
+        """
+        workers = self._workforce.workers
+        return workers * -(-max(points, 1) // (workers * self.points))
 
     def cut_rows(self, rows: int) -> list[slice]:
         """Cut the records of a file into ranges."""

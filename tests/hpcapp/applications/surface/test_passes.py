@@ -35,11 +35,13 @@ def test_regions_share_the_blocks() -> None:
     ("workers", "in_process", "points", "pieces"),
     [
         (1, True, 10_000_000, 7),  # as memory asks for
-        (2, False, 10_000_000, 8),  # four for each worker
-        (4, False, 10_000_000, 8),  # two, and no crumbs
+        (2, False, 10_000_000, 8),  # and as many for each worker
+        (3, False, 10_000_000, 9),
+        (4, False, 6_000_000, 4),
         (16, False, 10_000_000, 16),
         (16, False, 100_000, 16),
-        (2, False, 100_000_000, 67),
+        (16, False, 0, 16),
+        (2, False, 100_000_000, 68),
     ],
 )
 def test_pieces_follow_workers_and_memory(
