@@ -21,7 +21,6 @@ reaches the master only.
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import os
 import selectors
@@ -47,7 +46,6 @@ __all__ = ["LocalCluster"]
 
 logger = logging.getLogger(__name__)
 
-_RESTART = {"first_s": 0.1, "cap_s": 2.0, "give_up_after": 5}  # a user waits at the terminal
 _KEPT_LINES = 20  # of each machine's log, for the message when it does not come up
 _LEAVE_S = 4.0  # a loader kills a component that does not leave within 1 s
 _KILL_S = 2.0
@@ -140,19 +138,11 @@ class LocalCluster:
         return [machine.process.pid for machine in self._machines]
 
     def _start_machine(self, folder: Path) -> None:
-        """Give one emulated machine its keys and files, and start its loader."""
+        """Give one emulated machine its keys, and start its loader."""
         folder.mkdir()
-        write_connection(folder / "connection.json", self.executor.invite(folder.name))
-        settings = {
-            "version": 1,
-            "name": folder.name,
-            "connection": "connection.json",
-            "tasks": self._extra_tasks,
-            "restart": _RESTART,
-        }
-        config = folder / "loader.yaml"
-        config.write_text(json.dumps(settings), encoding="utf-8")  # JSON is YAML too
-        self._machines.append(_Machine(folder.name, config))
+        connection = folder / "connection.json"
+        write_connection(connection, self.executor.invite(folder.name))
+        self._machines.append(_Machine(folder.name, connection, self._extra_tasks))
 
     def _wait_for_workers(self) -> None:
         """Wait until every worker has registered, or say what the loaders said."""
@@ -190,17 +180,18 @@ class LocalCluster:
 class _Machine:
     """One emulated machine: its loader, its lifeline, and what its processes have said."""
 
-    def __init__(self, name: str, config: Path) -> None:
+    def __init__(self, name: str, connection: Path, extra_tasks: Sequence[str]) -> None:
         self.name = name
         self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
         self.has_exited = threading.Event()  # the loader
         self.is_empty = threading.Event()  # all of its processes
         self._rest = b""
         reader, self._lifeline = os.pipe()
-        command = [sys.executable, "-P", "-m", "hpcloader", "run", "--config", str(config)]
+        command = [sys.executable, "-P", "-m", "hpcloader", "run", "--connection", str(connection)]
+        tasks = [word for task in extra_tasks for word in ("--task", task)]
         try:
             self.process = subprocess.Popen(  # noqa: S603 - our own interpreter
-                [*command, "--lifeline-fd", str(reader)],
+                [*command, *tasks, "--lifeline-fd", str(reader)],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,

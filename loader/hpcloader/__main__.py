@@ -11,18 +11,19 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from hpccomponent.errors import HpcError
+from hpccomponent.errors import ConfigError, HpcError
 from hpccomponent.runtime.collecting import rare_collections
-from hpcloader.builds import BUILD_VARIABLE, Choice, choose_build, read_catalogue
+from hpcloader.builds import BUILD_VARIABLE, BUILDS, Choice, choose_build
 from hpcloader.daemon import Daemon
 from hpcloader.machine import Machine, read_machine
-from hpcloader.settings import LoaderSettings, read_settings
-from hpcloader.supervisor import Supervisor
+from hpcloader.settings import LoaderSettings
+from hpcloader.supervisor import RestartRule, Supervisor
 
 __all__ = ["main"]
 
 logger = logging.getLogger("hpcloader")
 
+_AT_HAND = RestartRule(first_s=0.1, cap_s=2.0)  # without a file: somebody waits for the worker
 _VECTOR_FLAGS = ("sse4", "avx", "fma", "asimd", "sve")  # the few of a hundred that people look for
 
 
@@ -40,7 +41,14 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("hpcloader", description="Starts the worker build that fits.")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     run = verbs.add_parser("run", help="start a component and watch over it")
-    run.add_argument("--config", type=Path, required=True, metavar="FILE", help="loader.yaml")
+    told = run.add_mutually_exclusive_group(required=True)
+    told.add_argument("--config", type=Path, metavar="FILE", help="loader.yaml")
+    told.add_argument(
+        "--connection", type=Path, metavar="FILE", help="instead: the connection file alone"
+    )
+    run.add_argument(
+        "--task", action="append", default=[], metavar="NAME=module:function", help="a further task"
+    )
     run.add_argument(
         "--lifeline-fd", type=int, metavar="N", help="leave when this pipe comes to its end"
     )
@@ -53,20 +61,34 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    settings = read_settings(arguments.config)
+    settings = _settings(arguments)
     logging.basicConfig(
         level=logging.INFO,
         stream=sys.stderr,
         format=f"%(asctime)s %(levelname)s loader {settings.name}: %(message)s",
     )
-    choice = choose_build(
-        read_catalogue(settings.catalogue), read_machine(), os.environ.get(BUILD_VARIABLE, "")
-    )
+    choice = choose_build(settings.builds, read_machine(), os.environ.get(BUILD_VARIABLE, ""))
     for name, reason in choice.passed_over:
         logger.info("build %s passed over: %s", name, reason)
     logger.info("build %s chosen", choice.build.name)
-    supervisor = Supervisor(settings.restart.rule())
+    supervisor = Supervisor(settings.restart)
     return Daemon(component_argv(settings, choice), supervisor, arguments.lifeline_fd).run()
+
+
+def _settings(arguments: argparse.Namespace) -> LoaderSettings:
+    """Return what the file says, or the command line."""
+    tasks = tuple(arguments.task)
+    if arguments.config is not None:
+        from hpcloader.files import read_settings
+
+        settings = read_settings(arguments.config)
+        return dataclasses.replace(settings, tasks=(*settings.tasks, *tasks))
+    connection = arguments.connection.absolute()
+    if not connection.is_file():
+        raise ConfigError(
+            f"{connection}: no such file", "the master or the deployment writes it; give its path"
+        )
+    return LoaderSettings(connection.parent.name, connection, tasks, _AT_HAND)
 
 
 def component_argv(settings: LoaderSettings, choice: Choice) -> list[str]:
@@ -77,10 +99,12 @@ def component_argv(settings: LoaderSettings, choice: Choice) -> list[str]:
 
 
 def _facts(arguments: argparse.Namespace) -> int:
-    machine = read_machine()
-    choice = choose_build(
-        read_catalogue(arguments.catalogue), machine, os.environ.get(BUILD_VARIABLE, "")
-    )
+    builds, machine = BUILDS, read_machine()
+    if arguments.catalogue is not None:
+        from hpcloader.files import read_catalogue
+
+        builds = read_catalogue(arguments.catalogue)
+    choice = choose_build(builds, machine, os.environ.get(BUILD_VARIABLE, ""))
     text = _facts_json(machine, choice) if arguments.json else _facts_text(machine, choice)
     sys.stdout.write(text + "\n")
     return 0

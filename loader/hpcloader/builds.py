@@ -1,76 +1,35 @@
-"""The catalogue of worker builds, and the choice of the first one that fits a machine."""
+"""The worker builds, and the choice of the first one that fits a machine.
+
+What people write of them is read by `hpcloader.files`. Nothing here needs it: a loader without
+such a file starts in less than half the time.
+"""
 
 from __future__ import annotations
 
-import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from pathlib import Path
-from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, field_validator
-
-from hpccomponent.config import ConfigModel, read_config
 from hpccomponent.errors import ConfigError
 from hpcloader.machine import Machine
 
-__all__ = [
-    "BUILD_VARIABLE",
-    "TASK_PATTERN",
-    "Build",
-    "Catalogue",
-    "Choice",
-    "Requirements",
-    "choose_build",
-    "parse_size",
-    "read_catalogue",
-]
+__all__ = ["BUILDS", "BUILD_VARIABLE", "Build", "Choice", "Requirements", "choose_build"]
 
 BUILD_VARIABLE = "HPCAPP_BUILD"
 """The environment variable that names the build of a job's master, and so of its workers."""
 
-TASK_PATTERN = r"^[\w.-]+=[\w.]+:\w+$"  # NAME=module:function
 
-_UNITS = {"": 1, "B": 1, "KIB": 2**10, "MIB": 2**20, "GIB": 2**30, "TIB": 2**40}
-
-
-def parse_size(size: int | str) -> int:
-    """Return a size in bytes.
-
-    Parameters
-    ----------
-    size : int or str
-        Bytes, or text such as ``512 MiB``.
-
-    Raises
-    ------
-    ValueError
-        The text is no size.
-
-    Examples
-    --------
-    >>> parse_size("1.5 GiB")
-    1610612736
-    """
-    if isinstance(size, int) and not isinstance(size, bool):
-        return size
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([A-Za-z]*)", str(size).strip())
-    if match is None or match[2].upper() not in _UNITS:
-        raise ValueError("should be a size such as 512 MiB or 2 GiB")
-    return int(float(match[1]) * _UNITS[match[2].upper()])
-
-
-class Requirements(ConfigModel):
+@dataclass(frozen=True, slots=True)
+class Requirements:
     """What a build asks of a machine; what is left out is not asked.
 
     Parameters
     ----------
     architecture : tuple of str
-        One of these.
+        One of these, as ``uname -m`` names them.
     cpu_flags : tuple of str
-        All of these.
+        All of these, as in ``/proc/cpuinfo``.
     min_cores : int
         So many cores.
     min_memory : int
@@ -83,10 +42,10 @@ class Requirements(ConfigModel):
 
     architecture: tuple[str, ...] = ()
     cpu_flags: tuple[str, ...] = ()
-    min_cores: int = Field(default=1, ge=1)
-    min_memory: Annotated[int, BeforeValidator(parse_size), Field(ge=0)] = 0
+    min_cores: int = 1
+    min_memory: int = 0
     gpu: str | None = None
-    module: str | None = Field(default=None, pattern=r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*$")
+    module: str | None = None
 
     def unmet(self, machine: Machine) -> Iterator[str]:
         """Yield, in words, each thing that `machine` lacks."""
@@ -107,54 +66,40 @@ class Requirements(ConfigModel):
             yield f"module {self.module} is not installed"
 
 
-class Build(ConfigModel):
+@dataclass(frozen=True, slots=True)
+class Build:
     """One way to run a worker.
 
     Parameters
     ----------
     name : str
         What the component announces to the communicator.
-    requires : Requirements
-        What it asks of a machine.
     command : tuple of str
         The component's command line, without what the loader adds; ``{python}`` stands for
         the loader's own interpreter.
+    requires : Requirements
+        What it asks of a machine.
     tasks : tuple of str
         ``NAME=module:function`` of tasks that this build brings along.
     """
 
-    name: str = Field(pattern=r"^[\w.-]+$")
+    name: str
+    command: tuple[str, ...]
     requires: Requirements = Requirements()
-    command: tuple[str, ...] = Field(min_length=1)
-    tasks: tuple[Annotated[str, Field(pattern=TASK_PATTERN)], ...] = ()
-
-    @field_validator("command")
-    @classmethod
-    def _known_placeholders(cls, command: tuple[str, ...]) -> tuple[str, ...]:
-        unknown = set(re.findall(r"\{[^{}]*\}", " ".join(command))) - {"{python}"}
-        if unknown:
-            raise ValueError(f"only {{python}} is filled in, not {', '.join(sorted(unknown))}")
-        return command
+    tasks: tuple[str, ...] = ()
 
     def argv(self) -> list[str]:
         """Return the command line with its placeholders filled in."""
         return [part.replace("{python}", sys.executable) for part in self.command]
 
 
-class Catalogue(ConfigModel):
-    """All worker builds, best first."""
+_COMPONENT = ("{python}", "-P", "-m", "hpccomponent")
 
-    version: Literal[1]
-    builds: tuple[Build, ...] = Field(min_length=1)
-
-    @field_validator("builds")
-    @classmethod
-    def _distinct_names(cls, builds: tuple[Build, ...]) -> tuple[Build, ...]:
-        names = [build.name for build in builds]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"two builds are called {', '.join(twice)}")
-        return builds
+BUILDS: tuple[Build, ...] = (
+    Build("native", _COMPONENT, Requirements(module="hpccomponent.surface._native")),
+    Build("portable", _COMPONENT),
+)
+"""The builds that come with the loader, best first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,23 +118,13 @@ class Choice:
     passed_over: tuple[tuple[str, str], ...]
 
 
-def read_catalogue(path: Path | None = None) -> Catalogue:
-    """Read a catalogue, by default the one that comes with the loader.
-
-    Raises
-    ------
-    ConfigError
-        The file is not as it should be.
-    """
-    return read_config(path or Path(__file__).with_name("builds.yaml"), Catalogue)
-
-
-def choose_build(catalogue: Catalogue, machine: Machine, wanted: str = "") -> Choice:
+def choose_build(builds: Sequence[Build], machine: Machine, wanted: str = "") -> Choice:
     """Choose the first build whose requirements `machine` meets.
 
     Parameters
     ----------
-    catalogue : Catalogue
+    builds : sequence of Build
+        Best first.
     machine : Machine
     wanted : str
         Name of the only build to consider; by default all are.
@@ -204,7 +139,7 @@ def choose_build(catalogue: Catalogue, machine: Machine, wanted: str = "") -> Ch
         None fits; the message gives each one's reason.
     """
     passed_over: list[tuple[str, str]] = []
-    for build in catalogue.builds:
+    for build in builds:
         unmet = list(build.requires.unmet(machine))
         if wanted not in ("", build.name):
             unmet.append(f"{BUILD_VARIABLE} asks for {wanted}")

@@ -74,6 +74,38 @@ def test_a_wrong_file_is_one_line_and_exit_code_2(
     assert part in complaint
 
 
+def test_a_connection_file_alone_does_and_is_looked_for(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["run", "--connection", str(tmp_path / "none.json")]) == 2
+    complaint = capsys.readouterr().err
+    assert complaint.startswith(f"hpcloader: {tmp_path}/none.json: no such file")
+    (tmp_path / "c.json").write_text("{}")  # the component's mistake to name: no restart helps
+    run = subprocess.run(
+        [sys.executable, "-P", "-m", "hpcloader", "run", "--connection", "c.json"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert run.returncode == 2
+    assert f"loader {tmp_path.name}: build " in run.stderr
+
+
+def test_without_files_of_people_what_reads_them_is_not_imported() -> None:
+    run = subprocess.run(
+        [sys.executable, "-P", "-X", "importtime", "-m", "hpcloader", "facts"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    imported = {line.rpartition("|")[2].strip() for line in run.stderr.splitlines()}
+    assert "hpcloader.builds" in imported
+    assert not imported & {"yaml", "pydantic", "numpy", "zmq"}
+
+
 def test_the_module_runs_as_a_program() -> None:
     run = subprocess.run(
         [sys.executable, "-P", "-m", "hpcloader", "run", "--config", "/no/loader.yaml"],

@@ -103,7 +103,7 @@ def test_the_release_is_packed_of_what_runs_here_and_always_the_same(tmp_path: P
     assert one.read_bytes() == two.read_bytes()
     assert fits(one, ALPINE)
     names = zipfile.ZipFile(one).namelist()
-    assert {"hpcapp/cli.py", "hpcloader/builds.yaml", "hpcdeploy/first_boot.sh"} <= set(names)
+    assert {"hpcapp/cli.py", "hpcloader/builds.py", "hpcdeploy/first_boot.sh"} <= set(names)
     assert not [name for name in names if name.endswith((".so", ".pyc", ".cpp"))]
 
 
