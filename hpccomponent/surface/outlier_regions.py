@@ -78,11 +78,6 @@ class Judgement:
     stray_cells: IntArray
     island_cells: IntArray
 
-    @property
-    def drops_points(self) -> bool:
-        """Whether there are such cells; regions may find more."""
-        return len(self.stray_cells) > 0 or len(self.island_cells) > 0
-
 
 def rank_region(
     positions: FloatArray, own: BoolArray, low: FloatArray, spacing: float

@@ -2,7 +2,9 @@
 
 ::
 
-    region ── rank_blocks ──> master ── judge_blocks ──> stray cells ── mend_blocks ──> folder
+    region ── clean_blocks ── no sparse cells ── mended ──────────────────────> folder
+                   │ sparse cells                                                 ^
+                   └──> master ── judge_blocks ──> stray cells ── mend_blocks ────┘
 
 Who may import it: the master that cuts the regions.
 """
@@ -14,28 +16,55 @@ from typing import Any
 
 import numpy as np
 
-from hpccomponent.surface import kernels
-from hpccomponent.surface.cloud_regions import RegionPoints, take_region
+from hpccomponent.surface import kernels, normals, outlier_regions
+from hpccomponent.surface.cloud_regions import Region, RegionPoints, take_region
 from hpccomponent.surface.disk_cloud import write_part
-from hpccomponent.surface.normals import find_turned
-from hpccomponent.surface.outlier_regions import RegionRanks, judge_region, rank_region
+from hpccomponent.surface.outlier_regions import (
+    RegionRanks,
+    has_sparse,
+    judge_region,
+    rank_region,
+)
 from hpccomponent.surface.points import FloatArray, IntArray
 
-__all__ = ["judge_blocks", "mend_blocks", "rank_blocks"]
+__all__ = ["MARGIN", "clean_blocks", "judge_blocks", "mend_blocks"]
+
+MARGIN = max(outlier_regions.MARGIN, normals.MARGIN)
+"""Spacings: as far as what decides over a point or over its normal lies."""
 
 
-def rank_blocks(points: RegionPoints, low: FloatArray, spacing: float) -> RegionRanks:
-    """Rank the points of a region (a task); see `outlier_regions.rank_region`.
+def clean_blocks(
+    points: RegionPoints,
+    low: FloatArray,
+    spacing: float,
+    target: tuple[str, int] | None,
+    sampled: tuple[float, int],
+) -> tuple[RegionRanks, tuple[Any, ...] | None]:
+    """Rank the points of a region, and mend it if none of them are sparse (a task).
 
     Parameters
     ----------
     points : tuple
-        `RegionPoints`, with a margin of `outlier_regions.MARGIN` spacings.
-    low, spacing
-        As for `rank_region`, whose results these are.
+        `RegionPoints`, with a margin of `MARGIN` spacings.
+    low, spacing, target, sampled
+        As for `mend_blocks`.
+
+    Returns
+    -------
+    ranks : tuple
+        As `outlier_regions.rank_region` returns them.
+    mended : tuple or None
+        As `mend_blocks` returns it, if no point of the cloud is dropped; None where some of this
+        region's may be.
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
     """
     region = take_region(points)
-    return rank_region(region.positions, region.own, low, spacing)
+    ranks = rank_region(region.positions, region.own, low, spacing)
+    return ranks, None if has_sparse(ranks) else _mend(region, low, spacing, target, sampled)
 
 
 def judge_blocks(points: RegionPoints, low: FloatArray, spacing: float, base: int) -> IntArray:
@@ -44,7 +73,7 @@ def judge_blocks(points: RegionPoints, low: FloatArray, spacing: float, base: in
     Parameters
     ----------
     points : tuple
-        As for `rank_blocks`.
+        `RegionPoints`, with a margin of `outlier_regions.MARGIN` spacings.
     low, spacing, base
         As for `judge_region`, whose result this is.
     """
@@ -88,15 +117,25 @@ def mend_blocks(
     OutputError
         The disk is full, or the folder cannot be written.
     """
-    region = take_region(points)
-    turned = find_turned(region.positions, region.normals, low, spacing) & region.own
+    return _mend(take_region(points), low, spacing, target, sampled)
+
+
+def _mend(
+    region: Region,
+    low: FloatArray,
+    spacing: float,
+    target: tuple[str, int] | None,
+    sampled: tuple[float, int],
+) -> tuple[Any, ...]:
+    """Turn round the wrong normals of a region; see `mend_blocks`."""
+    turned = normals.find_turned(region.positions, region.normals, low, spacing) & region.own
     rows = np.zeros(0, np.int64)
     if len(region.positions):
         rows = kernels.sample_boxes(region.positions, low, *sampled)
         rows = rows[region.own[rows]]
     signs = np.where(turned[rows], -1.0, 1.0)[:, None]
-    normals = signs * region.packed.normals[region.rows[rows]]
-    sample = np.stack([region.positions[rows], normals])
+    mended = signs * region.packed.normals[region.rows[rows]]
+    sample = np.stack([region.positions[rows], mended])
     flipped = int(np.count_nonzero(turned))
     if not (flipped or region.has_lost_own):
         return None, flipped, sample

@@ -2,22 +2,20 @@
 
 ::
 
-    regions ── rank ──> judge the few ── judge ──> stray cells ──> spacing of the rest
-                                                                      │
-    folder <── kept points, mended normals, sample <── mend ── regions <──┘
+    regions ── clean ── no sparse cells ── mended normals, sample ─────────────────> folder
+                 │ sparse cells                                                       ^
+                 └──> judge the few ── judge ──> stray cells ── spacing anew ── mend ─┘
 
 Each region is read with a margin, some thirty spacings wide, and its task is a pure function of
-these points. The points are read once for each of these steps. Workers that see the folder mend
-regions without sparse cells while the master judges: should points be dropped after all, that was
-in vain.
+these points. The points are read once for each of these steps, so that a region without sparse
+cells is read once. Should points of others be dropped, what it was mended for was in vain.
 Who may import it: the job.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from functools import partial
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,22 +25,21 @@ from hpcapp.applications.surface.cleaning import Cleaned
 from hpcapp.applications.surface.estimates import SAMPLED_BOX, draw_sample, first_share
 from hpcapp.applications.surface.passes import Boxes, Passes, measure_spacing
 from hpcapp.applications.surface.tiles import cut_tiles
-from hpccomponent.surface import normals as normals_module
-from hpccomponent.surface import outlier_regions
+from hpccomponent.surface import normals, outlier_regions
 from hpccomponent.surface.arranged_cloud import Points
 from hpccomponent.surface.arrangement import PackedPoints
 from hpccomponent.surface.block_tasks import sample_blocks, survey_blocks
 from hpccomponent.surface.cloud_regions import DroppedCells
 from hpccomponent.surface.disk_cloud import DiskCloud, Measured, Part, write_index, write_part
 from hpccomponent.surface.lattice import pack_places, unique_keys
-from hpccomponent.surface.outlier_regions import (
-    Judgement,
-    RegionRanks,
-    has_sparse,
-    judge_sparse,
-)
+from hpccomponent.surface.outlier_regions import RegionRanks, judge_sparse
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
-from hpccomponent.surface.region_tasks import judge_blocks, mend_blocks, rank_blocks
+from hpccomponent.surface.region_tasks import (
+    MARGIN,
+    clean_blocks,
+    judge_blocks,
+    mend_blocks,
+)
 
 __all__ = ["clean_regions", "cut_regions", "measure_cloud"]
 
@@ -83,21 +80,13 @@ def clean_regions(
     regions = cut_regions(cloud.keys, cloud.counts, passes.count_pieces(len(cloud)))
     box = len(cloud), cloud.low, cloud.high
     spacing = measure_spacing(cloud, passes, box, (), boxes)
-    ranks = _rank(cloud, regions, spacing, passes)
-    judgement = passes.workforce.later(partial(judge_sparse, ranks))
-    mend = partial(_mend, cloud, regions, folder, passes)
-    mended: dict[int, Mended] = {}
-    known = len(cloud), cloud.low, spacing
-    for region, result in mend(_find_clear(ranks, passes), known, ()):
-        if judgement().drops_points:  # the master has found it while it waited
-            break
-        mended[region] = result
-    dropped = _find_outliers(cloud, regions, spacing, passes, (ranks, judgement()))
+    ranks, mended = _clean(cloud, regions, folder, passes, spacing)
+    dropped = _find_outliers(cloud, regions, spacing, passes, ranks)
     if dropped:
         box, mended = _survey(cloud, passes, dropped), {}
         spacing = measure_spacing(cloud, passes, box, dropped)
     left = [region for region in range(len(regions)) if region not in mended]
-    mended |= mend(left, (box[0], box[1], spacing), dropped)
+    mended |= _mend(cloud, regions, folder, passes, left, (box[0], box[1], spacing), dropped)
     parts, flipped, sample = _put_together(cloud, regions, folder, mended)
     cleaned = write_index(folder, cloud.arrangement, cloud.origin, box[1:], parts)
     cleaned = measure_cloud(cleaned, passes, spacing, sample)
@@ -125,8 +114,8 @@ def measure_cloud(
         found = passes.map_blocks(
             sample_blocks, cloud, (), cloud.low, SAMPLED_BOX * spacing, one_in
         )
-        positions, normals = (np.concatenate(column) for column in zip(*found, strict=True))
-        return positions, normals
+        positions, directions = (np.concatenate(column) for column in zip(*found, strict=True))
+        return positions, directions
 
     measured = Measured(spacing, PointCloud(*draw_sample(draw, len(cloud))))
     box = cloud.low, cloud.high
@@ -152,24 +141,19 @@ def cut_regions(keys: IntArray, counts: IntArray, pieces: int) -> list[IntArray]
     return [keys[region_of == region] for region in range(int(region_of.max()) + 1)]
 
 
-def _rank(
-    cloud: DiskCloud, regions: list[IntArray], spacing: float, passes: Passes
-) -> list[RegionRanks]:
-    """Rank the points of each region."""
-    margin = outlier_regions.MARGIN * spacing
-    common = cloud.low, spacing
-    found = dict(passes.map_regions(rank_blocks, cloud, regions, margin, (), lambda _: common))
-    return [found[region] for region in range(len(regions))]
-
-
-def _find_clear(ranks: list[RegionRanks], passes: Passes) -> list[int]:
-    """Return the regions that are mended before all is judged, as if no point were dropped.
-
-    There are none where nobody else is waiting for the judgement, or where that would send points.
-    """
-    if passes.workforce.in_process or not passes.workers_see:
-        return []
-    return [region for region, found in enumerate(ranks) if not has_sparse(found)]
+def _clean(
+    cloud: DiskCloud, regions: list[IntArray], folder: Path, passes: Passes, spacing: float
+) -> tuple[list[RegionRanks], dict[int, Mended]]:
+    """Rank the points of each region, and mend those of which none can be dropped."""
+    more = _say_how(len(cloud), cloud.low, spacing, folder, passes)
+    ranks: dict[int, RegionRanks] = {}
+    mended: dict[int, Mended] = {}
+    margin = MARGIN * spacing
+    for region, found in passes.map_regions(clean_blocks, cloud, regions, margin, (), more):
+        ranks[region], result = found
+        if result is not None:
+            mended[region] = _keep(result, region, folder, passes)
+    return [ranks[region] for region in range(len(regions))], mended
 
 
 def _find_outliers(
@@ -177,10 +161,10 @@ def _find_outliers(
     regions: list[IntArray],
     spacing: float,
     passes: Passes,
-    known: tuple[list[RegionRanks], Judgement],
+    ranks: list[RegionRanks],
 ) -> DroppedCells:
     """Return the cells whose points are outliers; nothing where there are none."""
-    ranks, judged = known
+    judged = judge_sparse(ranks)
     margin = outlier_regions.MARGIN * spacing
     common = cloud.low, spacing
     asked = [blocks for i, blocks in enumerate(regions) if ranks[i][0][judged.base + 1 : -1].any()]
@@ -211,26 +195,37 @@ def _mend(
     dropped: DroppedCells,
 ) -> Iterator[tuple[int, Mended]]:
     """Mend some regions, and yield what came of each; what changes is written."""
-    points, low, spacing = known
+    # A worker that is late must not write in a later one's place.
+    numbers = [region + (len(regions) if dropped else 0) for region in asked]
+    how = _say_how(*known, folder, passes)
+    margin = normals.MARGIN * known[2]
+    blocks = [regions[region] for region in asked]
+    for index, result in passes.map_regions(
+        mend_blocks, cloud, blocks, margin, dropped, lambda i: how(numbers[i])
+    ):
+        yield asked[index], _keep(result, numbers[index], folder, passes)
+
+
+def _say_how(
+    points: int, low: FloatArray, spacing: float, folder: Path, passes: Passes
+) -> Callable[[int], tuple[Any, ...]]:
+    """Return what tells, by the number of its part, what a task that mends is given."""
     sampled = SAMPLED_BOX * spacing, max(first_share(points), 1)
 
-    def number(index: int) -> int:
-        """Return that of the part; a worker that is late must not write in a later one's place."""
-        return asked[index] + (len(regions) if dropped else 0)
+    def tell(number: int) -> tuple[Any, ...]:
+        return low, spacing, (str(folder), number) if passes.workers_see else None, sampled
 
-    def more(index: int) -> tuple[Any, ...]:
-        return low, spacing, (str(folder), number(index)) if passes.workers_see else None, sampled
+    return tell
 
-    margin = normals_module.MARGIN * spacing
-    blocks = [regions[region] for region in asked]
-    for index, result in passes.map_regions(mend_blocks, cloud, blocks, margin, dropped, more):
-        packed, turned, sample = result
-        part = None
-        if packed is not None:
-            if not passes.workers_see:
-                packed = write_part(folder, number(index), [PackedPoints(*packed)])
-            part = Part.whole(number(index), *packed)
-        yield asked[index], (part, turned, sample)
+
+def _keep(result: tuple[Any, ...], number: int, folder: Path, passes: Passes) -> Mended:
+    """Take what a task that mends has returned; its points are written if it could not."""
+    packed, turned, sample = result
+    if packed is None:
+        return None, turned, sample
+    if not passes.workers_see:
+        packed = write_part(folder, number, [PackedPoints(*packed)])
+    return Part.whole(number, *packed), turned, sample
 
 
 def _put_together(
@@ -243,14 +238,14 @@ def _put_together(
     parts = [part.without(old, there) for part in cloud.parts]
     parts = [part for part in parts if len(part.keys)] + list(changed.values())
     flipped = sum(turned for _, turned, _ in mended.values())
-    positions, normals = np.concatenate([mended[i][2] for i in sorted(mended)], axis=1)
-    return parts, flipped, (positions, normals)
+    positions, directions = np.concatenate([mended[i][2] for i in sorted(mended)], axis=1)
+    return parts, flipped, (positions, directions)
 
 
 def _sort(cloud: DiskCloud, sample: Points) -> Points:
     """Bring points, in order within each block, into the order of the cloud."""
-    positions, normals = sample
+    positions, directions = sample
     blocks = cloud.arrangement
     places = np.floor((positions - blocks.origin) / blocks.edge).astype(np.int64)
     order = np.argsort(pack_places(places), kind="stable")
-    return positions[order], normals[order]
+    return positions[order], directions[order]
