@@ -61,9 +61,9 @@ class Region:
     has_lost_own: bool
 
     @property
-    def normals(self) -> FloatArray:
+    def normals(self) -> NDArray[np.float32]:
         """Of the points, of shape (n, 3)."""
-        normals = self.packed.normals.astype(np.float64)
+        normals = self.packed.normals
         return normals if len(normals) == len(self.rows) else normals.take(self.rows, axis=0)
 
     def pack_own(self, turned: BoolArray) -> PackedPoints:

@@ -164,7 +164,7 @@ def sum_neighbours(keys: IntArray, values: IntArray, wanted: IntArray) -> IntArr
 
 def poll_normals(
     positions: FloatArray,
-    normals: FloatArray,
+    normals: FloatArray | Float32Array,
     keys: IntArray,
     cell_of: IntArray,
     asked: ByteArray,
@@ -178,9 +178,10 @@ def poll_normals(
         from hpccomponent.surface import normals as portable
 
         return portable.poll_normals(
-            positions, normals, keys, cell_of, asked, reach, tolerance, drift
+            positions, _floats(normals), keys, cell_of, asked, reach, tolerance, drift
         )
-    points = (_floats(positions), _floats(normals))
+    narrow = normals.dtype == np.float32
+    points = (_floats(positions), _singles(normals) if narrow else _floats(normals))
     cells = (_integers(keys), _integers(cell_of))
     lengths = (reach, tolerance, drift)
     result: ByteArray = _native.poll_normals(*points, *cells, asked, *lengths, threads)

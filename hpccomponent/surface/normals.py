@@ -24,6 +24,7 @@ __all__ = [
 
 BoolArray = NDArray[np.bool_]
 ByteArray = NDArray[np.uint8]
+Float32Array = NDArray[np.float32]
 
 FINE, UNSURE, WRONG = 0, 1, 2
 """What `poll_normals` finds of a normal."""
@@ -84,14 +85,20 @@ def mend_normals(
 
 
 def find_turned(
-    positions: FloatArray, normals: FloatArray, low: FloatArray, spacing: float, threads: int = 1
+    positions: FloatArray,
+    normals: FloatArray | Float32Array,
+    low: FloatArray,
+    spacing: float,
+    threads: int = 1,
 ) -> BoolArray:
     """Find the normals that `mend_normals` turns round.
 
     Parameters
     ----------
-    positions, normals : ndarray of float64, shape (n, 3)
+    positions : ndarray of float64, shape (n, 3)
         Of a cloud, or of a region of it and all points within `MARGIN` spacings.
+    normals : ndarray of float64 or float32, shape (n, 3)
+        The result does not depend on how the same numbers are held.
     low : ndarray of float64, shape (3,)
         The least coordinates of the cloud.
     spacing : float

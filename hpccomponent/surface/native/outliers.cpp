@@ -95,9 +95,12 @@ constexpr double ALIKE = 0.5;     // cosine from which normals agree; below its 
 constexpr int LEAST = 8;          // opponents that a verdict takes
 constexpr int MAJORITY = 4;       // and as many more for each neighbour that agrees
 
-// A cloud, and the rows of the points in each cell.
+// A cloud, and the rows of the points in each cell. Normals come as float where they lie so on disk:
+// to widen them first would touch three times the memory.
+template <class Normal>
 struct CellPoints {
-  const double *position, *normal;
+  const double* position;
+  const Normal* normal;
   const int64_t* keys;
   int64_t cells;
   Large<int64_t> offsets;
@@ -105,7 +108,12 @@ struct CellPoints {
   double reach, tolerance, drift;
 };
 
-inline double dot(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+template <class A, class B>
+inline double dot(const A* a, const B* b) {
+  double products[3];
+  for (int axis = 0; axis < 3; ++axis) products[axis] = static_cast<double>(a[axis]) * static_cast<double>(b[axis]);
+  return products[0] + products[1] + products[2];
+}
 
 // The sum of the normals around a cell, and how many they are.
 struct Around {
@@ -113,12 +121,13 @@ struct Around {
   int64_t count;
 };
 
-Large<Around> sum_normals(const double* normal, const int64_t* cell_of, int64_t points, const int64_t* keys,
+template <class Normal>
+Large<Around> sum_normals(const Normal* normal, const int64_t* cell_of, int64_t points, const int64_t* keys,
                           int64_t cells, int threads) {
   Large<Around> own(static_cast<size_t>(cells), Around{}), all(own.size());
   for (int64_t i = 0; i < points; ++i) {
     Around& cell = own[cell_of[i]];
-    for (int axis = 0; axis < 3; ++axis) cell.sum[axis] += normal[3 * i + axis];
+    for (int axis = 0; axis < 3; ++axis) cell.sum[axis] += static_cast<double>(normal[3 * i + axis]);
     ++cell.count;
   }
   run_ranges(cells, threads, [&](int64_t start, int64_t stop) {
@@ -138,7 +147,8 @@ Large<Around> sum_normals(const double* normal, const int64_t* cell_of, int64_t 
 }
 
 // Mark the points whose normals are at odds with the mean around their cells; return whether there are any.
-bool mark_suspects(const double* normal, const int64_t* cell_of, int64_t points, const Large<Around>& around,
+template <class Normal>
+bool mark_suspects(const Normal* normal, const int64_t* cell_of, int64_t points, const Large<Around>& around,
                    const uint8_t* asked, uint8_t* verdicts) {
   bool any = false;
   for (int64_t i = 0; i < points; ++i) {
@@ -150,7 +160,8 @@ bool mark_suspects(const double* normal, const int64_t* cell_of, int64_t points,
   return any;
 }
 
-void sort_rows(const int64_t* cell_of, int64_t points, CellPoints& sorted) {
+template <class Normal>
+void sort_rows(const int64_t* cell_of, int64_t points, CellPoints<Normal>& sorted) {
   sorted.offsets.assign(static_cast<size_t>(sorted.cells) + 1, 0);
   for (int64_t i = 0; i < points; ++i) ++sorted.offsets[cell_of[i] + 1];
   for (int64_t c = 0; c < sorted.cells; ++c) sorted.offsets[c + 1] += sorted.offsets[c];
@@ -160,9 +171,10 @@ void sort_rows(const int64_t* cell_of, int64_t points, CellPoints& sorted) {
 }
 
 // Ask the points of the neighbourhood that lie on the sheet of point `row` for their normals.
-Verdict poll(const CellPoints& sorted, const Neighbourhood& around, int found, int64_t row) {
+template <class Normal>
+Verdict poll(const CellPoints<Normal>& sorted, const Neighbourhood& around, int found, int64_t row) {
   const double* position = sorted.position + 3 * row;
-  const double* normal = sorted.normal + 3 * row;
+  const Normal* normal = sorted.normal + 3 * row;
   int agree = 0, oppose = 0;
   double offsets = 0.0;
   for (int cell = 0; cell < found; ++cell)
@@ -184,7 +196,8 @@ Verdict poll(const CellPoints& sorted, const Neighbourhood& around, int found, i
 }
 
 // Judge the marked points of some cells.
-void judge_cells(const CellPoints& sorted, int64_t start, int64_t stop, uint8_t* verdicts) {
+template <class Normal>
+void judge_cells(const CellPoints<Normal>& sorted, int64_t start, int64_t stop, uint8_t* verdicts) {
   Neighbourhood around(sorted.keys, sorted.cells);
   for (int64_t cell = start; cell < stop; ++cell) {
     int found = 0;
@@ -197,11 +210,12 @@ void judge_cells(const CellPoints& sorted, int64_t start, int64_t stop, uint8_t*
   }
 }
 
-Output<uint8_t> poll_normals(Input positions, Input normals, Input cells, Input cell_of, Input asked_of,
-                             double reach, double tolerance, double drift, int64_t threads) {
+template <class Normal>
+Output<uint8_t> poll_all(Input positions, Input normals, Input cells, Input cell_of, Input asked_of,
+                         double reach, double tolerance, double drift, int64_t threads) {
   const double* position = check<double>(positions, "positions", {ANY, 3});
   const int64_t points = rows_of(positions);
-  const double* normal = check<double>(normals, "normals", {points, 3});
+  const Normal* normal = check<Normal>(normals, "normals", {points, 3});
   const int64_t* keys = check_keys(cells, "cells");
   const int64_t count = rows_of(cells);
   const int64_t* cell = check_rows(cell_of, "cell_of", count);
@@ -217,13 +231,19 @@ Output<uint8_t> poll_normals(Input positions, Input normals, Input cells, Input 
     verdicts = make_buffer<uint8_t>(points);
     const Large<Around> around = sum_normals(normal, cell, points, keys, count, workers);
     if (mark_suspects(normal, cell, points, around, asked, verdicts.get())) {
-      CellPoints sorted{position, normal, keys, count, {}, {}, reach, tolerance, drift};
+      CellPoints<Normal> sorted{position, normal, keys, count, {}, {}, reach, tolerance, drift};
       sort_rows(cell, points, sorted);
       run_ranges(count, workers,
                  [&](int64_t start, int64_t stop) { judge_cells(sorted, start, stop, verdicts.get()); });
     }
   }
   return give(std::move(verdicts), {static_cast<size_t>(points)});
+}
+
+Output<uint8_t> poll_normals(Input positions, Input normals, Input cells, Input cell_of, Input asked_of,
+                             double reach, double tolerance, double drift, int64_t threads) {
+  const auto run = normals.dtype() == nb::dtype<float>() ? &poll_all<float> : &poll_all<double>;
+  return run(positions, normals, cells, cell_of, asked_of, reach, tolerance, drift, threads);
 }
 
 }  // namespace

@@ -47,6 +47,19 @@ def test_polls(native: ModuleType, seed: int, reach: float, tolerance: float) ->
     assert native.poll_normals(*poll, 3).tobytes() == verdicts.tobytes()
 
 
+@given(st.integers(0, 2**32))
+@settings(deadline=None, max_examples=25)
+def test_normals_are_polled_alike_however_they_are_held(native: ModuleType, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    positions = random.normal(size=(600, 3)) * (1.0, 0.7, 0.02)
+    singles = random.normal(size=(600, 3)).astype(np.float32)
+    keys, _, cell_of = outliers.count_cells(positions, positions.min(axis=0), 0.4)
+    rest = keys, cell_of, np.ones(600, np.uint8), 0.4, 0.1, 0.05
+    wide = native.poll_normals(positions, singles.astype(np.float64), *rest, 1)
+    assert native.poll_normals(positions, singles, *rest, 1).tobytes() == wide.tobytes()
+    assert len(np.unique(wide)) > 1
+
+
 @given(st.data())
 @settings(deadline=None, max_examples=100)
 def test_contradictory_arguments(native: ModuleType, data: st.DataObject) -> None:
