@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from hpcapp.communicator.executor import CommunicatorExecutor
+    from hpcapp.local_machines import LocalMachines
 
 __all__ = [
     "BACKENDS",
@@ -44,6 +45,7 @@ __all__ = [
     "check_backend",
     "open_backend",
     "open_executor",
+    "start_early",
     "wrap_communicator",
 ]
 
@@ -137,6 +139,7 @@ def open_executor(
     workers: int | None = None,
     policy: str = "adaptive",
     extra_tasks: Sequence[str] = (),
+    machines: LocalMachines | None = None,
 ) -> Iterator[Backend]:
     """Open a backend; on exit nothing of it is left running.
 
@@ -155,6 +158,8 @@ def open_executor(
         worker the same number of batches.
     extra_tasks : sequence of str
         Tasks beside the installed ones, each ``NAME=module:function``.
+    machines : LocalMachines, optional
+        What `start_early` has started for `zmq`.
 
     Yields
     ------
@@ -195,11 +200,36 @@ def open_executor(
     if name == "zmq":
         from hpcapp.local_cluster import LocalCluster
 
-        with LocalCluster(count, policy=policy, extra_tasks=extra_tasks) as cluster:
+        with LocalCluster(machines or count, policy=policy, extra_tasks=extra_tasks) as cluster:
             yield wrap_communicator(name, cluster.executor, count, policy)
         return
     with _open_pool(name, count) as pool:
         yield Backend(name, Workforce(pool, count, per_worker, name in ("serial", "threads")))
+
+
+@contextmanager
+def start_early(name: str, workers: int | None) -> Iterator[LocalMachines | None]:
+    """Start what a backend runs on before it is opened, where that takes a while.
+
+    Parameters
+    ----------
+    name : str
+        What `open_executor` takes.
+    workers : int, optional
+        Likewise.
+
+    Yields
+    ------
+    LocalMachines or None
+        For `open_executor`: loaders start while this process imports what it computes with.
+    """
+    if name != "zmq":
+        yield None
+        return
+    from hpcapp.local_machines import LocalMachines
+
+    with LocalMachines(available_cores() if workers is None else workers) as machines:
+        yield machines
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from dataclasses import dataclass
 from pathlib import Path
 
+from hpcapp.communicator.door import Door
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpcapp.communicator.policy import POLICIES
 from hpccomponent.errors import ConfigError, NoWorkersError, UsageError
@@ -134,11 +135,10 @@ def listen_inventory(
     with hold_cluster(path, lambda: log.info("waiting for the cluster's present job to end")):
         inventory = read_inventory(path)  # machines may have changed while this waited
         with (
+            _open_door(inventory, is_led=lead is not None) as door,
             CommunicatorExecutor(
+                door,
                 policy=POLICIES[policy](),
-                bind="tcp://127.0.0.1:0" if lead else inventory.bind,
-                allowed_keys=[worker.public_key for worker in inventory.workers],
-                keys=KeyPair(inventory.server_public_key, inventory.server_secret_key),
                 extra_tasks=extra_tasks,
                 numerics=numerics_id(),  # the master computes too
             ) as executor,
@@ -146,6 +146,15 @@ def listen_inventory(
             _follow_inventory(path, inventory, executor),
         ):
             yield Listening(executor, inventory)
+
+
+def _open_door(inventory: Inventory, *, is_led: bool) -> Door:
+    """Listen where the inventory says, or on loopback where something leads there."""
+    return Door(
+        "tcp://127.0.0.1:0" if is_led else inventory.bind,
+        allowed_keys=[worker.public_key for worker in inventory.workers],
+        keys=KeyPair(inventory.server_public_key, inventory.server_secret_key),
+    )
 
 
 @contextmanager

@@ -1,54 +1,21 @@
 """A cluster on one machine: real loaders, components and workers, on loopback, for one job.
 
-::
-
-    master process                                     one session of its own per emulated machine
-    ┌──────────────────────────────────────┐           ┌──────────────────────────────────┐
-    │ LocalCluster ──── lifeline pipe ─────┼──────────>│ loader ─> component ─> worker    │
-    │   │  watcher thread <── stderr, exit ┼───────────│                │                 │
-    │   v      │ workers_gone              │           └────────────────┼─────────────────┘
-    │ CommunicatorExecutor <───────────────┼──────── CURVE over loopback┘
-    └──────────────────────────────────────┘
-
-The master alone holds the writing end of each lifeline, so that its end, however it comes,
-ends everything. All processes of a machine inherit one stderr: when the watcher reads its end,
-the last of them is gone. Each machine has a session of its own, so that Ctrl-C in a terminal
-reaches the master only.
-
-`hpcloader` is not imported: it is started as a program and met in its files.
+The machines are those of `local_machines`; here is the executor that they work for.
 """
 
 from __future__ import annotations
 
-import contextlib
-import logging
-import os
-import selectors
-import signal
-import subprocess
-import sys
-import threading
-import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpcapp.communicator.policy import POLICIES
+from hpcapp.local_machines import LocalMachines
 from hpccomponent.errors import NoWorkersError, UsageError
-from hpccomponent.protocol.connection import write_connection
 from hpccomponent.runtime.numerics import numerics_id
 
 __all__ = ["LocalCluster"]
-
-logger = logging.getLogger(__name__)
-
-_KEPT_LINES = 20  # of each machine's log, for the message when it does not come up
-_LEAVE_S = 4.0  # a loader kills a component that does not leave within 1 s
-_KILL_S = 2.0
 
 
 class LocalCluster:
@@ -56,13 +23,14 @@ class LocalCluster:
 
     Parameters
     ----------
-    workers : int
-        How many emulated machines, with one loader, component and worker each.
+    workers : int or LocalMachines
+        How many emulated machines, with one loader, component and worker each; or those that
+        have been started by now, which are stopped at the block's end.
     policy : str
         How batches are handed out: a name in `POLICIES` of ``communicator/policy.py``.
     extra_tasks : sequence of str
         ``NAME=module:function`` of tasks beside the installed ones; the modules must be found
-        through ``PYTHONPATH`` or be installed.
+        through ``PYTHONPATH`` or be installed. Machines that run know their own.
     start_timeout_s : float
         How long all workers together may take to register, in seconds.
 
@@ -82,44 +50,38 @@ class LocalCluster:
 
     def __init__(
         self,
-        workers: int,
+        workers: int | LocalMachines,
         *,
         policy: str = "adaptive",
         extra_tasks: Sequence[str] = (),
         start_timeout_s: float = 60.0,
     ) -> None:
-        if workers < 1:
-            raise UsageError(f"{workers} workers cannot do any work", "ask for at least 1")
         if policy not in POLICIES:
             raise UsageError(f"unknown policy {policy!r}", f"choose {' or '.join(POLICIES)}")
-        self.workers = workers
-        self._policy = policy
-        self._extra_tasks = list(extra_tasks)
-        self._start_timeout_s = start_timeout_s
-        self._machines: list[_Machine] = []
-        self._watcher = threading.Thread(
-            target=_watch, args=(self._machines, self._on_exit), name="watcher", daemon=True
+        self._is_given = isinstance(workers, LocalMachines)
+        self._machines = (
+            workers if isinstance(workers, LocalMachines) else LocalMachines(workers, extra_tasks)
         )
+        self.workers = self._machines.count
+        self._policy = policy
+        self._start_timeout_s = start_timeout_s
         self._is_up = False
-        self._is_closing = False
 
     def __enter__(self) -> LocalCluster:
         with ExitStack() as stack:
-            folder = Path(stack.enter_context(TemporaryDirectory(prefix="hpcapp-")))
-            stack.callback(self._stop_machines)
+            if not self._is_given:
+                stack.enter_context(self._machines)
+            stack.callback(self._machines.stop)  # none is to wait for a next master
             self.executor = CommunicatorExecutor(
+                self._machines.door,
                 policy=POLICIES[self._policy](),
-                extra_tasks=self._extra_tasks,
+                extra_tasks=self._machines.extra_tasks,
                 numerics=numerics_id(),  # the master computes too
             )
             # Twice: an interrupt while the first waits for work to end makes the second give up.
             stack.push(self.executor)
             stack.push(self.executor)
-            try:
-                for number in range(self.workers):
-                    self._start_machine(folder / f"machine-{number}")
-            finally:
-                self._watcher.start()  # stopping those that have been started needs it too
+            self._machines.watch(self._on_exit)
             self._wait_for_workers()
             self._stack = stack.pop_all()
         return self
@@ -135,141 +97,18 @@ class LocalCluster:
     @property
     def loader_pids(self) -> list[int]:
         """Process ids of the loaders, one per emulated machine."""
-        return [machine.process.pid for machine in self._machines]
-
-    def _start_machine(self, folder: Path) -> None:
-        """Give one emulated machine its keys, and start its loader."""
-        folder.mkdir()
-        connection = folder / "connection.json"
-        write_connection(connection, self.executor.invite(folder.name))
-        self._machines.append(_Machine(folder.name, connection, self._extra_tasks))
+        return self._machines.loader_pids
 
     def _wait_for_workers(self) -> None:
         """Wait until every worker has registered, or say what the loaders said."""
         try:
             self.executor.wait_for_workers(self.workers, self._start_timeout_s)
         except NoWorkersError as error:
-            raise NoWorkersError(f"{error.problem}\n{self._last_words()}", error.advice) from error
+            said = self._machines.last_words()
+            raise NoWorkersError(f"{error.problem}\n{said}", error.advice) from error
         self._is_up = True
 
-    def _last_words(self) -> str:
-        """Return the end of the log of a machine that has failed, else of the first."""
-        machine = min(self._machines, key=lambda machine: not machine.has_exited.is_set())
-        return "\n".join((f"the end of the log of {machine.name}:", *machine.lines))
-
-    def _on_exit(self, machine: _Machine) -> None:
+    def _on_exit(self, machine: str) -> None:
         """Tell the executor when no loader is left, or when one fails before all are up."""
-        if self._is_closing:
-            return
-        logger.warning("loader of %s ended, exit code %s", machine.name, machine.process.returncode)
-        if not self._is_up or all(other.has_exited.is_set() for other in self._machines):
-            self.executor.workers_gone(f"the loader of {machine.name} has ended")
-
-    def _stop_machines(self) -> None:
-        """Cut the lifelines and wait until nothing is left; kill what does not leave."""
-        self._is_closing = True
-        for machine in self._machines:
-            machine.cut_lifeline()
-        deadline = time.monotonic() + _LEAVE_S
-        for machine in self._machines:
-            machine.close(max(0.0, deadline - time.monotonic()))
-        if self._watcher.ident is not None:
-            self._watcher.join(_KILL_S)
-
-
-class _Machine:
-    """One emulated machine: its loader, its lifeline, and what its processes have said."""
-
-    def __init__(self, name: str, connection: Path, extra_tasks: Sequence[str]) -> None:
-        self.name = name
-        self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
-        self.has_exited = threading.Event()  # the loader
-        self.is_empty = threading.Event()  # all of its processes
-        self._rest = b""
-        reader, self._lifeline = os.pipe()
-        command = [sys.executable, "-P", "-m", "hpcloader", "run", "--connection", str(connection)]
-        tasks = [word for task in extra_tasks for word in ("--task", task)]
-        try:
-            self.process = subprocess.Popen(  # noqa: S603 - our own interpreter
-                [*command, *tasks, "--lifeline-fd", str(reader)],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                pass_fds=(reader,),
-                start_new_session=True,
-            )
-        except OSError as error:
-            os.close(self._lifeline)
-            raise NoWorkersError(f"no loader can be started ({error})") from error
-        finally:
-            os.close(reader)
-        assert self.process.stderr is not None  # noqa: S101 - for mypy
-        os.set_blocking(self.process.stderr.fileno(), False)
-
-    def cut_lifeline(self) -> None:
-        """Let the loader know that its master is gone."""
-        if self._lifeline >= 0:
-            os.close(self._lifeline)
-            self._lifeline = -1
-
-    def close(self, patience_s: float) -> None:
-        """Wait until all processes are gone; kill their process group if they stay too long."""
-        if not self.is_empty.wait(patience_s):
-            logger.warning("the processes of %s did not leave in time, killing them", self.name)
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self.process.pid, signal.SIGKILL)
-            self.is_empty.wait(_KILL_S)
-
-    def listen(self) -> bool:
-        """Keep what was said since the last call, and tell whether anyone is left to speak."""
-        assert self.process.stderr is not None  # noqa: S101 - for mypy
-        try:
-            while chunk := os.read(self.process.stderr.fileno(), 65536):
-                *whole, self._rest = (self._rest + chunk).split(b"\n")
-                for line in whole:
-                    self.lines.append(line.decode(errors="replace"))
-                    logger.debug("%s", self.lines[-1])
-        except BlockingIOError:
-            return True
-        return False
-
-    def reap(self) -> bool:
-        """Collect the loader that has ended, and tell whether that is news."""
-        self.process.wait()
-        is_news = not self.has_exited.is_set()
-        self.has_exited.set()
-        return is_news
-
-
-def _watch(machines: Sequence[_Machine], on_exit: Callable[[_Machine], None]) -> None:
-    """Sleep until a machine says something, its loader ends, or its last process ends."""
-    with selectors.DefaultSelector() as selector, ExitStack() as stack:
-        for machine in machines:
-            stderr = machine.process.stderr
-            assert stderr is not None  # noqa: S101 - for mypy
-            selector.register(stack.enter_context(stderr), selectors.EVENT_READ, machine)
-            for pidfd in _open_pidfds(machine.process.pid):
-                stack.callback(os.close, pidfd)
-                selector.register(pidfd, selectors.EVENT_READ, machine)
-        while selector.get_map():
-            for key, _ in selector.select():
-                machine = key.data
-                is_peopled = machine.listen()  # the last words, before the exit is told
-                if is_peopled and key.fileobj is machine.process.stderr:
-                    continue
-                selector.unregister(key.fileobj)
-                if machine.reap():
-                    on_exit(machine)
-                if not is_peopled:
-                    machine.is_empty.set()
-
-
-def _open_pidfds(pid: int) -> list[int]:
-    """Open what becomes readable when a process ends; nothing where there is no such thing.
-
-    There the end of the stderr, a little later, has to do.
-    """
-    try:
-        return [os.pidfd_open(pid)]
-    except (AttributeError, OSError):
-        return []
+        if not self._is_up or self._machines.are_gone:
+            self.executor.workers_gone(f"the loader of {machine} has ended")

@@ -22,18 +22,17 @@ from concurrent.futures import Executor, Future
 from types import TracebackType
 from typing import Any, TypeVar
 
+from hpcapp.communicator.door import Door
 from hpcapp.communicator.engine import Engine, Timing
 from hpcapp.communicator.entries import each_traits, make_entry
 from hpcapp.communicator.ledger import Ledger
 from hpcapp.communicator.policy import AdaptivePolicy, Policy
 from hpcapp.communicator.scheduler import Scheduler
-from hpcapp.communicator.transport import RouterTransport
 from hpccomponent.clock import Clock, MonotonicClock
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.protocol.blobs import Blob, make_blob
 from hpccomponent.protocol.codec import encode_values
 from hpccomponent.protocol.connection import Connection
-from hpccomponent.protocol.keys import KeyPair, is_key, make_key_pair
 from hpccomponent.runtime.numerics import package_version
 from hpccomponent.runtime.tasks import EACH, TaskRegistry, Traits, traits_of
 
@@ -67,14 +66,10 @@ class CommunicatorExecutor(Executor):
 
     Parameters
     ----------
+    door : Door, optional
+        Where it listens; by default on loopback, with fresh keys, until it is shut down.
     policy : Policy, optional
         How tasks are spread; `AdaptivePolicy` by default.
-    bind : str
-        ZeroMQ endpoint to listen on: loopback and any free port by default.
-    allowed_keys : iterable of str
-        Public keys (Z85) of workers that may connect; `allow` and `invite` add more.
-    keys : KeyPair, optional
-        The master's own keys; fresh ones by default.
     extra_tasks : iterable of str
         ``NAME=module:function`` of tasks that are not installed as entry points.
     numerics : str, optional
@@ -87,32 +82,27 @@ class CommunicatorExecutor(Executor):
     Raises
     ------
     UsageError
-        If nothing can listen at `bind`, or a key or an extra task is malformed.
+        If an extra task is malformed.
     """
 
     def __init__(
         self,
+        door: Door | None = None,
         *,
         policy: Policy | None = None,
-        bind: str = "tcp://127.0.0.1:0",
-        allowed_keys: Iterable[str] = (),
-        keys: KeyPair | None = None,
         extra_tasks: Iterable[str] = (),
         numerics: str | None = None,
         timing: Timing | None = None,
         clock: Clock | None = None,
     ) -> None:
         self._tasks = TaskRegistry(extra_tasks)
-        self._allowed: set[str] = set()
-        for key in allowed_keys:
-            self.allow(key)
-        self._keys = keys or make_key_pair()
         self._lock = threading.Lock()
         self._is_shut_down = False
         self._gone: str | None = None
         self._blobs: weakref.WeakValueDictionary[bytes, Blob] = weakref.WeakValueDictionary()
         timing = timing or Timing()
         clock = clock or MonotonicClock()
+        self._door = door or Door(heartbeat_s=timing.heartbeat_s)
 
         def make_scheduler(ledger: Ledger) -> Scheduler:
             return Scheduler(
@@ -126,21 +116,19 @@ class CommunicatorExecutor(Executor):
                 ledger.split,
             )
 
-        self._transport = RouterTransport(
-            bind, self._keys, self._allowed.__contains__, timing.heartbeat_s
-        )
+        self._transport = self._door.answer()
         self._engine = Engine(make_scheduler, self._transport, clock, timing)
         atexit.register(self._exit)
 
     @property
     def endpoint(self) -> str:
         """Return where workers connect to."""
-        return self._transport.endpoint
+        return self._door.endpoint
 
     @property
     def server_key(self) -> str:
         """Return the master's public key."""
-        return self._keys.public
+        return self._door.server_key
 
     @property
     def workers(self) -> int:
@@ -179,20 +167,16 @@ class CommunicatorExecutor(Executor):
         UsageError
             If it is not a key.
         """
-        if not is_key(public_key):
-            raise UsageError(f"{public_key!r} is not a Z85 CURVE key of 40 characters")
-        self._allowed.add(public_key)
+        self._door.allow(public_key)
 
     def revoke(self, public_key: str) -> None:
         """Keep the owner of `public_key` out, and turn its workers away."""
-        self._allowed.discard(public_key)
+        self._door.forbid(public_key)
         self._engine.post(lambda: self._engine.scheduler.expel(public_key))
 
     def invite(self, worker: str) -> Connection:
         """Make keys for one worker, allow them, and return what its component must know."""
-        keys = make_key_pair()
-        self.allow(keys.public)
-        return Connection(self.endpoint, self.server_key, keys.public, keys.secret, worker)
+        return self._door.invite(worker)
 
     def wait_for_workers(self, count: int, timeout_s: float) -> None:
         """Wait until `count` workers are registered.

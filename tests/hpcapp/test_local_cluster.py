@@ -16,9 +16,10 @@ from pathlib import Path
 
 import pytest
 
-from hpcapp import local_cluster
+from hpcapp import local_machines
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpcapp.local_cluster import LocalCluster
+from hpcapp.local_machines import LocalMachines
 from hpccomponent.errors import NoWorkersError, UsageError
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="watches processes by pidfd")
@@ -215,7 +216,7 @@ def test_an_interrupt_while_it_waits_for_work_to_end_leaves_nothing(tmp_path: Pa
 def test_a_frozen_process_does_not_hold_up_the_end(
     monkeypatch: pytest.MonkeyPatch, layer: str
 ) -> None:
-    monkeypatch.setattr(local_cluster, "_LEAVE_S", 2.0)
+    monkeypatch.setattr(local_machines, "_LEAVE_S", 2.0)
     with LocalCluster(1, extra_tasks=NAMES) as cluster:
         pids = all_pids(cluster)
         os.kill(pids[["loader", "worker", "component"].index(layer)], signal.SIGSTOP)
@@ -237,6 +238,33 @@ def test_a_loader_that_cannot_be_found_is_named(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(sys, "executable", "/no/such/python")
     with pytest.raises(NoWorkersError, match="/no/such/python"), LocalCluster(2):
         pass
+
+
+def test_machines_that_were_started_early_wait_and_end_with_the_cluster() -> None:
+    with LocalMachines(2, NAMES) as machines:
+        with LocalCluster(machines) as cluster:
+            pids = all_pids(cluster)
+            assert cluster.loader_pids == machines.loader_pids
+            assert len(set(pids)) == 6
+        assert not any(map(is_alive, pids))
+
+
+def test_machines_for_which_no_cluster_comes_leave() -> None:
+    with LocalMachines(2, NAMES) as machines:
+        pids = machines.loader_pids
+        assert len(pids) == 2
+    assert not any(map(is_alive, pids))
+
+
+def test_a_loader_that_ended_before_anybody_answered_is_told_of() -> None:
+    with LocalMachines(1, NAMES) as machines:
+        os.kill(machines.loader_pids[0], signal.SIGKILL)
+        wait_gone(machines.loader_pids)
+        with (
+            pytest.raises(NoWorkersError, match="the loader of machine-0 has ended"),
+            LocalCluster(machines),
+        ):
+            pass
 
 
 @pytest.mark.parametrize(("workers", "policy"), [(0, "pull"), (-1, "pull"), (2, "fair")])

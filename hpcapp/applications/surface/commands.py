@@ -267,16 +267,20 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
 
 def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
     """Run the job with this process as its master."""
-    from hpcapp.applications.surface.job import run_job
-    from hpcapp.applications.surface.memory import parse_size
-    from hpcapp.applications.surface.settings import Settings
-    from hpcapp.progress_display import open_events, open_progress
+    from hpcapp.backends import start_early
 
-    if options["max_memory"] is not None:
-        options["max_memory"] = parse_size(options["max_memory"])
-    settings: Settings = Settings(**options)
-    with open_progress(sys.stderr) as display, open_events(events, display) as progress:
-        return run_job(settings, progress)
+    name = options["backend"] if options["cluster"] is None else "cluster"
+    with start_early(name, options["workers"]) as machines:
+        from hpcapp.applications.surface.job import run_job  # while the machines start
+        from hpcapp.applications.surface.memory import parse_size
+        from hpcapp.applications.surface.settings import Settings
+        from hpcapp.progress_display import open_events, open_progress
+
+        if options["max_memory"] is not None:
+            options["max_memory"] = parse_size(options["max_memory"])
+        settings: Settings = Settings(**options)
+        with open_progress(sys.stderr) as display, open_events(events, display) as progress:
+            return run_job(settings, progress, machines)
 
 
 @click.command()

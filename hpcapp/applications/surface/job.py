@@ -41,6 +41,7 @@ from hpccomponent.surface.points import PointCloud
 if TYPE_CHECKING:
     from hpcapp.applications.surface.steps import Outcome
     from hpcapp.applications.surface.topology import Topology
+    from hpcapp.local_machines import LocalMachines
 
 __all__ = ["Settings", "run_job"]
 
@@ -50,7 +51,9 @@ LARGE_CLOUD = 2_500_000
 """Points from which on this process keeps memory: time matters more than some of it then."""
 
 
-def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
+def run_job(
+    settings: Settings, progress: Progress, machines: LocalMachines | None = None
+) -> dict[str, Any]:
     """Reconstruct a mesh from file to file.
 
     Parameters
@@ -59,6 +62,8 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
         What the user asked for.
     progress : Progress
         Where stages are announced.
+    machines : LocalMachines, optional
+        What `backends.start_early` has started for the job.
 
     Returns
     -------
@@ -75,7 +80,7 @@ def run_job(settings: Settings, progress: Progress) -> dict[str, Any]:
         keep_memory()
     with open_output(settings.output, settings.points) as target, _open_room(settings) as room:
         run = _run_in_memory if room.folder is None else _run_in_folder
-        report = run(settings, room, target, clock)
+        report = run(settings, room, target, clock, machines)
     report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
     return report
 
@@ -143,12 +148,16 @@ def _name_job(settings: Settings) -> str:
 
 
 def _run_in_memory(
-    settings: Settings, room: _Room, target: Path, clock: StageClock
+    settings: Settings,
+    room: _Room,
+    target: Path,
+    clock: StageClock,
+    machines: LocalMachines | None,
 ) -> dict[str, Any]:
     """Run a job whose points are in memory."""
     from hpcapp.applications.surface.steps import run_memory  # see `loading.load_folder`
 
-    with approach_workers(settings, _guess_job(settings, room)) as opener:
+    with approach_workers(settings, _guess_job(settings, room), machines) as opener:
         loaded = load_memory(settings, clock)
         loaded.report(settings.points)
         with run_memory(settings, loaded, opener, clock, room.keeping) as outcome:
@@ -156,11 +165,18 @@ def _run_in_memory(
 
 
 def _run_in_folder(
-    settings: Settings, room: _Room, target: Path, clock: StageClock
+    settings: Settings,
+    room: _Room,
+    target: Path,
+    clock: StageClock,
+    machines: LocalMachines | None,
 ) -> dict[str, Any]:
     """Run a job whose points are in a folder, if memory asks for it or other processes do."""
     guess = _guess_job(settings, room)
-    with approach_workers(settings) as opener, opener.open(guess) as (backend, choice):
+    with (
+        approach_workers(settings, machines=machines) as opener,
+        opener.open(guess) as (backend, choice),
+    ):
         if backend.workforce.in_process and not room.is_needed:
             keeping = None if settings.temp_dir is None else room.keeping
             loaded = load_memory(settings, clock)

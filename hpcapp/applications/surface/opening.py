@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from hpcapp.cluster import Listening
+    from hpcapp.local_machines import LocalMachines
 
 __all__ = ["Opener", "approach_workers"]
 
@@ -55,7 +56,9 @@ GUESSED = Link(1e-3, 2e8)
 
 
 @contextmanager
-def approach_workers(settings: Settings, guess: Job | None = None) -> Iterator[Opener]:
+def approach_workers(
+    settings: Settings, guess: Job | None = None, machines: LocalMachines | None = None
+) -> Iterator[Opener]:
     """Begin to listen for the workers of a cluster, where they may pay.
 
     Parameters
@@ -63,12 +66,14 @@ def approach_workers(settings: Settings, guess: Job | None = None) -> Iterator[O
     settings : Settings
     guess : Job, optional
         What is known before the points are read: as much as it may be.
+    machines : LocalMachines, optional
+        What `backends.start_early` has started.
 
     Yields
     ------
     Opener
     """
-    opener = Opener(settings)
+    opener = Opener(settings, machines)
     with opener.standing:
         if guess is not None and settings.cluster is not None and name_backend(settings) is None:
             opener.approach(guess)
@@ -81,6 +86,8 @@ class Opener:
     Parameters
     ----------
     settings : Settings
+    machines : LocalMachines, optional
+        What `backends.start_early` has started for the backend that was asked for.
 
     Attributes
     ----------
@@ -88,9 +95,10 @@ class Opener:
         Leaves the cluster.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, machines: LocalMachines | None = None) -> None:
         self.standing = ExitStack()
         self._settings = settings
+        self._machines = machines
         self._cluster: Listening | None = None
         self._here: Here | None = None
 
@@ -119,7 +127,9 @@ class Opener:
             opened, reason = open_backend(executor, workers=asked), "it was given"
         else:
             assert name is not None  # noqa: S101 - or it would be chosen
-            opened = open_executor(name, workers=asked, policy=settings.policy)
+            opened = open_executor(
+                name, workers=asked, policy=settings.policy, machines=self._machines
+            )
             reason = "it was asked for"
         with opened as backend:
             workers = backend.workforce.workers

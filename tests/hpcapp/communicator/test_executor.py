@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import zmq
 
-from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.errors import (
     JobError,
     NoWorkersError,
@@ -347,11 +346,6 @@ def test_without_workers_the_launcher_ends_the_wait(executor) -> None:
         future.result(WAIT)
     with pytest.raises(NoWorkersError, match="all loaders have ended"):
         executor.wait_for_workers(1, WAIT)
-
-
-def test_an_address_of_another_machine_is_a_usage_error() -> None:
-    with pytest.raises(UsageError, match="cannot listen on"):
-        CommunicatorExecutor(bind="tcp://192.0.2.1:1")
 
 
 def test_a_defect_of_the_communicator_fails_every_future(executor, monkeypatch) -> None:
