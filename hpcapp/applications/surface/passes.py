@@ -60,8 +60,11 @@ class Passes:
         return workers * -(-max(points, 1) // (workers * self.points))
 
     def cut_rows(self, rows: int) -> list[slice]:
-        """Cut the records of a file into ranges."""
-        return cut_equal(rows, min(self.count_pieces(rows), max(rows, 1)))
+        """Cut the records of a file into ranges.
+
+        They have no margins: two for each piece, so that nobody waits long for the last.
+        """
+        return cut_equal(rows, min(2 * self.count_pieces(rows), max(rows, 1)))
 
     def cut_blocks(self, counts: IntArray) -> list[slice]:
         """Cut blocks, each with so many points, into runs."""
