@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from hpccomponent.surface.arrangement import Arrangement, PackedPoints, unpack_near
 from hpccomponent.surface.disk_cloud import DiskCloud, open_disk_cloud
-from hpccomponent.surface.freed_memory import bound_free_memory
 from hpccomponent.surface.lattice import cells_of, find_keys, pack_places, unpack_keys
 from hpccomponent.surface.outliers import EDGE, ISLAND_LEVEL
 from hpccomponent.surface.points import FloatArray, IntArray
@@ -117,7 +116,6 @@ def take_region(points: RegionPoints) -> Region:
     JobError
         The folder is not there any more, or not whole.
     """
-    bound_free_memory()  # what regions before this one have left
     *where, blocks, margin, dropped = points
     if where[0] == "there":
         cloud = open_disk_cloud(Path(where[1]))

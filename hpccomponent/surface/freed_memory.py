@@ -26,7 +26,7 @@ def keep_memory() -> None:
 def bound_free_memory() -> None:
     """Give the system back what memory is free, kept or not, if it is 256 MB or more.
 
-    To be called before a task takes as much as others before it.
+    To be called before a task takes most of its memory.
     """
     if _native is not None:
         _native.bound_free_memory(_MOST)

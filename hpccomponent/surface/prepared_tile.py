@@ -52,8 +52,8 @@ class PreparedTile:
     """
 
     def __init__(self, plan: Plan, points: CellPoints, threads: int) -> None:
-        bound_free_memory()  # what tiles before this one have left
-        taken = take_points(points, plan)
+        taken = take_points(points, plan)  # in memory that was touched before, if there is some
+        bound_free_memory()  # what this and tiles before it have left
         self.groups = taken.groups
         self.levels = raise_levels(taken.finest, plan.coarse + 1, threads)
         self._laid: Laid | None = None
