@@ -63,7 +63,7 @@ class Region:
     def normals(self) -> NDArray[np.float32]:
         """Of the points, of shape (n, 3)."""
         normals = self.packed.normals
-        return normals if len(normals) == len(self.rows) else normals.take(self.rows, axis=0)
+        return normals if len(normals) == len(self.rows) else normals[self.rows]
 
     def pack_own(self, turned: BoolArray) -> PackedPoints:
         """Return the points in its blocks, with some normals turned round.
