@@ -6,7 +6,7 @@ The machines are those of `local_machines`; here is the executor that they work 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from types import TracebackType
 
 from hpcapp.communicator.executor import CommunicatorExecutor
@@ -58,10 +58,10 @@ class LocalCluster:
     ) -> None:
         if policy not in POLICIES:
             raise UsageError(f"unknown policy {policy!r}", f"choose {' or '.join(POLICIES)}")
-        self._is_given = isinstance(workers, LocalMachines)
-        self._machines = (
-            workers if isinstance(workers, LocalMachines) else LocalMachines(workers, extra_tasks)
-        )
+        self._own: AbstractContextManager[object] = nullcontext()
+        if not isinstance(workers, LocalMachines):
+            self._own = workers = LocalMachines(workers, extra_tasks)
+        self._machines = workers
         self.workers = self._machines.count
         self._policy = policy
         self._start_timeout_s = start_timeout_s
@@ -69,8 +69,7 @@ class LocalCluster:
 
     def __enter__(self) -> LocalCluster:
         with ExitStack() as stack:
-            if not self._is_given:
-                stack.enter_context(self._machines)
+            stack.enter_context(self._own)
             stack.callback(self._machines.stop)  # none is to wait for a next master
             self.executor = CommunicatorExecutor(
                 self._machines.door,

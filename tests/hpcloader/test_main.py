@@ -18,6 +18,17 @@ builds:
 """
 
 
+def run_program(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-P", *words],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=cwd,
+    )
+
+
 def test_facts_are_shown_with_the_chosen_build(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["facts"]) == 0
     rows = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
@@ -81,39 +92,21 @@ def test_a_connection_file_alone_does_and_is_looked_for(
     complaint = capsys.readouterr().err
     assert complaint.startswith(f"hpcloader: {tmp_path}/none.json: no such file")
     (tmp_path / "c.json").write_text("{}")  # the component's mistake to name: no restart helps
-    run = subprocess.run(
-        [sys.executable, "-P", "-m", "hpcloader", "run", "--connection", "c.json"],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=tmp_path,
-    )
+    run = run_program("-m", "hpcloader", "run", "--connection", "c.json", cwd=tmp_path)
     assert run.returncode == 2
     assert f"loader {tmp_path.name}: build " in run.stderr
 
 
 def test_without_files_of_people_what_reads_them_is_not_imported() -> None:
-    run = subprocess.run(
-        [sys.executable, "-P", "-X", "importtime", "-m", "hpcloader", "facts"],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    run = run_program("-X", "importtime", "-m", "hpcloader", "facts")
+    assert run.returncode == 0
     imported = {line.rpartition("|")[2].strip() for line in run.stderr.splitlines()}
     assert "hpcloader.builds" in imported
     assert not imported & {"yaml", "pydantic", "numpy", "zmq"}
 
 
 def test_the_module_runs_as_a_program() -> None:
-    run = subprocess.run(
-        [sys.executable, "-P", "-m", "hpcloader", "run", "--config", "/no/loader.yaml"],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    run = run_program("-m", "hpcloader", "run", "--config", "/no/loader.yaml")
     assert run.returncode == 2
     assert run.stderr.startswith("hpcloader: /no/loader.yaml: cannot be read")
     assert run.stdout == ""
