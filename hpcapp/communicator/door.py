@@ -28,8 +28,6 @@ class Door:
         Public keys (Z85) of workers that may connect; `allow` and `invite` add more.
     keys : KeyPair, optional
         The master's own keys; fresh ones by default.
-    heartbeat_s : float
-        How often ZeroMQ itself probes each connection, in seconds.
 
     Raises
     ------
@@ -43,13 +41,12 @@ class Door:
         *,
         allowed_keys: Iterable[str] = (),
         keys: KeyPair | None = None,
-        heartbeat_s: float = 1.0,
     ) -> None:
         self._allowed: set[str] = set()
         for key in allowed_keys:
             self.allow(key)
         self._keys = keys or make_key_pair()
-        self._transport = RouterTransport(bind, self._keys, self._allowed.__contains__, heartbeat_s)
+        self._transport = RouterTransport(bind, self._keys, self._allowed.__contains__)
         self._is_answered = False
 
     def __enter__(self) -> Door:

@@ -71,7 +71,7 @@ class Timing:
     Parameters
     ----------
     heartbeat_s : float
-        Between two heartbeats of a component; ZeroMQ's own come as often, four may be missed.
+        Between two heartbeats of a component.
     liveness_s : float
         After so long without a message a worker is lost.
     silence_s : float

@@ -102,7 +102,7 @@ class CommunicatorExecutor(Executor):
         self._blobs: weakref.WeakValueDictionary[bytes, Blob] = weakref.WeakValueDictionary()
         timing = timing or Timing()
         clock = clock or MonotonicClock()
-        self._door = door or Door(heartbeat_s=timing.heartbeat_s)
+        self._door = door or Door()
 
         def make_scheduler(ledger: Ledger) -> Scheduler:
             return Scheduler(

@@ -25,7 +25,7 @@ from zmq.utils import z85
 from hpccomponent.errors import UsageError
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer
 from hpccomponent.protocol.keys import KeyPair
-from hpccomponent.protocol.sockets import MONITORED_EVENTS, bound_socket, describe_event
+from hpccomponent.protocol.sockets import bound_socket, describe_event, open_monitor
 
 __all__ = ["Received", "RouterTransport"]
 
@@ -33,6 +33,7 @@ _log = logging.getLogger(__name__)
 
 ZAP_ENDPOINT = "inproc://zeromq.zap.01"
 ZAP_DOMAIN = b"hpc"
+EVENTS_PER_ROUND = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +56,6 @@ class RouterTransport:
         The master's own keys.
     is_allowed : callable
         Tells of a public key (Z85) whether its owner may connect.
-    heartbeat_s : float
-        How often ZeroMQ itself probes each connection, in seconds.
 
     Raises
     ------
@@ -69,7 +68,6 @@ class RouterTransport:
         bind: str,
         keys: KeyPair,
         is_allowed: Callable[[str], bool],
-        heartbeat_s: float = 1.0,
     ) -> None:
         self.bytes_sent = 0
         self.bytes_received = 0
@@ -86,8 +84,8 @@ class RouterTransport:
             self._zap.setsockopt(zmq.LINGER, 0)
             self._zap.bind(ZAP_ENDPOINT)
             self._router = stack.enter_context(context.socket(zmq.ROUTER))
-            _guard(self._router, keys, heartbeat_s)
-            self._monitor = stack.enter_context(self._router.get_monitor_socket(MONITORED_EVENTS))
+            _guard(self._router, keys)
+            self._monitor = stack.enter_context(open_monitor(self._router))
             try:
                 self._router.bind(bind)
             except zmq.ZMQError as error:
@@ -161,7 +159,6 @@ class RouterTransport:
 
     def close(self) -> None:
         """Close all sockets, after half a second at most for what is on its way."""
-        self._router.disable_monitor()
         self._stack.close()
 
     def _judge(self) -> None:
@@ -179,7 +176,9 @@ class RouterTransport:
         self._zap.send_multipart([version, request, b"400", b"key not on the list", b"", b""])
 
     def _hear_monitor(self) -> None:
-        while self._monitor.poll(0):
+        for _ in range(EVENTS_PER_ROUND):  # however many knock, messages have their turn
+            if not self._monitor.poll(0):
+                return
             trouble = describe_event(self._monitor.recv_multipart())
             if trouble is None:
                 self._was_disconnected = True
@@ -192,8 +191,8 @@ class RouterTransport:
             _log.warning("%s", trouble)
 
 
-def _guard(router: zmq.Socket[bytes], keys: KeyPair, heartbeat_s: float) -> None:
-    bound_socket(router, LARGEST_FRAME, heartbeat_s)
+def _guard(router: zmq.Socket[bytes], keys: KeyPair) -> None:
+    bound_socket(router, LARGEST_FRAME)
     # Without it a message to nobody is lost without a word, and a full queue drops silently.
     router.setsockopt(zmq.ROUTER_MANDATORY, 1)
     # A component that reconnects keeps its identity; another key under it is turned away above.

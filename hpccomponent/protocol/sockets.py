@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import zmq
 
-__all__ = ["MONITORED_EVENTS", "bound_socket", "describe_event"]
+__all__ = ["bound_socket", "describe_event", "open_monitor", "send_heartbeats"]
 
 HIGH_WATER_MARK = 1000  # messages; the credit window stays far below, so that it is never reached
 LINGER_MS = 500  # long enough for a farewell on a live link, short enough not to be felt on exit
@@ -31,7 +32,7 @@ _WORDS = {
 }
 
 
-def bound_socket(socket: zmq.Socket[bytes], largest_frame: int, heartbeat_s: float = 1.0) -> None:
+def bound_socket(socket: zmq.Socket[bytes], largest_frame: int) -> None:
     """Set the limits that keep one peer from hanging or filling the other.
 
     Parameters
@@ -40,17 +41,54 @@ def bound_socket(socket: zmq.Socket[bytes], largest_frame: int, heartbeat_s: flo
         Not yet bound or connected.
     largest_frame : int
         Longest buffer frame that the peer may send, in bytes; libzmq drops peers that send more.
-    heartbeat_s : float
-        How often ZeroMQ itself probes the connection, in seconds; four are waited for an answer.
     """
     socket.setsockopt(zmq.LINGER, LINGER_MS)
     socket.setsockopt(zmq.SNDHWM, HIGH_WATER_MARK)
     socket.setsockopt(zmq.RCVHWM, HIGH_WATER_MARK)
     socket.setsockopt(zmq.MAXMSGSIZE, largest_frame + FRAME_ALLOWANCE)
-    socket.setsockopt(zmq.HEARTBEAT_IVL, max(1, int(heartbeat_s * HEARTBEAT_MS)))
-    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, max(1, int(heartbeat_s * HEARTBEAT_TIMEOUT_MS)))
-    socket.setsockopt(zmq.HEARTBEAT_TTL, max(1, int(heartbeat_s * HEARTBEAT_TIMEOUT_MS)))
     socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
+
+
+def send_heartbeats(socket: zmq.Socket[bytes]) -> None:
+    """Have ZeroMQ probe the connection from this end, which each end then takes the time of.
+
+    For the component only. The master learns of a peer that has gone silent from the time to live
+    that the probes carry: were it to probe too, libzmq 4.3 would abort it, because the timer of a
+    probe writes to a connection that has broken while its peer's messages were waiting to be read
+    ("Assertion failed: !_io_error").
+
+    Parameters
+    ----------
+    socket : zmq.Socket
+        Not yet connected.
+    """
+    socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, HEARTBEAT_TIMEOUT_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TTL, HEARTBEAT_TIMEOUT_MS)
+
+
+@contextmanager
+def open_monitor(socket: zmq.Socket[bytes]) -> Iterator[zmq.Socket[bytes]]:
+    """Watch a socket's connections; give the socket from which `describe_event` reads.
+
+    libzmq's own thread waits for room where a monitor's queue is full or its reader is gone, and
+    everything else with it, the end too. So the queue has no bound, and the watch ends first.
+
+    Parameters
+    ----------
+    socket : zmq.Socket
+        Not yet bound or connected; closed after this.
+    """
+    endpoint = f"inproc://monitor-{id(socket)}"
+    with socket.context.socket(zmq.PAIR) as reader:
+        reader.setsockopt(zmq.LINGER, 0)
+        reader.setsockopt(zmq.RCVHWM, 0)
+        socket.monitor(endpoint, MONITORED_EVENTS)
+        try:
+            reader.connect(endpoint)
+            yield reader
+        finally:
+            socket.disable_monitor()
 
 
 def describe_event(frames: Sequence[bytes]) -> str | None:

@@ -49,7 +49,12 @@ from hpccomponent.protocol.session import (
     Stop,
     WorkerSession,
 )
-from hpccomponent.protocol.sockets import MONITORED_EVENTS, bound_socket, describe_event
+from hpccomponent.protocol.sockets import (
+    bound_socket,
+    describe_event,
+    open_monitor,
+    send_heartbeats,
+)
 from hpccomponent.runtime.blob_files import BlobFiles, check_share
 from hpccomponent.runtime.channel import ChannelClosedError, cut_payload
 from hpccomponent.runtime.numerics import numerics_id, package_version
@@ -118,7 +123,7 @@ class _Component:
         stack.callback(self._end_worker)
         context = stack.enter_context(zmq.Context())
         self._socket = stack.enter_context(_open_socket(context, connection, self._register))
-        self._monitor = stack.enter_context(self._socket.get_monitor_socket(MONITORED_EVENTS))
+        self._monitor = stack.enter_context(open_monitor(self._socket))
         self._signals = stack.enter_context(_catch_signals())
         self._poller = zmq.Poller()
         sources = [self._socket, self._monitor, self._signals, options.lifeline]
@@ -290,6 +295,7 @@ def _open_socket(
 ) -> zmq.Socket[bytes]:
     dealer = context.socket(zmq.DEALER)
     bound_socket(dealer, LARGEST_FRAME)
+    send_heartbeats(dealer)
     dealer.setsockopt(zmq.ROUTING_ID, f"{register.worker}/{register.incarnation}".encode())
     dealer.setsockopt(zmq.CURVE_SERVERKEY, connection.server_key.encode())
     dealer.setsockopt(zmq.CURVE_PUBLICKEY, connection.public_key.encode())
