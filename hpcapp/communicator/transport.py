@@ -25,7 +25,12 @@ from zmq.utils import z85
 from hpccomponent.errors import UsageError
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer
 from hpccomponent.protocol.keys import KeyPair
-from hpccomponent.protocol.sockets import bound_socket, describe_event, open_monitor
+from hpccomponent.protocol.sockets import (
+    accept_probes,
+    bound_socket,
+    describe_event,
+    open_monitor,
+)
 
 __all__ = ["Received", "RouterTransport"]
 
@@ -193,6 +198,7 @@ class RouterTransport:
 
 def _guard(router: zmq.Socket[bytes], keys: KeyPair) -> None:
     bound_socket(router, LARGEST_FRAME)
+    accept_probes(router)
     # Without it a message to nobody is lost without a word, and a full queue drops silently.
     router.setsockopt(zmq.ROUTER_MANDATORY, 1)
     # A component that reconnects keeps its identity; another key under it is turned away above.

@@ -1,4 +1,4 @@
-"""What both ends' sockets have in common: bounded queues, heartbeats, and failures in words."""
+"""What both ends' sockets have in common: bounded queues, probes, and failures in words."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from contextlib import contextmanager
 
 import zmq
 
-__all__ = ["bound_socket", "describe_event", "open_monitor", "send_heartbeats"]
+__all__ = ["accept_probes", "bound_socket", "describe_event", "open_monitor", "send_probes"]
 
 HIGH_WATER_MARK = 1000  # messages; the credit window stays far below, so that it is never reached
 LINGER_MS = 500  # long enough for a farewell on a live link, short enough not to be felt on exit
-HEARTBEAT_MS = 1000
-HEARTBEAT_TIMEOUT_MS = 4000
+PROBE_MS = 250  # often: a probe's time to live is forgotten with the next message
+SILENCE_MS = 4000
 HANDSHAKE_MS = 5000
 # A control frame holds headers of up to 4 MiB and at most 1 MB of further tasks.
 FRAME_ALLOWANCE = 8 * 1024 * 1024
@@ -49,22 +49,33 @@ def bound_socket(socket: zmq.Socket[bytes], largest_frame: int) -> None:
     socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
 
 
-def send_heartbeats(socket: zmq.Socket[bytes]) -> None:
-    """Have ZeroMQ probe the connection from this end, which each end then takes the time of.
+def accept_probes(socket: zmq.Socket[bytes]) -> None:
+    """Have a listening socket find out which peers have gone silent, without probes of its own.
 
-    For the component only. The master learns of a peer that has gone silent from the time to live
-    that the probes carry: were it to probe too, libzmq 4.3 would abort it, because the timer of a
-    probe writes to a connection that has broken while its peer's messages were waiting to be read
-    ("Assertion failed: !_io_error").
+    A peer whose machine vanishes or is suspended is found by TCP, as the master's messages are not
+    confirmed, and one that is frozen by the time to live that its last probe has named. Probes of
+    this end would add nothing but a danger: libzmq 4.3 aborts the process when it is to probe a
+    connection that has broken while messages of the peer waited ("Assertion failed: !_io_error").
+
+    Parameters
+    ----------
+    socket : zmq.Socket
+        Not yet bound.
+    """
+    socket.setsockopt(zmq.TCP_MAXRT, SILENCE_MS)
+
+
+def send_probes(socket: zmq.Socket[bytes]) -> None:
+    """Have ZeroMQ probe a connection from this end; see `accept_probes` for the other.
 
     Parameters
     ----------
     socket : zmq.Socket
         Not yet connected.
     """
-    socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
-    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, HEARTBEAT_TIMEOUT_MS)
-    socket.setsockopt(zmq.HEARTBEAT_TTL, HEARTBEAT_TIMEOUT_MS)
+    socket.setsockopt(zmq.HEARTBEAT_IVL, PROBE_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, SILENCE_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TTL, SILENCE_MS)
 
 
 @contextmanager

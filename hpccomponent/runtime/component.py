@@ -53,7 +53,7 @@ from hpccomponent.protocol.sockets import (
     bound_socket,
     describe_event,
     open_monitor,
-    send_heartbeats,
+    send_probes,
 )
 from hpccomponent.runtime.blob_files import BlobFiles, check_share
 from hpccomponent.runtime.channel import ChannelClosedError, cut_payload
@@ -295,7 +295,7 @@ def _open_socket(
 ) -> zmq.Socket[bytes]:
     dealer = context.socket(zmq.DEALER)
     bound_socket(dealer, LARGEST_FRAME)
-    send_heartbeats(dealer)
+    send_probes(dealer)
     dealer.setsockopt(zmq.ROUTING_ID, f"{register.worker}/{register.incarnation}".encode())
     dealer.setsockopt(zmq.CURVE_SERVERKEY, connection.server_key.encode())
     dealer.setsockopt(zmq.CURVE_PUBLICKEY, connection.public_key.encode())

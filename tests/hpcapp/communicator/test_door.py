@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -63,3 +64,69 @@ def test_nothing_heavy_is_imported_for_it() -> None:
         [sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True
     )
     assert found.stdout == "False\n"
+
+
+STRANGERS = 2600  # by default libzmq keeps 2,000 events, and then waits
+
+
+def test_a_crowd_at_a_door_that_nobody_answers_does_not_hold_up_its_end() -> None:
+    with Door() as door:
+        host, port = door.endpoint.removeprefix("tcp://").split(":")
+        for _ in range(STRANGERS):
+            with socket.create_connection((host, int(port)), timeout=WAIT) as stranger:
+                stranger.recv(10)  # the greeting: libzmq's thread is alive
+                stranger.send(b"GET / HTTP/1.0\r\n\r\n".ljust(64))
+    assert not _listens(door)
+
+
+FLOOD = """
+import os, signal, sys
+import zmq
+from hpccomponent.protocol.connection import read_connection
+
+connection = read_connection(sys.argv[1])
+dealer = zmq.Context().socket(zmq.DEALER)
+dealer.setsockopt(zmq.CURVE_SERVERKEY, connection.server_key.encode())
+dealer.setsockopt(zmq.CURVE_PUBLICKEY, connection.public_key.encode())
+dealer.setsockopt(zmq.CURVE_SECRETKEY, connection.secret_key.encode())
+dealer.connect(connection.endpoint)
+while dealer.poll(300, zmq.POLLOUT):  # until the master's queue is full, and this one
+    dealer.send(bytes(2000))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+MASTER = """
+import subprocess, sys
+from hpcapp.communicator.door import Door
+from hpccomponent.protocol.connection import write_connection
+
+door = Door()
+write_connection(sys.argv[1], door.invite("flood"))
+transport = door.answer()
+flood = subprocess.Popen([sys.executable, "-c", sys.argv[2], sys.argv[1]])
+while transport.receive() is None:
+    transport.wait(1.0)
+print(flood.wait(), flush=True)
+sys.stdin.read()
+while transport.receive() is not None:
+    pass
+transport.close()
+"""
+PROBES_S = 4.0  # as long as several probes take
+
+
+def test_a_peer_that_breaks_off_while_its_messages_wait_does_not_abort_the_master(
+    tmp_path: Path,
+) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", MASTER, str(tmp_path / "flood.json"), FLOOD],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as master:
+        assert master.stdout is not None
+        assert master.stdout.readline() == "-9\n"
+        with pytest.raises(subprocess.TimeoutExpired):
+            master.wait(PROBES_S)
+        assert master.communicate()[1] == ""
+    assert master.returncode == 0
