@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from hpcapp.batches import Workforce
+from hpcapp.capacity import check_workers
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
 
@@ -191,18 +192,19 @@ def open_executor(
             kind = name.partition("=")[0]
             yield Backend(kind, Workforce(engine, engine.workers, per_worker))
         return
-    count = workers if workers is not None else (1 if name == "serial" else available_cores())
-    if count < 1 or (name == "serial" and count > 1):
+    if workers is not None and (workers < 1 or (name == "serial" and workers > 1)):
         raise UsageError(
-            f"backend {name!r} cannot have {count} workers",
+            f"backend {name!r} cannot have {workers} workers",
             "leave --workers out, or choose another --backend",
         )
     if name == "zmq":
         from hpcapp.local_cluster import LocalCluster
 
-        with LocalCluster(machines or count, policy=policy, extra_tasks=extra_tasks) as cluster:
-            yield wrap_communicator(name, cluster.executor, count, policy)
+        here = machines or check_workers(name, workers, available_cores())
+        with LocalCluster(here, policy=policy, extra_tasks=extra_tasks) as cluster:
+            yield wrap_communicator(name, cluster.executor, cluster.workers, policy)
         return
+    count = check_workers(name, workers, 1 if name == "serial" else available_cores())
     with _open_pool(name, count) as pool:
         yield Backend(name, Workforce(pool, count, per_worker, name in ("serial", "threads")))
 
@@ -228,7 +230,7 @@ def start_early(name: str, workers: int | None) -> Iterator[LocalMachines | None
         return
     from hpcapp.local_machines import LocalMachines
 
-    with LocalMachines(available_cores() if workers is None else workers) as machines:
+    with LocalMachines(check_workers(name, workers, available_cores())) as machines:
         yield machines
 
 
@@ -265,16 +267,30 @@ def open_backend(
 def _open_pool(name: str, count: int) -> Iterator[Executor]:
     """Open an Executor of the standard library, or the serial one."""
     if name == "processes":
-        from hpcapp.engines.retrying import RetryingExecutor
-        from hpcapp.process_pool import open_processes
-
-        pool: Executor = RetryingExecutor(lambda: open_processes(count), count)
-    elif name == "threads":
+        with _open_processes(count) as processes:
+            yield processes
+        return
+    pool: Executor = SerialExecutor()
+    if name == "threads":
         pool = ThreadPoolExecutor(count, thread_name_prefix="worker")
-    else:
-        pool = SerialExecutor()
     try:
         yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _open_processes(count: int) -> Iterator[Executor]:
+    """Open a pool of processes; after an error nobody waits for what they do."""
+    from hpcapp.engines.retrying import RetryingExecutor
+    from hpcapp.process_pool import kill_processes, open_processes
+
+    pool = RetryingExecutor(lambda: open_processes(count), count)
+    try:
+        yield pool
+    except BaseException:
+        pool.abandon(kill_processes)
+        raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import signal
 import sys
 from importlib import import_module
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import click
 
+from hpcapp.interrupts import EXIT_INTERRUPTED, obey_signals
 from hpccomponent.errors import HpcError
 from hpccomponent.runtime.collecting import rare_collections
 
@@ -27,7 +27,7 @@ SHIPPED = {
     "simulate": "hpcapp.applications.surface.commands:simulate",
     "info": "hpcapp.applications.surface.commands:info",
 }
-EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+EXIT_FAILED, EXIT_USAGE = 1, 2
 
 
 class Verbs(click.Group):
@@ -100,12 +100,6 @@ def hpcapp(debug: bool) -> None:
     logging.getLogger("py.warnings").setLevel(logging.WARNING if debug else logging.ERROR)
 
 
-def _interrupt(signum: int, frame: Any) -> NoReturn:
-    """Let every request to end unwind the stack, so that nothing is left behind."""
-    del signum, frame
-    raise KeyboardInterrupt
-
-
 def _report(text: str) -> None:
     """Write one line to stderr, whatever file names and logs the text quotes."""
     line = " | ".join(part for part in text.splitlines() if part)
@@ -138,9 +132,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in arguments
     _fill_closed_descriptors()
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), _interrupt)
+    obey_signals()
     with rare_collections():
         code = _run(arguments, debug)
     sys.exit(code)

@@ -19,11 +19,13 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from dataclasses import dataclass
 from pathlib import Path
 
+from hpcapp.capacity import make_room
 from hpcapp.communicator.door import Door
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpcapp.communicator.policy import POLICIES
 from hpccomponent.errors import ConfigError, NoWorkersError, UsageError
 from hpccomponent.inventory import Inventory, hold_cluster, read_inventory
+from hpccomponent.limits import raise_descriptor_limit
 from hpccomponent.protocol.keys import KeyPair
 from hpccomponent.runtime.numerics import numerics_id
 
@@ -134,6 +136,7 @@ def listen_inventory(
         raise UsageError(f"{path} lists no worker", "give the cluster one with 'hpcapp scale'")
     with hold_cluster(path, lambda: log.info("waiting for the cluster's present job to end")):
         inventory = read_inventory(path)  # machines may have changed while this waited
+        make_room(len(inventory.workers))
         with (
             _open_door(inventory, is_led=lead is not None) as door,
             CommunicatorExecutor(
@@ -169,6 +172,7 @@ def _follow_inventory(
         while not is_over.wait(WATCH_S):
             with suppress(ConfigError):  # it is gone with its cluster; the job ends by itself
                 listed = {worker.public_key for worker in read_inventory(path).workers}
+                raise_descriptor_limit(len(listed - known))
                 for key in listed - known:
                     executor.allow(key)
                 for key in known - listed:

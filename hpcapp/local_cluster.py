@@ -5,6 +5,7 @@ The machines are those of `local_machines`; here is the executor that they work 
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from types import TracebackType
@@ -16,6 +17,8 @@ from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.runtime.numerics import numerics_id
 
 __all__ = ["LocalCluster"]
+
+log = logging.getLogger("hpcapp")
 
 
 class LocalCluster:
@@ -32,17 +35,21 @@ class LocalCluster:
         ``NAME=module:function`` of tasks beside the installed ones; the modules must be found
         through ``PYTHONPATH`` or be installed. Machines that run know their own.
     start_timeout_s : float
-        How long all workers together may take to register, in seconds.
+        How long to wait for a further worker to register, in seconds.
 
     Raises
     ------
     UsageError
         No sensible number of workers, or an unknown policy.
     NoWorkersError
-        On entry: they did not come up; the message holds the end of a loader's log.
+        On entry: none came up; the message says how each loader ended, or holds the end of the
+        log of one that did not.
 
     Notes
     -----
+    Loaders that end, or do not come up, cost the job their machine and no more, while there is
+    another. `workers` is how many there were when the block was entered.
+
     When the block ends by itself, submitted work is finished first; when it ends by an
     exception, waiting work is cancelled and running work is cut off. Either way the processes
     are gone when the block is left.
@@ -99,15 +106,26 @@ class LocalCluster:
         return self._machines.loader_pids
 
     def _wait_for_workers(self) -> None:
-        """Wait until every worker has registered, or say what the loaders said."""
-        try:
-            self.executor.wait_for_workers(self.workers, self._start_timeout_s)
-        except NoWorkersError as error:
-            said = self._machines.last_words()
-            raise NoWorkersError(f"{error.problem}\n{said}", error.advice) from error
-        self._is_up = True
+        """Wait until every worker has registered that may; say what the loaders said if none has.
 
-    def _on_exit(self, machine: str) -> None:
-        """Tell the executor when no loader is left, or when one fails before all are up."""
-        if not self._is_up or self._machines.are_gone:
-            self.executor.workers_gone(f"the loader of {machine} has ended")
+        One that is slow or hangs is not waited for while others have work to do.
+        """
+        asked, seen = self.workers, -1
+        while seen < self.executor.workers:
+            seen = self.executor.workers
+            try:
+                self.executor.wait_for_workers(asked, self._start_timeout_s)
+                break
+            except NoWorkersError as error:
+                if self._machines.are_gone or not self.executor.workers:
+                    said = "" if self._machines.are_gone else "\n" + self._machines.last_words()
+                    raise NoWorkersError(error.problem + said, error.advice) from error
+        self.workers = max(1, self.executor.workers)
+        if self.workers < asked:
+            log.warning("%d of %d workers have come: the job goes on", self.workers, asked)
+
+    def _on_exit(self) -> None:
+        """Tell the executor when a loader has ended, and when none is left."""
+        self.executor.worker_gone()
+        if self._machines.are_gone:
+            self.executor.workers_gone(f"no loader is left: {self._machines.describe_ends()}")

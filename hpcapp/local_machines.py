@@ -48,6 +48,7 @@ __all__ = ["LocalMachines"]
 logger = logging.getLogger(__name__)
 
 _KEPT_LINES = 20  # of each machine's log, for the message when it does not come up
+_NAMED = 4  # loaders whose ends are told one by one
 _LEAVE_S = 4.0  # a loader kills a component that does not leave within 1 s
 _KILL_S = 2.0
 
@@ -73,7 +74,7 @@ class LocalMachines:
     UsageError
         No sensible number of machines.
     NoWorkersError
-        On entry: no loader can be started.
+        On entry: not one loader can be started.
 
     Notes
     -----
@@ -90,7 +91,7 @@ class LocalMachines:
             target=_watch, args=(self._machines, self._loader_ended), name="watcher", daemon=True
         )
         self._guard = threading.Lock()
-        self._on_exit: Callable[[str], None] | None = None
+        self._on_exit: Callable[[], None] | None = None
         self._is_closing = False
 
     def __enter__(self) -> LocalMachines:
@@ -99,8 +100,7 @@ class LocalMachines:
             self.door = stack.enter_context(Door())
             stack.callback(self.stop)
             try:
-                for number in range(self.count):
-                    self._start_machine(folder / f"machine-{number}")
+                self._start_machines(folder)
             finally:
                 self._watcher.start()  # stopping those that have been started needs it too
             self._stack = stack.pop_all()
@@ -124,8 +124,8 @@ class LocalMachines:
         """Whether no loader is left."""
         return all(machine.has_exited.is_set() for machine in self._machines)
 
-    def watch(self, on_exit: Callable[[str], None]) -> None:
-        """Have `on_exit` told the name of each machine whose loader ends, or has ended already.
+    def watch(self, on_exit: Callable[[], None]) -> None:
+        """Have `on_exit` called for each machine whose loader ends, or has ended already.
 
         Parameters
         ----------
@@ -143,16 +143,37 @@ class LocalMachines:
         machine = min(self._machines, key=lambda machine: not machine.has_exited.is_set())
         return "\n".join((f"the end of the log of {machine.name}:", *machine.lines))
 
+    def describe_ends(self) -> str:
+        """Say how each loader that has ended did so, with the last line of its log."""
+        ended = [machine for machine in self._machines if machine.has_exited.is_set()]
+        more = [f"and {len(ended) - _NAMED} more"] if len(ended) > _NAMED else []
+        return "; ".join([machine.describe_end() for machine in ended[:_NAMED]] + more)
+
     def stop(self) -> None:
         """Cut the lifelines and wait until nothing is left; kill what does not leave."""
         self._is_closing = True
         for machine in self._machines:
             machine.cut_lifeline()
         deadline = time.monotonic() + _LEAVE_S
-        for machine in self._machines:
-            machine.close(max(0.0, deadline - time.monotonic()))
+        late = [machine for machine in self._machines if not machine.is_left_by(deadline)]
+        for machine in late:
+            machine.kill()
+        deadline = time.monotonic() + _KILL_S
+        for machine in late:
+            machine.is_left_by(deadline)
         if self._watcher.ident is not None:
             self._watcher.join(_KILL_S)
+
+    def _start_machines(self, folder: Path) -> None:
+        """Start as many as the system lets; it may have less room than when that was checked."""
+        try:
+            for number in range(self.count):
+                self._start_machine(folder / f"machine-{number}")
+        except NoWorkersError as error:
+            if not self._machines:
+                raise
+            logger.warning("%d of %d: %s", len(self._machines), self.count, error)
+            self.count = len(self._machines)
 
     def _start_machine(self, folder: Path) -> None:
         """Give one machine its keys, and start its loader."""
@@ -171,8 +192,8 @@ class LocalMachines:
     def _tell_exit(self, machine: _Machine) -> None:
         if self._is_closing or self._on_exit is None:
             return
-        logger.warning("loader of %s ended, exit code %s", machine.name, machine.process.returncode)
-        self._on_exit(machine.name)
+        logger.warning("loader of %s", machine.describe_end())
+        self._on_exit()
 
 
 class _Machine:
@@ -196,9 +217,11 @@ class _Machine:
                 pass_fds=(reader,),
                 start_new_session=True,
             )
-        except OSError as error:
+        except BaseException as error:  # an interrupt too: one that has started then leaves
             os.close(self._lifeline)
-            raise NoWorkersError(f"no loader can be started ({error})") from error
+            if isinstance(error, OSError):
+                raise NoWorkersError(f"no loader can be started ({error})") from error
+            raise
         finally:
             os.close(reader)
         assert self.process.stderr is not None  # noqa: S101 - for mypy
@@ -210,13 +233,21 @@ class _Machine:
             os.close(self._lifeline)
             self._lifeline = -1
 
-    def close(self, patience_s: float) -> None:
-        """Wait until all processes are gone; kill their process group if they stay too long."""
-        if not self.is_empty.wait(patience_s):
-            logger.warning("the processes of %s did not leave in time, killing them", self.name)
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self.process.pid, signal.SIGKILL)
-            self.is_empty.wait(_KILL_S)
+    def is_left_by(self, deadline: float) -> bool:
+        """Wait until all processes are gone, and tell whether they are; by the monotonic clock."""
+        return self.is_empty.wait(max(0.0, deadline - time.monotonic()))
+
+    def kill(self) -> None:
+        """Kill the processes that stay too long, as a group."""
+        logger.warning("the processes of %s did not leave in time, killing them", self.name)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+
+    def describe_end(self) -> str:
+        """Say how the loader ended, with the last line of the log."""
+        code = self.process.returncode
+        how = f"with exit code {code}" if code >= 0 else f"by signal {-code}"
+        return f"{self.name} ended {how}" + (f": {self.lines[-1]}" if self.lines else "")
 
     def listen(self) -> bool:
         """Keep what was said since the last call, and tell whether anyone is left to speak."""

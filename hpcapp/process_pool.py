@@ -19,7 +19,7 @@ from typing import Any
 from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
 from hpccomponent.runtime.process import THREAD_VARIABLES
 
-__all__ = ["open_processes"]
+__all__ = ["kill_processes", "open_processes"]
 
 EXIT_ORPHANED = 1
 
@@ -51,6 +51,12 @@ def open_processes(count: int) -> Iterator[Executor]:
             yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def kill_processes(pool: Any) -> None:
+    """Kill the workers of a pool, whatever they do: the pool is broken then."""
+    for process in list((pool._processes or {}).values()):
+        process.kill()
 
 
 @contextmanager

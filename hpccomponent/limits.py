@@ -1,15 +1,26 @@
-"""What of a machine this process may use: affinity, and the limits of its control groups.
+"""What of a machine this process may use: affinity, and limits of its user and control groups.
 
 Files are read below `root`, so that tests can lay out a machine of their own.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
+import resource
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["available_cores", "available_memory", "control_groups", "memory_limit", "read_text"]
+__all__ = [
+    "available_cores",
+    "available_descriptors",
+    "available_memory",
+    "available_tasks",
+    "control_groups",
+    "memory_limit",
+    "raise_descriptor_limit",
+    "read_text",
+]
 
 _ROOT = Path("/")
 
@@ -23,7 +34,7 @@ def control_groups(controller: str, root: Path = _ROOT) -> Iterator[Path]:
     Parameters
     ----------
     controller : str
-        ``cpu`` or ``memory``: what the groups limit; in version 2 they limit everything.
+        ``cpu``, ``memory`` or ``pids``: what the groups limit; in version 2 they limit everything.
     root : Path
         Where ``proc`` and ``sys`` lie.
     """
@@ -86,6 +97,90 @@ def available_memory(root: Path = _ROOT) -> float | None:
             idle = told.get("total_inactive_file", told.get("inactive_file", 0))
             free.append(max(0.0, float(limit - int(used) + idle)))
     return min(free, default=None)
+
+
+def available_descriptors() -> int:
+    """Return how many more files, sockets and pipes this process may open, by its hard limit."""
+    _, hard = _descriptor_limits()
+    return max(0, hard - _count_open())
+
+
+def raise_descriptor_limit(more: int) -> None:
+    """Raise the soft limit of open files so that so many more can be opened, as far as may be.
+
+    Parameters
+    ----------
+    more : int
+        Beside those that are open now.
+    """
+    soft, hard = _descriptor_limits()
+    wanted = min(hard, _count_open() + more)
+    if wanted > soft:
+        with contextlib.suppress(OSError, ValueError):  # what the system refuses stays as it was
+            resource.setrlimit(
+                resource.RLIMIT_NOFILE, (wanted, resource.getrlimit(resource.RLIMIT_NOFILE)[1])
+            )
+
+
+def _descriptor_limits() -> tuple[int, int]:
+    """Return the soft and the hard limit of open files; a great number for none."""
+    soft, hard = (
+        1 << 30 if limit == resource.RLIM_INFINITY else limit
+        for limit in resource.getrlimit(resource.RLIMIT_NOFILE)
+    )
+    return soft, hard
+
+
+def _count_open() -> int:
+    """Return how many files are open; a guess where the system does not say."""
+    for folder in ("/proc/self/fd", "/dev/fd"):
+        with contextlib.suppress(OSError):
+            return len(os.listdir(folder))
+    return 16
+
+
+def available_tasks(root: Path = _ROOT) -> tuple[int, str] | None:
+    """Return how many more processes and threads there may be, and the limit that says so.
+
+    Parameters
+    ----------
+    root : Path
+        Where ``proc`` and ``sys`` lie.
+
+    Returns
+    -------
+    (int, str) or None
+        None where the system does not say.
+    """
+    left: list[tuple[int, str]] = []
+    user_limit, _ = resource.getrlimit(resource.RLIMIT_NPROC)
+    if user_limit != resource.RLIM_INFINITY and os.geteuid() != 0:  # it does not bind root
+        left.append((user_limit - _count_tasks_of_user(root), "'ulimit -u'"))
+    for group in control_groups("pids", root):
+        limit = read_text(group / "pids.max").strip()
+        used = read_text(group / "pids.current").strip()
+        if limit.isdigit() and used.isdigit():
+            left.append((int(limit) - int(used), "the control group's pids.max"))
+    running = read_text(root / "proc/loadavg").partition("/")[2].split()
+    for name in ("threads-max", "pid_max"):
+        limit = read_text(root / "proc/sys/kernel" / name).strip()
+        if limit.isdigit() and running and running[0].isdigit():
+            left.append((int(limit) - int(running[0]), f"the kernel's {name}"))
+    if not left:
+        return None
+    least, reason = min(left)
+    return max(0, least), reason
+
+
+def _count_tasks_of_user(root: Path) -> int:
+    """Return how many processes and threads this process's user has."""
+    user, count = str(os.getuid()), 0
+    for status in (root / "proc").glob("[0-9]*/status"):
+        text = read_text(status)
+        fields = {line.partition(":")[0]: line.split()[1:] for line in text.splitlines()}
+        if fields.get("Uid", [""])[0] == user:
+            count += int(fields.get("Threads", ["1"])[0])
+    return count
 
 
 def memory_limit(group: Path) -> int | None:

@@ -99,6 +99,7 @@ class CommunicatorExecutor(Executor):
         self._lock = threading.Lock()
         self._is_shut_down = False
         self._gone: str | None = None
+        self._missing = 0
         self._blobs: weakref.WeakValueDictionary[bytes, Blob] = weakref.WeakValueDictionary()
         timing = timing or Timing()
         clock = clock or MonotonicClock()
@@ -179,7 +180,7 @@ class CommunicatorExecutor(Executor):
         return self._door.invite(worker)
 
     def wait_for_workers(self, count: int, timeout_s: float) -> None:
-        """Wait until `count` workers are registered.
+        """Wait until `count` workers are registered, less those of which `worker_gone` was told.
 
         Raises
         ------
@@ -188,10 +189,11 @@ class CommunicatorExecutor(Executor):
             not; the message names what kept peers out.
         """
         with self._engine.roster:
-            self._engine.roster.wait_for(
-                lambda: self.workers >= count or self._gone is not None, timeout_s
+            have_come = self._engine.roster.wait_for(
+                lambda: self._gone is not None or self.workers >= max(1, count - self._missing),
+                timeout_s,
             )
-        if self.workers >= count:
+        if have_come and self._gone is None:
             return
         reason = self._gone or f"waited for {timeout_s:g} s"
         hints = "".join(f"; {trouble}" for trouble in self._transport.troubles)
@@ -199,6 +201,12 @@ class CommunicatorExecutor(Executor):
             f"{self.workers} of {count} workers registered at {self.endpoint} ({reason}{hints})",
             "look at the log of the loaders and components",
         )
+
+    def worker_gone(self) -> None:
+        """Take the launcher's word that one more of those waited for will not come."""
+        with self._engine.roster:
+            self._missing += 1
+            self._engine.roster.notify_all()
 
     def workers_gone(self, reason: str) -> None:
         """Take the launcher's word that no worker will come (any more), and why."""

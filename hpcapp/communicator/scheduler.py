@@ -172,7 +172,7 @@ class Scheduler:
         worker = Worker(identity, register, key, self._clock.now(), placed=level)
         # A repeated registration changes nothing: what got lost shows in the next heartbeat.
         self.workers.setdefault(identity, worker).seen = worker.seen
-        self._gone = self._alone_since = None
+        self._alone_since = None
         actions: list[Action] = []
         for other in list(self.workers.values()):
             if other.identity != identity and other.register.worker == register.worker:

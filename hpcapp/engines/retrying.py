@@ -188,6 +188,18 @@ class RetryingExecutor(Executor):
             with self._mender, self._opened:
                 pass
 
+    def abandon(self, end: Callable[[Executor], None]) -> None:
+        """Give up what runs, and retry nothing: to be called before `shutdown`.
+
+        Parameters
+        ----------
+        end : callable
+            Ends the engine's workers.
+        """
+        self._is_shut_down = self._gives_up = True
+        with self._lock:
+            end(self._engine)
+
     def _start(self, task: _Task) -> None:
         """Submit a task to the engine."""
         with self._lock:

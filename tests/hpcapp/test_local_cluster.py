@@ -261,7 +261,7 @@ def test_a_loader_that_ended_before_anybody_answered_is_told_of() -> None:
         os.kill(machines.loader_pids[0], signal.SIGKILL)
         wait_gone(machines.loader_pids)
         with (
-            pytest.raises(NoWorkersError, match="the loader of machine-0 has ended"),
+            pytest.raises(NoWorkersError, match="no loader is left: machine-0 ended by signal 9"),
             LocalCluster(machines),
         ):
             pass

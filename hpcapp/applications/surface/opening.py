@@ -30,6 +30,7 @@ from hpcapp.backends import (
     open_executor,
     wrap_communicator,
 )
+from hpcapp.capacity import count_carried
 from hpccomponent.errors import NoWorkersError
 from hpccomponent.limits import available_cores
 
@@ -165,6 +166,7 @@ class Opener:
             kind, ready_s = "cluster", CLUSTER_S
         else:
             most = min(settings.workers or available_cores(), available_cores())
+            most = min(most, count_carried("zmq")[0])
             if most < 2:
                 return replace(local, reason=f"{available_cores()} core(s), one of them to be used")
             if not may_pay(job, local.workers, most, START_UNITS):

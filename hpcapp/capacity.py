@@ -1,0 +1,156 @@
+"""How many workers this machine can carry: open files, processes and memory, before any is started.
+
+What is counted is what workers take by being there. What tasks need beside that is the
+application's to know.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from hpccomponent.errors import UsageError
+from hpccomponent.limits import (
+    available_descriptors,
+    available_memory,
+    available_tasks,
+    raise_descriptor_limit,
+)
+
+__all__ = ["NEEDS", "Needs", "check_workers", "count_carried", "make_room"]
+
+OWN_DESCRIPTORS = 40
+"""What a master opens beside its workers' ends: sockets, the log, the points, files of tiles."""
+
+_ROOT = Path("/")
+
+
+@dataclass(frozen=True, slots=True)
+class Needs:
+    """What one worker takes by being there.
+
+    Parameters
+    ----------
+    descriptors : int
+        Of the master.
+    tasks : int
+        Processes and their threads.
+    memory : int
+        In bytes, with the modules of all tasks imported and no task run.
+    """
+
+    descriptors: int
+    tasks: int
+    memory: int
+
+
+NEEDS = {
+    # a lifeline, a log, the process itself, a connection; a loader, a component of three threads
+    # and a worker of one, which has a second one where no kernel ends it with its parent
+    "zmq": Needs(descriptors=4, tasks=6, memory=64 << 20),
+    "processes": Needs(descriptors=2, tasks=2, memory=48 << 20),
+    "threads": Needs(descriptors=0, tasks=1, memory=1 << 20),
+}
+"""By the name of a backend."""
+
+
+def count_carried(backend: str, root: Path = _ROOT) -> tuple[int, str]:
+    """Return how many workers of a backend this machine carries, and what bounds their number.
+
+    Parameters
+    ----------
+    backend : str
+        A key of `NEEDS`.
+    root : Path
+        Where ``proc`` and ``sys`` lie.
+    """
+    needs = NEEDS[backend]
+    bounds: list[tuple[int, str]] = []
+    if needs.descriptors:
+        files = available_descriptors()
+        bounds.append(
+            (
+                (files - OWN_DESCRIPTORS) // needs.descriptors,
+                f"open files: {files} more by 'ulimit -Hn', {needs.descriptors} for each worker "
+                f"and {OWN_DESCRIPTORS} for the job",
+            )
+        )
+    tasks = available_tasks(root)
+    if tasks is not None:
+        bounds.append(
+            (
+                tasks[0] // needs.tasks,
+                f"processes: {tasks[0]} more by {tasks[1]}, {needs.tasks} for each worker with "
+                "its threads",
+            )
+        )
+    memory = available_memory(root)
+    if memory is not None:
+        bounds.append(
+            (
+                int(memory) // needs.memory,
+                f"memory: {memory / 2**30:.1f} GiB free, {needs.memory >> 20} MiB for each worker",
+            )
+        )
+    most, reason = min(bounds)
+    return max(0, most), reason
+
+
+def check_workers(backend: str, count: int | None, default: int, root: Path = _ROOT) -> int:
+    """Return how many workers to start, once it is known that this machine carries them.
+
+    The soft limit of open files is raised to what they need.
+
+    Parameters
+    ----------
+    backend : str
+        Its name; one that has no workers of its own is not bounded.
+    count : int, optional
+        How many were asked for.
+    default : int
+        How many there are otherwise, where the machine carries so many.
+    root : Path
+        Where ``proc`` and ``sys`` lie.
+
+    Raises
+    ------
+    UsageError
+        It does not carry as many as were asked for; the message says how many it does.
+    """
+    if backend not in NEEDS:
+        return default if count is None else count
+    most, reason = count_carried(backend, root)
+    asked = min(default, max(1, most)) if count is None else count
+    if asked > most:
+        if most == 0:
+            raise UsageError(
+                f"--workers {asked}: this machine carries none ({reason})",
+                "raise this limit, or use --backend serial",
+            )
+        raise UsageError(
+            f"--workers {asked}: this machine carries {most} ({reason})", f"use --workers {most}"
+        )
+    raise_descriptor_limit(OWN_DESCRIPTORS + asked * NEEDS[backend].descriptors)
+    return asked
+
+
+def make_room(peers: int) -> None:
+    """See that this process can hold a connection to each of so many workers elsewhere.
+
+    Parameters
+    ----------
+    peers : int
+
+    Raises
+    ------
+    UsageError
+        The hard limit of open files is too low for one of each.
+    """
+    files = available_descriptors()
+    if files < OWN_DESCRIPTORS + peers:
+        raise UsageError(
+            f"{peers} workers need {OWN_DESCRIPTORS + peers} more open files, and 'ulimit -Hn' "
+            f"leaves {files}",
+            "raise it, or use a cluster of fewer workers",
+        )
+    raise_descriptor_limit(OWN_DESCRIPTORS + 2 * peers)  # one that comes again has two for a while
