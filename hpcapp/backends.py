@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from hpcapp.batches import Workforce
-from hpcapp.capacity import check_workers
+from hpcapp.capacity import check_address_space, check_workers
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
 
@@ -224,7 +224,13 @@ def start_early(name: str, workers: int | None) -> Iterator[LocalMachines | None
     ------
     LocalMachines or None
         For `open_executor`: loaders start while this process imports what it computes with.
+
+    Raises
+    ------
+    UsageError
+        This machine does not carry so many workers, or lets no process compute.
     """
+    check_address_space()
     if name != "zmq":
         yield None
         return

@@ -11,16 +11,20 @@ from pathlib import Path
 
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import (
+    address_space_limit,
     available_descriptors,
     available_memory,
     available_tasks,
     raise_descriptor_limit,
 )
 
-__all__ = ["NEEDS", "Needs", "check_workers", "count_carried", "make_room"]
+__all__ = ["NEEDS", "Needs", "check_address_space", "check_workers", "count_carried", "make_room"]
 
 OWN_DESCRIPTORS = 40
 """What a master opens beside its workers' ends: sockets, the log, the points, files of tiles."""
+
+LEAST_ADDRESS_SPACE = 512 << 20
+"""For what a process loads and reserves to compute at all: libraries, their buffers, stacks."""
 
 _ROOT = Path("/")
 
@@ -35,23 +39,43 @@ class Needs:
         Of the master.
     tasks : int
         Processes and their threads.
+    own_tasks : int
+        The master's threads, and its helper processes, for all of them together.
     memory : int
         In bytes, with the modules of all tasks imported and no task run.
     """
 
     descriptors: int
     tasks: int
+    own_tasks: int
     memory: int
 
 
 NEEDS = {
     # a lifeline, a log, the process itself, a connection; a loader, a component of three threads
     # and a worker of one, which has a second one where no kernel ends it with its parent
-    "zmq": Needs(descriptors=4, tasks=6, memory=64 << 20),
-    "processes": Needs(descriptors=2, tasks=2, memory=48 << 20),
-    "threads": Needs(descriptors=0, tasks=1, memory=1 << 20),
+    "zmq": Needs(descriptors=4, tasks=6, own_tasks=8, memory=64 << 20),
+    "processes": Needs(descriptors=2, tasks=2, own_tasks=8, memory=48 << 20),
+    "threads": Needs(descriptors=0, tasks=1, own_tasks=2, memory=1 << 20),
 }
 """By the name of a backend."""
+
+
+def check_address_space() -> None:
+    """Find out whether the libraries that compute can be loaded, which end badly if not.
+
+    Raises
+    ------
+    UsageError
+        The address space is limited to less.
+    """
+    limit = address_space_limit()
+    if limit is not None and limit < LEAST_ADDRESS_SPACE:
+        raise UsageError(
+            f"the address space of a process is limited to {limit >> 20} MiB ('ulimit -v'), and "
+            f"{LEAST_ADDRESS_SPACE >> 20} MiB are the least",
+            "raise it, or limit memory by a control group",
+        )
 
 
 def count_carried(backend: str, root: Path = _ROOT) -> tuple[int, str]:
@@ -79,9 +103,9 @@ def count_carried(backend: str, root: Path = _ROOT) -> tuple[int, str]:
     if tasks is not None:
         bounds.append(
             (
-                tasks[0] // needs.tasks,
-                f"processes: {tasks[0]} more by {tasks[1]}, {needs.tasks} for each worker with "
-                "its threads",
+                (tasks[0] - needs.own_tasks) // needs.tasks,
+                f"processes and threads: {tasks[0]} more by {tasks[1]}, {needs.tasks} for each "
+                f"worker and {needs.own_tasks} for the job",
             )
         )
     memory = available_memory(root)

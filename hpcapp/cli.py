@@ -167,6 +167,9 @@ def _run(arguments: list[str], debug: bool) -> int:
         _report("out of memory; choose a smaller --grid or a machine with more memory")
         return EXIT_FAILED
     except Exception as error:
+        if isinstance(error, RuntimeError) and "start new thread" in str(error):
+            _report("no further thread can be started; raise 'ulimit -u', or use fewer --workers")
+            return EXIT_FAILED
         if debug:
             raise
         _report(f"internal error: {type(error).__name__}: {error}; "

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 __all__ = [
+    "address_space_limit",
     "available_cores",
     "available_descriptors",
     "available_memory",
@@ -97,6 +98,12 @@ def available_memory(root: Path = _ROOT) -> float | None:
             idle = told.get("total_inactive_file", told.get("inactive_file", 0))
             free.append(max(0.0, float(limit - int(used) + idle)))
     return min(free, default=None)
+
+
+def address_space_limit() -> int | None:
+    """Return how many bytes of address space this process may have; None for no limit."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return None if limit == resource.RLIM_INFINITY else limit
 
 
 def available_descriptors() -> int:
