@@ -211,7 +211,7 @@ def open_executor(
 
 @contextmanager
 def start_early(name: str, workers: int | None) -> Iterator[LocalMachines | None]:
-    """Start what a backend runs on before it is opened, where that takes a while.
+    """Check that this machine carries a backend, and start at once what takes a while.
 
     Parameters
     ----------
@@ -231,12 +231,13 @@ def start_early(name: str, workers: int | None) -> Iterator[LocalMachines | None
         This machine does not carry so many workers, or lets no process compute.
     """
     check_address_space()
+    count = check_workers(name, workers, available_cores())
     if name != "zmq":
         yield None
         return
     from hpcapp.local_machines import LocalMachines
 
-    with LocalMachines(check_workers(name, workers, available_cores())) as machines:
+    with LocalMachines(count) as machines:
         yield machines
 
 
