@@ -30,6 +30,7 @@ SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 REPEAT_S = 0.3
 """`timeout` and terminals send a signal twice, to the process and to its group: that is one."""
 TOLD_AFTER_S = 2.0
+_is_told = threading.Lock()
 _SHOW_CURSOR = b"\x1b[?25h"  # bars hide it
 
 
@@ -81,6 +82,9 @@ def _count(reader: int, numbers: set[int]) -> None:
 
 
 def _end_at_once() -> None:
+    """Say so, once: both the handler and the thread may have counted."""
+    if not _is_told.acquire(blocking=False):
+        return
     with contextlib.suppress(OSError):
         os.write(2, (_SHOW_CURSOR if os.isatty(2) else b"") + b"hpcapp: interrupted\n")
     os._exit(EXIT_INTERRUPTED)

@@ -5,16 +5,14 @@ from __future__ import annotations
 import json
 import logging
 import os
-import select
 import signal
 import subprocess
-import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
+from process_tree import are_gone, descendants
 
 from hpcapp.cli import _run
 from hpcapp.io import read_mesh
@@ -299,29 +297,6 @@ def test_file_names_are_bytes(start_command: StartCommand, sphere_file: Path) ->
         p.communicate()
     assert p.returncode == 0
     assert left_in(sphere_file.parent) == {odd, os.fsdecode(b"\xfe.ply")}
-
-
-def descendants(pid: int) -> set[int]:
-    found: set[int] = set()
-    for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        for child in map(int, task.read_text().split()):
-            found |= {child} | descendants(child)
-    return found
-
-
-def are_gone(pids: set[int]) -> bool:
-    """Wait until processes end; the promise is 10 s."""
-    deadline = time.monotonic() + 10.0
-    with ExitStack() as stack:
-        for pid in pids:
-            try:
-                pidfd = os.pidfd_open(pid)
-            except ProcessLookupError:
-                continue
-            stack.callback(os.close, pidfd)
-            if not select.select([pidfd], [], [], max(0.0, deadline - time.monotonic()))[0]:
-                return False
-    return True
 
 
 BACKENDS = (

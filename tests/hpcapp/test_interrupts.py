@@ -1,0 +1,133 @@
+"""Real signals at several moments: the first ends in order, the second at once."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from process_tree import are_gone, descendants
+
+StartCommand = Callable[..., "subprocess.Popen[str]"]
+
+ZMQ = ("--backend", "zmq", "--workers", "3")
+SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+
+
+def read_until(process: subprocess.Popen[str], words: str) -> None:
+    """Read what is said until it holds some words."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        if words in line:
+            return
+    raise AssertionError(f"{words!r} was never said")
+
+
+def check_end(process: subprocess.Popen[str], helpers: set[int], folder: Path) -> None:
+    """See that the command has left in order, and left nothing."""
+    stderr = process.communicate()[1]
+    assert process.returncode == 130, stderr
+    assert [line for line in stderr.splitlines() if line.startswith("hpcapp: ")] == [
+        "hpcapp: interrupted"
+    ]
+    assert "Traceback" not in stderr
+    assert are_gone(helpers)
+    assert {path.name for path in folder.iterdir()} == {"sphere.ply"}
+
+
+@pytest.mark.parametrize("signum", SIGNALS)
+@pytest.mark.parametrize(
+    ("moment", "options"),
+    [
+        ("build native chosen", ZMQ),  # the first loader has found itself
+        ("component", ZMQ),
+        ("fit: done", ZMQ),
+        ("clean: done", ("--backend", "processes", "--workers", "2")),
+    ],
+)
+def test_the_first_signal_ends_in_order(
+    start_command: StartCommand,
+    sphere_file: Path,
+    tmp_path: Path,
+    moment: str,
+    options: tuple[str, ...],
+    signum: signal.Signals,
+) -> None:
+    job = ("--debug", "reconstruct", "sphere.ply", "-o", "mesh.ply", "--grid", "256", *options)
+    with start_command(*job) as process:
+        read_until(process, moment)
+        helpers = descendants(process.pid)
+        process.send_signal(signum)
+        check_end(process, helpers, tmp_path)
+
+
+def test_a_signal_that_comes_twice_at_once_is_one(
+    start_command: StartCommand, sphere_file: Path, tmp_path: Path
+) -> None:
+    """As `timeout` sends it: to the process, and to its group."""
+    job = ("reconstruct", "sphere.ply", "-o", "mesh.ply", "--grid", "256", *ZMQ)
+    with start_command(*job) as process:
+        read_until(process, "fit: done")
+        helpers = descendants(process.pid)
+        process.send_signal(signal.SIGTERM)
+        os.killpg(process.pid, signal.SIGTERM)
+        check_end(process, helpers, tmp_path)
+
+
+@pytest.mark.parametrize("signum", SIGNALS)
+def test_the_second_signal_ends_at_once(
+    start_command: StartCommand, sphere_file: Path, signum: signal.Signals
+) -> None:
+    job = ("reconstruct", "sphere.ply", "-o", "mesh.ply", "--grid", "256", *ZMQ)
+    with start_command(*job) as process:
+        read_until(process, "fit: done")
+        helpers = descendants(process.pid)
+        for pid in helpers:
+            os.kill(pid, signal.SIGSTOP)  # the end in order waits for them, and kills them
+        try:
+            process.send_signal(signum)
+            read_until(process, "a second signal (Ctrl-C) ends at once")
+            process.send_signal(signal.SIGINT)
+            stderr = process.communicate()[1]
+        finally:
+            for pid in helpers:
+                os.kill(pid, signal.SIGCONT)
+    assert process.returncode == 130
+    assert stderr == "hpcapp: interrupted\n"
+    assert are_gone(helpers)
+
+
+STUCK = """
+import ctypes, sys
+import click
+from hpcapp import cli
+
+@click.command()
+def stuck():
+    library, lock = ctypes.CDLL(None), ctypes.create_string_buffer(256)
+    library.pthread_mutex_lock(lock)
+    print("stuck", flush=True)
+    library.pthread_mutex_lock(lock)
+
+cli.SHIPPED["stuck"] = "__main__:stuck"
+cli.main(["stuck"])
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a mutex of the C library is what it waits for")
+def test_a_call_that_never_returns_does_not_hold_up_the_second_signal() -> None:
+    command = [sys.executable, "-c", STUCK]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "stuck\n"
+        process.send_signal(signal.SIGTERM)
+        read_until(process, "a second signal (Ctrl-C) ends at once")
+        process.send_signal(signal.SIGTERM)
+        stderr = process.communicate()[1]
+    assert (process.returncode, stderr) == (130, "hpcapp: interrupted\n")
