@@ -159,7 +159,7 @@ def check_workers(backend: str, count: int | None, default: int, root: Path = _R
 
 
 def make_room(peers: int) -> None:
-    """See that this process can hold a connection to each of so many workers elsewhere.
+    """See that a master can hold a connection to each of so many workers elsewhere.
 
     Parameters
     ----------
@@ -170,11 +170,11 @@ def make_room(peers: int) -> None:
     UsageError
         The hard limit of open files is too low for one of each.
     """
-    files = available_descriptors()
-    if files < OWN_DESCRIPTORS + peers:
+    files, needed = available_descriptors(), OWN_DESCRIPTORS + peers
+    if files < needed:
         raise UsageError(
-            f"{peers} workers need {OWN_DESCRIPTORS + peers} more open files, and 'ulimit -Hn' "
-            f"leaves {files}",
-            "raise it, or use a cluster of fewer workers",
+            f"a master of {peers} workers needs {needed} more open files, and 'ulimit -Hn' leaves "
+            f"{files}",
+            "raise it, or use fewer workers",
         )
-    raise_descriptor_limit(OWN_DESCRIPTORS + 2 * peers)  # one that comes again has two for a while
+    raise_descriptor_limit(needed + peers)  # one that comes again has two connections for a while

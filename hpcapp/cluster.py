@@ -19,7 +19,6 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from dataclasses import dataclass
 from pathlib import Path
 
-from hpcapp.capacity import make_room
 from hpcapp.communicator.door import Door
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpcapp.communicator.policy import POLICIES
@@ -136,7 +135,6 @@ def listen_inventory(
         raise UsageError(f"{path} lists no worker", "give the cluster one with 'hpcapp scale'")
     with hold_cluster(path, lambda: log.info("waiting for the cluster's present job to end")):
         inventory = read_inventory(path)  # machines may have changed while this waited
-        make_room(len(inventory.workers))
         with (
             _open_door(inventory, is_led=lead is not None) as door,
             CommunicatorExecutor(
@@ -185,4 +183,4 @@ def _follow_inventory(
         yield
     finally:
         is_over.set()
-        watcher.join()
+        watcher.join(WATCH_S)  # a folder of a machine that hangs may hold it up

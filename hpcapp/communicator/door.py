@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from types import TracebackType
 
+from hpcapp.capacity import make_room
 from hpcapp.communicator.transport import RouterTransport
 from hpccomponent.errors import UsageError
 from hpccomponent.protocol.connection import Connection
@@ -32,7 +33,8 @@ class Door:
     Raises
     ------
     UsageError
-        If nothing can listen at `bind`, or a key is malformed.
+        If nothing can listen at `bind`, a key is malformed, or this process cannot open as many
+        files as there are keys.
     """
 
     def __init__(
@@ -45,6 +47,7 @@ class Door:
         self._allowed: set[str] = set()
         for key in allowed_keys:
             self.allow(key)
+        make_room(len(self._allowed))
         self._keys = keys or make_key_pair()
         self._transport = RouterTransport(bind, self._keys, self._allowed.__contains__)
         self._is_answered = False

@@ -61,6 +61,7 @@ _BROKEN = "its connection broke"
 
 _log = logging.getLogger(__name__)
 
+CLOSE_S = 5.0  # what closes is given half a second; whatever holds it up longer is left behind
 MESSAGES_PER_ROUND = 200  # then the inbox and the clock have their turn
 
 
@@ -125,6 +126,7 @@ class Engine:
         self._is_abandoned = False
         self._probe_at = clock.now()
         self._end: JobError | None = None
+        self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="communicator", daemon=True)
         self._thread.start()
 
@@ -168,8 +170,9 @@ class Engine:
         self.post(event)
 
     def join(self, timeout_s: float | None = None) -> None:
-        """Wait for the thread to end."""
-        self._thread.join(timeout_s)
+        """Wait until every future is done, and then a little for the sockets to close."""
+        if self._is_over.wait(timeout_s):
+            self._thread.join(CLOSE_S)
 
     # -- on the engine's thread ----------------------------------------------------------------
 
@@ -192,9 +195,10 @@ class Engine:
             _log.exception("the communicator broke")
             reason = f"the communicator broke: {error!r}"
         finally:
-            self._transport.close()
             self._end = JobError(reason, "submit the work anew")
             self.ledger.fail_all(self._end)
+            self._is_over.set()
+            self._transport.close()
 
     def _take_inbox(self) -> None:
         if not self._inbox:

@@ -229,5 +229,5 @@ def test_a_hard_limit_below_the_workers_of_a_cluster_is_named(tmp_path: Path) ->
         [sys.executable, "-c", script, str(path), "100"], capture_output=True, text=True
     )
     assert done.stderr.splitlines()[-1].startswith(
-        "hpccomponent.errors.UsageError: 100 workers need 140 more open files, and 'ulimit -Hn'"
+        "hpccomponent.errors.UsageError: a master of 100 workers needs 140 more open files, and "
     )
