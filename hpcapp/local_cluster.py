@@ -110,7 +110,7 @@ class LocalCluster:
 
         One that is slow or hangs is not waited for while others have work to do.
         """
-        asked, seen = self.workers, -1
+        asked, seen = self._machines.count, -1
         while seen < self.executor.workers:
             seen = self.executor.workers
             try:

@@ -39,6 +39,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
 
+from hpcapp.capacity import check_workers
 from hpcapp.communicator.door import Door
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.protocol.connection import write_connection
@@ -72,7 +73,7 @@ class LocalMachines:
     Raises
     ------
     UsageError
-        No sensible number of machines.
+        No sensible number of machines, or more than this one carries.
     NoWorkersError
         On entry: not one loader can be started.
 
@@ -84,6 +85,7 @@ class LocalMachines:
     def __init__(self, count: int, extra_tasks: Sequence[str] = ()) -> None:
         if count < 1:
             raise UsageError(f"{count} workers cannot do any work", "ask for at least 1")
+        check_workers("zmq", count, count)
         self.count = count
         self.extra_tasks = list(extra_tasks)
         self._machines: list[_Machine] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import select
@@ -13,6 +14,7 @@ import tempfile
 from collections.abc import Iterator
 from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -238,6 +240,29 @@ def test_a_loader_that_cannot_be_found_is_named(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(sys, "executable", "/no/such/python")
     with pytest.raises(NoWorkersError, match="/no/such/python"), LocalCluster(2):
         pass
+
+
+def test_a_loader_for_which_the_system_has_no_room_is_one_less(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    start, started = subprocess.Popen, []
+
+    def start_two(*arguments: Any, **settings: Any) -> subprocess.Popen[bytes]:
+        if len(started) == 2:
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        started.append(start(*arguments, **settings))
+        return started[-1]
+
+    monkeypatch.setattr(subprocess, "Popen", start_two)
+    with LocalCluster(4, extra_tasks=NAMES) as cluster:
+        assert cluster.workers == len(cluster.loader_pids) == 2
+        assert cluster.executor.submit("cluster.add", 1, 1).result() == 2
+    assert "2 of 4: no loader can be started" in caplog.text
+
+
+def test_more_than_this_machine_carries_is_refused_before_anything_is_started() -> None:
+    with pytest.raises(UsageError, match="--workers 1000000: this machine carries "):
+        LocalCluster(1_000_000)
 
 
 def test_machines_that_were_started_early_wait_and_end_with_the_cluster() -> None:

@@ -6,11 +6,14 @@ import os
 import signal
 import struct
 import threading
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from pathlib import Path
 
 import pytest
 
+from hpcapp.backends import open_executor
 from hpcapp.process_pool import _watch_workers, open_processes
+from hpccomponent.errors import WorkerLostError
 
 
 @pytest.mark.usefixtures("standing_helpers")
@@ -94,3 +97,22 @@ def test_an_exit_code_that_another_thread_notes_is_waited_for(
     finally:
         os.close(process.sentinel)
     assert pipe.is_closed == is_lost
+
+
+def fail_at_work(pipe: Path, writers: list[int], running: list[Future[bytes]]) -> None:
+    with open_executor("processes", workers=1) as backend:
+        running.append(backend.executor.submit(pipe.read_bytes))
+        writers.append(os.open(pipe, os.O_WRONLY))  # when the task has opened it too
+        raise ValueError("mine")
+
+
+@pytest.mark.usefixtures("standing_helpers")
+def test_an_error_in_the_block_does_not_wait_for_what_runs(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    writers: list[int] = []
+    running: list[Future[bytes]] = []
+    with pytest.raises(ValueError, match="mine"):
+        fail_at_work(tmp_path / "pipe", writers, running)
+    with pytest.raises(WorkerLostError):
+        running[0].result()
+    os.close(writers[0])

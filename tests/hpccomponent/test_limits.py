@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import os
+import resource
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from made_up_machine import lay_out
 
-from hpccomponent.limits import available_cores, available_memory
+from hpccomponent.limits import (
+    available_cores,
+    available_descriptors,
+    available_memory,
+    available_tasks,
+    raise_descriptor_limit,
+)
 
 
 @pytest.fixture
@@ -126,3 +134,59 @@ def test_what_a_group_of_version_1_has_left(tmp_path: Path) -> None:
         "sys/fs/cgroup/memory/memory.usage_in_bytes": "4000\n",
     }
     assert available_memory(lay_out(tmp_path, MEMINFO | files)) == 1500
+
+
+STATUS = "Name:\tx\nUid:\t{}\t0\t0\t0\nThreads:\t{}\n"
+
+
+def test_the_processes_and_threads_of_a_user_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "getuid", lambda: 1000)
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (50, 60))
+    files = {"proc/1/status": STATUS.format(0, 9), "proc/7/status": STATUS.format(1000, 3)}
+    files["proc/8/status"] = STATUS.format(1000, 1)
+    assert available_tasks(lay_out(tmp_path, files)) == (46, "'ulimit -u'")
+
+
+def test_the_users_limit_does_not_bind_root(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (1, 1))
+    assert available_tasks(tmp_path) is None
+
+
+def test_a_control_group_bounds_processes_in_either_version(tmp_path: Path) -> None:
+    files = {
+        "proc/self/cgroup": "8:pids:/a\n",
+        "sys/fs/cgroup/pids/a/pids.max": "100\n",
+        "sys/fs/cgroup/pids/a/pids.current": "30\n",
+        "sys/fs/cgroup/pids/pids.max": "max\n",
+        "sys/fs/cgroup/pids/pids.current": "300\n",
+    }
+    found = available_tasks(lay_out(tmp_path, files))
+    assert found is not None
+    assert found[0] <= 70
+
+
+@pytest.fixture
+def low_soft_limit() -> Iterator[int]:
+    """Lower the soft limit of open files to what is open and a few more."""
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    low = len(os.listdir("/dev/fd")) + 10
+    resource.setrlimit(resource.RLIMIT_NOFILE, (low, before[1]))
+    yield low
+    resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+def test_the_soft_limit_of_open_files_is_raised_to_what_is_needed(low_soft_limit: int) -> None:
+    raise_descriptor_limit(1)
+    assert resource.getrlimit(resource.RLIMIT_NOFILE)[0] == low_soft_limit
+    raise_descriptor_limit(100)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    assert low_soft_limit < soft <= hard
+    assert available_descriptors() >= 100
+    raise_descriptor_limit(1 << 40)
+    assert resource.getrlimit(resource.RLIMIT_NOFILE) == (hard, hard)

@@ -264,6 +264,18 @@ def test_tasks_fail_at_once_when_all_workers_are_gone(scheduler: Scheduler) -> N
     assert isinstance(later, NoWorkersError)
 
 
+def test_the_launchers_word_outlives_a_registration_that_was_on_its_way(
+    scheduler: Scheduler,
+) -> None:
+    submit(scheduler, 1)
+    scheduler.register(b"a", introduce())
+    scheduler.workers_gone("all loaders have ended")
+    scheduler.register(b"b", introduce("b"))
+    scheduler.disconnected([b"a"], "its connection broke")
+    (error,) = errors(scheduler.disconnected([b"b"], "its connection broke"))
+    assert "all loaders have ended" in str(error)
+
+
 def test_cancelled_tasks_never_leave(clock: ManualClock) -> None:
     scheduler = Scheduler(PullPolicy(), clock, "1", lambda number: number != 0)
     submit(scheduler, 3)
