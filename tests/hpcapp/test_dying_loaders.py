@@ -34,7 +34,8 @@ if role and machine:
     folder = os.environ["DYING_FOLDER"]
     victims = dict(word.rsplit(":", 1) for word in os.environ.get("DYING", "").split())
     last = int(victims.get(f"{role}:{machine}", -1))
-    steps, victim = 0, os.getpid() if role == "hpcloader" else os.getppid()
+    dies_itself = role == "hpcloader" or "DYING_ITSELF" in os.environ
+    steps, victim = 0, os.getpid() if dies_itself else os.getppid()
 
     def count(event, arguments):
         global steps
@@ -139,6 +140,17 @@ def test_the_first_step_is_before_anything_is_imported_or_said(
         found = cluster.executor.submit("files.sees", ("/no/such/file", 1))
         assert found.result() is False
     assert len(list(counting.glob("*.died"))) == 2
+
+
+def test_a_component_that_always_dies_before_it_registers_costs_its_machine(
+    counting: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("DYING", "hpccomponent:machine-1:50")
+    monkeypatch.setenv("DYING_ITSELF", "1")
+    with LocalCluster(2) as cluster:
+        assert cluster.workers == 1
+    assert "machine-1 ended with exit code 1" in caplog.text
+    assert "the component failed 5 times in a row" in caplog.text
 
 
 def test_when_no_loader_is_left_the_job_ends_and_says_how_each_did(

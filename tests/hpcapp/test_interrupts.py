@@ -43,7 +43,7 @@ def check_end(process: subprocess.Popen[str], helpers: set[int], folder: Path) -
 @pytest.mark.parametrize(
     ("moment", "options"),
     [
-        ("build native chosen", ZMQ),  # the first loader has found itself
+        ("build native chosen", ZMQ),  # by the first loader
         ("component", ZMQ),
         ("fit: done", ZMQ),
         ("clean: done", ("--backend", "processes", "--workers", "2")),
@@ -63,6 +63,20 @@ def test_the_first_signal_ends_in_order(
         helpers = descendants(process.pid)
         process.send_signal(signum)
         check_end(process, helpers, tmp_path)
+
+
+@pytest.mark.parametrize("moment", ["build native chosen", "component"])
+def test_nothing_outlives_a_master_that_is_killed_while_workers_start(
+    start_command: StartCommand, sphere_file: Path, moment: str
+) -> None:
+    job = ("--debug", "reconstruct", "sphere.ply", "-o", "mesh.ply", "--grid", "256", *ZMQ)
+    with start_command(*job) as process:
+        read_until(process, moment)
+        helpers = descendants(process.pid)
+        process.kill()
+        process.communicate()
+    assert helpers
+    assert are_gone(helpers)
 
 
 def test_a_signal_that_comes_twice_at_once_is_one(
