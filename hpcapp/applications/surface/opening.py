@@ -166,9 +166,12 @@ class Opener:
             kind, ready_s = "cluster", CLUSTER_S
         else:
             most = min(settings.workers or available_cores(), available_cores())
-            most = min(most, count_carried("zmq")[0])
             if most < 2:
                 return replace(local, reason=f"{available_cores()} core(s), one of them to be used")
+            carried, limit = count_carried("zmq")
+            if carried < 2:
+                return replace(local, reason=f"no two workers fit here ({limit})")
+            most = min(most, carried)
             if not may_pay(job, local.workers, most, START_UNITS):
                 work = f"{job.points} points at grid {job.grid}"
                 gain = "less would be saved than the start of workers takes"
