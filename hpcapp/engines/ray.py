@@ -19,6 +19,7 @@ from __future__ import annotations
 import copy
 import logging
 import os
+import re
 import secrets
 import shutil
 import signal
@@ -27,7 +28,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -35,8 +36,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hpcapp.engines.retrying import RetryingExecutor, count_broken
-from hpccomponent.errors import HpcError, JobError, NoWorkersError, TaskError, UsageError
+from hpcapp.engines.retrying import RetryingExecutor
+from hpccomponent.errors import (
+    HpcError,
+    JobError,
+    NoWorkersError,
+    TaskError,
+    UsageError,
+    WorkerLostError,
+)
 from hpccomponent.limits import available_cores
 from hpccomponent.runtime.process import THREAD_VARIABLES
 
@@ -61,11 +69,20 @@ QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",  # it would report to its makers
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # else it warns of a change to come
     "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",  # workers are as they were installed
+    "RAY_CLIENT_MAX_CONNECTION_TIMEOUT_S": "5",  # a try, of three
+    "RAY_CLIENT_RECONNECT_GRACE_PERIOD": "10",
 }
+
+
+_MISSING = re.compile(r"No module named '([^']+)'")
 
 
 class WorkerGoneError(Exception):
     """A worker or a node of Ray's that was lost with a task."""
+
+
+class RayGoneError(WorkerLostError):
+    """Ray itself was lost: a process cannot use another one after it."""
 
 
 class Head:
@@ -138,6 +155,7 @@ class RayExecutor(Executor):
         self.workers = cores
         self._ray = ray
         self._head = head
+        self._is_gone = False
         self._refs = (ray.ObjectRef, ray.util.client.common.ClientObjectRef)
         self._remote = ray.remote(num_cpus=1, max_retries=0)(_call)
         self._threads = ThreadPoolExecutor(cores * TASKS_PER_CORE, thread_name_prefix="ray")
@@ -158,12 +176,16 @@ class RayExecutor(Executor):
         """Run a task, and raise nothing of Ray's."""
         shared: list[Any] = []
         lifted = self._lift(arguments, shared)
-        with _translated(self._ray):
-            result = self._wait(self._remote.remote(function, lifted, keywords, *shared))
-            # What Ray gives lies in its object store, cannot be written to, and keeps its place
-            # there. Ours is ours, as from any other engine.
-            owned: T = copy.deepcopy(result)
-            return owned
+        try:
+            with _translated(self._ray):
+                result = self._wait(self._remote.remote(function, lifted, keywords, *shared))
+        except RayGoneError:
+            self._is_gone = True
+            raise
+        # What Ray gives lies in its object store, cannot be written to, and keeps its place there.
+        # Ours is ours, as from any other engine.
+        owned: T = copy.deepcopy(result)
+        return owned
 
     def _wait(self, reference: Any) -> Any:
         """Wait for a result as long as there is a head: Ray itself would wait on without one."""
@@ -171,6 +193,8 @@ class RayExecutor(Executor):
             try:
                 return self._ray.get(reference, timeout=LOOK_S)
             except self._ray.exceptions.GetTimeoutError:
+                if self._is_gone:  # another thread has been told
+                    raise ConnectionError("it no longer answers") from None
                 self._head.check()
 
     def _lift(self, value: Any, shared: list[Any]) -> Any:
@@ -196,7 +220,7 @@ def _call(function: Callable[..., T], arguments: Any, keywords: Any, *shared: An
 
 @contextmanager
 def _translated(ray: Any) -> Iterator[None]:
-    """Turn Ray's errors into the task's own, a lost worker, or an engine that is gone."""
+    """Turn Ray's errors into the task's own, a lost worker, or a lost Ray."""
     errors = ray.exceptions
     lost = (
         errors.WorkerCrashedError,
@@ -214,16 +238,19 @@ def _translated(ray: Any) -> Iterator[None]:
     except (errors.RuntimeEnvSetupError, errors.TaskUnschedulableError) as error:
         raise JobError(f"Ray cannot run a task: {_first_line(error)}", LOST_ADVICE) from None
     except (errors.RayError, ConnectionError) as error:
-        raise BrokenExecutor(_first_line(error)) from None
+        raise RayGoneError(
+            f"Ray has ended under the job ({_first_line(error)})",
+            "look at its logs and its memory, and start the job again",
+        ) from None
 
 
 def _own_error(error: Any) -> BaseException:
     """Return what a task raised, without Ray's wrapping."""
     cause = error.cause
-    text = str(cause)
-    if not isinstance(cause, HpcError) and "hpcapp" in text and "No module named" in text:
+    missing = _MISSING.search(str(cause)) if not isinstance(cause, HpcError) else None
+    if missing is not None:
         return JobError(
-            "a Ray worker cannot import hpcapp",
+            f"a Ray worker has no module {missing[1]}",
             "install the same build of hpcapp on every node, in the Python that runs Ray",
         )
     if isinstance(cause, Exception):
@@ -238,7 +265,7 @@ def _first_line(error: BaseException) -> str:
 
 def count_losses(error: BaseException) -> int:
     """Return how many workers an error of `RayExecutor` tells the loss of."""
-    return int(isinstance(error, WorkerGoneError)) or count_broken(error)
+    return int(isinstance(error, WorkerGoneError))
 
 
 def check_ray() -> None:
@@ -392,6 +419,9 @@ def _import_ray() -> Any:
         import ray.util.client.common
     except ImportError as error:
         raise UsageError(f"Ray is not installed here ({error})", INSTALL) from None
+    logging.getLogger("ray").setLevel(
+        logging.CRITICAL
+    )  # a lost connection is told in one line: ours
     # Else it writes of every lost worker to the standard output, where results go.
     ray._private.worker._worker_logs_enabled = False
     return ray
