@@ -97,7 +97,7 @@ class Head:
     def __init__(self, host: str, port: int) -> None:
         self._address = (host, port)
         self._lock = threading.Lock()
-        self._seen = time.monotonic()
+        self._seen = -LOOK_S
 
     def check(self) -> None:
         """Raise ConnectionError where it does not answer; asked once for all threads."""
