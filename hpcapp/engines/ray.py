@@ -76,6 +76,9 @@ QUIET = {
 
 _MISSING = re.compile(r"No module named '([^']+)'")
 
+# Where clusters are off, Ray binds to loopback, on Linux too.
+LOOPBACK_ONLY = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+
 
 class WorkerGoneError(Exception):
     """A worker or a node of Ray's that was lost with a task."""
@@ -329,8 +332,7 @@ def open_ray(address: str | None, workers: int | None) -> Iterator[RetryingExecu
 def _start(cores: int) -> Iterator[tuple[Any, Head]]:
     """Start a Ray of this machine that listens on loopback only, to who knows its token."""
     variables = QUIET | ONE_THREAD | {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": _token()}
-    # Where clusters are off, Ray binds to loopback, on Linux too.
-    variables |= {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+    variables |= LOOPBACK_ONLY
     with _private_place() as place, _environment(variables):
         ray = _import_ray()
         if ray.util.get_node_ip_address() != LOOPBACK:
@@ -353,15 +355,17 @@ def _start(cores: int) -> Iterator[tuple[Any, Head]]:
 def _connect(address: str) -> Iterator[tuple[Any, Head]]:
     """Connect to a Ray that runs."""
     scheme, _, place = address.rpartition("://")
-    head = None
+    head, variables = None, QUIET
     if place != "auto":
         host, _, port = place.rpartition(":")
         head = Head(host.strip("[]"), int(port))
+        if host in ("localhost", LOOPBACK):  # else Ray looks for the machine's other address
+            variables = QUIET | LOOPBACK_ONLY
         try:
             head.check()
         except ConnectionError as error:
             raise NoWorkersError(str(error), _start_advice(scheme)) from error
-    with _environment(QUIET):
+    with _environment(variables):
         ray = _import_ray()
         if scheme and find_spec("grpc") is None:
             raise UsageError("Ray's client is not installed here", INSTALL)

@@ -7,8 +7,10 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ from hpcapp.backends import Backend, open_executor
 from hpcapp.batches import map_batches
 from hpcapp.engines.names import RAY
 from hpccomponent.errors import NoWorkersError, TaskError, UsageError, WorkerLostError
+from hpccomponent.surface.build import kernel_id
 
 # Ray keeps threads as long as it runs. It is not imported here: that is the backend's to do.
 pytestmark = [
@@ -191,3 +194,121 @@ def test_without_ray_the_command_says_what_to_install(tmp_path: Path) -> None:
     )
     assert done.returncode == 2
     assert done.stderr == "hpcapp: Ray is not installed here; pip install 'hpcapp[ray]'\n"
+
+
+class StandingRay:
+    """A Ray of one node on loopback, as ``ray start`` starts it.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Gets the log.
+    variables : dict
+        Environment of all its processes.
+    """
+
+    def __init__(self, folder: Path, variables: dict[str, str]) -> None:
+        self._place = tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp")  # its sockets' paths
+        with (
+            socket.create_server(("127.0.0.1", 0)) as one,
+            socket.create_server(("127.0.0.1", 0)) as two,
+        ):
+            self.port, self.client_port = one.getsockname()[1], two.getsockname()[1]
+        command = [
+            sys.executable, "-m", "ray.scripts.scripts", "start", "--head", "--block",
+            "--node-ip-address=127.0.0.1", f"--port={self.port}", "--num-cpus=2",
+            f"--ray-client-server-port={self.client_port}", "--include-dashboard=false",
+            "--object-store-memory=100000000", f"--temp-dir={self._place.name}",
+        ]  # fmt: skip
+        quiet = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+        with (folder / "log").open("wb") as log:
+            self.head = subprocess.Popen(
+                command, env={**os.environ, **quiet, **variables}, stdout=log, stderr=log
+            )
+
+    def wait_until_it_listens(self) -> None:
+        for port in (self.port, self.client_port):
+            while True:
+                assert self.head.poll() is None, "Ray has not started"
+                with suppress(OSError), socket.create_connection(("127.0.0.1", port)):
+                    break
+
+    def close(self) -> None:
+        self.head.terminate()
+        self.head.wait()
+        self._place.cleanup()
+
+
+@pytest.fixture
+def start_ray(tmp_path: Path) -> Iterator[Callable[..., StandingRay]]:
+    """Give a function that starts a Ray."""
+    started: list[StandingRay] = []
+
+    def start(**variables: str) -> StandingRay:
+        started.append(StandingRay(tmp_path, variables))
+        started[-1].wait_until_it_listens()
+        return started[-1]
+
+    yield start
+    for ray in started:
+        ray.close()
+
+
+@pytest.mark.slow
+def test_a_ray_that_runs_gives_the_same_bytes_by_either_address(
+    start_ray: Callable[..., StandingRay],
+    sphere_file: Path,
+    tmp_path: Path,
+    start_command: StartCommand,
+) -> None:
+    ray = start_ray()
+    backends = {
+        "node": f"ray=127.0.0.1:{ray.port}",
+        "client": f"ray=ray://127.0.0.1:{ray.client_port}",
+        "here": "serial",
+    }
+    for name, backend in backends.items():
+        command = start_command(
+            "reconstruct", str(sphere_file), "-o", f"{name}.ply", "--grid", "32",
+            "--backend", backend,
+        )  # fmt: skip
+        _, said = command.communicate()
+        assert command.returncode == 0, said
+    meshes = {(tmp_path / f"{name}.ply").read_bytes() for name in backends}
+    assert len(meshes) == 1
+
+
+@pytest.mark.slow
+def test_a_worker_of_another_build_refuses_and_says_why(
+    start_ray: Callable[..., StandingRay], sphere_file: Path, start_command: StartCommand
+) -> None:
+    other = "native" if kernel_id().startswith("portable") else "portable"
+    ray = start_ray(HPCAPP_BUILD=other)
+    command = start_command(
+        "reconstruct", str(sphere_file), "-o", "mesh.ply", "--grid", "32",
+        "--backend", f"ray=127.0.0.1:{ray.port}",
+    )  # fmt: skip
+    _, said = command.communicate()
+    assert command.returncode == 1
+    assert f"computes with {other}-" in said
+    assert "install the same build" in said
+    assert "Traceback" not in said
+
+
+@pytest.mark.slow
+def test_a_worker_without_hpcapp_is_named(
+    start_ray: Callable[..., StandingRay],
+    sphere_file: Path,
+    tmp_path: Path,
+    start_command: StartCommand,
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text('import sys\nsys.modules["hpcapp.engines"] = None\n')
+    ray = start_ray(PYTHONPATH=str(tmp_path))
+    command = start_command(
+        "reconstruct", str(sphere_file), "-o", "mesh.ply", "--grid", "32",
+        "--backend", f"ray=127.0.0.1:{ray.port}",
+    )  # fmt: skip
+    _, said = command.communicate()
+    assert command.returncode == 1
+    assert "install the same build of hpcapp on every node" in said
+    assert "Traceback" not in said
