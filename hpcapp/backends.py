@@ -10,6 +10,8 @@ zmq          loaders, components and workers as real processes on this machine
 FILE.json    the workers of a cluster, by its inventory, on the head
 FILE.yaml    the workers of a cluster that is up, by its cluster file, from anywhere
 dask=ADDR    a Dask cluster, by its scheduler's address
+ray          a Ray of this machine, started for the job
+ray=ADDR     a Ray that runs, by its head's address
 mpi          the other ranks of the MPI job whose rank 0 this process is
 module:func  the Executor that a function makes
 ===========  =========================================================================
@@ -80,8 +82,8 @@ class Backend:
     Parameters
     ----------
     name : str
-        One of `BACKENDS`, ``cluster``, ``dask``, ``mpi``, ``module:function``, or the type of an
-        Executor that was handed in.
+        One of `BACKENDS`, ``cluster``, ``dask``, ``ray``, ``mpi``, ``module:function``, or the type
+        of an Executor that was handed in.
     workforce : Workforce
         The Executor, with what is needed to cut work for it.
     traffic : callable
@@ -148,10 +150,10 @@ def open_executor(
     ----------
     name : str
         One of `BACKENDS`; the file of a cluster, its inventory (``.json``) or the cluster file
-        (``.yaml``); ``dask=ADDRESS``, ``mpi``, or ``module:function``.
+        (``.yaml``); ``dask=ADDRESS``, ``ray``, ``ray=ADDRESS``, ``mpi``, or ``module:function``.
     workers : int, optional
         How many tasks run at once; as many as there are cores by default, 1 for `serial`. The
-        workers of a cluster, of Dask and of MPI are those that there are.
+        workers of a cluster, of Dask, of MPI and of a Ray that runs are those that there are.
     policy : str
         ``adaptive`` hands out batches by how fast each worker has shown to be, and runs those of
         one that lags again elsewhere (with other Executors than the communicator it is

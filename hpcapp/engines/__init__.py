@@ -1,4 +1,4 @@
-"""Engines that others wrote, behind the Executor seam: Dask, MPI, and any Executor at all.
+"""Engines that others wrote, behind the Executor seam: Dask, Ray, MPI, and any Executor at all.
 
 ::
 

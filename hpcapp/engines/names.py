@@ -2,6 +2,8 @@
 
 ==================  ==============================
 ``dask=ADDRESS``    `hpcapp.engines.dask`
+``ray``             `hpcapp.engines.ray`
+``ray=ADDRESS``     `hpcapp.engines.ray`
 ``mpi``             `hpcapp.engines.mpi`
 ``module:func``     `hpcapp.engines.factory`
 ==================  ==============================
@@ -15,12 +17,14 @@ from contextlib import AbstractContextManager
 from hpcapp.backends import BACKENDS
 from hpcapp.engines.factory import find_factory, is_factory, open_factory
 from hpcapp.engines.mpi import check_mpi, open_mpi
+from hpcapp.engines.ray import check_ray, open_ray
 from hpcapp.engines.retrying import RetryingExecutor
 from hpccomponent.errors import UsageError
 
 __all__ = ["check_engine", "open_engine"]
 
 DASK = re.compile(r"dask=((?:tcp|tls)://.+:\d+)")
+RAY = re.compile(r"ray(?:=(auto|(?:ray://)?[^/]+:\d+))?")
 
 
 def check_engine(name: str) -> None:
@@ -35,8 +39,15 @@ def check_engine(name: str) -> None:
         raise UsageError(
             f"backend {name!r} names no scheduler", "write dask=tcp://HOST:PORT or tls://HOST:PORT"
         )
+    elif RAY.fullmatch(name):
+        check_ray()
+    elif name.partition("=")[0] == "ray":
+        raise UsageError(
+            f"backend {name!r} names no Ray",
+            "write ray, ray=auto, ray=HOST:PORT or ray=ray://HOST:PORT",
+        )
     else:
-        forms = (*BACKENDS, "dask=ADDRESS", "mpi", "MODULE:FUNCTION")
+        forms = (*BACKENDS, "dask=ADDRESS", "ray[=ADDRESS]", "mpi", "MODULE:FUNCTION")
         raise UsageError(f"unknown backend {name!r}", f"choose one of {', '.join(forms)}")
 
 
@@ -47,7 +58,8 @@ def open_engine(name: str, workers: int | None) -> AbstractContextManager[Retryi
     ----------
     name : str
     workers : int, optional
-        Only for a function that takes them: Dask and MPI have those that there are.
+        For a function that takes them and a Ray that is started here: others have those that there
+        are.
 
     Returns
     -------
@@ -59,11 +71,15 @@ def open_engine(name: str, workers: int | None) -> AbstractContextManager[Retryi
         The name, or the number of workers, cannot be had.
     """
     check_engine(name)
-    scheduler = DASK.fullmatch(name)
-    if scheduler is None and name != "mpi":
+    scheduler, ray = DASK.fullmatch(name), RAY.fullmatch(name)
+    if ray is not None and ray[1] is None:
+        return open_ray(None, workers)
+    if is_factory(name):
         return open_factory(name, workers)
     if workers is not None:
         raise UsageError(f"the workers of {name} are those that there are", "leave --workers out")
+    if ray is not None:
+        return open_ray(ray[1], None)
     if scheduler is None:
         return open_mpi()
     from hpcapp.engines.dask import open_dask

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,8 @@ UNDER_MPI = "mpi4py.futures" in sys.orig_argv
 """Whether this is the run that `test_mpi_keeps_the_contract_too` starts."""
 
 DASK = pytest.param("dask", marks=pytest.mark.leaks_allowed)  # it pools its connections
-HERE = ["serial", "threads", "processes", "zmq", DASK, "loky:ProcessPoolExecutor", "handed in"]
+RAY = pytest.param("ray", marks=pytest.mark.leaks_allowed)  # it runs as long as the fixture
+HERE = ["serial", "threads", "processes", "zmq", DASK, RAY, "loky:ProcessPoolExecutor", "handed in"]
 
 
 @pytest.fixture(scope="module", params=["mpi"] if UNDER_MPI else HERE)
@@ -60,7 +62,9 @@ def open_named(request: pytest.FixtureRequest, tasks: Any) -> Iterator[Backend]:
         with ThreadPoolExecutor(2) as pool, open_backend(pool) as backend:
             yield backend
         return
-    workers = 2 if name in {"threads", "processes", "zmq"} else None
+    if name == "ray" and find_spec("ray") is None:  # not imported: that is the backend's to do
+        pytest.skip("Ray is not installed")
+    workers = 2 if name in {"threads", "processes", "zmq", "ray"} else None
     extra = [f"contract.{task}={tasks.__name__}:{task}" for task in NAMES]
     if name == "dask":
         name += "=" + request.getfixturevalue("start_dask")().address

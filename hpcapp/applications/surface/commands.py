@@ -132,7 +132,7 @@ def check_flags(ctx: click.Context) -> None:
     metavar="NAME",
     show_default=True,
     help="Where batches run: auto (where it should be fastest), serial, threads, processes, zmq, "
-    "dask=ADDRESS, mpi, or MODULE:FUNCTION that makes an Executor.",
+    "dask=ADDRESS, ray[=ADDRESS], mpi, or MODULE:FUNCTION that makes an Executor.",
 )
 @click.option(
     "--workers",
