@@ -36,11 +36,11 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 
 from hpcapp.communicator.door import Door
 from hpccomponent.errors import NoWorkersError, UsageError
+from hpccomponent.held_folders import temporary_folder
 from hpccomponent.protocol.connection import write_connection
 
 __all__ = ["LocalMachines"]
@@ -95,7 +95,7 @@ class LocalMachines:
 
     def __enter__(self) -> LocalMachines:
         with ExitStack() as stack:
-            folder = Path(stack.enter_context(TemporaryDirectory(prefix="hpcapp-")))
+            folder = stack.enter_context(temporary_folder())
             self.door = stack.enter_context(Door())
             stack.callback(self.stop)
             try:

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from hpccomponent.errors import CloudError, JobError, OutputError, UsageError
+from hpccomponent.private_files import make_private_folder, open_at_once, remove_path
 from hpccomponent.shared_files import write_whole
 from hpccomponent.stored_value import DamagedError, from_bytes, to_buffers
 
@@ -135,12 +136,12 @@ def check_name(name: str) -> None:
 
 
 class FolderStore:
-    """Values as files; see `Store`.
+    """Values as files, which only their owner can read; see `Store`.
 
     Parameters
     ----------
     folder : Path
-        Is made where there is none.
+        Is made where there is none, for its owner alone.
 
     Raises
     ------
@@ -152,7 +153,7 @@ class FolderStore:
         self._folder = folder
         self._checked: set[tuple[int, ...]] = set()  # files that were found whole
         with self._translated(folder):
-            folder.mkdir(parents=True, exist_ok=True)
+            make_private_folder(folder)
 
     def put(self, name: str, value: Any) -> None:
         """See `Store.put`; a value appears when all of it is written."""
@@ -160,7 +161,7 @@ class FolderStore:
         path = self._folder / name
         buffers = to_buffers(value)
         with self._translated(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_private_folder(path.parent)
             write_whole(path, buffers)
 
     def get(self, name: str) -> Any:
@@ -171,7 +172,7 @@ class FolderStore:
         check_name(name)
         path = self._folder / name
         try:
-            with path.open("rb") as file:
+            with open(path, "rb", opener=open_at_once) as file:
                 found = os.fstat(file.fileno())
                 mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except FileNotFoundError:
@@ -193,7 +194,8 @@ class FolderStore:
 
     def list(self, prefix: str = "") -> list[str]:
         """See `Store.list`."""
-        files = (path for path in self._folder.rglob("*") if path.is_file())
+        base = self._folder / prefix.rpartition("/")[0]
+        files = (path for path in base.rglob("*") if path.is_file())
         names = (path.relative_to(self._folder).as_posix() for path in files)
         return sorted(n for n in names if n.startswith(prefix) and _NAME.fullmatch(n))
 
@@ -202,7 +204,7 @@ class FolderStore:
         check_name(name)
         path = self._folder / name
         with self._translated(path):
-            path.unlink(missing_ok=True)
+            remove_path(path)
 
     @contextmanager
     def _translated(self, path: Path) -> Iterator[None]:

@@ -23,12 +23,13 @@ from hpccomponent.errors import HpcError
 from hpccomponent.protocol.codec import NO_BLOBS, decode_values, encode_values
 from hpccomponent.protocol.frames import Buffer
 
-__all__ = ["DamagedError", "from_bytes", "to_buffers"]
+__all__ = ["PAGE", "DamagedError", "checksum", "from_bytes", "to_buffers"]
 
 _MAGIC = b"hpcvalue3"
 _CHECK_BYTES = 4
 _ALIGNMENT = 64
-_PAGE = 4096
+PAGE = 4096
+"""Bytes of which the checksum knows the sum."""
 _MOST_BUFFERS = 1 << 16
 
 
@@ -62,7 +63,7 @@ def to_buffers(value: Any) -> list[Buffer]:
         padding = -at % _ALIGNMENT
         body += [bytes(padding), part]
         at += padding + memoryview(part).nbytes
-    return [_MAGIC + _check(body).to_bytes(_CHECK_BYTES, "little"), *body]
+    return [_MAGIC + checksum(body).to_bytes(_CHECK_BYTES, "little"), *body]
 
 
 def from_bytes(content: memoryview, *, is_checked: bool = False) -> Any:
@@ -90,7 +91,7 @@ def from_bytes(content: memoryview, *, is_checked: bool = False) -> Any:
         raise DamagedError("does not begin as a stored value does")
     check = int.from_bytes(content[len(_MAGIC) : start], "little")
     pieces = _split(content, start)
-    if not is_checked and _check(pieces) != check:
+    if not is_checked and checksum(pieces) != check:
         raise DamagedError("is cut or changed: its checksum is wrong")
     header, *buffers = pieces[2::2]
     try:
@@ -118,18 +119,24 @@ def _split(content: memoryview, at: int) -> list[memoryview]:
     return pieces
 
 
-def _check(pieces: Iterable[Buffer]) -> int:
+def checksum(pieces: Iterable[Buffer], check: int = 0) -> int:
     """Return the checksum of some bytes, which depends on how they are cut into pieces.
+
+    Parameters
+    ----------
+    pieces : iterable of bytes-like
+        Cut between pages they give what they give as one.
+    check : int
+        Of the pieces before these.
 
     Notes
     -----
     Of a page what matters is the sum of its words, in whatever order.
     """
-    check = 0
     for piece in pieces:
         view = memoryview(piece).cast("B")
-        whole = len(view) - len(view) % _PAGE
-        words = np.frombuffer(view[:whole], "<u8").reshape(-1, _PAGE // 8)
+        whole = len(view) - len(view) % PAGE
+        words = np.frombuffer(view[:whole], "<u8").reshape(-1, PAGE // 8)
         check = zlib.crc32(np.add.reduce(words, axis=1).data, check)
         check = zlib.crc32(view[whole:], check)
     return check

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from hpccomponent.errors import CloudError
+from hpccomponent.held_folders import temporary_folder
 from hpcdeploy.cluster import open_cluster
 from hpcdeploy.layout import machine_folder
 from hpcdeploy.relay import BEAT_S, WANTED, Pair, closing, splice
@@ -55,9 +55,9 @@ def open_remote_inventory(path: Path) -> Iterator[tuple[Path, Lead | None]]:
     if own.exists():
         yield own, None
         return
-    with open_cluster(path) as cluster, TemporaryDirectory(prefix="hpcapp-") as temporary:
+    with open_cluster(path) as cluster, temporary_folder() as temporary:
         shell = cluster.access.open(cluster.head())
-        copy = Path(temporary) / "inventory.json"
+        copy = temporary / "inventory.json"
         shell.get(f"{folder}/inventory.json", copy)
         copy.chmod(0o600)
         yield copy, partial(lead_workers, shell, folder)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hpcapp.io import check_writable
 from hpccomponent.errors import OutputError
+from hpccomponent.held_folders import temporary_folder
 
 __all__ = ["open_output"]
 
@@ -33,8 +33,8 @@ def open_output(output: str, points: Path) -> Iterator[Path]:
         Nothing can be written there.
     """
     if output == "-":
-        with tempfile.TemporaryDirectory(prefix="hpcapp-") as folder:
-            path = Path(folder) / "mesh.ply"
+        with temporary_folder() as folder:
+            path = folder / "mesh.ply"
             yield path
             with path.open("rb") as mesh:
                 shutil.copyfileobj(mesh, sys.stdout.buffer)
