@@ -165,10 +165,9 @@ def hold(path: Path, *, waits: bool = False) -> HeldFolder | None:
     with _opened(path) as folder:
         if folder is None:
             return None
-        try:
-            lock = os.open(_OWNER, os.O_RDWR | _OPEN, dir_fd=folder)
-        except OSError:
-            remove_path(path / _OWNER)  # nobody has locked what is no file
+        lock = _open_lock(folder, os.O_RDWR)
+        if lock is None:  # nobody has locked what is no file
+            remove_path(path / _OWNER)
             with suppress(OSError):
                 return HeldFolder(path, _create_lock(path))
             return None
@@ -193,12 +192,11 @@ def read_owner(path: Path) -> Owner | None:
     with _opened(path) as folder:
         if folder is None:
             return None
-        try:
-            file = os.open(_OWNER, os.O_RDONLY | _OPEN, dir_fd=folder)
-        except OSError:
+        file = _open_lock(folder, os.O_RDONLY)
+        if file is None:
             return None
         try:
-            told = json.loads(os.read(file, _MOST_BYTES)) if _is_own(file, stat.S_ISREG) else {}
+            told = json.loads(os.read(file, _MOST_BYTES))
             return Owner(
                 str(told["user"]), str(told["host"]), int(told["pid"]), str(told["command"])
             )
@@ -312,6 +310,18 @@ def _opened(path: Path) -> Iterator[int | None]:
         os.close(folder)
 
 
+def _open_lock(folder: int, flags: int) -> int | None:
+    """Open the file by which an open folder is held; None where it is no file of this user."""
+    try:
+        lock = os.open(_OWNER, flags | _OPEN, dir_fd=folder)
+    except OSError:
+        return None
+    if _is_own(lock, stat.S_ISREG):
+        return lock
+    os.close(lock)
+    return None
+
+
 def _empty(folder: int) -> None:
     """Remove what is in an open folder, the lock last: whoever changes its name gains nothing."""
     names = sorted(os.listdir(folder), key=_OWNER.__eq__)
@@ -330,9 +340,9 @@ def _is_own(file: int, is_kind: Callable[[int], bool]) -> bool:
 
 
 def _is_at(lock: int, folder: int) -> bool:
-    """Tell whether an open file is this user's, and still the one by which a folder is held."""
+    """Tell whether an open file is still the one by which a folder is held."""
     try:
         found = os.stat(_OWNER, dir_fd=folder, follow_symlinks=False)
     except OSError:
         return False
-    return _is_own(lock, stat.S_ISREG) and os.path.samestat(found, os.fstat(lock))
+    return os.path.samestat(found, os.fstat(lock))

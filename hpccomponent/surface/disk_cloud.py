@@ -152,7 +152,7 @@ class DiskCloud:
         """
         for file in sorted({part.file for part in self.parts}):
             most = max(_count_records(part) for part in self.parts if part.file == file)
-            check_part(self.folder / file, _POINT_BYTES * most)
+            check_part(Path(os.path.normpath(self.folder / file)), _POINT_BYTES * most)
 
     def take_blocks(self, keys: IntArray) -> Points:
         """See `ArrangedCloud` and `take_packed`."""

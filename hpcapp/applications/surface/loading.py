@@ -209,7 +209,7 @@ def _find_loaded(folder: Path) -> Loaded | None:
         cloud = open_disk_cloud(folder / told["cloud"])
         cloud.check()
     except (JobError, DamagedError) as error:
-        problem = error.problem if isinstance(error, JobError) else error
+        problem = error.problem if isinstance(error, JobError) else str(error)
         log.warning("warning: %s: the points are read again", problem)
         return None
     return Loaded(cloud, Dropped(**told["dropped"]), Cleaned(**told["cleaned"]))
