@@ -5,6 +5,7 @@ What lies between the parts of a job are somebody's points: it is made here.
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import stat
@@ -38,7 +39,7 @@ def make_private_folder(path: Path) -> None:
         path.mkdir(_FOLDER)
     except FileExistsError:
         if not path.is_dir():
-            raise
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), path) from None
     else:
         path.chmod(_FOLDER)  # a umask may take away the owner's own rights
 
