@@ -40,7 +40,7 @@ from hpccomponent.config_problems import (
 )
 from hpccomponent.config_tree import MERGE, MOST_BYTES, compose, refuse_length
 from hpccomponent.errors import ConfigError
-from hpccomponent.paths import expand_home, read_regular
+from hpccomponent.paths import read_regular
 
 __all__ = ["ConfigModel", "Location", "Misfit", "parse_config", "read_config"]
 
@@ -99,7 +99,7 @@ def read_config(
         The file cannot be read, or is not what the model describes.
     """
     try:
-        content = read_regular(expand_home(path), MOST_BYTES + 1)
+        content = read_regular(Path(path), MOST_BYTES + 1)
         if len(content) > MOST_BYTES:
             refuse_length(content.decode(errors="replace"), str(path))
         text = content.decode("utf-8-sig")

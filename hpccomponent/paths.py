@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hpccomponent.errors import UsageError
 
-__all__ = ["check_regular", "expand_home", "home_folder", "read_regular"]
+__all__ = ["check_regular", "expand_home", "home_folder", "read_regular", "refuse_special"]
 
 _KINDS = (
     (stat.S_ISFIFO, "it is a pipe, not a regular file"),
@@ -84,14 +84,15 @@ def check_regular(path: Path) -> None:
 
     Raises
     ------
-    OSError
-        It is something else, which its `strerror` names, or cannot be looked at.
+    UsageError
+        It is something else, or cannot be looked at.
     """
     try:
-        mode = os.stat(path).st_mode
+        refuse_special(os.stat(path).st_mode, path)
     except FileNotFoundError:
         return
-    _refuse_kind(mode, path)
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}", "name a regular file") from error
 
 
 def read_regular(path: Path, most: int = -1) -> bytes:
@@ -110,14 +111,15 @@ def read_regular(path: Path, most: int = -1) -> bytes:
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
-        _refuse_kind(os.fstat(descriptor).st_mode, path)
+        refuse_special(os.fstat(descriptor).st_mode, path)
         with open(descriptor, "rb", closefd=False) as file:
             return file.read(most)
     finally:
         os.close(descriptor)
 
 
-def _refuse_kind(mode: int, path: Path) -> None:
+def refuse_special(mode: int, path: Path) -> None:
+    """Raise OSError, whose `strerror` says so, where a mode is not that of a regular file."""
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     for is_kind, words in _KINDS:

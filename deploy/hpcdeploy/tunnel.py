@@ -15,6 +15,7 @@ from pathlib import Path
 
 from hpccomponent.errors import CloudError
 from hpccomponent.held_folders import temporary_folder
+from hpccomponent.paths import home_folder
 from hpcdeploy.cluster import open_cluster
 from hpcdeploy.layout import machine_folder
 from hpcdeploy.relay import BEAT_S, WANTED, Pair, closing, splice
@@ -51,7 +52,7 @@ def open_remote_inventory(path: Path) -> Iterator[tuple[Path, Lead | None]]:
     from hpcdeploy.spec import read_spec
 
     folder = machine_folder(read_spec(path).cluster)
-    own = Path.home() / folder / "inventory.json"
+    own = home_folder() / folder / "inventory.json"
     if own.exists():
         yield own, None
         return

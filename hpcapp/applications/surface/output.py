@@ -15,6 +15,8 @@ from hpccomponent.held_folders import temporary_folder
 
 __all__ = ["open_output"]
 
+_STANDARD_OUTPUT = ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1")
+
 
 @contextmanager
 def open_output(output: str, points: Path) -> Iterator[Path]:
@@ -40,6 +42,8 @@ def open_output(output: str, points: Path) -> Iterator[Path]:
                 shutil.copyfileobj(mesh, sys.stdout.buffer)
         return
     path = Path(output)
+    if output in _STANDARD_OUTPUT:
+        raise OutputError(f"{output} cannot be replaced by a mesh", "give -o - for a PLY there")
     if not output or output.endswith(("/", os.sep)):
         raise OutputError(f"-o {output!r} names no file", "name a file to write to")
     with suppress(OSError):  # what cannot be looked at is no input; check_writable says the rest

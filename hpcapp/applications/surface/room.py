@@ -29,7 +29,7 @@ from hpcapp.applications.surface.keeping import SUMS, Keeping, digest
 from hpcapp.applications.surface.memory import fits_memory
 from hpcapp.applications.surface.settings import Settings, name_backend
 from hpcapp.backends import BACKENDS
-from hpccomponent.errors import HpcError, InputError, UsageError
+from hpccomponent.errors import HpcError, InputError, OutputError, UsageError
 from hpccomponent.held_folders import (
     HeldFolder,
     create_held,
@@ -105,10 +105,26 @@ def open_room(settings: Settings) -> Iterator[Room]:
             with _taken_away(keeping):
                 yield Room(keeping, points, is_needed)
         return
-    held = _hold_folder(Path(place.removeprefix("folder:")).resolve(), job, settings.resume)
+    held = _hold_folder(_find_folder(place), job, settings.resume)
     keeping = Keeping(str(held.path.parent), held.path.name, settings.resume)
     with _taken_away(keeping, held):
         yield Room(keeping, None if in_memory else held.path / "points", is_needed)
+
+
+def _find_folder(place: str) -> Path:
+    """Return the folder that --temp-dir names; its last part need not be there."""
+    text = place.removeprefix("folder:")
+    if not text:
+        raise UsageError("--temp-dir names no folder", "name one, or s3://BUCKET/PREFIX")
+    if text.startswith("~"):  # a shell has left it so: of --temp-dir=~/x, or no such user
+        raise UsageError(
+            f"--temp-dir {text}: no such home folder is known here",
+            f"write the whole path, or ./{text} for a folder of that name",
+        )
+    folder = Path(text).resolve()
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"--temp-dir {text}: is not a folder", "name a folder")
+    return folder
 
 
 def _name_job(settings: Settings) -> str:
