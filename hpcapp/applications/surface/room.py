@@ -17,6 +17,7 @@ Who may import it: the job.
 from __future__ import annotations
 
 import logging
+import os
 import secrets
 from collections import Counter
 from collections.abc import Iterator
@@ -121,7 +122,7 @@ def _find_folder(place: str) -> Path:
             f"--temp-dir {text}: no such home folder is known here",
             f"write the whole path, or ./{text} for a folder of that name",
         )
-    folder = Path(text).resolve()
+    folder = Path(os.path.realpath(text))  # a link may lead to itself
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"--temp-dir {text}: is not a folder", "name a folder")
     return folder
