@@ -41,6 +41,7 @@ from types import TracebackType
 from hpcapp.communicator.door import Door
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.held_folders import temporary_folder
+from hpccomponent.private_files import make_private_folder
 from hpccomponent.protocol.connection import write_connection
 
 __all__ = ["LocalMachines"]
@@ -156,7 +157,7 @@ class LocalMachines:
 
     def _start_machine(self, folder: Path) -> None:
         """Give one machine its keys, and start its loader."""
-        folder.mkdir()
+        make_private_folder(folder)
         connection = folder / "connection.json"
         write_connection(connection, self.door.invite(folder.name))
         self._machines.append(_Machine(folder.name, connection, self.extra_tasks))

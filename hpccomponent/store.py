@@ -178,7 +178,8 @@ class FolderStore:
         except FileNotFoundError:
             raise JobError(f"{path} is not there", "run the job again") from None
         except (OSError, ValueError) as error:  # an empty file cannot be mapped
-            raise JobError(f"{path} cannot be read: {error}", "run the job again") from error
+            why = getattr(error, "strerror", None) or error
+            raise JobError(f"{path} cannot be read: {why}", "run the job again") from error
         file_id = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
         try:
             value = from_bytes(memoryview(mapped), is_checked=file_id in self._checked)

@@ -432,8 +432,9 @@ def open_disk_cloud(folder: Path) -> DiskCloud:
         found = (folder / _INDEX).stat()
         return _open(folder, found.st_mtime_ns, found.st_ino)
     except (OSError, DamagedError) as error:
+        why = getattr(error, "strerror", None) or error
         raise JobError(
-            f"{folder / _INDEX} holds no arranged points: {error}", "run the job again"
+            f"{folder / _INDEX} holds no arranged points: {why}", "run the job again"
         ) from error
 
 

@@ -202,7 +202,12 @@ def load_folder(settings: Settings, folder: Path, passes: Passes, clock: StageCl
 
 def _find_loaded(folder: Path) -> Loaded | None:
     """Return the points that another run has put into a folder; None if they are not whole."""
-    if not os.path.lexists(folder / _NOTE):  # it did not come so far
+    try:
+        os.lstat(folder / _NOTE)
+    except FileNotFoundError:  # it did not come so far
+        return None
+    except OSError as error:
+        log.warning("warning: %s: %s: the points are read again", folder, error.strerror)
         return None
     try:
         told = FolderStore(folder).get(_NOTE)

@@ -21,7 +21,7 @@ import os
 import secrets
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -203,7 +203,7 @@ def _hold_left(folder: Path, job: str) -> HeldFolder | None:
         for path in sorted(folder.glob(f"{job}-*")):
             held = hold(path)
             if held is None:
-                busy = path if read_owner(path) is not None else busy
+                busy = _name_busy(path) or busy
             elif Keeping(str(folder), path.name).holds_work():
                 remove_path(path / SUMS)  # they are of one run
                 return held
@@ -217,6 +217,16 @@ def _hold_left(folder: Path, job: str) -> HeldFolder | None:
             held.let_go()
         elif busy.exists():  # it cannot be waited for
             return None
+
+
+def _name_busy(path: Path) -> Path | None:
+    """Return a folder that somebody holds; None where nobody says so, as of another user's."""
+    if read_owner(path) is not None:
+        return path
+    with suppress(OSError):
+        if os.lstat(path).st_uid == os.geteuid() and not os.access(path, os.R_OK | os.X_OK):
+            log.warning("warning: %s cannot be looked into: what it keeps is not used", path)
+    return None
 
 
 def _choose_prefix(place: str, job: str, resumes: bool) -> str:

@@ -10,7 +10,9 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +25,9 @@ from hpcapp.progress import SilentProgress
 from hpccomponent.errors import InputError, JobError, NoWorkersError
 from hpccomponent.surface import region
 from hpccomponent.surface.points import PointCloud
+
+pytest_plugins = ["lab_bucket"]
+pytestmark = pytest.mark.usefixtures("endpoint")
 
 SILENT = SilentProgress()
 OPTIONS = ("--grid", "64", "--backend", "zmq", "--workers", "2")
@@ -381,7 +386,12 @@ def test_what_is_damaged_is_made_again(
 
 
 def test_folders_in_the_way_are_no_obstacle(
-    scan: Path, whole: bytes, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scan: Path,
+    whole: bytes,
+    kept: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Every folder of the job becomes a file."""
     _let_tiles_be_small(monkeypatch)
@@ -395,6 +405,8 @@ def test_folders_in_the_way_are_no_obstacle(
         run_job(_settings(scan, place), SILENT)
         assert place.with_name("mesh.ply").read_bytes() == whole
         assert list(place.iterdir()) == []
+        assert ("the points are read again" in caplog.text) == (name != "sums")
+        caplog.clear()
 
 
 def test_different_inputs_in_one_folder_do_not_touch_each_other(
@@ -408,3 +420,36 @@ def test_different_inputs_in_one_folder_do_not_touch_each_other(
     _let_tiles_be_small(monkeypatch)
     run_job(_settings(other, place), SILENT)
     assert set(place.rglob("*")) == before
+
+
+@pytest.mark.leaks_allowed  # boto3 closes its connections when it is collected
+@pytest.mark.usefixtures("standing_helpers")
+def test_jobs_of_one_input_share_a_bucket(
+    scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bucket: Any
+) -> None:
+    """A job that failed goes on under its prefix; one that does not resume has its own."""
+    _let_tiles_be_small(monkeypatch)
+    settings = replace(_settings(scan, tmp_path / "room"), temp_dir="s3://lab/tiles")
+    _count_tiles(monkeypatch, fail_at=3)
+    with pytest.raises(JobError, match="the power is gone"):
+        run_job(settings, SILENT)
+    left = {item.key for item in bucket.objects.all()}
+    assert len(left) == 2
+    _count_tiles(monkeypatch)
+    run_job(replace(settings, resume=False, output=str(tmp_path / "other.ply")), SILENT)
+    assert {item.key for item in bucket.objects.all()} == left
+    victim = bucket.Object(sorted(left)[0])
+    victim.put(Body=victim.get()["Body"].read()[:-1])
+    made = _count_tiles(monkeypatch)
+    run_job(settings, SILENT)
+    assert len(made) == len(_tiles_of(scan, tmp_path, monkeypatch)) - 1  # one of two was whole
+    for name in ("mesh.ply", "other.ply"):
+        assert (tmp_path / name).read_bytes() == whole
+    assert list(bucket.objects.all()) == []
+
+
+def _tiles_of(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Count the tiles of a whole job."""
+    made = _count_tiles(monkeypatch)
+    run_job(_settings(scan, tmp_path / "whole"), SILENT)
+    return made
