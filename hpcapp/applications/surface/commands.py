@@ -166,7 +166,8 @@ def check_flags(ctx: click.Context) -> None:
 @click.option(
     "--resume",
     is_flag=True,
-    help="Go on from what a job that was killed has left in --temp-dir.",
+    help="Go on from what a job that was killed has left in --temp-dir, and leave there what is "
+    "finished if this one fails.",
 )
 @click.option(
     "--smoothness",
