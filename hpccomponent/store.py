@@ -159,7 +159,7 @@ class FolderStore:
         """See `Store.put`; a value appears when all of it is written."""
         check_name(name)
         path = self._folder / name
-        buffers = to_buffers(value)
+        buffers = to_buffers(value, name)
         with self._translated(path):
             make_private_folder(path.parent)
             write_whole(path, buffers)
@@ -182,7 +182,7 @@ class FolderStore:
             raise JobError(f"{path} cannot be read: {why}", "run the job again") from error
         file_id = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
         try:
-            value = from_bytes(memoryview(mapped), is_checked=file_id in self._checked)
+            value = from_bytes(memoryview(mapped), name, is_checked=file_id in self._checked)
         except DamagedError as error:
             raise JobError(f"{path} {error}", "delete it, and run the job again") from error
         self._checked.add(file_id)

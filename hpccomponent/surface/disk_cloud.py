@@ -330,7 +330,10 @@ def write_part(
     if not pieces:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     with _translated(folder):
-        write_whole(folder / _name_part(number), with_check(_interleave(pieces)))
+        write_whole(
+            folder / _name_part(number),
+            with_check(_interleave(pieces), folder / _name_part(number)),
+        )
     keys = np.concatenate([piece.keys for piece in pieces])
     return merge_counts(keys, np.concatenate([piece.counts for piece in pieces]))
 
@@ -407,7 +410,7 @@ def write_index(
         columns = (measured.sample.positions, measured.sample.normals)
         told["measured"] = (float(measured.spacing), *columns)
     with _translated(folder):
-        write_whole(folder / _INDEX, to_buffers(told))
+        write_whole(folder / _INDEX, to_buffers(told, folder.name))
     return _put_together(folder, arrangement, origin, box, parts, measured)
 
 
@@ -441,7 +444,7 @@ def open_disk_cloud(folder: Path) -> DiskCloud:
 @lru_cache(maxsize=2)
 def _open(folder: Path, *_version: int) -> DiskCloud:
     with open(folder / _INDEX, "rb", opener=open_at_once) as file:
-        told = from_bytes(memoryview(file.read()))
+        told = from_bytes(memoryview(file.read()), folder.name)
     parts = [Part(*part) for part in told["parts"]]
     measured = None
     if told["measured"] is not None:

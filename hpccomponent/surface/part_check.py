@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import struct
+import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -16,25 +17,27 @@ from hpccomponent.stored_value import DamagedError, checksum
 
 __all__ = ["check_part", "with_check"]
 
-_LAST = struct.Struct("<8sQII")  # magic, bytes of the points, their checksum, 0
+_LAST = struct.Struct("<8sQII")  # magic, bytes of the points, their checksum, that of the name
 _MAGIC = b"hpcpart1"
 _BYTES_AT_ONCE = 1 << 22  # whole pages
 
 
-def with_check(pieces: Iterable[memoryview]) -> Iterator[memoryview | bytes]:
+def with_check(pieces: Iterable[memoryview], path: Path) -> Iterator[memoryview | bytes]:
     """Yield the records of a part, and behind them the last one.
 
     Parameters
     ----------
     pieces : iterable of memoryview of bytes
         Of whole pages each (see `stored_value.PAGE`), but for the last.
+    path : Path
+        Of the file.
     """
     length = check = 0
     for piece in pieces:
         check = checksum([piece], check)
         length += len(piece)
         yield piece
-    yield _LAST.pack(_MAGIC, length, check, 0)
+    yield _LAST.pack(_MAGIC, length, check, _name(path))
 
 
 def check_part(path: Path, least: int) -> None:
@@ -60,7 +63,12 @@ def check_part(path: Path, least: int) -> None:
             last = file.read(_LAST.size)
     except OSError as error:
         raise DamagedError(f"{path} cannot be read: {error.strerror or error}") from error
-    if left or last != _LAST.pack(_MAGIC, max(length, 0), check, 0):
+    if left or last != _LAST.pack(_MAGIC, max(length, 0), check, _name(path)):
         raise DamagedError(f"{path} is cut or changed: its checksum is wrong")
     if length < least:
         raise DamagedError(f"{path} holds other points")
+
+
+def _name(path: Path) -> int:
+    """Return a number for a file's name and that of its folder: another part has another."""
+    return zlib.crc32(f"{path.parent.name}/{path.name}".encode())

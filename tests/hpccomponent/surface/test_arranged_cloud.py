@@ -202,6 +202,6 @@ def test_a_full_disk_is_one_clear_line(
     def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Path, "open", refuse)
+    monkeypatch.setattr(os, "replace", refuse)
     with pytest.raises(OutputError, match="No space left on device; name a temporary folder"):
         _write(_scan(), memory, tmp_path, 1_000)

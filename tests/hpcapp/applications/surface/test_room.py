@@ -385,6 +385,26 @@ def test_what_is_damaged_is_made_again(
     assert list(place.iterdir()) == []
 
 
+@pytest.mark.parametrize("kind", ["tile", "block file"])
+def test_what_took_the_place_of_another_is_found_out(
+    kind: str,
+    scan: Path,
+    whole: bytes,
+    kept: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    place = tmp_path / "room"
+    shutil.copytree(kept, place)
+    first, second, *_ = sorted(KINDS[kind](place))
+    shutil.copy(first, second)
+    _let_tiles_be_small(monkeypatch)
+    run_job(_settings(scan, place), SILENT)
+    assert place.with_name("mesh.ply").read_bytes() == whole
+    assert f"warning: {second} is cut or changed" in caplog.text
+
+
 def test_folders_in_the_way_are_no_obstacle(
     scan: Path,
     whole: bytes,
