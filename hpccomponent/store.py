@@ -73,7 +73,7 @@ class Store(Protocol):
         """Take a value away, if it is there."""
 
 
-def open_store(place: str) -> Store:
+def open_store(place: str, *, makes_folders: bool = True) -> Store:
     """Open a store.
 
     Parameters
@@ -81,6 +81,8 @@ def open_store(place: str) -> Store:
     place : str
         A folder, ``folder:PATH``, or ``s3://BUCKET/PREFIX``. A folder is made where there is none;
         a bucket is found by the usual variables (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL``, ...).
+    makes_folders : bool
+        Of a folder: see `FolderStore`.
 
     Returns
     -------
@@ -106,24 +108,25 @@ def open_store(place: str) -> Store:
             ) from error
         return open_s3_store(place)
     if scheme == "folder" and rest:
-        return FolderStore(Path(rest))
+        return FolderStore(Path(rest), makes_folders=makes_folders)
     if "://" in place or not place:
         raise UsageError(f"no store is known at {place!r}", "name a folder, or s3://BUCKET/PREFIX")
-    return FolderStore(Path(place))
+    return FolderStore(Path(place), makes_folders=makes_folders)
 
 
 @cache
 def hold_store(place: str) -> Store:
     """Open a store that this process keeps open: for tasks, which come one after the other.
 
-    A client of a bucket takes longer to make than a tile takes to be put there.
+    A client of a bucket takes longer to make than a tile takes to be put there. Of a folder none is
+    made: a task that is late must not bring back what its job has taken away.
 
     Parameters
     ----------
     place : str
         As for `open_store`, which raises the same.
     """
-    return open_store(place)
+    return open_store(place, makes_folders=False)
 
 
 def check_name(name: str) -> None:
@@ -142,6 +145,8 @@ class FolderStore:
     ----------
     folder : Path
         Is made where there is none, for its owner alone.
+    makes_folders : bool
+        Whether it and those in it are made; else what is put where there is none is refused.
 
     Raises
     ------
@@ -149,11 +154,13 @@ class FolderStore:
         It cannot be made.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, makes_folders: bool = True) -> None:
         self._folder = folder
         self._checked: set[tuple[int, ...]] = set()  # files that were found whole
-        with self._translated(folder):
-            make_private_folder(folder)
+        self._makes_folders = makes_folders
+        if makes_folders:
+            with self._translated(folder):
+                make_private_folder(folder)
 
     def put(self, name: str, value: Any) -> None:
         """See `Store.put`; a value appears when all of it is written."""
@@ -161,7 +168,8 @@ class FolderStore:
         path = self._folder / name
         buffers = to_buffers(value, name)
         with self._translated(path):
-            make_private_folder(path.parent)
+            if self._makes_folders:
+                make_private_folder(path.parent)
             write_whole(path, buffers)
 
     def get(self, name: str) -> Any:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hpccomponent.errors import JobError
+from hpccomponent.private_files import make_private_folder
 from hpccomponent.protocol.codec import encode_values
 from hpccomponent.store import Store, open_store
 
@@ -86,6 +87,10 @@ class Keeping:
             See `hpccomponent.store.open_store`.
         """
         self.store.has(f"{self.job}/tile")
+
+    def make_folders(self) -> None:
+        """Make the folders that tasks put their values into; they make none."""
+        make_private_folder(Path(self.place, self.job, SUMS))
 
     @property
     def where(self) -> str:

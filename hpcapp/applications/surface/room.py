@@ -98,7 +98,9 @@ def open_room(settings: Settings) -> Iterator[Room]:
         with temporary_folder() as near:
             points = None if in_memory else near / job / "points"
             if place is None:
-                yield Room(Keeping(str(near), job, is_shared=is_here), points, is_needed)
+                keeping = Keeping(str(near), job, is_shared=is_here)
+                keeping.make_folders()
+                yield Room(keeping, points, is_needed)
                 return
             prefix = _choose_prefix(place, job, settings.resume)
             keeping = Keeping(place, prefix, settings.resume)
@@ -109,6 +111,7 @@ def open_room(settings: Settings) -> Iterator[Room]:
     held = _hold_folder(_find_folder(place), job, settings.resume)
     keeping = Keeping(str(held.path.parent), held.path.name, settings.resume)
     with _taken_away(keeping, held):
+        keeping.make_folders()
         yield Room(keeping, None if in_memory else held.path / "points", is_needed)
 
 
