@@ -97,6 +97,9 @@ def hpcapp(debug: bool) -> None:
         logging.getLogger(name).setLevel(logging.DEBUG if debug else logging.INFO)
     logging.raiseExceptions = debug  # a log that cannot be written must not end the job
     logging.captureWarnings(True)
+    from hpccomponent.held_folders import remove_killed  # --help needs no such thing
+
+    remove_killed()
     logging.getLogger("py.warnings").setLevel(logging.WARNING if debug else logging.ERROR)
 
 

@@ -36,12 +36,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 
 from hpcapp.capacity import check_workers
 from hpcapp.communicator.door import Door
 from hpccomponent.errors import NoWorkersError, UsageError
+from hpccomponent.held_folders import temporary_folder
+from hpccomponent.private_files import make_private_folder
 from hpccomponent.protocol.connection import write_connection
 
 __all__ = ["LocalMachines"]
@@ -98,7 +99,7 @@ class LocalMachines:
 
     def __enter__(self) -> LocalMachines:
         with ExitStack() as stack:
-            folder = Path(stack.enter_context(TemporaryDirectory(prefix="hpcapp-")))
+            folder = stack.enter_context(temporary_folder())
             self.door = stack.enter_context(Door())
             stack.callback(self.stop)
             try:
@@ -179,7 +180,7 @@ class LocalMachines:
 
     def _start_machine(self, folder: Path) -> None:
         """Give one machine its keys, and start its loader."""
-        folder.mkdir()
+        make_private_folder(folder)
         connection = folder / "connection.json"
         write_connection(connection, self.door.invite(folder.name))
         self._machines.append(_Machine(folder.name, connection, self.extra_tasks))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -130,6 +131,13 @@ class EventProgress:
             self._stream.flush()
 
 
+def _open_if_read(name: str, flags: int) -> int:
+    """Open a file; of a pipe that nobody reads it is an error, and not waited for."""
+    descriptor = os.open(name, flags | os.O_NONBLOCK, 0o666)
+    os.set_blocking(descriptor, True)
+    return descriptor
+
+
 @contextmanager
 def open_events(path: Path | None, display: Progress) -> Iterator[Progress]:
     """Yield a display that writes events to the file `path` as well, if there is one.
@@ -143,7 +151,7 @@ def open_events(path: Path | None, display: Progress) -> Iterator[Progress]:
         yield display
         return
     try:
-        stream = path.open("w", encoding="utf-8")
+        stream = open(path, "w", encoding="utf-8", opener=_open_if_read)  # noqa: SIM115
     except OSError as error:
         raise OutputError(
             f"{path}: cannot be written ({error.strerror})", "give another --events"

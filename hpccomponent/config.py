@@ -20,6 +20,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Collection, Iterable
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -37,11 +38,15 @@ from hpccomponent.config_problems import (
     problems_error,
     show,
 )
+from hpccomponent.config_tree import MERGE, MOST_BYTES, compose, refuse_length
 from hpccomponent.errors import ConfigError
+from hpccomponent.paths import read_regular
 
 __all__ = ["ConfigModel", "Location", "Misfit", "parse_config", "read_config"]
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
+_MOST_PLACED = 300  # of pydantic's findings; each takes a walk through the text
+_ONE_MERGE = "a mapping has one merge key (<<), whose value is a mapping or a list of mappings"
 _TYPED = {TAG + kind for kind in ("null", "bool", "int", "float")}
 
 
@@ -94,7 +99,10 @@ def read_config(
         The file cannot be read, or is not what the model describes.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        content = read_regular(Path(path), MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
+            refuse_length(content.decode(errors="replace"), str(path))
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigError(
             f"{path}: byte {error.start} is not UTF-8", "save the file as UTF-8"
@@ -147,14 +155,11 @@ def parse_config(
     loader.yaml:1:1: frist_s: unknown key (got 2), did you mean "first_s"?
     """
     found: list[Problem] = []
-    try:
-        root = _compose(text, name)
-        value = _plain_value(root, (), found, ())
-        valid = _validate(value, root, model, found)
-        if check is not None:
-            _check_together(value, root, model, check, found)
-    except RecursionError:
-        raise ConfigError(f"{name}: nested too deeply to be read") from None
+    root = compose(text, name)
+    value = _plain_value(root, (), found)
+    valid = _validate(value, root, model, found)
+    if check is not None:
+        _check_together(value, root, model, check, found)
     if valid is None or found:
         raise problems_error(name, found)
     return valid
@@ -168,7 +173,7 @@ def _validate(
         return model.model_validate_json(json.dumps(value), strict=True)
     except ValidationError as error:
         known = {location for _, location, _ in found}
-        for detail in error.errors(include_url=False, include_input=False):
+        for detail in islice(error.errors(include_url=False, include_input=False), _MOST_PLACED):
             problem = place_finding(detail, root, model)
             if problem[1] not in known:  # a value that could not be read is not wrong twice
                 found.append(problem)
@@ -194,48 +199,12 @@ def _check_together(
             found.append(place_misfit(location, message, choices, root))
 
 
-def _compose(text: str, name: str) -> yaml.MappingNode:
-    """Parse the text into nodes that know their line and column."""
-    try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        where = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
-        if error.problem and "'\\t'" in error.problem:
-            raise ConfigError(
-                f"{where}: a tab where YAML wants spaces", "indent by spaces"
-            ) from None
-        context = f" {error.context}" if error.context else ""
-        raise ConfigError(f"{where}: not YAML: {error.problem}{context}") from None
-    except yaml.reader.ReaderError as error:
-        line = text.count("\n", 0, error.position) + 1
-        column = error.position - (text.rfind("\n", 0, error.position) + 1) + 1
-        raise ConfigError(f"{name}:{line}:{column}: not YAML: {error.reason}") from None
-    if root is None:
-        raise ConfigError(f"{name}: the file is empty")
-    if not isinstance(root, yaml.MappingNode):
-        at = root.start_mark
-        raise ConfigError(
-            f"{name}:{at.line + 1}:{at.column + 1}: "
-            f"should be a mapping of keys to values (got {show(root)})"
-        )
-    return root
-
-
-def _plain_value(
-    node: yaml.Node, location: Location, found: list[Problem], above: tuple[yaml.Node, ...]
-) -> Any:
+def _plain_value(node: yaml.Node, location: Location, found: list[Problem]) -> Any:
     """Turn a node into JSON values, and note what YAML allows and we do not."""
-    if any(node is ancestor for ancestor in above):
-        found.append((node, location, "an alias that contains itself"))
-        return None
-    above = (*above, node)
     if isinstance(node, yaml.MappingNode) and node.tag in COLLECTION:
-        return _plain_mapping(node, location, found, above)
+        return _plain_mapping(node, location, found)
     if isinstance(node, yaml.SequenceNode) and node.tag in COLLECTION:
-        return [
-            _plain_value(child, (*location, i), found, above) for i, child in enumerate(node.value)
-        ]
+        return [_plain_value(child, (*location, i), found) for i, child in enumerate(node.value)]
     if node.tag in PLAIN:
         return node.value
     if node.tag in _TYPED:
@@ -247,17 +216,14 @@ def _plain_value(
 
 
 def _plain_mapping(
-    node: yaml.MappingNode,
-    location: Location,
-    found: list[Problem],
-    above: tuple[yaml.Node, ...],
+    node: yaml.MappingNode, location: Location, found: list[Problem]
 ) -> dict[str, Any]:
     """Turn a mapping into a dict; keys must be text, and each may come once."""
     values: dict[str, Any] = {}
     lines: dict[str, int] = {}
     for key, child in node.value:
-        if key.tag == TAG + "merge":
-            found.append((key, location, "merge keys (<<) are not read, write the keys out"))
+        if key.tag == MERGE:
+            found.append((key, location, _ONE_MERGE))
         elif key.tag not in PLAIN:
             found.append((key, location, f"a key must be text (got {show(key)}), quote it"))
         elif key.value in values:
@@ -265,5 +231,5 @@ def _plain_mapping(
             found.append((key, (*location, key.value), f"key given twice, first in line {first}"))
         else:
             lines[key.value] = key.start_mark.line + 1
-            values[key.value] = _plain_value(child, (*location, key.value), found, above)
+            values[key.value] = _plain_value(child, (*location, key.value), found)
     return values

@@ -30,6 +30,8 @@ TAG = "tag:yaml.org,2002:"
 PLAIN = {TAG + kind for kind in ("str", "timestamp")}  # nothing here wants a date
 COLLECTION = {TAG + "map": "a mapping", TAG + "seq": "a list"}
 
+_MOST_LINES = 100  # of mistakes that are told at once
+
 Location = tuple[int | str, ...]
 Problem = tuple[yaml.Node, Location, str]
 
@@ -42,12 +44,13 @@ def problems_error(name: str, problems: list[Problem]) -> ConfigError:
         said = lines.setdefault((mark.line + 1, mark.column + 1, _dotted(location)), [])
         if message not in said:
             said.append(message)
-    return ConfigError(
-        "\n".join(
-            f"{name}:{line}:{column}: " + (f"{path}: " if path else "") + ", or ".join(said)
-            for (line, column, path), said in sorted(lines.items())
-        )
-    )
+    told = [
+        f"{name}:{line}:{column}: " + (f"{path}: " if path else "") + ", or ".join(said)
+        for (line, column, path), said in sorted(lines.items())
+    ]
+    if len(told) > _MOST_LINES:
+        told[_MOST_LINES:] = [f"{name}: and more; these are the first {_MOST_LINES}"]
+    return ConfigError("\n".join(told))
 
 
 def _dotted(location: Location) -> str:

@@ -44,7 +44,7 @@ class S3Store:
     def put(self, name: str, value: Any) -> None:
         """See `Store.put`."""
         where = self._where(name)
-        body = b"".join(to_buffers(value))
+        body = b"".join(to_buffers(value, name))
         with self._translated():
             self._client.put_object(**where, Body=body)
 
@@ -59,7 +59,7 @@ class S3Store:
                     raise
                 raise JobError(f"{self._url(name)} is not there", "run the job again") from None
         try:
-            return from_bytes(memoryview(content))
+            return from_bytes(memoryview(content), name)
         except DamagedError as error:
             advice = "delete it, and run the job again"
             raise JobError(f"{self._url(name)} {error}", advice) from error

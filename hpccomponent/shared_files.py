@@ -10,6 +10,8 @@ import secrets
 from collections.abc import Iterable
 from pathlib import Path
 
+from hpccomponent.private_files import create_private
+
 __all__ = ["sees_files", "write_whole"]
 
 _BUFFER = 1 << 18  # bytes of small pieces that are written together
@@ -40,7 +42,7 @@ def sees_files(*files: tuple[str, int]) -> bool:
 
 
 def write_whole(path: Path, buffers: Iterable[bytes | bytearray | memoryview]) -> None:
-    """Write a file that is there when all of it is, and never in part.
+    """Write a file that is there when all of it is, and never in part; only its owner can read it.
 
     Others may read it meanwhile: a task may run twice, and who is late writes the same again.
 
@@ -58,7 +60,7 @@ def write_whole(path: Path, buffers: Iterable[bytes | bytearray | memoryview]) -
     """
     beside = path.with_name(f".{secrets.token_hex(8)}.tmp")
     try:
-        with beside.open("xb", buffering=_BUFFER) as file:
+        with create_private(beside, _BUFFER) as file:
             file.writelines(buffers)
         os.replace(beside, path)
     finally:

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from hpccomponent.errors import CloudError, JobError, OutputError, UsageError
+from hpccomponent.private_files import make_private_folder, open_at_once, remove_path
 from hpccomponent.shared_files import write_whole
 from hpccomponent.stored_value import DamagedError, from_bytes, to_buffers
 
@@ -72,7 +73,7 @@ class Store(Protocol):
         """Take a value away, if it is there."""
 
 
-def open_store(place: str) -> Store:
+def open_store(place: str, *, makes_folders: bool = True) -> Store:
     """Open a store.
 
     Parameters
@@ -80,6 +81,8 @@ def open_store(place: str) -> Store:
     place : str
         A folder, ``folder:PATH``, or ``s3://BUCKET/PREFIX``. A folder is made where there is none;
         a bucket is found by the usual variables (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL``, ...).
+    makes_folders : bool
+        Of a folder: see `FolderStore`.
 
     Returns
     -------
@@ -105,24 +108,25 @@ def open_store(place: str) -> Store:
             ) from error
         return open_s3_store(place)
     if scheme == "folder" and rest:
-        return FolderStore(Path(rest))
+        return FolderStore(Path(rest), makes_folders=makes_folders)
     if "://" in place or not place:
         raise UsageError(f"no store is known at {place!r}", "name a folder, or s3://BUCKET/PREFIX")
-    return FolderStore(Path(place))
+    return FolderStore(Path(place), makes_folders=makes_folders)
 
 
 @cache
 def hold_store(place: str) -> Store:
     """Open a store that this process keeps open: for tasks, which come one after the other.
 
-    A client of a bucket takes longer to make than a tile takes to be put there.
+    A client of a bucket takes longer to make than a tile takes to be put there. Of a folder none is
+    made: a task that is late must not bring back what its job has taken away.
 
     Parameters
     ----------
     place : str
         As for `open_store`, which raises the same.
     """
-    return open_store(place)
+    return open_store(place, makes_folders=False)
 
 
 def check_name(name: str) -> None:
@@ -135,12 +139,14 @@ def check_name(name: str) -> None:
 
 
 class FolderStore:
-    """Values as files; see `Store`.
+    """Values as files, which only their owner can read; see `Store`.
 
     Parameters
     ----------
     folder : Path
-        Is made where there is none.
+        Is made where there is none, for its owner alone.
+    makes_folders : bool
+        Whether it and those in it are made; else what is put where there is none is refused.
 
     Raises
     ------
@@ -148,19 +154,22 @@ class FolderStore:
         It cannot be made.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, makes_folders: bool = True) -> None:
         self._folder = folder
         self._checked: set[tuple[int, ...]] = set()  # files that were found whole
-        with self._translated(folder):
-            folder.mkdir(parents=True, exist_ok=True)
+        self._makes_folders = makes_folders
+        if makes_folders:
+            with self._translated(folder):
+                make_private_folder(folder)
 
     def put(self, name: str, value: Any) -> None:
         """See `Store.put`; a value appears when all of it is written."""
         check_name(name)
         path = self._folder / name
-        buffers = to_buffers(value)
+        buffers = to_buffers(value, name)
         with self._translated(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
+            if self._makes_folders:
+                make_private_folder(path.parent)
             write_whole(path, buffers)
 
     def get(self, name: str) -> Any:
@@ -171,16 +180,17 @@ class FolderStore:
         check_name(name)
         path = self._folder / name
         try:
-            with path.open("rb") as file:
+            with open(path, "rb", opener=open_at_once) as file:
                 found = os.fstat(file.fileno())
                 mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except FileNotFoundError:
             raise JobError(f"{path} is not there", "run the job again") from None
         except (OSError, ValueError) as error:  # an empty file cannot be mapped
-            raise JobError(f"{path} cannot be read: {error}", "run the job again") from error
+            why = getattr(error, "strerror", None) or error
+            raise JobError(f"{path} cannot be read: {why}", "run the job again") from error
         file_id = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
         try:
-            value = from_bytes(memoryview(mapped), is_checked=file_id in self._checked)
+            value = from_bytes(memoryview(mapped), name, is_checked=file_id in self._checked)
         except DamagedError as error:
             raise JobError(f"{path} {error}", "delete it, and run the job again") from error
         self._checked.add(file_id)
@@ -193,7 +203,8 @@ class FolderStore:
 
     def list(self, prefix: str = "") -> list[str]:
         """See `Store.list`."""
-        files = (path for path in self._folder.rglob("*") if path.is_file())
+        base = self._folder / prefix.rpartition("/")[0]
+        files = (path for path in base.rglob("*") if path.is_file())
         names = (path.relative_to(self._folder).as_posix() for path in files)
         return sorted(n for n in names if n.startswith(prefix) and _NAME.fullmatch(n))
 
@@ -202,7 +213,7 @@ class FolderStore:
         check_name(name)
         path = self._folder / name
         with self._translated(path):
-            path.unlink(missing_ok=True)
+            remove_path(path)
 
     @contextmanager
     def _translated(self, path: Path) -> Iterator[None]:

@@ -6,7 +6,8 @@
 
 Header and buffers are those of `protocol.codec`: nothing is unpickled. Each buffer starts at a
 multiple of 64 bytes, so that arrays in a mapped file are aligned. The checksum is the CRC-32 of the
-sums of each whole page of a piece, and of the bytes after its last. It finds what a disk or a
+sums of each whole page of a piece, and of the bytes after its last; it begins with the CRC-32 of
+the value's name, so that another value in its place is found, too. It finds what a disk or a
 network has damaged, not what somebody forged: who may write there may write anything. A CRC-32 of
 all bytes takes eight times as long, SHA-256 eighteen times. Used by the stores.
 """
@@ -23,12 +24,13 @@ from hpccomponent.errors import HpcError
 from hpccomponent.protocol.codec import NO_BLOBS, decode_values, encode_values
 from hpccomponent.protocol.frames import Buffer
 
-__all__ = ["DamagedError", "from_bytes", "to_buffers"]
+__all__ = ["PAGE", "DamagedError", "checksum", "from_bytes", "to_buffers"]
 
 _MAGIC = b"hpcvalue3"
 _CHECK_BYTES = 4
 _ALIGNMENT = 64
-_PAGE = 4096
+PAGE = 4096
+"""Bytes of which the checksum knows the sum."""
 _MOST_BUFFERS = 1 << 16
 
 
@@ -36,12 +38,14 @@ class DamagedError(ValueError):
     """Bytes that are not those of a whole value; a store says whose."""
 
 
-def to_buffers(value: Any) -> list[Buffer]:
+def to_buffers(value: Any, name: str = "") -> list[Buffer]:
     """Encode a value.
 
     Parameters
     ----------
     value : ndarray, int, float, bool, str, bytes, None, or tuple, list, dict of these
+    name : str
+        Under which it will lie.
 
     Returns
     -------
@@ -62,16 +66,18 @@ def to_buffers(value: Any) -> list[Buffer]:
         padding = -at % _ALIGNMENT
         body += [bytes(padding), part]
         at += padding + memoryview(part).nbytes
-    return [_MAGIC + _check(body).to_bytes(_CHECK_BYTES, "little"), *body]
+    return [_MAGIC + checksum(body, _begin(name)).to_bytes(_CHECK_BYTES, "little"), *body]
 
 
-def from_bytes(content: memoryview, *, is_checked: bool = False) -> Any:
+def from_bytes(content: memoryview, name: str = "", *, is_checked: bool = False) -> Any:
     """Decode a value, and check it.
 
     Parameters
     ----------
     content : memoryview of bytes
         All that `to_buffers` gave. Large arrays are views of it, read-only.
+    name : str
+        Under which it lay.
     is_checked : bool
         Whether the very same bytes were found whole before.
 
@@ -90,7 +96,7 @@ def from_bytes(content: memoryview, *, is_checked: bool = False) -> Any:
         raise DamagedError("does not begin as a stored value does")
     check = int.from_bytes(content[len(_MAGIC) : start], "little")
     pieces = _split(content, start)
-    if not is_checked and _check(pieces) != check:
+    if not is_checked and checksum(pieces, _begin(name)) != check:
         raise DamagedError("is cut or changed: its checksum is wrong")
     header, *buffers = pieces[2::2]
     try:
@@ -98,6 +104,11 @@ def from_bytes(content: memoryview, *, is_checked: bool = False) -> Any:
     except (IndexError, ValueError, HpcError) as error:
         raise DamagedError(f"holds no value: {error}") from error
     return value
+
+
+def _begin(name: str) -> int:
+    """Return what the checksum of a value begins with."""
+    return zlib.crc32(name.encode(), 0)
 
 
 def _split(content: memoryview, at: int) -> list[memoryview]:
@@ -118,18 +129,24 @@ def _split(content: memoryview, at: int) -> list[memoryview]:
     return pieces
 
 
-def _check(pieces: Iterable[Buffer]) -> int:
+def checksum(pieces: Iterable[Buffer], check: int = 0) -> int:
     """Return the checksum of some bytes, which depends on how they are cut into pieces.
+
+    Parameters
+    ----------
+    pieces : iterable of bytes-like
+        Cut between pages they give what they give as one.
+    check : int
+        Of the pieces before these.
 
     Notes
     -----
     Of a page what matters is the sum of its words, in whatever order.
     """
-    check = 0
     for piece in pieces:
         view = memoryview(piece).cast("B")
-        whole = len(view) - len(view) % _PAGE
-        words = np.frombuffer(view[:whole], "<u8").reshape(-1, _PAGE // 8)
+        whole = len(view) - len(view) % PAGE
+        words = np.frombuffer(view[:whole], "<u8").reshape(-1, PAGE // 8)
         check = zlib.crc32(np.add.reduce(words, axis=1).data, check)
         check = zlib.crc32(view[whole:], check)
     return check

@@ -12,6 +12,7 @@ import paramiko
 from paramiko.pkey import UnknownKeyType
 
 from hpccomponent.errors import CloudError
+from hpccomponent.paths import expand_home
 from hpcdeploy.host_keys import HostKeys, parse_console
 from hpcdeploy.layout import state_folder
 from hpcdeploy.local_shell import LocalShell
@@ -109,7 +110,7 @@ class Access:
         """Return the file of the private key, and make it where there is none."""
         name = self._spec.auth.ssh_private_key
         if name != "auto":
-            return self.base / Path(name).expanduser()
+            return self.base / expand_home(name)
         path = self._folder / "id"
         with self._lock:
             if not path.exists():

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpccomponent.errors import CloudError
+from hpccomponent.paths import expand_home
 from hpcdeploy.bucket_client import sha256_of
 from hpcdeploy.job_folder import JobOrder, JobStatus
 from hpcdeploy.provider_spec import LocalSpec, SshSpec
@@ -249,6 +250,6 @@ def open_bucket(spec: ClusterSpec, base: Path) -> Bucket | None:
         return None
     from hpcdeploy.providers.ec2_client import open_client  # it imports boto3
 
-    bundle = (base / Path(cloud.ca_bundle).expanduser()).read_text() if cloud.ca_bundle else ""
+    bundle = (base / expand_home(cloud.ca_bundle)).read_text() if cloud.ca_bundle else ""
     client = open_client("s3", cloud, base)
     return Bucket(client, spec.data.s3, spec.cluster, spec.limits.lease, bundle)

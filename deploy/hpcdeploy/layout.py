@@ -21,6 +21,8 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from hpccomponent.paths import home_folder
+
 __all__ = ["clusters_folder", "forget_cluster", "machine_folder", "state_folder"]
 
 
@@ -31,7 +33,7 @@ def machine_folder(cluster: str) -> str:
 
 def clusters_folder() -> Path:
     """Return the folder of all clusters on the user's own machine; it need not exist."""
-    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
+    home = os.environ.get("XDG_STATE_HOME") or home_folder() / ".local/state"
     return Path(home) / "hpcapp/clusters"
 
 

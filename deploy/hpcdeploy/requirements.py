@@ -11,6 +11,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from hpccomponent.paths import expand_home
 from hpcdeploy.layout import state_folder
 from hpcdeploy.provider import Problem
 from hpcdeploy.provider_spec import CloudSpec, SshSpec
@@ -59,7 +60,7 @@ def choose_release(spec: ClusterSpec, base: Path, kinds: list[Kind]) -> Path | s
         machines must compute the same bits.
     """
     if spec.env.package != "auto":
-        path = base / Path(spec.env.package).expanduser()
+        path = base / expand_home(spec.env.package)
         return path if path.is_file() else spec.env.package
     folder = state_folder(spec.cluster) / "release"
     native = pack_release(folder, is_native=True)
@@ -95,7 +96,7 @@ def needs_of(
         requirements = (*map(_pinned, wanted), *later)
         bare = own[0].name if own else str(package)
         return Needs((*pip, *own, *local), requirements, (bare,), is_offline=False), ()
-    places = [base / Path(spec.env.wheelhouse).expanduser(), *local]
+    places = [base / expand_home(spec.env.wheelhouse), *local]
     wanted += [text for path in local for text in read_requirements(path)]
     chosen = select_wheels(places, wanted, kind)
     named_package = [] if own else [str(package)]
@@ -114,7 +115,7 @@ def find_problems(spec: ClusterSpec, base: Path) -> list[Problem]:
     """
     if spec.env.wheelhouse is None or not isinstance(spec.provider, CloudSpec | SshSpec):
         return []
-    folder = base / Path(spec.env.wheelhouse).expanduser()
+    folder = base / expand_home(spec.env.wheelhouse)
     kinds = kinds_of(folder)
     if not kinds:
         return [

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from hpccomponent.errors import CloudError, HpcError, UsageError
+from hpccomponent.paths import check_regular
 
 if TYPE_CHECKING:
     from hpcdeploy.access import Access
@@ -80,6 +81,7 @@ def put(file: Path, source: Path, target: str, nodes: tuple[str, ...], is_all: b
     """
     from hpcdeploy.cluster import open_cluster
 
+    check_regular(source)
     if not target or target.endswith("/"):
         target += source.name
     with open_cluster(file) as cluster:
@@ -103,6 +105,7 @@ def get(file: Path, source: str, target: Path, node: str) -> None:
 
     if target.is_dir():
         target /= source.rstrip("/").rpartition("/")[2]
+    check_regular(target)
     with open_cluster(file) as cluster:
         [machine] = _choose(cluster, [node], is_all=False)
         with cluster.access.open(machine, WAIT_S) as shell:

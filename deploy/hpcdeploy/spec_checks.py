@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpccomponent.config import Location, Misfit
+from hpccomponent.errors import UsageError
+from hpccomponent.paths import expand_home
 from hpcdeploy.provider_spec import LEGAL_REGION, CloudSpec, LocalSpec, SshSpec
 
 if TYPE_CHECKING:
@@ -103,11 +105,20 @@ def _cloud(provider: CloudSpec) -> Iterator[Misfit]:
 def _files(spec: ClusterSpec, base: Path) -> Iterator[Misfit]:
     """Yield files and folders that are not there."""
     for location, text in _named_files(spec):
-        if not (base / Path(text).expanduser()).is_file():
-            yield Misfit(location, f"no such file, looked for it from {base}")
-    wheelhouse = spec.env.wheelhouse
-    if wheelhouse is not None and not (base / Path(wheelhouse).expanduser()).is_dir():
-        yield Misfit(("env", "wheelhouse"), f"no such folder, looked for it from {base}")
+        yield from _look(location, text, base, Path.is_file, "file")
+    if spec.env.wheelhouse is not None:
+        yield from _look(("env", "wheelhouse"), spec.env.wheelhouse, base, Path.is_dir, "folder")
+
+
+def _look(
+    location: Location, text: str, base: Path, is_there: Callable[[Path], bool], kind: str
+) -> Iterator[Misfit]:
+    """Yield that a file or folder is not there."""
+    try:
+        if not is_there(base / expand_home(text)):
+            yield Misfit(location, f"no such {kind}, looked for it from {base}")
+    except UsageError as error:  # of the home folder in front
+        yield Misfit(location, f"no such {kind}: {error.problem}")
 
 
 def _named_files(spec: ClusterSpec) -> Iterator[tuple[Location, str]]:

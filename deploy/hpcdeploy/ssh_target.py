@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import paramiko
 
 from hpccomponent.errors import ConfigError
+from hpccomponent.paths import expand_home, home_folder
 from hpcdeploy.provider_spec import Host
 from hpcdeploy.spec import Auth
 
@@ -88,7 +88,7 @@ def host_target(host: Host, auth: Auth, key_files: tuple[str, ...]) -> Target:
 
 
 def _read_config() -> paramiko.SSHConfig:
-    path = Path.home() / ".ssh/config"
+    path = home_folder() / ".ssh/config"
     try:
         return paramiko.SSHConfig.from_path(str(path))
     except FileNotFoundError:
@@ -127,4 +127,4 @@ def _resolve(
 
 
 def _home(file: str) -> str:
-    return str(Path(file).expanduser())
+    return str(expand_home(file))

@@ -12,9 +12,10 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from hpccomponent.errors import CloudError
+from hpccomponent.held_folders import temporary_folder
+from hpccomponent.paths import home_folder
 from hpcdeploy.cluster import open_cluster
 from hpcdeploy.layout import machine_folder
 from hpcdeploy.relay import BEAT_S, WANTED, Pair, closing, splice
@@ -51,13 +52,13 @@ def open_remote_inventory(path: Path) -> Iterator[tuple[Path, Lead | None]]:
     from hpcdeploy.spec import read_spec
 
     folder = machine_folder(read_spec(path).cluster)
-    own = Path.home() / folder / "inventory.json"
+    own = home_folder() / folder / "inventory.json"
     if own.exists():
         yield own, None
         return
-    with open_cluster(path) as cluster, TemporaryDirectory(prefix="hpcapp-") as temporary:
+    with open_cluster(path) as cluster, temporary_folder() as temporary:
         shell = cluster.access.open(cluster.head())
-        copy = Path(temporary) / "inventory.json"
+        copy = temporary / "inventory.json"
         shell.get(f"{folder}/inventory.json", copy)
         copy.chmod(0o600)
         yield copy, partial(lead_workers, shell, folder)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
@@ -31,6 +32,8 @@ __all__ = [
 ]
 
 Chosen = TypeVar("Chosen")
+
+_STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
 
 _TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")
 _POINT_SOURCES: dict[str, Callable[[Path], PointSource]] = {
@@ -100,6 +103,10 @@ def open_points(path: str | PathLike[str]) -> PointSource:
     UsageError
         The suffix is unknown.
     """
+    if os.fspath(path) in _STANDARD_INPUT:
+        raise UsageError(
+            f"{path}: points are not read from the standard input", "write them to a file first"
+        )
     open_ = _choose(_POINT_SOURCES, Path(path), UsageError, "a point cloud is read from")
     with translated(Path(path)):
         _refuse_special(Path(path))
@@ -128,6 +135,7 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
     """
     reader = _choose(_MESH_READERS, Path(path), UsageError, "a mesh is read from")
     with translated(Path(path)):
+        _refuse_special(Path(path))
         return reader(Path(path))
 
 

@@ -1,18 +1,21 @@
 """Write beside and rename: a reader of the output sees the old file or the whole new one.
 
-Used by every writer of this package.
+Until it has its name nobody but its owner can read it; then it has the rights that any new file has
+there. Used by every writer of this package.
 """
 
 from __future__ import annotations
 
 import os
 import secrets
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
 from hpccomponent.errors import OutputError
+from hpccomponent.private_files import create_private
 
 __all__ = ["check_place", "replacing"]
 
@@ -35,8 +38,10 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         The folder or the file cannot be written.
     """
     with _beside(path) as (target, beside):
-        with beside.open("xb") as file:
+        mode = _usual_mode(beside)
+        with create_private(beside) as file:
             yield file
+        beside.chmod(mode)
         os.replace(beside, target)
 
 
@@ -57,7 +62,18 @@ def check_place(path: Path) -> None:
         The folder does not exist or cannot be written, or `path` is not a file.
     """
     with _beside(path) as (_, beside):
-        beside.open("xb").close()
+        _usual_mode(beside)
+
+
+def _usual_mode(path: Path) -> int:
+    """Return the rights that a new file of this name has, by making one.
+
+    The umask alone does not tell: a folder may have rules of its own.
+    """
+    with path.open("xb") as file:
+        mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+    path.unlink()
+    return mode
 
 
 @contextmanager

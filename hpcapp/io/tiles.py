@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
+import stat
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 from hpcapp.io.mesh_stream import MeshStream
 from hpcapp.io.ply import write_ply_mesh
 from hpccomponent.errors import OutputError
+from hpccomponent.private_files import make_private_folder
 
 __all__ = ["TILES_SUFFIX", "check_tiles", "shared_tiles", "write_tiles"]
 
@@ -62,8 +64,10 @@ def shared_tiles(path: Path) -> Iterator[Callable[[int], Path]]:
     beside = _name_beside(path.absolute())
     try:
         with _translated(path):
-            beside.mkdir()
+            mode = _usual_mode(beside)
+            make_private_folder(beside)
             yield lambda index: beside / f"tile-{index:04d}.ply"
+            beside.chmod(mode)
             os.replace(beside, path)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
@@ -87,9 +91,15 @@ def check_tiles(path: Path) -> None:
     with _translated(path):
         if path.is_dir() and any(path.iterdir()):
             raise OutputError(f"{path}: is not empty", "name a new folder, or remove this one")
-        beside = _name_beside(path)
-        beside.mkdir()
-        beside.rmdir()
+        _usual_mode(_name_beside(path))
+
+
+def _usual_mode(path: Path) -> int:
+    """Return the rights that a new folder of this name has, by making one."""
+    path.mkdir()
+    mode = stat.S_IMODE(path.stat().st_mode)
+    path.rmdir()
+    return mode
 
 
 def _name_beside(path: Path) -> Path:

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from hpccomponent.errors import ConfigError
+from hpccomponent.paths import refuse_special
+from hpccomponent.private_files import open_at_once
 
 __all__ = ["check_keys", "read_private_json"]
 
@@ -56,9 +58,10 @@ def check_keys(where: str, entries: dict[str, Any], keys: Collection[str]) -> No
 
 def _read_private(path: Path) -> str:
     try:
-        with path.open(encoding="utf-8") as stream:
-            mode = stat.S_IMODE(os.fstat(stream.fileno()).st_mode)
-            text = stream.read()
+        with open(path, encoding="utf-8", opener=open_at_once) as stream:
+            found = os.fstat(stream.fileno()).st_mode
+            refuse_special(found, path)
+            mode, text = stat.S_IMODE(found), stream.read()
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not text"
         raise ConfigError(

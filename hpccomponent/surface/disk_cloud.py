@@ -3,12 +3,15 @@
 ::
 
     points.0   points.1   points.2 ...       packed points of one part of the input each,
-    └ blocks in the order of their keys      offsets and normals side by side (float32)
-    index.npz                                arrangement, box, the blocks of each part, estimates
+    └ blocks in the order of their keys      offsets and normals side by side (float32),
+                                             and a last record with their checksum
+    index                                    arrangement, box, the blocks of each part, estimates
 
 Each part may be written by another machine that sees the folder; who has all of them writes the
 index, without which there is no cloud. An index may also name parts in a folder beside it, and
 leave out some of their blocks: so a cloud in which little is changed is not written again.
+Whether all of it is as it was written is found out by `DiskCloud.check`, which a job asks that goes
+on from what another has left.
 
 Reading some blocks takes a run of each part and puts these together in the order of the parts.
 Who may import it: applications, and tasks on machines that see the folder.
@@ -24,12 +27,13 @@ from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from hpccomponent.errors import JobError, OutputError
+from hpccomponent.private_files import open_at_once
 from hpccomponent.shared_files import write_whole
+from hpccomponent.stored_value import DamagedError, from_bytes, to_buffers
 from hpccomponent.surface.arranged_cloud import Points, cut_blocks
 from hpccomponent.surface.arrangement import (
     Arrangement,
@@ -38,6 +42,7 @@ from hpccomponent.surface.arrangement import (
     unpack_points,
 )
 from hpccomponent.surface.lattice import find_keys, merge_counts
+from hpccomponent.surface.part_check import check_part, with_check
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud
 
 __all__ = [
@@ -50,10 +55,10 @@ __all__ = [
     "write_part",
 ]
 
-_INDEX = "index.npz"
+_INDEX = "index"
 _COLUMNS = 6  # float32 a point: offset and normal
 _POINT_BYTES = 4 * _COLUMNS
-_ROWS_AT_ONCE = 1 << 16  # what is made of them stays in the cache
+_ROWS_AT_ONCE = 1 << 16  # what is made of them stays in the cache; whole pages
 _MOST_BUFFERS = 1024  # that one call fills, on Linux
 
 
@@ -136,6 +141,18 @@ class DiskCloud:
         """Tell whether parts of it lie in some folder."""
         names = {os.path.normpath((self.folder / part.file).parent) for part in self.parts}
         return os.path.normpath(folder) in names
+
+    def check(self) -> None:
+        """Find out whether every part is as it was written, by reading all of them.
+
+        Raises
+        ------
+        DamagedError
+            One is not; the message names it.
+        """
+        for file in sorted({part.file for part in self.parts}):
+            most = max(_count_records(part) for part in self.parts if part.file == file)
+            check_part(Path(os.path.normpath(self.folder / file)), _POINT_BYTES * most)
 
     def take_blocks(self, keys: IntArray) -> Points:
         """See `ArrangedCloud` and `take_packed`."""
@@ -313,9 +330,17 @@ def write_part(
     if not pieces:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     with _translated(folder):
-        write_whole(folder / _name_part(number), _interleave(pieces))
+        write_whole(
+            folder / _name_part(number),
+            with_check(_interleave(pieces), folder / _name_part(number)),
+        )
     keys = np.concatenate([piece.keys for piece in pieces])
     return merge_counts(keys, np.concatenate([piece.counts for piece in pieces]))
+
+
+def _count_records(part: Part) -> int:
+    """Return how many points a file must hold for what is taken of it."""
+    return int((part.starts + part.counts).max(initial=0))
 
 
 def _name_part(number: int) -> str:
@@ -373,24 +398,19 @@ def write_index(
     OutputError
         The disk is full, or the folder cannot be written.
     """
-    known: dict[str, Any] = {}
+    told = {
+        "edge": float(arrangement.edge),
+        "corner": arrangement.origin,
+        "origin": origin,
+        "box": np.stack(box),
+        "parts": [(part.file, part.keys, part.counts, part.starts) for part in parts],
+        "measured": None,
+    }
     if measured is not None:
-        columns = [measured.sample.positions, measured.sample.normals]
-        known = {"spacing": np.float64(measured.spacing), "sample": np.stack(columns)}  # type: ignore[arg-type]
+        columns = (measured.sample.positions, measured.sample.normals)
+        told["measured"] = (float(measured.spacing), *columns)
     with _translated(folder):
-        np.savez(
-            folder / _INDEX,
-            edge=np.float64(arrangement.edge),
-            corner=arrangement.origin,
-            origin=origin,
-            box=np.stack(box),
-            files=np.array([part.file for part in parts]),
-            blocks=np.array([len(part.keys) for part in parts], np.int64),
-            keys=np.concatenate([part.keys for part in parts]),
-            counts=np.concatenate([part.counts for part in parts]),
-            starts=np.concatenate([part.starts for part in parts]),
-            **known,
-        )
+        write_whole(folder / _INDEX, to_buffers(told, folder.name))
     return _put_together(folder, arrangement, origin, box, parts, measured)
 
 
@@ -414,24 +434,24 @@ def open_disk_cloud(folder: Path) -> DiskCloud:
     try:
         found = (folder / _INDEX).stat()
         return _open(folder, found.st_mtime_ns, found.st_ino)
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
+    except (OSError, DamagedError) as error:
+        why = getattr(error, "strerror", None) or error
         raise JobError(
-            f"{folder} holds no arranged points: {error}", "run the job again"
+            f"{folder / _INDEX} holds no arranged points: {why}", "run the job again"
         ) from error
 
 
 @lru_cache(maxsize=2)
 def _open(folder: Path, *_version: int) -> DiskCloud:
-    with np.load(folder / _INDEX, allow_pickle=False) as index:
-        held = {name: index[name] for name in index.files}
-    bounds = np.cumsum(held["blocks"])[:-1]
-    columns = (np.split(held[name], bounds) for name in ("keys", "counts", "starts"))
-    parts = [Part(*part) for part in zip(held["files"].tolist(), *columns, strict=True)]
+    with open(folder / _INDEX, "rb", opener=open_at_once) as file:
+        told = from_bytes(memoryview(file.read()), folder.name)
+    parts = [Part(*part) for part in told["parts"]]
     measured = None
-    if "sample" in held:
-        measured = Measured(float(held["spacing"]), PointCloud(*held["sample"]))
-    arrangement = Arrangement(held["corner"], float(held["edge"]))
-    return _put_together(folder, arrangement, held["origin"], held["box"], parts, measured)
+    if told["measured"] is not None:
+        spacing, positions, normals = told["measured"]
+        measured = Measured(spacing, PointCloud(positions, normals))
+    arrangement = Arrangement(told["corner"], told["edge"])
+    return _put_together(folder, arrangement, told["origin"], told["box"], parts, measured)
 
 
 def _put_together(

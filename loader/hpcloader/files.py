@@ -18,6 +18,7 @@ from pydantic import BeforeValidator, Field, field_validator
 
 from hpccomponent.config import ConfigModel, read_config
 from hpccomponent.errors import ConfigError
+from hpccomponent.paths import expand_home
 from hpcloader.builds import BUILDS, Build, Requirements
 from hpcloader.settings import LoaderSettings
 from hpcloader.supervisor import RestartRule
@@ -38,13 +39,13 @@ def read_settings(path: Path) -> LoaderSettings:
     """
     file = read_config(path, _LoaderFile)
     folder = path.absolute().parent
-    connection = folder / file.connection.expanduser()
+    connection = folder / expand_home(file.connection)
     if not connection.is_file():
         raise ConfigError(
             f"{path}: connection: no file {connection}",
             "the master or the deployment writes it; give its path",
         )
-    builds = read_catalogue(folder / file.catalogue.expanduser()) if file.catalogue else BUILDS
+    builds = read_catalogue(folder / expand_home(file.catalogue)) if file.catalogue else BUILDS
     return LoaderSettings(file.name, connection, file.tasks, file.restart.rule(), builds)
 
 

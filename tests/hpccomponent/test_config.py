@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from enum import Enum
 from pathlib import Path
@@ -163,13 +164,22 @@ def test_a_wrong_value_or_key_is_named(text: str, message: str) -> None:
         ("1: a", "c.yaml:1:1: a key must be text (got 1), quote it"),
         ("on: a", "c.yaml:1:1: a key must be text (got on), quote it"),
         ("[a, b]: c", "c.yaml:1:1: a key must be text (got a list), quote it"),
-        ("a: &a {name: x}\nb:\n  <<: *a", "c.yaml:3:3: b: merge keys (<<) are not read"),
-        ("restarts: &a [*a]", "c.yaml:1:11: restarts[0]: an alias that contains itself"),
+        (
+            "by_host:\n  a: &a {}\n  b: {<<: x}",
+            "c.yaml:3:7: by_host.b: a mapping has one merge key",
+        ),
+        ("by_host: {a: &a {}, b: {<<: *a, <<: *a}}", "c.yaml:1:33: by_host.b: a mapping has one"),
+        ("by_host: {a: &a {}, b: {<<: [*a, 3]}}", "c.yaml:1:25: by_host.b: a mapping has one"),
+        ("restarts: &a [*a]", "c.yaml:1:11: an alias that contains itself"),
+        ("by_host: &a {b: {<<: *a}}", "c.yaml:1:10: an alias that contains itself"),
         ("name: !!python/name:os.system x", "c.yaml:1:7: name: not a value that"),
         ("workers: !!int x", "c.yaml:1:10: workers: not a value that 'int' can describe"),
         ("workers: !!int [1]", "c.yaml:1:10: workers: not a value that 'int' can describe"),
         ("name: a\nworkers: \x01", "c.yaml:2:10: not YAML: special characters are not allowed"),
-        ("sizes: " + "[" * 5000, "c.yaml: nested too deeply"),
+        ("sizes: " + "[" * 5000, "c.yaml:1:57: nested more than 50 deep"),
+        ("- " * 5000, "c.yaml:1:101: nested more than 50 deep"),
+        ("sizes: [" + "1," * 60_000, "c.yaml:1:100003: more than 50000 values"),
+        ("#" * 99 + "\n" + "# \n" * 90_000, "c.yaml:87350: here the file is longer than 256 KiB"),
     ],
 )
 def test_what_is_no_yaml_of_ours_is_named(text: str, part: str) -> None:
@@ -277,3 +287,86 @@ def test_what_does_not_fit_is_named_beside_what_is_wrong_by_itself() -> None:
 def test_a_file_that_fits_together_becomes_the_model() -> None:
     text = "name: beta\nlimit: 1"
     assert parse_config(text, "c.yaml", Cluster, few_workers) == Cluster(name="beta", limit=1)
+
+
+def test_anchors_and_merge_keys_are_those_of_yaml() -> None:
+    """The mapping's own keys count before merged ones, and what is merged first before the rest."""
+    text = """
+        restarts: [&slow {first_s: 9, cap_s: 90}, &quick {first_s: 2}]
+        by_host:
+          alias: *slow
+          merged: {<<: *slow}
+          own: {first_s: 5, <<: *slow}
+          own_last: {<<: *slow, first_s: 5}
+          several: {<<: [*quick, *slow]}
+          around: {<<: [*slow, *quick]}
+          again: &again {<<: *quick, cap_s: 7}
+          twice: {<<: *again, first_s: 3}
+    """
+    found = parse_config(text, "c.yaml", Cluster).by_host
+    assert {name: (restart.first_s, restart.cap_s) for name, restart in found.items()} == {
+        "alias": (9, 90),
+        "merged": (9, 90),
+        "own": (5, 90),
+        "own_last": (5, 90),
+        "several": (2, 90),
+        "around": (9, 90),
+        "again": (2, 7),
+        "twice": (3, 7),
+    }
+
+
+def test_a_mistake_in_what_is_merged_is_named_where_it_stands() -> None:
+    text = "by_host:\n  a: &a {capp_s: 1}\n  b: {<<: *a, first_s: 1, first_s: 2}"
+    assert complaint(text).splitlines() == [
+        'c.yaml:2:10: by_host.a.capp_s: unknown key (got 1), did you mean "cap_s"?',
+        'c.yaml:2:10: by_host.b.capp_s: unknown key (got 1), did you mean "cap_s"?',
+        "c.yaml:3:27: by_host.b.first_s: key given twice, first in line 3",
+    ]
+
+
+LAUGHS = "a: &0 [x,x,x,x,x,x,x,x,x,x]\n" + "".join(
+    f"b{i}: &{i} [{','.join([f'*{i - 1}'] * 10)}]\n" for i in range(1, 30)
+)
+CHAIN = "a: &0 [x]\n" + "".join(f"b{i}: &{i} [*{i - 1}]\n" for i in range(1, 5_000))
+MERGES = (
+    "a: &a\n" + "".join(f"  k{i}: x\n" for i in range(5_000)) + "b:\n" + "- {<<: *a}\n" * 10_000
+)
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (LAUGHS, r"c\.yaml:5:5: aliases \(\*\) make this more than 50000 values; leave out"),
+        (CHAIN, r"c\.yaml:50:6: aliases \(\*\) nest this more than 50 deep"),
+        (MERGES, r"c\.yaml:\d+:3: merge keys \(<<\) bring more than 50000 values"),
+        ("sizes: [" + "x, " * 40_000 + "]", r"and more; these are the first 100"),
+        ("".join(f"key{i}: x\n" for i in range(20_000)), r"and more; these are the first 100"),
+        ("".join(f"{i}: x\n" for i in range(20_000)), r"and more; these are the first 100"),
+    ],
+)
+def test_what_would_take_for_ever_is_refused(text: str, said: str) -> None:
+    told = complaint(text)
+    assert re.search(said, told)
+    assert len(told.splitlines()) <= 101
+
+
+def test_a_large_file_is_not_read_to_its_end(tmp_path: Path) -> None:
+    with (tmp_path / "large.yaml").open("wb") as file:
+        file.write(b"name: x\n")
+        file.truncate(1 << 40)  # takes no room
+    with pytest.raises(ConfigError, match=r"large\.yaml:2: here the file is longer than 256 KiB"):
+        read_config(tmp_path / "large.yaml", Cluster)
+
+
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.yaml")
+    for path, said in (
+        (str(tmp_path / "pipe.yaml"), "it is a pipe, not a regular file"),
+        ("/dev/zero", "it is a device, not a regular file"),
+        (str(tmp_path), "Is a directory"),
+        ("~nobody-of-that-name/c.yaml", "No such file"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            read_config(path, Cluster)

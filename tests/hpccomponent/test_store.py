@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import gc
 import os
+import shutil
 import socket
 import sys
 import threading
@@ -211,6 +212,17 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         store.put("a", np.arange(100_000))
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
     assert store.get("a") == 1
+
+
+def test_a_late_task_brings_nothing_back(tmp_path: Path) -> None:
+    (tmp_path / "job").mkdir()
+    held = hold_store(str(tmp_path))
+    held.put("job/tile", 1)
+    assert held.get("job/tile") == 1
+    shutil.rmtree(tmp_path / "job")
+    with pytest.raises(OutputError, match="job/tile: cannot be written: No such file"):
+        held.put("job/tile", 1)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_that_cannot_be(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from botocore.config import Config
 from botocore.exceptions import BotoCoreError
 
 from hpccomponent.errors import CloudError
+from hpccomponent.paths import expand_home
 from hpcdeploy.provider_spec import CloudSpec
 from hpcdeploy.providers.ec2_capabilities import capabilities_of
 from hpcdeploy.providers.ec2_credentials import find_keys
@@ -72,7 +73,7 @@ def open_client(service: str, cloud: CloudSpec, base: Path) -> Any:
             region_name=region,
             endpoint_url=endpoint,
             api_version=version,
-            verify=str(base / Path(ca_bundle).expanduser()) if ca_bundle else None,
+            verify=str(base / expand_home(ca_bundle)) if ca_bundle else None,
             aws_access_key_id=keys.access_key,
             aws_secret_access_key=keys.secret_key,
             aws_session_token=keys.token,

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hpccomponent.errors import CloudError
+from hpccomponent.paths import expand_home
 from hpcdeploy.provider_spec import CloudSpec
 
 __all__ = ["CloudKeys", "find_keys"]
@@ -58,9 +59,9 @@ def find_keys(cloud: CloudSpec, base: Path, environment: Mapping[str, str]) -> C
     if named.profile is not None:
         return CloudKeys(profile=named.profile)
     if named.euca_ini is not None:
-        return _read_ini(base / Path(named.euca_ini).expanduser(), cloud.region)
+        return _read_ini(base / expand_home(named.euca_ini), cloud.region)
     if named.eucarc is not None:
-        path = base / Path(named.eucarc).expanduser()
+        path = base / expand_home(named.eucarc)
         keys = _from_variables(_read_eucarc(path))
         if keys.access_key is None or keys.secret_key is None:
             raise CloudError(

@@ -166,7 +166,8 @@ def check_flags(ctx: click.Context) -> None:
 @click.option(
     "--resume",
     is_flag=True,
-    help="Go on from what a job that was killed has left in --temp-dir.",
+    help="Go on from what a job that was killed has left in --temp-dir, and leave there what is "
+    "finished if this one fails.",
 )
 @click.option(
     "--smoothness",
@@ -270,6 +271,8 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
     from hpcapp.backends import start_early
 
     name = options["backend"] if options["cluster"] is None else "cluster"
+    if options["resume"]:  # it may wait for another job, and machines would give up meanwhile
+        name = "auto"
     with start_early(name, options["workers"]) as machines:
         from hpcapp.applications.surface.job import run_job  # while the machines start
         from hpcapp.applications.surface.memory import parse_size

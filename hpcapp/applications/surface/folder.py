@@ -16,6 +16,7 @@ from hpcapp.backends import BACKENDS, Backend
 from hpcapp.io import open_points
 from hpcapp.shared_files import workers_see
 from hpccomponent.limits import available_cores
+from hpccomponent.private_files import make_private_folder
 
 __all__ = ["all_see_folder", "choose_tile", "may_pay_in_folder", "plan_passes"]
 
@@ -58,7 +59,7 @@ def choose_tile(settings: Settings, backend: Backend) -> int | None:
 
 
 def all_see_folder(folder: Path, backend: Backend) -> bool:
-    """Find out whether every worker sees a folder, which is there."""
+    """Find out whether every worker sees a folder, and what is in it."""
     if backend.name in BACKENDS:  # on this machine
         return True
     with tempfile.NamedTemporaryFile(dir=folder) as sign:
@@ -80,7 +81,7 @@ def plan_passes(path: Path, folder: Path, backend: Backend, points: int) -> Pass
     """
     if backend.name in BACKENDS:  # on this machine
         return Passes(backend.workforce, True, points)
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    make_private_folder(folder.parent)
     with tempfile.NamedTemporaryFile(dir=folder.parent) as sign:
         sees_both = workers_see(backend.workforce, Path(sign.name), path)
     sees = sees_both or all_see_folder(folder.parent, backend)

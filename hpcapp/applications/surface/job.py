@@ -9,31 +9,26 @@
 from __future__ import annotations
 
 import logging
-import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.choice import Job
-from hpcapp.applications.surface.folder import choose_tile, may_pay_in_folder, plan_passes
-from hpcapp.applications.surface.keeping import Keeping, digest
+from hpcapp.applications.surface.folder import choose_tile, plan_passes
+from hpcapp.applications.surface.keeping import Keeping
 from hpcapp.applications.surface.loading import Loaded, load_folder, load_memory
-from hpcapp.applications.surface.memory import check_memory, count_most_points, fits_memory
+from hpcapp.applications.surface.memory import check_memory, count_most_points
 from hpcapp.applications.surface.opening import approach_workers
 from hpcapp.applications.surface.output import open_output
+from hpcapp.applications.surface.room import Room, open_room
 from hpcapp.applications.surface.settings import (
     DEFAULT_GRID,
     Settings,
     choose_grid,
-    name_backend,
 )
 from hpcapp.applications.surface.sizes import TILE_POINTS
-from hpcapp.backends import BACKENDS, Backend
+from hpcapp.backends import Backend
 from hpcapp.progress import Progress, StageClock
-from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.freed_memory import keep_memory
 from hpccomponent.surface.points import PointCloud
@@ -78,78 +73,16 @@ def run_job(
     clock = StageClock(progress)
     if count_most_points(settings.points) >= LARGE_CLOUD:
         keep_memory()
-    with open_output(settings.output, settings.points) as target, _open_room(settings) as room:
+    with open_output(settings.output, settings.points) as target, open_room(settings) as room:
         run = _run_in_memory if room.folder is None else _run_in_folder
         report = run(settings, room, target, clock, machines)
     report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
     return report
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Room:
-    """Where a job has its points and tiles besides memory.
-
-    Parameters
-    ----------
-    keeping : Keeping or None
-        Where finished tiles are kept.
-    folder : Path or None
-        Where the points lie; None where they are in memory.
-    is_needed : bool
-        Whether memory is too small for them; else they lie there for other processes only.
-    """
-
-    keeping: Keeping | None
-    folder: Path | None
-    is_needed: bool = True
-
-
-@contextmanager
-def _open_room(settings: Settings) -> Iterator[_Room]:
-    """Find room for a job; what it keeps is taken away when it has been done."""
-    if settings.resume and settings.temp_dir is None:
-        raise UsageError("--resume goes on from what lies in --temp-dir", "give that too")
-    is_needed = not fits_memory(settings.points, settings.max_memory)
-    in_memory = settings.method == "paper" or not (is_needed or may_pay_in_folder(settings))
-    if settings.method == "paper" or (in_memory and settings.temp_dir is None):
-        yield _Room(None, None)
-        return
-    job, place = _name_job(settings), settings.temp_dir
-    if place is None or "://" in place:
-        is_here = settings.cluster is None and (name_backend(settings) or "zmq") in BACKENDS
-        is_shared = place is not None or is_here
-        with tempfile.TemporaryDirectory(prefix="hpcapp-") as room:
-            keeping = Keeping(place or room, job, settings.resume, is_shared)
-            keeping.check()
-            yield _Room(keeping, None if in_memory else Path(room) / job / "points", is_needed)
-            keeping.clear()
-        return
-    folder = Path(place.removeprefix("folder:")).resolve()
-    keeping = Keeping(str(folder), job, settings.resume)
-    keeping.check()
-    yield _Room(keeping, None if in_memory else folder / job / "points", is_needed)
-    keeping.clear()
-    shutil.rmtree(folder / job, ignore_errors=True)
-
-
-def _name_job(settings: Settings) -> str:
-    """Return a hash of the input, of what decides the mesh, and of the kernels."""
-    try:
-        found = settings.points.stat()
-    except OSError as error:
-        raise InputError(
-            f"{settings.points}: cannot be read: {error.strerror}", "check the file's name"
-        ) from error
-    return digest(
-        str(settings.points.resolve()), found.st_size, found.st_mtime_ns, settings.grid,
-        settings.depth, settings.voxel_size, settings.clean, settings.smoothness,
-        settings.detail, settings.outliers, settings.denoise, settings.resample, kernel_id(),
-    )  # fmt: skip
-
-
 def _run_in_memory(
     settings: Settings,
-    room: _Room,
+    room: Room,
     target: Path,
     clock: StageClock,
     machines: LocalMachines | None,
@@ -166,7 +99,7 @@ def _run_in_memory(
 
 def _run_in_folder(
     settings: Settings,
-    room: _Room,
+    room: Room,
     target: Path,
     clock: StageClock,
     machines: LocalMachines | None,
@@ -193,7 +126,7 @@ def _run_in_folder(
 
 
 def _load_there(
-    settings: Settings, room: _Room, backend: Backend, clock: StageClock
+    settings: Settings, room: Room, backend: Backend, clock: StageClock
 ) -> tuple[Loaded, Keeping | None]:
     """Put the points into the folder; return how tiles are kept where workers may not see it."""
     assert room.folder is not None  # noqa: S101 - or this would not be called
@@ -205,7 +138,7 @@ def _load_there(
     return load_folder(settings, room.folder, passes, clock), keeping
 
 
-def _guess_job(settings: Settings, room: _Room) -> Job:
+def _guess_job(settings: Settings, room: Room) -> Job:
     """Return what can be known of a job before its points are read: as much as it may be."""
     points = count_most_points(settings.points)
     grid = DEFAULT_GRID if settings.depth is None else 2**settings.depth

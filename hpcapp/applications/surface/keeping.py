@@ -10,13 +10,26 @@ Who may import it: the job and the default method.
 from __future__ import annotations
 
 import hashlib
+import logging
+import os
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+from hpccomponent.errors import JobError
+from hpccomponent.private_files import make_private_folder
 from hpccomponent.protocol.codec import encode_values
 from hpccomponent.store import Store, open_store
 
-__all__ = ["Keeping", "digest"]
+__all__ = ["POINTS_NOTE", "SUMS", "Keeping", "digest"]
+
+log = logging.getLogger("hpcapp")
+
+SUMS = "sums"
+"""The folder of what is of one run."""
+
+POINTS_NOTE = ["points", "loaded"]
+"""Where it says that all points are there."""
 
 
 def digest(*values: Any) -> str:
@@ -43,7 +56,8 @@ class Keeping:
     place : str
         See `hpccomponent.store.open_store`.
     job : str
-        A hash of the input, the settings and the kernels.
+        A hash of the input, the settings and the kernels, and a name of the run: the folder of
+        the job, or the prefix of its names.
     resumes : bool
         Whether to take what is there already.
     is_shared : bool
@@ -74,6 +88,15 @@ class Keeping:
         """
         self.store.has(f"{self.job}/tile")
 
+    def make_folders(self) -> None:
+        """Make the folders that tasks put their values into; they make none."""
+        make_private_folder(Path(self.place, self.job, SUMS))
+
+    @property
+    def where(self) -> str:
+        """What messages call the place."""
+        return f"{self.place}/{self.job}"
+
     @property
     def is_folder(self) -> bool:
         """Whether it is a folder, not a bucket."""
@@ -90,11 +113,31 @@ class Keeping:
 
     def name_sums(self, run: str, tile: int) -> str:
         """Return the name of a tile's sums in one run of the job."""
-        return f"{self.job}/sums/{run}-{tile}"
+        return f"{self.job}/{SUMS}/{run}-{tile}"
 
     def find(self, name: str) -> Any | None:
-        """Return what is kept under a name, None where nothing is or where it is not wanted."""
-        return self.store.get(name) if self.resumes and self.store.has(name) else None
+        """Return what is kept under a name, None where nothing is or where it is not wanted.
+
+        What is damaged is taken away, and named: whoever asked makes it again.
+        """
+        if not self.resumes:
+            return None
+        try:
+            if self.store.has(name):
+                return self.store.get(name)
+            if not (self.is_folder and os.path.lexists(Path(self.place, name))):
+                return None
+            problem = f"{Path(self.place, name)} is not a file"
+        except JobError as error:
+            problem = error.problem
+        log.warning("warning: %s: this tile is made again", problem)
+        self.store.delete(name)
+        return None
+
+    def holds_work(self) -> bool:
+        """Tell whether another run could go on from what is kept: a tile, or all points."""
+        names = (name.split("/")[1:] for name in self.store.list(f"{self.job}/"))
+        return any(len(name) == 1 or name == POINTS_NOTE for name in names)
 
     def clear(self) -> None:
         """Take away all that the job has kept."""

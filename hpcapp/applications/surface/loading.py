@@ -5,8 +5,8 @@ Who may import it: the job.
 
 from __future__ import annotations
 
-import json
 import logging
+import os
 import secrets
 import shutil
 from dataclasses import asdict, dataclass, replace
@@ -16,11 +16,16 @@ from pathlib import Path
 
 from hpcapp.applications.surface.cleaning import Cleaned, arrange_points, clean_cloud, drop_far
 from hpcapp.applications.surface.ingest import ingest_file
+from hpcapp.applications.surface.keeping import POINTS_NOTE
 from hpcapp.applications.surface.passes import Passes, measure_spacing
 from hpcapp.applications.surface.settings import Settings
 from hpcapp.io import drop_unusable, open_points, read_points
 from hpcapp.io.usable import Dropped
 from hpcapp.progress import StageClock
+from hpccomponent.errors import JobError
+from hpccomponent.private_files import make_private_folder, remove_path
+from hpccomponent.store import FolderStore
+from hpccomponent.stored_value import DamagedError
 from hpccomponent.surface.disk_cloud import DiskCloud, open_disk_cloud
 from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
 
@@ -28,7 +33,7 @@ __all__ = ["Loaded", "arrange_usable", "clean_points", "load_folder", "load_memo
 
 log = logging.getLogger("hpcapp")
 
-_NOTE = "loaded.json"
+_NOTE = POINTS_NOTE[-1]
 # What a job needs once its points are there: half of what it imports.
 _LATER = (
     "hpcapp.applications.surface.region_cleaning",
@@ -162,15 +167,12 @@ def load_folder(settings: Settings, folder: Path, passes: Passes, clock: StageCl
     Loaded
         The same points as `load_memory` gives, bit for bit; measured.
     """
-    note = folder / _NOTE
-    if settings.resume and note.exists():
-        told = json.loads(note.read_text())
-        cloud = open_disk_cloud(folder / told["cloud"])
-        return Loaded(cloud, Dropped(**told["dropped"]), Cleaned(**told["cleaned"]))
-    shutil.rmtree(folder, ignore_errors=True)
+    if settings.resume and (found := _find_loaded(folder)) is not None:
+        return found
+    remove_path(folder)
     run = secrets.token_hex(4)  # a worker that is late must not write into a later run's points
     arranged, cleaned_folder = folder / f"arranged-{run}", folder / f"cleaned-{run}"
-    arranged.mkdir(parents=True)
+    make_private_folder(arranged)
     for module in _LATER:
         passes.workforce.later(partial(import_module, module))
     with clock.stage("read"):
@@ -179,7 +181,7 @@ def load_folder(settings: Settings, folder: Path, passes: Passes, clock: StageCl
 
     cloud, cleaned = read.cloud, Cleaned(0, 0)
     if settings.clean:
-        cleaned_folder.mkdir()
+        make_private_folder(cleaned_folder)
         with clock.stage("clean"):
             cloud, cleaned = clean_regions(cloud, cleaned_folder, passes, read.boxes)
         if not cloud.uses(arranged):
@@ -194,5 +196,25 @@ def load_folder(settings: Settings, folder: Path, passes: Passes, clock: StageCl
         "dropped": asdict(loaded.dropped),
         "cleaned": asdict(loaded.cleaned),
     }
-    note.write_text(json.dumps(told))
+    FolderStore(folder).put(_NOTE, told)
     return loaded
+
+
+def _find_loaded(folder: Path) -> Loaded | None:
+    """Return the points that another run has put into a folder; None if they are not whole."""
+    try:
+        os.lstat(folder / _NOTE)
+    except FileNotFoundError:  # it did not come so far
+        return None
+    except OSError as error:
+        log.warning("warning: %s: %s: the points are read again", folder, error.strerror)
+        return None
+    try:
+        told = FolderStore(folder).get(_NOTE)
+        cloud = open_disk_cloud(folder / told["cloud"])
+        cloud.check()
+    except (JobError, DamagedError) as error:
+        problem = error.problem if isinstance(error, JobError) else str(error)
+        log.warning("warning: %s: the points are read again", problem)
+        return None
+    return Loaded(cloud, Dropped(**told["dropped"]), Cleaned(**told["cleaned"]))

@@ -5,15 +5,17 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hpcapp.io import check_writable
 from hpccomponent.errors import OutputError
+from hpccomponent.held_folders import temporary_folder
 
 __all__ = ["open_output"]
+
+_STANDARD_OUTPUT = ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1")
 
 
 @contextmanager
@@ -33,13 +35,15 @@ def open_output(output: str, points: Path) -> Iterator[Path]:
         Nothing can be written there.
     """
     if output == "-":
-        with tempfile.TemporaryDirectory(prefix="hpcapp-") as folder:
-            path = Path(folder) / "mesh.ply"
+        with temporary_folder() as folder:
+            path = folder / "mesh.ply"
             yield path
             with path.open("rb") as mesh:
                 shutil.copyfileobj(mesh, sys.stdout.buffer)
         return
     path = Path(output)
+    if output in _STANDARD_OUTPUT:
+        raise OutputError(f"{output} cannot be replaced by a mesh", "give -o - for a PLY there")
     if not output or output.endswith(("/", os.sep)):
         raise OutputError(f"-o {output!r} names no file", "name a file to write to")
     with suppress(OSError):  # what cannot be looked at is no input; check_writable says the rest

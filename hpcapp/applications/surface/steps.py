@@ -106,7 +106,7 @@ def run_memory(
     check_memory(settings.method, grid, cloud)
     is_cut = keeping is not None or settings.max_memory is not None
     with opener.open(Job(len(cloud), grid, is_cut), executor) as (backend, choice):
-        if keeping and keeping.holds_files and not all_see_folder(Path(keeping.place), backend):
+        if keeping and keeping.holds_files and not all_see_folder(Path(keeping.where), backend):
             keeping = replace(keeping, is_shared=False)
         yield run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
 

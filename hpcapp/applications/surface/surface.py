@@ -5,7 +5,6 @@ Who may import it: the pipeline, the methods and the job.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -33,6 +32,7 @@ from hpcapp.io import (
     write_mesh,
     write_tiles,
 )
+from hpccomponent.held_folders import temporary_folder
 from hpccomponent.store import FolderStore
 from hpccomponent.surface.lattice import number_keys
 from hpccomponent.surface.mesh import Mesh
@@ -181,8 +181,8 @@ class PartSurface:
         if self.keeping is None or self.keeping.is_folder:
             yield self.load
             return
-        with tempfile.TemporaryDirectory(prefix="hpcapp-") as folder:
-            near = FolderStore(Path(folder))
+        with temporary_folder() as folder:
+            near = FolderStore(folder)
             for index in range(len(self.parts)):
                 near.put(str(index), self.load(index).to_values())
             yield lambda index: MeshPart.from_values(near.get(str(index)))

@@ -265,6 +265,27 @@ tags: {"hpcapp:cluster": mine}
     ]
 
 
+def test_profiles_are_merged_from_one_another(tmp_path: Path) -> None:
+    base = "&base {image: {id: ami-1}, instance_type: t3.small, disk_gb: 30}"
+    merged = "{<<: *base, instance_type: c6i.xlarge, market: spot}"
+    profiles = f"\n  type: aws\n  profiles:\n    small: {base}\n    fast: {merged}\n"
+    found = spec_of(tmp_path, profiles, REST).profiles()
+    assert found["fast"].disk_gb == found["small"].disk_gb == 30
+    assert found["fast"].image == found["small"].image
+    assert found["fast"].instance_type != found["small"].instance_type
+    assert (found["fast"].market, found["small"].market) == ("spot", "on_demand")
+
+
+def test_a_home_of_nobody_is_a_mistake_at_its_place(tmp_path: Path) -> None:
+    rest = "auth: {ssh_private_key: ~no-such-user/id}\nenv: {wheelhouse: ~no-such-user/wheels}"
+    assert complaints(tmp_path, CLOUD + "}", rest) == [
+        "c:7:8: auth.ssh_private_key: no such file: ~no-such-user/id: this machine knows no user "
+        "'no-such-user' (got '~no-such-user/id')",
+        "c:8:7: env.wheelhouse: no such folder: ~no-such-user/wheels: this machine knows no user "
+        "'no-such-user' (got '~no-such-user/wheels')",
+    ]
+
+
 def test_files_are_found_beside_the_cluster_file(tmp_path: Path) -> None:
     (tmp_path / "wheels").mkdir()
     (tmp_path / "cloud.pem").touch()

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.io import check_writable, write_mesh
+from hpcapp.io import check_writable, shared_tiles, write_mesh
 from hpcapp.io.staging import check_place, replacing
 from hpccomponent.errors import OutputError
 from hpccomponent.surface.mesh import Mesh
@@ -59,6 +59,21 @@ def test_new_files_have_the_usual_permissions(tmp_path: Path) -> None:
         pass
     (tmp_path / "usual").touch()
     assert (tmp_path / "new").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o027, 0o077])
+def test_what_is_being_written_is_private(tmp_path: Path, umask: int) -> None:
+    before = os.umask(umask)
+    try:
+        with replacing(tmp_path / "mesh.ply") as file:
+            while_written = os.stat(file.name).st_mode & 0o777
+        with shared_tiles(tmp_path / "mesh.tiles") as file_of:
+            folder_while_written = file_of(0).parent.stat().st_mode & 0o777
+    finally:
+        os.umask(before)
+    assert (while_written, folder_while_written) == (0o600, 0o700)
+    assert (tmp_path / "mesh.ply").stat().st_mode & 0o777 == 0o666 & ~umask
+    assert (tmp_path / "mesh.tiles").stat().st_mode & 0o777 == 0o777 & ~umask
 
 
 def test_a_link_stays_and_its_file_is_replaced(tmp_path: Path) -> None:

@@ -276,6 +276,7 @@ def test_moments_of_tiles_go_through_the_folder_that_points_are_read_from(tmp_pa
     writer = DiskCloudWriter(points, cloud.arrangement, cloud.origin)
     writer.add(cloud.cloud.positions, cloud.cloud.normals)
     keeping = Keeping(str(tmp_path / "kept"), "job", is_shared=is_shared)
+    keeping.make_folders()
     method = HierarchicalMethod(48, keeping=keeping)
     fitted, sums = [], []
     for given in (writer.finish(), cloud.cloud):

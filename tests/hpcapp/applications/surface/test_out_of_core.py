@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface import folder, job, regions, steps, surface
+from hpcapp.applications.surface import folder, job, regions, room, steps, surface
 from hpcapp.applications.surface.job import run_job
 from hpcapp.applications.surface.memory import fitting_tile, parse_size
 from hpcapp.applications.surface.settings import Settings
@@ -70,7 +70,7 @@ def whole(scan: Path) -> bytes:
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let so many points be too many for memory, and tiles be small."""
-    monkeypatch.setattr(job, "fits_memory", lambda *_: False)
+    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
     for module in (job, steps):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
 

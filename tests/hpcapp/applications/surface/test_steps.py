@@ -61,6 +61,7 @@ def test_tiles_are_kept_by_who_sees_the_folder(tmp_path: Path, sees: bool) -> No
     clock = StageClock(SilentProgress())
     loaded = load_memory(settings, clock)
     keeping, machine = Keeping(str(here), "job"), OtherMachine(here, here if sees else there)
+    keeping.make_folders()
     with (
         approach_workers(settings) as opener,
         run_memory(settings, loaded, opener, clock, keeping, machine) as outcome,

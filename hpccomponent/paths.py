@@ -1,0 +1,127 @@
+"""Paths as people write them: with ``~`` in front, or naming what is no file."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+from hpccomponent.errors import UsageError
+
+__all__ = ["check_regular", "expand_home", "home_folder", "read_regular", "refuse_special"]
+
+_KINDS = (
+    (stat.S_ISFIFO, "it is a pipe, not a regular file"),
+    (stat.S_ISSOCK, "it is a socket, not a regular file"),
+    (stat.S_ISCHR, "it is a device, not a regular file"),
+    (stat.S_ISBLK, "it is a device, not a regular file"),
+)
+
+
+def home_folder() -> Path:
+    """Return the user's home: ``$HOME``, or where the system says it is.
+
+    Raises
+    ------
+    UsageError
+        Neither is known.
+    """
+    named = os.environ.get("HOME", "")
+    if not named:
+        try:
+            import pwd
+
+            named = pwd.getpwuid(os.getuid()).pw_dir
+        except (ImportError, KeyError):
+            named = ""
+    if not os.path.isabs(named):
+        raise UsageError("the home folder of this user is not known", "set HOME to it")
+    return Path(named)
+
+
+def expand_home(path: str | Path) -> Path:
+    """Return a path with its home folder written out, if it begins with ``~`` or ``~USER``.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    UsageError
+        There is no such user.
+
+    Examples
+    --------
+    >>> expand_home("scans/a.ply")
+    PosixPath('scans/a.ply')
+    """
+    text = os.fspath(path)
+    if not text.startswith("~"):
+        return Path(path)
+    user, slash, rest = text[1:].partition("/")
+    if not user:
+        return home_folder() / rest
+    try:
+        import pwd
+
+        home = pwd.getpwnam(user).pw_dir
+    except (ImportError, KeyError):
+        raise UsageError(
+            f"{text}: this machine knows no user {user!r}",
+            f"write the whole path, or ./{text} for a file of that name",
+        ) from None
+    return Path(home) / rest if slash else Path(home)
+
+
+def check_regular(path: Path) -> None:
+    """Find out whether a path is a regular file, or nothing yet; nothing is opened.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    UsageError
+        It is something else, or cannot be looked at.
+    """
+    try:
+        refuse_special(os.stat(path).st_mode, path)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}", "name a regular file") from error
+
+
+def read_regular(path: Path, most: int = -1) -> bytes:
+    """Read a regular file; a pipe is not waited for.
+
+    Parameters
+    ----------
+    path : Path
+    most : int
+        Bytes that are read at most; by default all.
+
+    Raises
+    ------
+    OSError
+        It cannot be read, or is something else.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        refuse_special(os.fstat(descriptor).st_mode, path)
+        with open(descriptor, "rb", closefd=False) as file:
+            return file.read(most)
+    finally:
+        os.close(descriptor)
+
+
+def refuse_special(mode: int, path: Path) -> None:
+    """Raise OSError, whose `strerror` says so, where a mode is not that of a regular file."""
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    for is_kind, words in _KINDS:
+        if is_kind(mode):
+            raise OSError(errno.EINVAL, words, str(path))

@@ -1,0 +1,109 @@
+"""Files and folders that nobody but their owner may look into, whatever the umask says.
+
+What lies between the parts of a job are somebody's points: it is made here.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import stat
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, BinaryIO
+
+__all__ = ["create_private", "make_private_folder", "open_at_once", "remove_path"]
+
+_FILE, _FOLDER = 0o600, 0o700
+
+
+def make_private_folder(path: Path) -> None:
+    """Make a folder, and those above it that are missing, for their owner alone.
+
+    Parameters
+    ----------
+    path : Path
+        One that is there stays as it is.
+
+    Raises
+    ------
+    OSError
+        It cannot be made.
+    """
+    if path.is_dir():
+        return
+    if not path.parent.is_dir():
+        make_private_folder(path.parent)
+    try:
+        path.mkdir(_FOLDER)
+    except FileExistsError:
+        if not path.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), path) from None
+    else:
+        path.chmod(_FOLDER)  # a umask may take away the owner's own rights
+
+
+def create_private(path: Path, buffering: int = -1) -> BinaryIO:
+    """Create a file for its owner alone, to be written.
+
+    Parameters
+    ----------
+    path : Path
+        Nothing may be there.
+    buffering : int
+        As for `open`.
+
+    Raises
+    ------
+    OSError
+        It cannot be made, or something is there.
+    """
+
+    def opener(name: str, flags: int) -> int:
+        return os.open(name, flags | os.O_NOFOLLOW, _FILE)
+
+    file = open(path, "xb", buffering=buffering, opener=opener)  # noqa: SIM115 - the caller's
+    try:
+        os.fchmod(file.fileno(), _FILE)
+    except OSError:  # a file system without modes
+        if stat.S_IMODE(os.fstat(file.fileno()).st_mode) & 0o077:
+            file.close()
+            path.unlink(missing_ok=True)
+            raise
+    return file
+
+
+def open_at_once(name: str, flags: int) -> int:
+    """Open a file, as an `opener` of `open` does; a pipe that has its name is not waited for."""
+    return os.open(name, flags | os.O_NONBLOCK)
+
+
+def remove_path(path: Path) -> None:
+    """Take away whatever has a name: a file, a link, or a folder with all that is in it.
+
+    Folders that their owner may not look into are no obstacle; what belongs to others is, and is
+    left without a word.
+    """
+
+    def try_again(remove: Callable[..., Any], name: str, _error: object) -> None:
+        for folder in (os.path.dirname(name), name):
+            if os.path.isdir(folder) and not os.path.islink(folder):
+                os.chmod(folder, _FOLDER)
+        if remove in (os.open, os.scandir, os.lstat):  # it could not look into a folder
+            shutil.rmtree(name, ignore_errors=True)
+        else:
+            remove(name)
+
+    def quietly(remove: Callable[..., Any], name: str, error: object) -> None:
+        try:
+            try_again(remove, name, error)
+        except OSError:
+            return
+
+    try:
+        path.unlink()
+    except FileNotFoundError:
+        return
+    except OSError:  # it is a folder
+        shutil.rmtree(path, onerror=quietly)
