@@ -34,6 +34,7 @@ class State(StrEnum):
     STOPPED = "stopped"  # costs its disk; a machine that shut itself down on a Eucalyptus
     ENDING = "ending"
     GONE = "gone"
+    UNKNOWN = "unknown"  # it is there, but does not let us see what it does: it may be at work
 
 
 @dataclass(frozen=True, slots=True)
