@@ -43,6 +43,11 @@ class NodeKeys:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             write_secret(path, json.dumps({n: asdict(pair) for n, pair in self._pairs.items()}))
 
+    @classmethod
+    def read(cls, path: Path) -> KeyPair | None:
+        """Return the master's, where there is one; nothing is made."""
+        return _read(path).get(_SERVER)
+
     @property
     def server(self) -> KeyPair:
         """The master's."""

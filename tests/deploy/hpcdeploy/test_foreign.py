@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,7 +14,7 @@ from cloud import StrictCloud
 from cloud.parameters import PROFILES
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
-from simulated import SetUp
+from simulated import Keyring, SetUp
 
 from hpccomponent.errors import LeftoverError
 from hpcdeploy.cluster import Cluster
@@ -56,7 +55,7 @@ def cluster(cloud: StrictCloud, tmp_path: Path) -> Cluster:
     spec_text = {"version": 1, "cluster": "bunny", "provider": block, "workers": {"count": 0}}
     path.write_text(json.dumps(spec_text))
     spec = read_spec(path)
-    access: Any = SimpleNamespace(public_key=lambda: PUBLIC_KEY)
+    access: Any = Keyring("bunny", public=PUBLIC_KEY)
     return Cluster(path, spec, open_provider(spec, tmp_path), access)
 
 
