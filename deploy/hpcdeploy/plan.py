@@ -147,6 +147,10 @@ class Plan:
     incarnation: str = ""
     hidden: tuple[MachineSeen, ...] = ()
 
+    def obstacles(self) -> list[str]:
+        """Say what stands in the way of machines that do not let us see what they do."""
+        return [f"{m.name.node} ({m.id}) cannot be looked at: {m.reason}" for m in self.hidden]
+
 
 def launch_choices(profile: Profile | None, has_spot: bool = True) -> tuple[tuple[str, str], ...]:
     """Return instance types and markets, in the order in which they are tried.

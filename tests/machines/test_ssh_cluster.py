@@ -88,10 +88,11 @@ def test_a_host_that_vanished_counts_as_stopped_with_the_reason(
         claim(cluster)
         machines.stop(hosts[1])
         head, worker = cluster.provider.observe("lab").machines
-        assert (head.state, worker.state) == (State.RUNNING, State.STOPPED)
+        assert (head.state, worker.state) == (State.RUNNING, State.UNKNOWN)
         assert "connection refused" in worker.reason
+        owner = cluster.access.owner()
         with pytest.raises(CloudError, match="connection refused"):
-            cluster.provider.launch(Launch("lab", "life", NodeName("worker-1")))
+            cluster.provider.launch(Launch("lab", "life", NodeName("worker-1"), owner=owner))
 
 
 def test_down_names_a_host_that_does_not_answer_and_leaves_the_others_clean(

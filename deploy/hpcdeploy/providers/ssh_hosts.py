@@ -69,7 +69,7 @@ class SshHosts(StandingMachines):
         self._folder = machine_folder(spec.cluster)
 
     def observe(self, cluster: str | None) -> Observed:
-        """Return the hosts that hold our claim; one that does not answer counts as stopped."""
+        """Return the hosts that hold our claim; of one that lets us not in nothing is known."""
         if cluster not in (None, self._spec.cluster):
             return Observed()
         with ThreadPoolExecutor(AT_ONCE, thread_name_prefix="hosts") as pool:
@@ -142,7 +142,7 @@ class SshHosts(StandingMachines):
             with self._access.open(machine) as shell:
                 done = shell.run(f"cat {shlex.quote(self._folder)}/{_CLAIM}")
         except CloudError as error:
-            return replace(machine, state=State.STOPPED, reason=error.problem)
+            return replace(machine, state=State.UNKNOWN, reason=error.problem)
         if done.exit_code:
             return None
         try:
