@@ -60,14 +60,9 @@ def _lines(name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem]) -> li
     """Write a plan for people."""
     from hpcdeploy.cost import describe_cost
 
+    planned = [*(f"would {action}" for action in ahead.actions), *ahead.obstacles()]
     return [
-        *(f"would {action}" for action in ahead.actions),
-        *ahead.obstacles(),
-        *(
-            []
-            if ahead.actions or ahead.hidden
-            else [f"cluster {name}: nothing to create or change"]
-        ),
+        *(planned or [f"cluster {name}: nothing to create or change"]),
         *describe_cost(cost),
         *(f"missing: {problem.what}; {problem.advice}" for problem in missing),
     ]

@@ -34,9 +34,7 @@ def up(file: Path, yes: bool, keep: bool) -> None:
 @click.command()
 @click.argument("file", type=FILE)
 @YES
-@click.option(
-    "--name", default="", metavar="CLUSTER", help="The cluster's name, where it is another's."
-)
+@click.option("--name", default="", metavar="CLUSTER", help="Its name, where it is another's.")
 def down(file: Path, yes: bool, name: str) -> None:
     """Take away all machines of the cluster file FILE, and prove that nothing is left.
 
@@ -81,9 +79,7 @@ def ask_name(cluster: Cluster, purpose: str, *, is_asked: bool, given: str = "")
         except click.Abort:
             raise CloudError(error.problem, advice) from None
         if typed.strip() != name:
-            raise CloudError(
-                f"{typed.strip()!r} is not its name: nothing was done", advice
-            ) from None
+            raise CloudError(f"{typed!r} is not its name: nothing was done", advice) from None
         return True
     return False
 
