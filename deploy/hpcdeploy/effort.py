@@ -116,6 +116,8 @@ class Effort:
         looks = 3 if self._journal.unfinished() else 1
         args = (Reason.ROLL_BACK, self._journal.step, self._report, self._pace, looks)
         remove(self._provider, made, *args)
+        if all(machine.state is State.GONE for machine in self._observe().machines):
+            self._journal.clear_place(place_of(self._spec))
 
     def _is_ours(self, seen: Observed) -> bool:
         try:
