@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import os
 import threading
 import time
@@ -13,11 +14,16 @@ from paramiko.pkey import UnknownKeyType
 
 from hpccomponent.errors import CloudError
 from hpccomponent.paths import expand_home
+from hpccomponent.protocol.keys import KeyPair
 from hpcdeploy.host_keys import HostKeys, parse_console
+from hpcdeploy.journal import begun_lives
 from hpcdeploy.layout import state_folder
 from hpcdeploy.local_shell import LocalShell
+from hpcdeploy.names import Owner, this_user
+from hpcdeploy.node_keys import NodeKeys
+from hpcdeploy.ownership import Held, cloud_fingerprints, fingerprint
 from hpcdeploy.provider import MachineSeen, Provider
-from hpcdeploy.provider_spec import LocalSpec, SshSpec
+from hpcdeploy.provider_spec import CloudSpec, LocalSpec, SshSpec
 from hpcdeploy.shell import Shell
 from hpcdeploy.spec import ClusterSpec
 from hpcdeploy.ssh import SshShell
@@ -52,6 +58,7 @@ class Access:
         self._host_keys = HostKeys(self._folder / "known_hosts")
         self._closing = threading.Event()
         self._lock = threading.Lock()
+        self._key: Path | None = None
         self._shells: list[Shell] = []
 
     def public_key(self) -> str:
@@ -62,7 +69,35 @@ class Access:
         CloudError
             The key cannot be read or made.
         """
+        return self._read_key(self._key_file(is_made=True))
+
+    def held(self) -> Held:
+        """Return what this machine holds of the cluster; nothing is made.
+
+        A cloud's machines let in whoever has the cluster's SSH key. Hosts let in their users'
+        own keys; there the key is that of the cluster's master, which no other user has.
+        """
+        lives = begun_lives(self._spec.cluster)
+        if not isinstance(self._spec.provider, CloudSpec):
+            pair = NodeKeys.read(self._folder / "keys.json")
+            return Held(Owner(this_user(), _curve_print(pair) if pair else ""), lives=lives)
         path = self._key_file()
+        if self._spec.auth.ssh_private_key == "auto" and not path.exists():
+            return Held(Owner(this_user()), lives=lives)
+        key = self._read_key(path)
+        return Held(Owner(this_user(), fingerprint(key)), cloud_fingerprints(key), lives)
+
+    def owner(self) -> Owner:
+        """Return us as the owner of what is made; the key is made on first use."""
+        if isinstance(self._spec.provider, CloudSpec):
+            return Owner(this_user(), fingerprint(self.public_key()))
+        return Owner(this_user(), _curve_print(NodeKeys(self._folder / "keys.json", ()).server))
+
+    def use_key(self, path: Path) -> None:
+        """Log in with a key that is not the cluster's yet."""
+        self._key = path
+
+    def _read_key(self, path: Path) -> str:
         try:
             key = paramiko.PKey.from_path(path)
         except (OSError, ValueError, paramiko.SSHException, UnknownKeyType) as error:
@@ -106,14 +141,16 @@ class Access:
                 return self._log_in(machine, host_target(host, auth, files))
         return self._wait_for(machine, time.monotonic() + timeout_s)
 
-    def _key_file(self) -> Path:
-        """Return the file of the private key, and make it where there is none."""
+    def _key_file(self, *, is_made: bool = False) -> Path:
+        """Return the file of the private key, and make it, if it is to be, where there is none."""
+        if self._key is not None:
+            return self._key
         name = self._spec.auth.ssh_private_key
         if name != "auto":
             return self.base / expand_home(name)
         path = self._folder / "id"
         with self._lock:
-            if not path.exists():
+            if is_made and not path.exists():
                 _make_key(path)
         return path
 
@@ -140,6 +177,13 @@ class Access:
 
     def _try(self, machine: MachineSeen) -> Shell | None:
         """Log in to a cloud's machine; None while its host keys are not known."""
+        key_file = self._key_file()
+        if not key_file.exists():
+            raise CloudError(
+                f"{machine.name.node} ({machine.id}): there is no key of cluster "
+                f"{self._spec.cluster} here ({key_file})",
+                "put its owner's key there, or see hpcapp adopt",
+            )
         keys = self._host_keys.find(machine.id)
         if not keys:
             printed = parse_console(self._provider.console(machine))
@@ -151,7 +195,7 @@ class Access:
             address=machine.public_address or machine.private_address,
             port=self._spec.auth.ssh_port,
             user=self._spec.auth.ssh_user,
-            key_files=(str(self._key_file()),),
+            key_files=(str(key_file),),
             host_keys=tuple(keys),
             host_key_name=machine.id,
         )
@@ -185,6 +229,10 @@ class Access:
 def make_access(spec: ClusterSpec, base: Path, provider: Provider) -> Access:
     """Return the way to the machines of a cluster."""
     return Access(spec, base, provider)
+
+
+def _curve_print(pair: KeyPair) -> str:
+    return fingerprint(f"curve {base64.b64encode(pair.public.encode()).decode()}")
 
 
 def _connected(node: str, target: Target) -> SshShell:

@@ -8,10 +8,11 @@ from pathlib import Path
 
 from hpccomponent.config import parse_config
 from hpcdeploy.provider import Provider
+from hpcdeploy.provider_spec import CloudSpec
 from hpcdeploy.providers import open_provider
 from hpcdeploy.spec import ClusterSpec, read_spec
 
-__all__ = ["open_clouds"]
+__all__ = ["open_clouds", "place_of"]
 
 ANY_CLUSTER = """
 version: 1
@@ -21,6 +22,20 @@ provider:
   region: {region}
   profiles: {{any: {{image: {{id: ami-0}}, instance_type: any}}}}
 """
+
+
+def place_of(spec: ClusterSpec) -> str:
+    """Return in words where a cluster file's machines are made; empty where none are made.
+
+    The account is told by the profile of the keys only: keys themselves come and go.
+    """
+    cloud = spec.provider
+    if not isinstance(cloud, CloudSpec):
+        return ""
+    keys = cloud.credentials
+    source = keys.profile or keys.euca_ini or keys.eucarc or os.environ.get("AWS_PROFILE", "")
+    place = f"{cloud.type} {cloud.endpoint_url or ''} {cloud.region}".replace("  ", " ")
+    return f"{place}, with the keys of {source}" if source else place
 
 
 def open_clouds(files: Sequence[Path]) -> list[tuple[str, Provider]]:

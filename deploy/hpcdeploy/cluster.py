@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.names import HEAD
+from hpcdeploy.ownership import require_ours
 from hpcdeploy.provider import MachineSeen, Provider, State
 from hpcdeploy.spec import ClusterSpec, read_spec
 
@@ -39,9 +40,17 @@ class Cluster:
     access: Access
 
     def machines(self) -> tuple[MachineSeen, ...]:
-        """Return the machines that run, from the cloud: the head first, then by number."""
-        seen = self.provider.observe(self.spec.cluster).machines
-        return tuple(sorted((m for m in seen if m.state is State.RUNNING), key=node_order))
+        """Return the machines that run, from the cloud: the head first, then by number.
+
+        Raises
+        ------
+        CloudError
+            The cluster was made elsewhere.
+        """
+        observed = self.provider.observe(self.spec.cluster)
+        require_ours(self, observed)
+        running = (m for m in observed.machines if m.state is State.RUNNING)
+        return tuple(sorted(running, key=node_order))
 
     def head(self) -> MachineSeen:
         """Return the machine of the HPC App.
@@ -49,7 +58,7 @@ class Cluster:
         Raises
         ------
         CloudError
-            It does not run.
+            It does not run, or the cluster was made elsewhere.
         """
         for machine in self.machines():
             if machine.name.node == HEAD:

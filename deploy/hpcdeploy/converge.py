@@ -16,15 +16,19 @@ from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, LeftoverError
 from hpcdeploy.bucket import open_bucket
+from hpcdeploy.clouds import place_of
 from hpcdeploy.cost import check_limits, estimate_cost
-from hpcdeploy.effort import Effort, Report, remove_all
-from hpcdeploy.journal import open_journal
+from hpcdeploy.effort import Effort, Report
+from hpcdeploy.journal import Journal, open_journal
 from hpcdeploy.layout import forget_cluster
 from hpcdeploy.names import draw_incarnation
+from hpcdeploy.ownership import Held, ours, require_ours
 from hpcdeploy.pace import Pace
 from hpcdeploy.plan import Plan, make_plan
 from hpcdeploy.provider import Observed, State
+from hpcdeploy.removal import remove
 from hpcdeploy.ssh_networks import ssh_networks
+from hpcdeploy.termination import Proof, Reason
 
 if TYPE_CHECKING:
     from hpcdeploy.cluster import Cluster
@@ -33,14 +37,23 @@ __all__ = ["bring_up", "look_ahead", "replace_lost", "take_down"]
 
 
 def look_ahead(cluster: Cluster) -> Plan:
-    """Return what `bring_up` would do now; nothing is changed."""
+    """Return what `bring_up` would do now; nothing is changed.
+
+    Raises
+    ------
+    CloudError
+        The cluster was made elsewhere.
+    """
     pace = Pace()
+    observed = cluster.provider.observe(cluster.spec.cluster)
+    require_ours(cluster, observed)
     return make_plan(
         cluster.spec,
-        cluster.provider.observe(cluster.spec.cluster),
+        observed,
         pace.now(),
         draw_incarnation(pace.now()),
         ssh_networks(cluster.spec),
+        owner=cluster.access.held().owner,
     )
 
 
@@ -61,7 +74,8 @@ def bring_up(
     Raises
     ------
     CloudError
-        Fewer machines than `workers.min` are to be had; unless `keep`, what was made is gone.
+        The cluster was made elsewhere, and nothing was done; or fewer machines than `workers.min`
+        are to be had, and unless `keep`, what was made is gone.
     LeftoverError
         So it is, but something is left.
     UsageError
@@ -69,11 +83,13 @@ def bring_up(
     """
     check_limits(cluster.spec, estimate_cost(cluster.spec))
     pace = pace or Pace()
+    require_ours(cluster, cluster.provider.observe(cluster.spec.cluster), pace.now())
     with open_journal(cluster.spec.cluster) as journal:
         if unfinished := journal.unfinished():
             report(f"not finished before: {', '.join(unfinished)}; going on from what there is")
+        for elsewhere in _other_places(cluster, journal):
+            report(f"what was made before in {elsewhere} is not taken down by this file any more")
         effort = Effort(cluster, journal, report, pace)
-        before = _alive(cluster.provider.observe(cluster.spec.cluster))
         try:
             with journal.command("bring the cluster up"):
                 effort.converge()
@@ -85,7 +101,7 @@ def bring_up(
                 report(f"what was made stays: {_ways_on(cluster)}")
                 raise
             try:
-                effort.undo(before)
+                effort.undo()
             except CloudError as left:
                 raise LeftoverError(f"{error}; besides, {left.problem}", left.advice) from None
             raise
@@ -108,28 +124,88 @@ def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) 
             effort.converge()
 
 
-def take_down(cluster: Cluster, report: Report, *, pace: Pace | None = None) -> None:
+def take_down(
+    cluster: Cluster, report: Report, *, pace: Pace | None = None, is_named: bool = False
+) -> None:
     """Take away all that the cloud lists of a cluster, whatever its file says by now.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    report : callable
+        Takes lines for the user.
+    pace : Pace, optional
+    is_named : bool
+        Whether the user has named the cluster, so that it goes although it was made elsewhere.
 
     Raises
     ------
     LeftoverError
-        Something is left.
+        Something is left, here or where an earlier file made it.
     CloudError
-        What its jobs have put into the bucket cannot be taken away.
+        The cluster was made elsewhere and not named; or what its jobs have put into the bucket
+        cannot be taken away.
     """
+    pace = pace or Pace()
+    seen = cluster.provider.observe(cluster.spec.cluster)
+    if not is_named:
+        require_ours(cluster, seen, pace.now())
     with open_journal(cluster.spec.cluster) as journal:
-        remove_all(cluster, journal, report, pace or Pace())
+        _remove_all(cluster, journal, seen, report, pace)
         bucket = open_bucket(cluster.spec, cluster.path.absolute().parent)
         if bucket is not None:
             with journal.step("clear the bucket"):
                 bucket.clear()
+        journal.clear_place(here := place_of(cluster.spec))
+        if places := _other_places(cluster, journal):
+            raise LeftoverError(
+                f"cluster {cluster.spec.cluster}: nothing is left in {here}, but it was made in "
+                f"{', '.join(places)}",
+                f"let {cluster.path} say so again and run hpcapp down {cluster.path}",
+            )
         forget_cluster(cluster.spec.cluster)
 
 
-def _alive(observed: Observed) -> frozenset[str]:
-    """Return the ids of the machines that are not gone."""
-    return frozenset(m.id for m in observed.machines if m.state is not State.GONE)
+def _remove_all(
+    cluster: Cluster, journal: Journal, seen: Observed, report: Report, pace: Pace
+) -> None:
+    """Take away what was seen, and what is ours; not what others make of this name meanwhile."""
+    lives = frozenset(machine.incarnation for machine in seen.machines)
+    lives |= {group.incarnation for group in seen.groups}
+    lives |= {pair.incarnation for pair in seen.key_pairs}
+
+    def doomed() -> tuple[Observed, Proof]:
+        now = cluster.provider.observe(cluster.spec.cluster)
+        held = cluster.access.held()
+        return _doomed(now, held, lives), Proof(ours=ours(now, held), lives=lives)
+
+    looks = 3 if journal.unfinished() else 1
+    remove(cluster.provider, doomed, Reason.DOWN, journal.step, report, pace, looks)
+
+
+def _doomed(seen: Observed, held: Held, lives: frozenset[str]) -> Observed:
+    mine = ours(seen, held)
+    lives |= held.lives
+    machines = tuple(
+        m
+        for m in seen.machines
+        if m.id in mine or m.incarnation in lives or m.state is State.UNKNOWN
+    )
+    lives |= {machine.incarnation for machine in machines}
+    groups = tuple(
+        g
+        for g in seen.groups
+        if g.incarnation in lives or (g.owner.key and g.owner.key == held.owner.key)
+    )
+    lives |= {group.incarnation for group in groups}
+    pairs = tuple(p for p in seen.key_pairs if p.incarnation in lives)
+    return Observed(machines, pairs, groups)
+
+
+def _other_places(cluster: Cluster, journal: Journal) -> list[str]:
+    """Return where something may be left that the file does not lead to any more."""
+    here = place_of(cluster.spec)
+    return [place for place in journal.places if place != here]
 
 
 def _ways_on(cluster: Cluster) -> str:

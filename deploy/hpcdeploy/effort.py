@@ -11,10 +11,12 @@ from datetime import timedelta
 from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CapacityError, CloudError
+from hpcdeploy.clouds import place_of
 from hpcdeploy.cluster import node_order
 from hpcdeploy.journal import Journal
 from hpcdeploy.launching import launch_nodes
-from hpcdeploy.names import HEAD, draw_incarnation
+from hpcdeploy.names import HEAD, NodeName, Owner, draw_incarnation
+from hpcdeploy.ownership import ours, require_ours
 from hpcdeploy.pace import Pace
 from hpcdeploy.plan import (
     LIVE,
@@ -24,18 +26,21 @@ from hpcdeploy.plan import (
     CreateKeyPair,
     Extend,
     LaunchNode,
+    Mark,
     Plan,
     Terminate,
     make_plan,
 )
 from hpcdeploy.provider import GroupSeen, MachineSeen, Observed, State
+from hpcdeploy.provider_spec import LocalSpec
 from hpcdeploy.removal import remove
 from hpcdeploy.ssh_networks import ssh_networks
+from hpcdeploy.termination import Proof, Reason, end, may_terminate
 
 if TYPE_CHECKING:
     from hpcdeploy.cluster import Cluster
 
-__all__ = ["Effort", "Report", "remove_all"]
+__all__ = ["Effort", "Report"]
 
 Report = Callable[[str], None]
 Failed = tuple[MachineSeen, str]
@@ -59,8 +64,9 @@ class Effort:
         self._ssh_from = frozenset[str]() if only_replace else ssh_networks(self._spec)
         self._incarnation = draw_incarnation(pace.now())
         self._group: GroupSeen | None = None
+        self._owner = Owner()
+        self._seen = Observed()
         self._launched: dict[str, MachineSeen] = {}
-        self._bad = set(journal.known_bad)
         self._given_up: dict[str, CloudError] = {}
         nodes = len(self._spec.nodes())
         self._replacements = 2 + nodes // 4 if self._provider.makes_machines else 0
@@ -92,19 +98,52 @@ class Effort:
         is_late = self._pace.now() >= self._deadline
         return is_late or not any(isinstance(a, LaunchNode | Terminate) for a in plan.actions)
 
-    def undo(self, before: frozenset[str]) -> None:
-        """Take away what was made since, or all where no machine was there before."""
+    def undo(self) -> None:
+        """Take away the machines that this command has launched, and what is empty without them."""
         self._report("taking away again what was made")
-        if not before:
-            remove_all(self._cluster, self._journal, self._report, self._pace)
-            return
         if any(not isinstance(error, CapacityError) for error in self._given_up.values()):
             self._pace.sleep(self._pace.settle_s)  # an answer may be lost, its machine not listed
 
-        def made() -> Observed:
-            return Observed(tuple(m for m in self._observe().machines if m.id not in before))
+        def made() -> tuple[Observed, Proof]:
+            seen = self._observe()
+            proof = self._proof(seen)
+            going = tuple(m for m in seen.machines if may_terminate(m, Reason.ROLL_BACK, proof))
+            others = [m for m in seen.machines if m not in going and m.state is not State.GONE]
+            if others or not self._is_ours(seen):
+                return Observed(going), proof
+            return Observed(going, seen.key_pairs, seen.groups), proof
 
-        remove(self._provider, made, self._journal.step, self._report, self._pace)
+        looks = 3 if self._journal.unfinished() else 1
+        args = (Reason.ROLL_BACK, self._journal.step, self._report, self._pace, looks)
+        remove(self._provider, made, *args)
+        if all(machine.state is State.GONE for machine in self._observe().machines):
+            self._journal.clear_place(place_of(self._spec))
+
+    def _is_ours(self, seen: Observed) -> bool:
+        try:
+            require_ours(self._cluster, seen, self._pace.now())
+        except CloudError:
+            return False
+        return True
+
+    def _proof(self, seen: Observed) -> Proof:
+        """Return what may be ended of what is seen: ours, and what of it nobody can be using."""
+        held = self._cluster.access.held()
+        mine = ours(seen, held)
+        if isinstance(self._spec.provider, LocalSpec):
+            mine = frozenset(machine.id for machine in seen.machines)
+        asked, now_asked = self._journal.launched(), self._journal.launched(since_opened=True)
+
+        def among(machines: frozenset[tuple[str, NodeName]]) -> frozenset[str]:
+            # Who shares our key may have launched the very same node: it bears their name.
+            users = (held.owner.user, "")
+            return frozenset(
+                m.id
+                for m in seen.machines
+                if (m.incarnation, m.name) in machines and m.owner.user in users
+            )
+
+        return Proof(mine, among(asked) - self._journal.used, among(now_asked))
 
     def _observe(self) -> Observed:
         """Look at the cloud; what was launched and is not listed yet is pending."""
@@ -114,7 +153,8 @@ class Effort:
         return replace(seen, machines=seen.machines + unlisted)
 
     def _plan(self) -> Plan:
-        observed = self._observe()
+        observed = self._seen = self._observe()
+        require_ours(self._cluster, observed, self._pace.now())
         self._group = next((g for g in observed.groups if g.cluster == self._spec.cluster), None)
         plan = make_plan(
             self._spec,
@@ -122,8 +162,14 @@ class Effort:
             self._pace.now(),
             self._incarnation,
             self._ssh_from,
-            frozenset(self._bad),
+            self._journal.known_bad & self._proof(observed).unused,
+            self._cluster.access.held().owner,
         )
+        for machine in plan.hidden:
+            if machine.name.node not in self._spec.nodes():
+                continue
+            reason = machine.reason or "it does not let us see what it does"
+            self._give_up(machine, f"{reason}; it stays as it is")
         if self._only_replace and all(machine.name.node != HEAD for machine in plan.kept):
             raise CloudError(
                 f"the head of cluster {self._spec.cluster} does not run",
@@ -135,18 +181,23 @@ class Effort:
         if isinstance(action, LaunchNode):
             return action.name.node not in self._given_up
         if isinstance(action, Terminate) and self._only_replace:
-            return all(machine.id in self._bad for machine in action.machines)
+            return action.why is Reason.UNUSABLE
         return not self._only_replace
 
     def _carry_out(self, plan: Plan) -> list[MachineSeen]:
         """Do what was planned; return the machines that are to run."""
+        if plan.actions:
+            self._owner = self._cluster.access.owner()
+            if place := place_of(self._spec):
+                self._journal.note_place(place)
         kept = {machine.id: machine for machine in plan.kept}
         launches = [action for action in plan.actions if isinstance(action, LaunchNode)]
         for action in plan.actions:
             if isinstance(action, LaunchNode):
                 continue
             self._report(str(action))
-            with self._journal.step(str(action)):
+            life = {"incarnation": action.incarnation} if isinstance(action, CreateGroup) else {}
+            with self._journal.step(str(action), **life):
                 self._call(action)
             if isinstance(action, Extend):
                 for machine in action.machines:
@@ -157,6 +208,7 @@ class Effort:
             self._journal,
             launches,
             self._group.incarnation if self._group else plan.incarnation,
+            self._owner,
             self._report,
             self._pace,
         )
@@ -169,7 +221,10 @@ class Effort:
         """Make the provider's call for an action."""
         match action:
             case CreateGroup(incarnation):
-                self._group = self._provider.create_group(self._spec.cluster, incarnation)
+                name = self._spec.cluster
+                self._group = self._provider.create_group(name, incarnation, self._owner)
+                if self._group.incarnation != incarnation:  # another hurried user was first
+                    require_ours(self._cluster, self._observe(), self._pace.now())
             case Allow(ssh_from, internal_ports):
                 assert self._group is not None  # noqa: S101 - planned only where there is one
                 self._provider.allow(self._group, ssh_from, internal_ports)
@@ -177,8 +232,10 @@ class Effort:
                 assert self._group is not None  # noqa: S101 - planned only where there is one
                 life, key = self._group.incarnation, self._cluster.access.public_key()
                 self._provider.create_key_pair(self._spec.cluster, life, key)
-            case Terminate(machines):
-                self._provider.terminate(machines)
+            case Mark(machines, groups, owner):
+                self._provider.mark(machines, groups, owner)
+            case Terminate(machines, why):
+                end(self._provider, machines, why, self._proof(self._seen))
             case Extend(machines, lease_until):
                 self._provider.extend(machines, lease_until)
 
@@ -208,8 +265,11 @@ class Effort:
         """Set the machines up; tell which failed, as the cloud sees them now."""
         from hpcdeploy.bootstrap import set_up  # it imports paramiko, which is slow
 
+        self._journal.note_set_up((m.id for m in running), is_done=False)
         with self._journal.step("set up " + ", ".join(m.name.node for m in running)):
             failures = set_up(self._spec, running, self._cluster.access, self._report)
+        failed = {failure.machine.id for failure in failures}
+        self._journal.note_set_up((m.id for m in running if m.id not in failed), is_done=True)
         if not failures:
             return []
         seen = {machine.id: machine for machine in self._observe().machines}
@@ -218,18 +278,29 @@ class Effort:
     def _dismiss(self, machine: MachineSeen, reason: str) -> None:
         """Decide whether a machine that failed is replaced; the next plan carries it out."""
         is_preempted = machine.market == "spot" and machine.state not in LIVE
-        if not is_preempted:
-            self._bad.add(machine.id)
-            if self._provider.makes_machines:  # another machine will have another id
-                self._journal.note_bad(machine.id, reason)
+        proof = self._proof(Observed((machine,)))
+        is_new = machine.id in proof.unused | (proof.launched - self._journal.set_up)
+        if self._provider.makes_machines and machine.state in LIVE and not is_new:
+            node = machine.name.node
+            self._give_up(
+                machine,
+                f"{reason}; it stays, for it may be at work",
+                f"mend it, or end it (hpcapp ssh {self._cluster.path} {node} sudo poweroff) and "
+                "run hpcapp up again",
+            )
+            return
+        if self._provider.makes_machines and not is_preempted:  # hosts have no other id
+            self._journal.note_bad(machine.id, reason)
         may_go_on = self._pace.now() < self._deadline and (is_preempted or self._replacements > 0)
-        node = machine.name.node
         if may_go_on:
             self._replacements -= not is_preempted
-            self._report(f"{node}: {reason}; replacing it")
+            self._report(f"{machine.name.node}: {reason}; replacing it")
         else:
-            advice = f"look at hpcapp doctor {self._cluster.path}, or try another image or type"
-            self._given_up[node] = CloudError(reason, advice)
+            self._give_up(machine, reason)
+
+    def _give_up(self, machine: MachineSeen, reason: str, advice: str = "") -> None:
+        doctor = f"look at hpcapp doctor {self._cluster.path}, or try another image or type"
+        self._given_up[machine.name.node] = CloudError(reason, advice or doctor)
 
     def _check_enough(self) -> None:
         """Fail where the nodes that are left make no cluster."""
@@ -241,19 +312,6 @@ class Effort:
             raise CloudError(
                 f"{node}{others} cannot be had: {lost[node].problem}", lost[node].advice
             )
-
-
-def remove_all(cluster: Cluster, journal: Journal, report: Report, pace: Pace) -> None:
-    """Take away all that the cloud lists of a cluster; LeftoverError where something is left."""
-    name = cluster.spec.cluster
-    remove(
-        cluster.provider,
-        lambda: cluster.provider.observe(name),
-        journal.step,
-        report,
-        pace,
-        quiet_looks=3 if journal.unfinished() else 1,
-    )
 
 
 def _is_ready(machine: MachineSeen) -> bool:

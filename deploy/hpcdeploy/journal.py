@@ -13,8 +13,8 @@ import fcntl
 import json
 import os
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -25,7 +25,10 @@ from hpcdeploy.layout import state_folder
 from hpcdeploy.names import NodeName
 from hpcdeploy.pace import utc_now
 
-__all__ = ["Attempt", "Journal", "Step", "open_journal"]
+__all__ = ["Attempt", "Journal", "Step", "begun_lives", "open_journal"]
+
+Launched = tuple[str, NodeName]
+"""The incarnation and the node of a machine that was asked for."""
 
 Step = Callable[[str], AbstractContextManager[object]]
 """Writes an intent, lets it be carried out, writes how it went; see `Journal.step`."""
@@ -53,6 +56,7 @@ class Journal:
     def __init__(self, file: IO[bytes], entries: list[dict[str, Any]]) -> None:
         self._file = file
         self._entries = entries
+        self._opened = len(entries)
         self._lock = threading.Lock()
 
     def command(self, what: str) -> AbstractContextManager[None]:
@@ -92,6 +96,59 @@ class Journal:
     def known_bad(self) -> frozenset[str]:
         """The ids of machines that are of no use."""
         return frozenset(entry["bad"] for entry in self._entries if "bad" in entry)
+
+    def note_set_up(self, machine_ids: Iterable[str], *, is_done: bool) -> None:
+        """Remember that the set-up of machines begins, or that they are set up."""
+        about = "set up" if is_done else "setting up"
+        known = {i for entry in self._entries for i in entry.get(about, ())}
+        if new := sorted(set(machine_ids) - known):
+            self._write({about: new})
+
+    @property
+    def used(self) -> frozenset[str]:
+        """The ids of machines that are set up, or may be: whoever set them up told no end."""
+        begun = frozenset(i for entry in self._entries for i in entry.get("setting up", ()))
+        return self.set_up | (begun - self.known_bad)
+
+    @property
+    def set_up(self) -> frozenset[str]:
+        """The ids of machines that were set up from here."""
+        return frozenset(i for entry in self._entries for i in entry.get("set up", ()))
+
+    def launched(self, *, since_opened: bool = False) -> frozenset[Launched]:
+        """Return the machines that were asked for, whether or not there was an answer."""
+        return frozenset(
+            (entry["incarnation"], NodeName(entry["node"], entry["generation"]))
+            for entry in self._entries[self._opened if since_opened else 0 :]
+            if "intent" in entry and "node" in entry
+        )
+
+    @property
+    def lives(self) -> frozenset[str]:
+        """The incarnations of the cluster that were begun or used from here."""
+        return _lives(self._entries)
+
+    def note_place(self, place: str) -> None:
+        """Remember where something is about to be made."""
+        if place not in self.places:
+            self._write({"place": place})
+
+    def clear_place(self, place: str) -> None:
+        """Remember that nothing is left at a place."""
+        if place in self.places:
+            self._write({"cleared": place})
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Where something was made that was not taken down since, the earliest first."""
+        found: list[str] = []
+        for entry in self._entries:
+            match entry:
+                case {"place": place}:
+                    found.append(place)
+                case {"cleared": place}:
+                    found.remove(place)
+        return tuple(found)
 
     def unfinished(self) -> list[str]:
         """Return what was begun and neither done nor refused, in the order in which it was begun.
@@ -155,6 +212,24 @@ def open_journal(cluster: str) -> Iterator[Journal]:
                 "wait for it to end, or end it",
             )
         yield Journal(file, _read(file, path))
+
+
+def begun_lives(cluster: str) -> frozenset[str]:
+    """Return the incarnations of a cluster that were begun or used from here; takes no lock."""
+    path = state_folder(cluster) / "journal.jsonl"
+    try:
+        lines = path.read_bytes().splitlines()
+    except OSError:
+        return frozenset()
+    entries = []
+    for line in lines:
+        with suppress(ValueError):  # the last one may be half written
+            entries.append(json.loads(line))
+    return _lives(entries)
+
+
+def _lives(entries: Iterable[dict[str, Any]]) -> frozenset[str]:
+    return frozenset(entry["incarnation"] for entry in entries if "incarnation" in entry)
 
 
 def _is_ours(file: IO[bytes]) -> bool:

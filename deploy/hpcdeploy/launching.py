@@ -9,7 +9,7 @@ from datetime import datetime, timedelta
 
 from hpccomponent.errors import CapacityError, CloudError
 from hpcdeploy.journal import Journal
-from hpcdeploy.names import HEAD, NodeName
+from hpcdeploy.names import HEAD, NodeName, Owner
 from hpcdeploy.pace import Pace
 from hpcdeploy.plan import LaunchNode
 from hpcdeploy.provider import Launch, MachineSeen, Provider, State
@@ -45,6 +45,7 @@ class _Request:
     provider: Provider
     journal: Journal
     incarnation: str
+    owner: Owner
     pace: Pace
     report: Callable[[str], None]
 
@@ -106,6 +107,7 @@ class _Request:
             market=market,
             lease_until=until,
             tags=dict(self.spec.tags),
+            owner=self.owner,
         )
         if not action.profile:
             return launch
@@ -133,6 +135,7 @@ def launch_nodes(
     journal: Journal,
     actions: Sequence[LaunchNode],
     incarnation: str,
+    owner: Owner,
     report: Callable[[str], None],
     pace: Pace,
 ) -> tuple[list[MachineSeen], list[Shortage]]:
@@ -144,7 +147,7 @@ def launch_nodes(
     list of Shortage
         The nodes whose machine is not to be had, and why.
     """
-    request = _Request(spec, provider, journal, incarnation, pace, report)
+    request = _Request(spec, provider, journal, incarnation, owner, pace, report)
     workers = [action for action in actions if action.name.node != HEAD]
     results = [request.launch(action) for action in actions if action.name.node == HEAD]
     if workers and not any(isinstance(result, Shortage) for result in results):

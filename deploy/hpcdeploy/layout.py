@@ -45,7 +45,7 @@ def state_folder(cluster: str) -> Path:
 def forget_cluster(cluster: str) -> None:
     """Remove what this machine knows of a cluster that is gone; what is not ours stays there."""
     folder = state_folder(cluster)
-    for name in ("id", "known_hosts", "keys.json", "journal.jsonl"):
+    for name in ("id", "id.before", "known_hosts", "keys.json", "journal.jsonl"):
         (folder / name).unlink(missing_ok=True)
     for empty in (folder / "nodes", folder):
         with suppress(OSError):

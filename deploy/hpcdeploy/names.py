@@ -6,9 +6,12 @@ finds them by the cloud's own lists, with no memory of ours.
 
 from __future__ import annotations
 
+import getpass
 import hashlib
+import os
 import re
 import secrets
+import socket
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -19,16 +22,20 @@ __all__ = [
     "INCARNATION_TAG",
     "LEASE_TAG",
     "NAME_PATTERN",
+    "NOBODY",
     "NODE_TAG",
     "OWNER_TAG",
     "PREFIX",
     "NodeName",
+    "Owner",
     "client_token",
     "draw_incarnation",
     "group_name",
     "incarnation_began",
     "key_pair_name",
     "read_client_token",
+    "read_owner",
+    "this_user",
 ]
 
 PREFIX = "hpcapp-"
@@ -58,6 +65,58 @@ class NodeName:
 
     node: str
     generation: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Owner:
+    """Whose a machine is.
+
+    Parameters
+    ----------
+    user : str
+        User and host that made it, or have taken it over.
+    key : str
+        Fingerprint of the public key that it lets in; empty where an older release made it.
+
+    Examples
+    --------
+    >>> str(Owner("anna@lab", "SHA256:abc"))
+    'anna@lab SHA256:abc'
+    """
+
+    user: str = ""
+    key: str = ""
+
+    def __str__(self) -> str:
+        """Return the text of the tag."""
+        return f"{self.user} {self.key}".strip()
+
+
+NOBODY = Owner()
+"""Of what bears no owner."""
+
+
+def read_owner(text: str) -> Owner:
+    """Return whom the text of the tag names; earlier releases wrote no key.
+
+    Examples
+    --------
+    >>> read_owner("anna@lab SHA256:abc")
+    Owner(user='anna@lab', key='SHA256:abc')
+    >>> read_owner("anna@lab")
+    Owner(user='anna@lab', key='')
+    """
+    user, _, key = text.strip().partition(" ")
+    return Owner(user, key.strip())
+
+
+def this_user() -> str:
+    """Return user and host of this process, as a tag may hold them."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # an account without a name, as containers have them
+        user = f"uid-{os.getuid()}"
+    return re.sub(r"[^\w.@-]", "-", f"{user}@{socket.gethostname()}")[:128]
 
 
 def group_name(cluster: str) -> str:

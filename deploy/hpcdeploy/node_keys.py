@@ -7,7 +7,7 @@ there: the keys of a lost machine let nobody in.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,8 +15,6 @@ from hpccomponent.errors import CloudError
 from hpccomponent.protocol.keys import KeyPair, make_key_pair, write_secret
 
 __all__ = ["NodeKeys"]
-
-_SERVER = "server"
 
 
 class NodeKeys:
@@ -35,18 +33,31 @@ class NodeKeys:
         The file is damaged.
     """
 
+    SERVER = "server"
+    """The master's name among the machines' ids."""
+
     def __init__(self, path: Path, machine_ids: Iterable[str]) -> None:
         self._pairs = _read(path)
-        missing = {_SERVER, *machine_ids} - self._pairs.keys()
+        missing = {self.SERVER, *machine_ids} - self._pairs.keys()
         if missing:
             self._pairs |= {name: make_key_pair() for name in sorted(missing)}
-            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            write_secret(path, json.dumps({n: asdict(pair) for n, pair in self._pairs.items()}))
+            self.write(path, self._pairs)
+
+    @classmethod
+    def read(cls, path: Path) -> KeyPair | None:
+        """Return the master's, where there is one; nothing is made."""
+        return _read(path).get(cls.SERVER)
+
+    @staticmethod
+    def write(path: Path, pairs: Mapping[str, KeyPair]) -> None:
+        """Keep the keys of the master and of machines, by the machines' ids."""
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        write_secret(path, json.dumps({name: asdict(pair) for name, pair in pairs.items()}))
 
     @property
     def server(self) -> KeyPair:
         """The master's."""
-        return self._pairs[_SERVER]
+        return self._pairs[self.SERVER]
 
     def of(self, machine_id: str) -> KeyPair:
         """Return those of a machine."""

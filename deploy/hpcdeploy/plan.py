@@ -9,10 +9,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from hpcdeploy.names import NodeName
-from hpcdeploy.provider import MachineSeen, Observed, State
-from hpcdeploy.provider_spec import CloudSpec, Profile
+from hpcdeploy.names import NOBODY, NodeName, Owner
+from hpcdeploy.provider import GroupSeen, MachineSeen, Observed, State
+from hpcdeploy.provider_spec import CloudSpec, LocalSpec, Profile
 from hpcdeploy.spec import ClusterSpec
+from hpcdeploy.termination import Reason
 
 __all__ = [
     "Action",
@@ -21,6 +22,7 @@ __all__ = [
     "CreateKeyPair",
     "Extend",
     "LaunchNode",
+    "Mark",
     "Plan",
     "Terminate",
     "launch_choices",
@@ -101,14 +103,27 @@ class Terminate:
     """End machines for one reason."""
 
     machines: tuple[MachineSeen, ...]
-    why: str
+    why: Reason
 
     def __str__(self) -> str:
         nodes = ", ".join(f"{machine.name.node} ({machine.id})" for machine in self.machines)
         return f"terminate {nodes}: {self.why}"
 
 
-Action = CreateGroup | Allow | CreateKeyPair | Terminate | Extend | LaunchNode
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Write down whose machines and a group are that bear no owner's key yet."""
+
+    machines: tuple[MachineSeen, ...]
+    groups: tuple[GroupSeen, ...]
+    owner: Owner
+
+    def __str__(self) -> str:
+        names = [m.name.node for m in self.machines] + [group.name for group in self.groups]
+        return f"mark {', '.join(names)} as {self.owner.user}'s"
+
+
+Action = CreateGroup | Allow | CreateKeyPair | Mark | Terminate | Extend | LaunchNode
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,11 +138,18 @@ class Plan:
         Machines of the cluster that stay.
     incarnation : str
         The life of the cluster that new machines belong to.
+    hidden : tuple of MachineSeen
+        Those of which nothing can be said, and why: each counts as its node's, and stays.
     """
 
     actions: tuple[Action, ...] = ()
     kept: tuple[MachineSeen, ...] = ()
     incarnation: str = ""
+    hidden: tuple[MachineSeen, ...] = ()
+
+    def obstacles(self) -> list[str]:
+        """Say what stands in the way of machines that do not let us see what they do."""
+        return [f"{m.name.node} ({m.id}) cannot be looked at: {m.reason}" for m in self.hidden]
 
 
 def launch_choices(profile: Profile | None, has_spot: bool = True) -> tuple[tuple[str, str], ...]:
@@ -153,6 +175,7 @@ def make_plan(
     incarnation: str = "",
     ssh_from: frozenset[str] = frozenset(),
     known_bad: frozenset[str] = frozenset(),
+    owner: Owner = NOBODY,
 ) -> Plan:
     """Compare what is wanted with what is there.
 
@@ -169,6 +192,8 @@ def make_plan(
         Networks (CIDR) that may reach the SSH port.
     known_bad : frozenset of str
         Ids of machines that are to be replaced.
+    owner : Owner
+        Us, for what is ours and bears no key of an owner; without a key nothing is marked.
     """
     machines = [machine for machine in observed.machines if machine.cluster == spec.cluster]
     actions: list[Action] = []
@@ -185,16 +210,18 @@ def make_plan(
     else:
         life = _latest_life(machines) or incarnation
     kept, endings = _sort_out(spec, machines, life, known_bad)
+    actions += _marks(spec, kept, observed, owner)
     actions += endings
     actions += _extensions(spec, kept, now)
-    there = {machine.name.node for machine in kept}
+    hidden = tuple(machine for machine in machines if machine.state is State.UNKNOWN)
+    there = {machine.name.node for machine in (*kept, *hidden)}
     has_spot = isinstance(spec.provider, CloudSpec) and spec.provider.has_spot
     for node in spec.nodes():
         if node not in there:
             name = NodeName(node, _next_generation(machines, node, life))
             choices = launch_choices(spec.profile(node), has_spot)
             actions.append(LaunchNode(name, spec.profile_name(node), choices))
-    return Plan(tuple(actions), tuple(kept), life)
+    return Plan(tuple(actions), tuple(kept), life, hidden)
 
 
 def _latest_life(machines: Iterable[MachineSeen]) -> str:
@@ -208,25 +235,39 @@ def _sort_out(
     """Tell the machines that stay, in the order of the nodes, from those that must go."""
     wanted = spec.nodes()
     best: dict[str, MachineSeen] = {}
-    going: dict[str, list[MachineSeen]] = {}
+    going: dict[Reason, list[MachineSeen]] = {}
     for machine in sorted(machines, key=_merit, reverse=True):
         node = machine.name.node
         if machine.state not in (*LIVE, State.STOPPED):
             continue
         if machine.id in known_bad:
-            going.setdefault("it could not be set up", []).append(machine)
+            going.setdefault(Reason.UNUSABLE, []).append(machine)
         elif machine.state is State.STOPPED:
-            going.setdefault("it has shut down", []).append(machine)
+            going.setdefault(Reason.SHUT_DOWN, []).append(machine)
         elif machine.incarnation != life:
-            going.setdefault("left from an earlier life of the cluster", []).append(machine)
+            going.setdefault(Reason.EARLIER_LIFE, []).append(machine)
         elif node not in wanted:
-            going.setdefault("the file wants fewer machines", []).append(machine)
+            going.setdefault(Reason.UNWANTED, []).append(machine)
         elif node in best:
-            going.setdefault(f"there is another {node}", []).append(machine)
+            going.setdefault(Reason.DUPLICATE, []).append(machine)
         else:
             best[node] = machine
     kept = [best[node] for node in wanted if node in best]
     return kept, [Terminate(tuple(some), why) for why, some in going.items()]
+
+
+def _marks(
+    spec: ClusterSpec, kept: Sequence[MachineSeen], observed: Observed, owner: Owner
+) -> list[Mark]:
+    """Return the writing of the owner where it is due."""
+    if not owner.key or isinstance(spec.provider, LocalSpec):
+        return []
+    machines = tuple(machine for machine in kept if not machine.owner.key)
+    groups = tuple(
+        g for g in observed.groups if g.cluster == spec.cluster and g.owner.key != owner.key
+    )
+    # Not for the groups alone: not every cloud can tag them.
+    return [Mark(machines, groups, owner)] if machines else []
 
 
 def _merit(machine: MachineSeen) -> tuple[bool, int, str]:

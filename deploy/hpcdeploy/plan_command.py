@@ -11,7 +11,7 @@ import click
 
 if TYPE_CHECKING:
     from hpcdeploy.cost import Cost
-    from hpcdeploy.plan import Action
+    from hpcdeploy.plan import Plan
     from hpcdeploy.provider import Problem
 
 __all__ = ["plan", "validate"]
@@ -46,39 +46,36 @@ def plan(file: Path, as_json: bool) -> None:
     from hpcdeploy.cost import check_limits, estimate_cost
 
     with open_cluster(file) as cluster:
-        actions = look_ahead(cluster).actions
+        ahead = look_ahead(cluster)
     missing = check_wheels(cluster.spec, file.absolute().parent)
     cost = estimate_cost(cluster.spec)
     if as_json:
-        click.echo(json.dumps(_as_json(cluster.spec.cluster, actions, cost, missing)))
+        click.echo(json.dumps(_as_json(cluster.spec.cluster, ahead, cost, missing)))
     else:
-        click.echo("\n".join(_lines(cluster.spec.cluster, actions, cost, missing)))
+        click.echo("\n".join(_lines(cluster.spec.cluster, ahead, cost, missing)))
     check_limits(cluster.spec, cost)
 
 
-def _lines(
-    name: str, actions: Sequence[Action], cost: Cost, missing: Sequence[Problem]
-) -> list[str]:
+def _lines(name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem]) -> list[str]:
     """Write a plan for people."""
     from hpcdeploy.cost import describe_cost
 
+    planned = [*(f"would {action}" for action in ahead.actions), *ahead.obstacles()]
     return [
-        *(f"would {action}" for action in actions),
-        *([] if actions else [f"cluster {name}: nothing to create or change"]),
+        *(planned or [f"cluster {name}: nothing to create or change"]),
         *describe_cost(cost),
         *(f"missing: {problem.what}; {problem.advice}" for problem in missing),
     ]
 
 
-def _as_json(
-    name: str, actions: Sequence[Action], cost: Cost, missing: Sequence[Problem]
-) -> dict[str, Any]:
+def _as_json(name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem]) -> dict[str, Any]:
     """Write a plan for programs; money is in dollars."""
     return {
         "cluster": name,
         "actions": [
-            {"kind": type(action).__name__, "description": str(action)} for action in actions
+            {"kind": type(action).__name__, "description": str(action)} for action in ahead.actions
         ],
+        "obstacles": ahead.obstacles(),
         "cost": {
             "hourly": cost.hourly,
             "total_at_most": cost.total_at_most,

@@ -12,7 +12,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Protocol
 
-from hpcdeploy.names import NodeName
+from hpcdeploy.names import NOBODY, NodeName, Owner
 
 __all__ = [
     "GroupSeen",
@@ -34,6 +34,7 @@ class State(StrEnum):
     STOPPED = "stopped"  # costs its disk; a machine that shut itself down on a Eucalyptus
     ENDING = "ending"
     GONE = "gone"
+    UNKNOWN = "unknown"  # it is there, but does not let us see what it does: it may be at work
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,8 @@ class MachineSeen:
         In UTC.
     reason : str
         Why it is in its state, where the cloud says so.
+    owner : Owner
+        As its tag says; empty where it has none.
     """
 
     id: str
@@ -72,6 +75,7 @@ class MachineSeen:
     launched: datetime | None = None
     lease_until: datetime | None = None
     reason: str = ""
+    owner: Owner = NOBODY
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,11 +87,14 @@ class KeyPairSeen:
     cluster, name : str
     incarnation : str
         Of the cluster's life that it was made in.
+    fingerprint : str
+        Of the key, in the cloud's own form.
     """
 
     cluster: str
     name: str
     incarnation: str = ""
+    fingerprint: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +112,8 @@ class GroupSeen:
         Networks (CIDR) that reach the SSH port.
     internal_ports : frozenset of int
         Ports that machines of the group reach on one another.
+    owner : Owner
+        As its tag says; empty where it has none.
     """
 
     cluster: str
@@ -113,6 +122,7 @@ class GroupSeen:
     incarnation: str = ""
     ssh_from: frozenset[str] = frozenset()
     internal_ports: frozenset[int] = frozenset()
+    owner: Owner = NOBODY
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +163,8 @@ class Launch:
         In UTC.
     tags : dict
         The user's own.
+    owner : Owner
+        Who launches it.
     """
 
     cluster: str
@@ -164,6 +176,7 @@ class Launch:
     user_data: str = field(default="", repr=False)
     lease_until: datetime | None = None
     tags: dict[str, str] = field(default_factory=dict)
+    owner: Owner = NOBODY
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,8 +214,14 @@ class Provider(Protocol):
         """Make the key pair of a cluster's life known, or return the one there is."""
         ...
 
-    def create_group(self, cluster: str, incarnation: str) -> GroupSeen:
+    def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
         """Make the security group of a cluster, without rules; or return the one there is."""
+        ...
+
+    def mark(
+        self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
+    ) -> None:
+        """Write down whose some machines and groups are from now on."""
         ...
 
     def allow(

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
-from datetime import datetime, timedelta
+from datetime import datetime
 
 from hpcdeploy.names import incarnation_began
+from hpcdeploy.ownership import MAKING
 from hpcdeploy.pace import Pace
 from hpcdeploy.provider import GroupSeen, KeyPairSeen, MachineSeen, Observed, Provider, State
 from hpcdeploy.removal import remove
+from hpcdeploy.termination import Proof, Reason, is_overdue
 
-__all__ = ["overdue", "reap"]
-
-CLOCK_GRACE = timedelta(minutes=5)
-"""Clocks differ: a lease is over so long after its end."""
-ORPHAN_AGE = timedelta(hours=1)
-"""What is younger may belong to a cluster that somebody is making right now."""
+__all__ = ["overdue", "reap", "without_lease"]
 
 
 def reap(provider: Provider, report: Callable[[str], None], pace: Pace | None = None) -> None:
-    """Remove what is overdue from a cloud.
+    """Remove what is overdue from a cloud, whoever made it.
 
     Raises
     ------
@@ -29,18 +26,24 @@ def reap(provider: Provider, report: Callable[[str], None], pace: Pace | None = 
     """
     pace = pace or Pace()
 
-    def doomed() -> Observed:
-        return overdue(provider.observe(None), pace.now())
+    def doomed() -> tuple[Observed, Proof]:
+        now = pace.now()
+        return overdue(provider.observe(None), now), Proof(now=now)
 
-    remove(provider, doomed, lambda what: nullcontext(what), report, pace)
+    remove(provider, doomed, Reason.OVERDUE, lambda what: nullcontext(what), report, pace)
+    for machine in without_lease(provider.observe(None), pace.now()):
+        report(
+            f"{machine.name.node} {machine.id} of cluster {machine.cluster} runs and bears no "
+            "lease: it stays, its owner's hpcapp down removes it"
+        )
 
 
 def overdue(observed: Observed, now: datetime) -> Observed:
     """Return what has expired or belongs to nobody; pure.
 
-    Machines go when their lease is over, when they have shut down, and, past a certain age, when
-    they have no lease or no security group. A group goes with the last of its machines, a key
-    pair with its group, or alone past that age.
+    Machines go when their lease is over or when they have shut down: nothing else proves that
+    nobody uses them. A group goes with the last of its machines, a key pair with its group, or
+    alone past a certain age.
 
     Parameters
     ----------
@@ -49,11 +52,10 @@ def overdue(observed: Observed, now: datetime) -> Observed:
     now : datetime
         In UTC.
     """
-    clusters = {group.cluster for group in observed.groups}
     alive = [machine for machine in observed.machines if machine.state is not State.GONE]
-    going = [m for m in alive if _is_overdue(m, m.cluster in clusters, now)]
+    going = [machine for machine in alive if is_overdue(machine, now)]
     occupied = {m.cluster for m in alive if m not in going}
-    spent = {(m.cluster, m.incarnation) for m in observed.machines if _is_overdue(m, True, now)}
+    spent = {(m.cluster, m.incarnation) for m in observed.machines if is_overdue(m, now)}
     groups = tuple(
         group
         for group in observed.groups
@@ -71,14 +73,18 @@ def overdue(observed: Observed, now: datetime) -> Observed:
     return Observed(tuple(going), pairs, groups)
 
 
-def _is_overdue(machine: MachineSeen, has_group: bool, now: datetime) -> bool:
-    is_old = machine.launched is not None and machine.launched + ORPHAN_AGE < now
-    if machine.lease_until is None:
-        return is_old
-    is_over = machine.lease_until + CLOCK_GRACE < now or machine.state is State.STOPPED
-    return is_over or (is_old and not has_group)
+def without_lease(observed: Observed, now: datetime) -> list[MachineSeen]:
+    """Return the machines that run without a lease although they are not being made any more."""
+    return [
+        machine
+        for machine in observed.machines
+        if machine.state in (State.PENDING, State.RUNNING)
+        and machine.lease_until is None
+        and machine.launched is not None
+        and machine.launched + MAKING < now
+    ]
 
 
 def _is_old(seen: GroupSeen | KeyPairSeen, now: datetime) -> bool:
     began = incarnation_began(seen.incarnation)
-    return began is None or began + ORPHAN_AGE < now
+    return began is None or began + MAKING < now

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from hpccomponent.errors import CloudError, LeftoverError
 from hpcdeploy.journal import Step
 from hpcdeploy.pace import Pace
 from hpcdeploy.provider import MachineSeen, Observed, Provider, State
+from hpcdeploy.termination import Proof, Reason, end
 
 __all__ = ["describe", "remove"]
 
@@ -17,7 +19,8 @@ TRIES = 3
 
 def remove(
     provider: Provider,
-    doomed: Callable[[], Observed],
+    doomed: Callable[[], tuple[Observed, Proof]],
+    reason: Reason,
     step: Step,
     report: Callable[[str], None],
     pace: Pace,
@@ -29,7 +32,8 @@ def remove(
     ----------
     provider : Provider
     doomed : callable
-        Looks at the cloud; returns what must go.
+        Looks at the cloud; returns what must go, and by which proof.
+    reason : Reason
     step : callable
         Writes intent and outcome, see `journal.Journal.step`.
     report : callable
@@ -47,12 +51,14 @@ def remove(
     quiet, refusals, trouble = 0, 0, ""
     left = Observed()
     for _ in pace.looks(pace.end_s):
-        left = _present(doomed())
+        found, proof = doomed()
+        left = _present(found)
+        terminate = partial(end, provider, reason=reason, proof=proof)
         quiet = 0 if _is_any(left) else quiet + 1
         if quiet >= quiet_looks:
             return
         try:
-            _take_away(provider, left, step, report)
+            _take_away(provider, left, terminate, step, report)
             silent = _silent_hosts(provider, left)
             refusals, trouble = (refusals + 1, silent) if silent else (0, trouble)
         except CloudError as error:
@@ -87,20 +93,25 @@ def _is_any(observed: Observed) -> bool:
 
 def _silent_hosts(provider: Provider, left: Observed) -> str:
     """Say why hosts do not answer, where no other machine is left; nobody ends them for us."""
-    if provider.makes_machines or any(m.state is not State.STOPPED for m in left.machines):
+    silent = (State.STOPPED, State.UNKNOWN)
+    if provider.makes_machines or any(m.state not in silent for m in left.machines):
         return ""
     return ", ".join(machine.reason for machine in left.machines)
 
 
 def _take_away(
-    provider: Provider, left: Observed, step: Step, report: Callable[[str], None]
+    provider: Provider,
+    left: Observed,
+    terminate: Callable[[Sequence[MachineSeen]], None],
+    step: Step,
+    report: Callable[[str], None],
 ) -> None:
     """Do what can be done now: key pairs go after machines, and the group that proves them last."""
     ending = [machine for machine in left.machines if machine.state is not State.ENDING]
     if ending:
         report(f"terminating {_names(ending)}")
         with step(f"terminate {_names(ending)}"):
-            provider.terminate(ending)
+            terminate(ending)
     occupied = {machine.cluster for machine in left.machines}
     for pair in left.key_pairs:
         if pair.cluster not in occupied:

@@ -8,10 +8,11 @@ from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from hpccomponent.errors import HpcError
+from hpccomponent.errors import CloudError, HpcError
 from hpcdeploy.cluster import node_order
 from hpcdeploy.layout import machine_folder
 from hpcdeploy.loader_service import is_running_command
+from hpcdeploy.ownership import require_ours
 from hpcdeploy.pace import utc_now
 from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.shell import Shell
@@ -38,13 +39,16 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> dict[str, A
     now = utc_now()
     seen = cluster.provider.observe(cluster.spec.cluster)
     machines = sorted((m for m in seen.machines if m.state is not State.GONE), key=node_order)
-    loaders = _ask_loaders(cluster, machines) if ask_machines else {}
-    rows = [{**_machine(machine, now), "loader": loaders.get(machine.id)} for machine in machines]
+    elsewhere = _made_elsewhere(cluster, seen)
+    loaders = _ask_loaders(cluster, machines) if ask_machines and not elsewhere else {}
+    hidden = {m.id: m.reason for m in machines if m.state is State.UNKNOWN}
+    rows = [{**_machine(m, now), "loader": (loaders | hidden).get(m.id)} for m in machines]
     wanted = cluster.spec.nodes()
     there = {machine.name.node for machine in machines if machine.state is State.RUNNING}
     return {
         "cluster": cluster.spec.cluster,
         "provider": cluster.provider.name,
+        "made_elsewhere": elsewhere,
         "is_up": set(wanted) <= there,
         "missing": [node for node in wanted if node not in there],
         "machines": rows,
@@ -87,7 +91,8 @@ def write_table(found: dict[str, Any]) -> str:
     head = f"cluster {found['cluster']} ({found['provider']}): " + (
         "up" if found["is_up"] else f"not up, missing: {', '.join(found['missing'])}"
     )
-    return "\n".join([head, *_aligned(lines)]) if found["machines"] else head
+    heads = [head, found["made_elsewhere"]] if found["made_elsewhere"] else [head]
+    return "\n".join([*heads, *(_aligned(lines) if found["machines"] else [])])
 
 
 def write_list(rows: list[dict[str, Any]]) -> str:
@@ -110,6 +115,7 @@ def _machine(machine: MachineSeen, now: datetime) -> dict[str, Any]:
         "id": machine.id,
         "state": str(machine.state),
         "reason": machine.reason,
+        "owner": machine.owner.user,
         "instance_type": machine.instance_type,
         "market": machine.market,
         "public_address": machine.public_address,
@@ -117,6 +123,15 @@ def _machine(machine: MachineSeen, now: datetime) -> dict[str, Any]:
         "age_s": (now - launched).total_seconds() if launched else None,
         "lease_left_s": (until - now).total_seconds() if until else None,
     }
+
+
+def _made_elsewhere(cluster: Cluster, seen: Observed) -> str:
+    """Say whose the cluster is, where it is another's."""
+    try:
+        require_ours(cluster, seen)
+    except CloudError as error:
+        return error.problem
+    return ""
 
 
 def _ask_loaders(cluster: Cluster, machines: Iterable[MachineSeen]) -> dict[str, str]:

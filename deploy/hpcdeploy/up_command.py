@@ -10,7 +10,7 @@ import click
 if TYPE_CHECKING:
     from hpcdeploy.cluster import Cluster
 
-__all__ = ["down", "scale", "up"]
+__all__ = ["ask_name", "down", "scale", "up"]
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 YES = click.option("-y", "--yes", is_flag=True, help="Do not ask.")
@@ -33,14 +33,55 @@ def up(file: Path, yes: bool, keep: bool) -> None:
 
 @click.command()
 @click.argument("file", type=FILE)
-def down(file: Path) -> None:
-    """Take away all machines of the cluster file FILE, and prove that nothing is left."""
+@YES
+@click.option("--name", default="", metavar="CLUSTER", help="Its name, where it is another's.")
+def down(file: Path, yes: bool, name: str) -> None:
+    """Take away all machines of the cluster file FILE, and prove that nothing is left.
+
+    A cluster that was made elsewhere goes only where its name is typed, or given by --name.
+    """
     from hpcdeploy.cluster import open_cluster
     from hpcdeploy.converge import take_down
 
     with open_cluster(file) as cluster:
-        take_down(cluster, _say)
+        is_named = ask_name(cluster, "take it away", is_asked=not yes, given=name)
+        take_down(cluster, _say, is_named=is_named)
         _say(f"cluster {cluster.spec.cluster}: nothing is left")
+
+
+def ask_name(cluster: Cluster, purpose: str, *, is_asked: bool, given: str = "") -> bool:
+    """Let the user name a cluster that was made elsewhere; tell whether it was.
+
+    Raises
+    ------
+    CloudError
+        It was, and is not named: it says whose it is.
+    UsageError
+        Another cluster is named.
+    """
+    from hpccomponent.errors import CloudError, UsageError
+    from hpcdeploy.ownership import require_ours
+
+    name = cluster.spec.cluster
+    if given not in ("", name):
+        raise UsageError(f"the file's cluster is {name}, not {given}", "give the right file")
+    try:
+        require_ours(cluster, cluster.provider.observe(name))
+    except CloudError as error:
+        if given == name:
+            return True
+        advice = f"give --name {name} to {purpose}"
+        if not is_asked:
+            raise CloudError(error.problem, advice) from None
+        _say(error.problem)
+        try:
+            typed = click.prompt(f"Type the cluster's name to {purpose}", err=True)
+        except click.Abort:
+            raise CloudError(error.problem, advice) from None
+        if typed.strip() != name:
+            raise CloudError(f"{typed!r} is not its name: nothing was done", advice) from None
+        return True
+    return False
 
 
 @click.command()
@@ -69,8 +110,10 @@ def _bring_up(cluster: Cluster, yes: bool, keep: bool) -> None:
     from hpcdeploy.converge import bring_up, look_ahead
     from hpcdeploy.cost import check_limits, describe_cost, estimate_cost
 
-    actions, cost = look_ahead(cluster).actions, estimate_cost(cluster.spec)
-    for line in (*(f"will {action}" for action in actions), *describe_cost(cost)):
+    ahead, cost = look_ahead(cluster), estimate_cost(cluster.spec)
+    actions = ahead.actions
+    planned = (f"will {action}" for action in actions)
+    for line in (*planned, *ahead.obstacles(), *describe_cost(cost)):
         _say(line)
     for problem in check_wheels(cluster.spec, cluster.path.absolute().parent) if actions else ():
         _say(f"missing: {problem.what}; {problem.advice}")

@@ -9,4 +9,4 @@ from hpcdeploy.provider import Launch
 
 def claim(cluster: Cluster) -> None:
     for node in cluster.spec.nodes():
-        cluster.provider.launch(Launch("lab", "life", NodeName(node)))
+        cluster.provider.launch(Launch("lab", "life", NodeName(node), owner=cluster.access.owner()))

@@ -11,10 +11,11 @@ from hpcapp.cli import main
 from hpccomponent.errors import CloudError, LeftoverError
 from hpcdeploy.bootstrap import set_up
 from hpcdeploy.cluster import open_cluster
-from hpcdeploy.converge import take_down
+from hpcdeploy.converge import look_ahead, take_down
 from hpcdeploy.doctor_command import doctor
 from hpcdeploy.names import NodeName
 from hpcdeploy.pace import Pace
+from hpcdeploy.plan import LaunchNode, Terminate
 from hpcdeploy.provider import Launch, State
 from hpcdeploy.shell_command import get, put
 from machines.hosts import claim
@@ -88,10 +89,11 @@ def test_a_host_that_vanished_counts_as_stopped_with_the_reason(
         claim(cluster)
         machines.stop(hosts[1])
         head, worker = cluster.provider.observe("lab").machines
-        assert (head.state, worker.state) == (State.RUNNING, State.STOPPED)
+        assert (head.state, worker.state) == (State.RUNNING, State.UNKNOWN)
         assert "connection refused" in worker.reason
+        owner = cluster.access.owner()
         with pytest.raises(CloudError, match="connection refused"):
-            cluster.provider.launch(Launch("lab", "life", NodeName("worker-1")))
+            cluster.provider.launch(Launch("lab", "life", NodeName("worker-1"), owner=owner))
 
 
 def test_down_names_a_host_that_does_not_answer_and_leaves_the_others_clean(
@@ -138,3 +140,56 @@ def test_files_go_to_the_head_and_come_back(
     target = tmp_path / "back.ply"
     assert CliRunner().invoke(get, [str(file), "cloud.ply", str(target)]).exit_code == 0
     assert target.read_bytes() == b"ply\n" * 1000
+
+
+def test_a_host_that_hides_what_it_does_is_never_ended_nor_replaced(
+    file: Path, hosts: tuple[Server, Server], machines: Machines, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_cluster(file) as cluster:
+        claim(cluster)
+    claims = [host.home / FOLDER / "machine.json" for host in hosts]
+    known_hosts = file.parent / "user/.ssh/known_hosts"
+    known = known_hosts.read_text()
+    for hide, why in (
+        (lambda: known_hosts.write_text(""), "is not known"),
+        (hosts[1].keys.clear, "permission denied"),
+        (lambda: machines.stop(hosts[1]), "connection refused"),
+    ):
+        hide()
+        with open_cluster(file) as cluster:
+            ahead = look_ahead(cluster)
+        assert not [a for a in ahead.actions if isinstance(a, Terminate | LaunchNode)]
+        assert any("worker-1" in line and why in line for line in ahead.obstacles())
+        for verb in (["plan"], ["up", "-y"], ["scale", "1", "-y"], ["status"]):
+            with pytest.raises(SystemExit):
+                main([verb[0], str(file), *verb[1:]])
+            told = capsys.readouterr()
+            assert "terminate" not in told.out + told.err
+            assert why in told.out + told.err
+        assert all(path.exists() for path in claims)
+        known_hosts.write_text(known)
+
+
+def test_hosts_that_another_home_has_claimed_are_adopted_on_purpose(
+    file: Path,
+    hosts: tuple[Server, Server],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with open_cluster(file) as cluster:
+        claim(cluster)
+    monkeypatch.setenv("XDG_STATE_HOME", str(file.parent / "ben"))
+
+    def run(*words: str) -> int:
+        with pytest.raises(SystemExit) as left:
+            main([words[0], str(file), *words[1:]])
+        assert isinstance(left.value.code, int)
+        return left.value.code
+
+    for words in (("plan",), ("up", "-y"), ("scale", "0", "-y"), ("down", "-y")):
+        assert run(*words) == 4
+        assert "cluster lab was made elsewhere: by " in capsys.readouterr().err
+    assert all((host.home / FOLDER / "machine.json").exists() for host in hosts)
+    assert run("adopt", "-y") == 0
+    assert run("plan") == 0
+    assert "nothing to create or change" in capsys.readouterr().out

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import secrets
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 from hpccomponent.config import parse_config
 from hpcdeploy.cluster import Cluster
+from hpcdeploy.journal import begun_lives
+from hpcdeploy.layout import state_folder
+from hpcdeploy.names import Owner
+from hpcdeploy.ownership import Held, fingerprint
 from hpcdeploy.pace import Pace
 from hpcdeploy.provider import MachineSeen
 from hpcdeploy.providers.memory import MemoryProvider
@@ -90,6 +94,36 @@ class SetUp:
         return failures
 
 
-def make_cluster(spec: ClusterSpec, provider: MemoryProvider) -> Cluster:
-    access: Any = SimpleNamespace(public_key=lambda: "ssh-rsa AAAA")
+@dataclass
+class Keyring:
+    """Stands for the access to machines: one user's key of a cluster, and who that user is.
+
+    The key lies where the real one does, so that `down` forgets it and another home has another.
+    """
+
+    cluster: str
+    user: str = "anna@lab"
+    public: str | None = None
+
+    def public_key(self) -> str:
+        path = state_folder(self.cluster) / "id"
+        if self.public is None and not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(f"ssh-rsa {secrets.token_hex(8)}")
+        return self.public or path.read_text()
+
+    def owner(self) -> Owner:
+        return Owner(self.user, fingerprint(self.public_key()))
+
+    def held(self) -> Held:
+        lives = begun_lives(self.cluster)
+        if self.public is None and not (state_folder(self.cluster) / "id").exists():
+            return Held(Owner(self.user), lives=lives)
+        return Held(self.owner(), frozenset({self.public_key()}), lives)
+
+
+def make_cluster(
+    spec: ClusterSpec, provider: MemoryProvider, user: str = "anna@lab", key: str | None = None
+) -> Cluster:
+    access: Any = Keyring(spec.cluster, user, key)
     return Cluster(Path("cluster.yaml"), spec, provider, access)

@@ -21,7 +21,15 @@ from pathlib import Path
 from typing import Any, cast
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.names import CLUSTER_TAG, LEASE_TAG, PREFIX, client_token, group_name
+from hpcdeploy.names import (
+    CLUSTER_TAG,
+    LEASE_TAG,
+    OWNER_TAG,
+    PREFIX,
+    Owner,
+    client_token,
+    group_name,
+)
 from hpcdeploy.provider import GroupSeen, KeyPairSeen, Launch, MachineSeen, Observed, Problem, State
 from hpcdeploy.provider_spec import CloudSpec
 from hpcdeploy.providers.ec2_access import GroupKeeper, KeyPairKeeper
@@ -37,6 +45,7 @@ __all__ = ["Ec2Provider", "open_ec2"]
 
 _NO_INSTANCE = "InvalidInstanceID.NotFound"
 _NOT_YET = {_NO_INSTANCE}
+_NOT_YET_FOR_TAGS = _NOT_YET | {"InvalidGroup.NotFound", "InvalidGroupId.NotFound"}
 _NOT_YET_FOR_LAUNCH = {"InvalidGroup.NotFound", "InvalidKeyPair.NotFound"}
 
 
@@ -120,9 +129,22 @@ class Ec2Provider:
         """Make the key pair of a cluster's life known, or return the one there is."""
         return self._key_pairs.create(cluster, incarnation, public_key)
 
-    def create_group(self, cluster: str, incarnation: str) -> GroupSeen:
+    def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
         """Make the security group of a cluster, without rules; or return the one there is."""
-        return self._groups.create(cluster, incarnation)
+        group = self._groups.create(cluster, incarnation, owner)
+        if group.incarnation == incarnation and not group.owner.key:
+            self.mark([], [group], owner)
+            return replace(group, owner=owner)
+        return group
+
+    def mark(
+        self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
+    ) -> None:
+        """Write down whose some machines and groups are from now on."""
+        marked = groups if self._knows.tags_on_groups else ()
+        ids = [machine.id for machine in machines] + [group.id for group in marked]
+        if ids:
+            self._tag(ids, {OWNER_TAG: str(owner)})
 
     def allow(
         self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
@@ -153,7 +175,8 @@ class Ec2Provider:
         # A token may be remembered longer than its machine.
         if not self._knows.tags_at_launch and machine.state is not State.GONE:
             self._tag([machine.id], launch_tags(launch))
-        return replace(machine, lease_until=launch.lease_until)
+        owner = machine.owner if machine.owner.key else launch.owner
+        return replace(machine, lease_until=launch.lease_until, owner=owner)
 
     def _image(self, image_id: str) -> dict[str, Any]:
         with self._images_lock:
@@ -170,7 +193,8 @@ class Ec2Provider:
         for _ in self._calls.tries():  # the lists may lag behind
             for machine in self._find("client-token", token):
                 if machine.state is not State.GONE:
-                    self._tag([machine.id], launch_tags(launch))
+                    known = Owner() if machine.owner.key else launch.owner
+                    self._tag([machine.id], launch_tags(replace(launch, owner=known)))
                 return machine
         raise error
 
@@ -178,7 +202,7 @@ class Ec2Provider:
         self._calls.call(
             "create_tags",
             f"tag {', '.join(ids)}",
-            not_yet=_NOT_YET,
+            not_yet=_NOT_YET_FOR_TAGS,
             Resources=ids,
             Tags=[{"Key": key, "Value": value} for key, value in tags.items()],
         )

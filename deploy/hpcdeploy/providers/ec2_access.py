@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.names import CLUSTER_TAG, PREFIX, group_name, key_pair_name
+from hpcdeploy.names import CLUSTER_TAG, OWNER_TAG, PREFIX, Owner, group_name, key_pair_name
 from hpcdeploy.provider import GroupSeen, KeyPairSeen
 from hpcdeploy.providers.ec2_capabilities import Capabilities
 from hpcdeploy.providers.ec2_client import Calls
@@ -65,7 +65,8 @@ class KeyPairKeeper:
         name = key_pair_name(cluster, incarnation)
         parameters: dict[str, Any] = {"KeyName": name, "PublicKeyMaterial": public_key.encode()}
         if self._by_tag:
-            parameters["TagSpecifications"] = _tags("key-pair", cluster)
+            tags = {CLUSTER_TAG: cluster}
+            parameters["TagSpecifications"] = _specification("key-pair", tags)
         try:
             self._calls.call("import_key_pair", f"import key pair {name}", **parameters)
         except CloudError as error:
@@ -115,15 +116,19 @@ class GroupKeeper:
         seen = (read_group(group, self._ssh_port) for group in described)
         return [group for group in seen if group is not None]
 
-    def create(self, cluster: str, incarnation: str) -> GroupSeen:
-        """Make a group without rules, or return the one that is there."""
+    def create(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
+        """Make a group without rules, or return the one that is there.
+
+        Where tags cannot be set at once its owner is empty.
+        """
         name = group_name(cluster)
         parameters: dict[str, Any] = {
             "GroupName": name,
             "Description": group_description(cluster, incarnation),
         }
         if self._knows.tags_on_access:
-            parameters["TagSpecifications"] = _tags("security-group", cluster)
+            tags = {CLUSTER_TAG: cluster, OWNER_TAG: str(owner)}
+            parameters["TagSpecifications"] = _specification("security-group", tags)
         if self._subnet != "auto":
             parameters["VpcId"] = self._vpc()
         try:
@@ -139,7 +144,8 @@ class GroupKeeper:
                 f"a security group {name} exists and is not hpcapp's",
                 "give the cluster another name, or delete the group",
             ) from error
-        return GroupSeen(cluster, reply["GroupId"], name, incarnation)
+        known = owner if self._knows.tags_on_access else Owner()
+        return GroupSeen(cluster, reply["GroupId"], name, incarnation, owner=known)
 
     def _vpc(self) -> str:
         reply = self._calls.call(
@@ -207,9 +213,10 @@ class GroupKeeper:
         return True
 
 
-def _tags(kind: str, cluster: str) -> list[dict[str, Any]]:
+def _specification(kind: str, tags: Mapping[str, str]) -> list[dict[str, Any]]:
     # What the cloud's keys may change can so be bound to the tag: see docs/cluster.md.
-    return [{"ResourceType": kind, "Tags": [{"Key": CLUSTER_TAG, "Value": cluster}]}]
+    pairs = [{"Key": key, "Value": value} for key, value in tags.items()]
+    return [{"ResourceType": kind, "Tags": pairs}]
 
 
 def _permission(rule: Rule) -> dict[str, Any]:

@@ -27,6 +27,8 @@ class Capabilities:
         group's name and known by their client token, and tagged afterwards.
     tags_on_access : bool
         ``TagSpecifications`` of ImportKeyPair and CreateSecurityGroup.
+    tags_on_groups : bool
+        Whether CreateTags takes security groups.
     spot : bool
         ``InstanceMarketOptions``.
     ends_when_shut_down : bool
@@ -44,6 +46,7 @@ class Capabilities:
     api_version: str | None
     tags_at_launch: bool = False
     tags_on_access: bool = False
+    tags_on_groups: bool = False
     spot: bool = False
     ends_when_shut_down: bool = False
     imds_v2: bool = False
@@ -55,14 +58,14 @@ class Capabilities:
 
 # A version that a cloud does not know is no error there: it takes its own.
 _TABLE = {
-    "aws": Capabilities(None, *[True] * 9),
-    "euca-4.0": Capabilities("2014-09-01"),
-    "euca-4.1": Capabilities("2014-10-01"),
-    "euca-4.2": Capabilities("2015-04-15"),
-    "euca-4.3": Capabilities("2015-10-01"),
-    "euca-4.4": Capabilities("2016-09-15"),
-    "euca-5.0": Capabilities("2016-11-15", tags_at_launch=True),
-    "euca-5.1": Capabilities("2016-11-15", tags_at_launch=True),
+    "aws": Capabilities(None, *[True] * 10),
+    "euca-4.0": Capabilities("2014-09-01", tags_on_groups=True),
+    "euca-4.1": Capabilities("2014-10-01", tags_on_groups=True),
+    "euca-4.2": Capabilities("2015-04-15", tags_on_groups=True),
+    "euca-4.3": Capabilities("2015-10-01", tags_on_groups=True),
+    "euca-4.4": Capabilities("2016-09-15", tags_on_groups=True),
+    "euca-5.0": Capabilities("2016-11-15", tags_at_launch=True, tags_on_groups=True),
+    "euca-5.1": Capabilities("2016-11-15", tags_at_launch=True, tags_on_groups=True),
     "generic": Capabilities("2016-11-15"),
 }
 _AUTO = {"aws": "aws", "eucalyptus": "euca-4.0", "ec2": "generic"}

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import getpass
 import math
-import socket
 from collections.abc import Mapping
 from typing import Any
 
@@ -37,11 +35,10 @@ def profile_of(cloud: CloudSpec, name: str) -> Profile:
 
 def launch_tags(launch: Launch) -> dict[str, str]:
     """Return the tags of a machine: the user's own, and ours over them."""
-    owner = f"{getpass.getuser()}@{socket.gethostname()}"
     tags = launch.tags | identity_tags(launch.cluster, launch.incarnation, launch.name)
     if launch.lease_until is not None:
         tags[LEASE_TAG] = lease_text(launch.lease_until)
-    return tags | {OWNER_TAG: owner}
+    return tags | ({OWNER_TAG: str(launch.owner)} if launch.owner.key else {})
 
 
 def launch_parameters(

@@ -18,10 +18,12 @@ from hpcdeploy.names import (
     INCARNATION_TAG,
     LEASE_TAG,
     NODE_TAG,
+    OWNER_TAG,
     PREFIX,
     NodeName,
     key_pair_name,
     read_client_token,
+    read_owner,
 )
 from hpcdeploy.provider import GroupSeen, KeyPairSeen, MachineSeen, State
 
@@ -97,6 +99,7 @@ def as_machine(
         launched=described.get("LaunchTime"),
         lease_until=_read_lease(_tags(described).get(LEASE_TAG, "")),
         reason=reason or described.get("StateTransitionReason", ""),
+        owner=read_owner(_tags(described).get(OWNER_TAG, "")),
     )
 
 
@@ -149,6 +152,7 @@ def read_group(described: Mapping[str, Any], ssh_port: int) -> GroupSeen | None:
             for protocol, first, last, kind, source in rules
             if (protocol, kind) == ("tcp", "group") and first == last and source in own
         ),
+        owner=read_owner(_tags(described).get(OWNER_TAG, "")),
     )
 
 
@@ -185,4 +189,6 @@ def read_key_pair(described: Mapping[str, Any], cluster: str | None) -> KeyPairS
     if cluster is None:
         cluster = _tags(described).get(CLUSTER_TAG, "")
     incarnation = name.removeprefix(key_pair_name(cluster, ""))
-    return KeyPairSeen(cluster, name, incarnation) if cluster and incarnation != name else None
+    if not cluster or incarnation == name:
+        return None
+    return KeyPairSeen(cluster, name, incarnation, str(described.get("KeyFingerprint", "")))

@@ -17,7 +17,7 @@ from hpcdeploy.jobs import end_jobs
 from hpcdeploy.layout import clusters_folder, machine_folder, state_folder
 from hpcdeploy.loader_service import stop_command
 from hpcdeploy.local_shell import LocalShell
-from hpcdeploy.names import NodeName
+from hpcdeploy.names import NodeName, read_owner
 from hpcdeploy.provider import (
     Launch,
     MachineSeen,
@@ -66,6 +66,7 @@ class LocalProvider(StandingMachines):
                         "incarnation": launch.incarnation,
                         "generation": launch.name.generation,
                         "launched": datetime.now(UTC).isoformat(),
+                        "owner": str(launch.owner),
                     }
                 )
             )
@@ -109,6 +110,7 @@ def _node(claim: Path) -> MachineSeen:
             public_address=LOOPBACK,
             private_address=LOOPBACK,
             launched=datetime.fromisoformat(said["launched"]),
+            owner=read_owner(said.get("owner", "")),
         )
     except (OSError, ValueError, KeyError) as error:
         raise CloudError(f"{claim}: cannot be read ({error})", "remove its folder") from error

@@ -16,7 +16,7 @@ from datetime import datetime, timedelta
 from typing import Literal
 
 from hpccomponent.errors import CapacityError
-from hpcdeploy.names import client_token, group_name, key_pair_name
+from hpcdeploy.names import Owner, client_token, group_name, key_pair_name
 from hpcdeploy.pace import utc_now
 from hpcdeploy.provider import (
     GroupSeen,
@@ -105,18 +105,28 @@ class MemoryProvider:
 
     def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
         """Make a key pair."""
-        del public_key
         with self._called("create_key_pair"):
             name = key_pair_name(cluster, incarnation)
-            pair = KeyPairSeen(cluster, name, incarnation)
+            pair = KeyPairSeen(cluster, name, incarnation, public_key)
             return self._key_pairs.setdefault(name, pair)
 
-    def create_group(self, cluster: str, incarnation: str) -> GroupSeen:
+    def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
         """Make a group."""
         with self._called("create_group"):
             name = group_name(cluster)
-            group = GroupSeen(cluster, f"sg-{next(self._numbers)}", name, incarnation)
+            number = next(self._numbers)
+            group = GroupSeen(cluster, f"sg-{number}", name, incarnation, owner=owner)
             return self._groups.setdefault(cluster, group)
+
+    def mark(
+        self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
+    ) -> None:
+        """Write down whose some machines and groups are."""
+        with self._called("mark"):
+            for machine in self._named(machines):
+                machine.seen = replace(machine.seen, owner=owner)
+            for group in groups:
+                self._groups[group.cluster] = replace(self._groups[group.cluster], owner=owner)
 
     def allow(
         self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
@@ -199,6 +209,7 @@ class MemoryProvider:
             market=launch.market,
             launched=now,
             lease_until=launch.lease_until,
+            owner=launch.owner,
         )
         return _Machine(seen, now)
 
@@ -227,9 +238,9 @@ class MemoryProvider:
     @contextmanager
     def _called(self, call: str) -> Iterator[None]:
         """Let the hook see a call on its way in and its answer on the way out."""
+        if self.hook:
+            self.hook("before", call)
         with self._lock:
-            if self.hook:
-                self.hook("before", call)
             yield
-            if self.hook:
-                self.hook("after", call)
+        if self.hook:
+            self.hook("after", call)

@@ -21,8 +21,9 @@ from hpcdeploy.installing import write_text
 from hpcdeploy.jobs import end_jobs
 from hpcdeploy.layout import machine_folder
 from hpcdeploy.loader_service import stop_command
-from hpcdeploy.names import HEAD, NodeName
+from hpcdeploy.names import HEAD, NodeName, Owner, read_owner
 from hpcdeploy.provider import (
+    GroupSeen,
     Launch,
     MachineSeen,
     Observed,
@@ -68,7 +69,7 @@ class SshHosts(StandingMachines):
         self._folder = machine_folder(spec.cluster)
 
     def observe(self, cluster: str | None) -> Observed:
-        """Return the hosts that hold our claim; one that does not answer counts as stopped."""
+        """Return the hosts that hold our claim; of one that lets us not in nothing is known."""
         if cluster not in (None, self._spec.cluster):
             return Observed()
         with ThreadPoolExecutor(AT_ONCE, thread_name_prefix="hosts") as pool:
@@ -90,10 +91,22 @@ class SshHosts(StandingMachines):
             "generation": launch.name.generation,
             "incarnation": launch.incarnation,
             "launched": datetime.now(UTC).isoformat(),
+            "owner": str(launch.owner),
         }
         with self._access.open(machine) as shell:
             write_text(shell, f"{self._folder}/{_CLAIM}", json.dumps(claim))
         return self._claimed(launch.name.node, claim)
+
+    def mark(
+        self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
+    ) -> None:
+        """Write down in the claims whose some hosts are."""
+        del groups
+        for machine in machines:
+            path = f"{self._folder}/{_CLAIM}"
+            with self._access.open(machine) as shell:
+                claim = json.loads(shell.run(f"cat {shlex.quote(path)}").output)
+                write_text(shell, path, json.dumps(claim | {"owner": str(owner)}))
 
     def terminate(self, machines: Sequence[MachineSeen]) -> None:
         """Stop the loaders and remove our folders; hosts that do not answer stay as they are."""
@@ -129,7 +142,7 @@ class SshHosts(StandingMachines):
             with self._access.open(machine) as shell:
                 done = shell.run(f"cat {shlex.quote(self._folder)}/{_CLAIM}")
         except CloudError as error:
-            return replace(machine, state=State.STOPPED, reason=error.problem)
+            return replace(machine, state=State.UNKNOWN, reason=error.problem)
         if done.exit_code:
             return None
         try:
@@ -147,6 +160,7 @@ class SshHosts(StandingMachines):
             name=NodeName(claim["node"], claim["generation"]),
             incarnation=claim["incarnation"],
             launched=datetime.fromisoformat(claim["launched"]),
+            owner=read_owner(claim.get("owner", "")),
         )
 
     def _end(self, machine: MachineSeen) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 
+from hpcdeploy.names import Owner
 from hpcdeploy.provider import GroupSeen, KeyPairSeen, MachineSeen
 
 __all__ = ["StandingMachines"]
@@ -23,14 +24,20 @@ class StandingMachines:
         del public_key
         return KeyPairSeen(cluster, "", incarnation)
 
-    def create_group(self, cluster: str, incarnation: str) -> GroupSeen:
+    def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
         """Do nothing: the network is as it is."""
+        del owner
         return GroupSeen(cluster, "", "", incarnation)
 
     def allow(
         self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
     ) -> None:
         """Do nothing: the network is as it is."""
+
+    def mark(
+        self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
+    ) -> None:
+        """Do nothing: on this machine all is the user's own."""
 
     def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
         """Do nothing: the machines stay."""

@@ -6,14 +6,13 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from cloud import FOREVER, Instance, StrictCloud
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
-from simulated import SetUp
+from simulated import Keyring, SetUp
 
 from hpccomponent.errors import CloudError, LeftoverError
 from hpcdeploy.cluster import Cluster
@@ -47,7 +46,7 @@ class Scene:
             json.dumps({"version": 1, "cluster": "bunny", "provider": provider, "workers": workers})
         )
         spec = read_spec(path)
-        access: Any = SimpleNamespace(public_key=lambda: PUBLIC_KEY)
+        access: Any = Keyring("bunny", public=PUBLIC_KEY)
         return Cluster(path, spec, open_provider(spec, self.folder), access)
 
     def up(self, **profile: Any) -> None:

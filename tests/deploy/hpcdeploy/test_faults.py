@@ -16,7 +16,7 @@ from simulated import SetUp, SimulatedTime, make_cluster, make_spec
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.converge import bring_up, replace_lost, take_down
-from hpcdeploy.names import NodeName
+from hpcdeploy.names import NOBODY, NodeName
 from hpcdeploy.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reap import reap
@@ -44,7 +44,7 @@ class World:
         patch.setattr("hpcdeploy.bootstrap.set_up", self.set_up)
         patch.setattr("hpcdeploy.user_data.user_data", lambda *about: "#!")
         self.foreign = self.cloud.launch(Launch("foreign", "life", NodeName("head")))
-        self.cloud.create_group("foreign", "life")
+        self.cloud.create_group("foreign", "life", NOBODY)
         self.fault, self.countdown, self.is_dead = "none", 0, False
         self.cloud.hook = self.strike
 

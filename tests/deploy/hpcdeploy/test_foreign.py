@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,14 +14,17 @@ from cloud import StrictCloud
 from cloud.parameters import PROFILES
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
-from simulated import SetUp
+from simulated import Keyring, SetUp
 
-from hpccomponent.errors import LeftoverError
+from hpccomponent.errors import CloudError, LeftoverError
 from hpcdeploy.cluster import Cluster
 from hpcdeploy.converge import bring_up, take_down
-from hpcdeploy.names import draw_incarnation, key_pair_name
+from hpcdeploy.names import Owner, draw_incarnation, key_pair_name
 from hpcdeploy.pace import Pace, utc_now
+from hpcdeploy.provider import GroupSeen
+from hpcdeploy.provider_spec import Credentials
 from hpcdeploy.providers import open_provider
+from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reap import reap
 from hpcdeploy.spec import read_spec
 
@@ -56,7 +58,7 @@ def cluster(cloud: StrictCloud, tmp_path: Path) -> Cluster:
     spec_text = {"version": 1, "cluster": "bunny", "provider": block, "workers": {"count": 0}}
     path.write_text(json.dumps(spec_text))
     spec = read_spec(path)
-    access: Any = SimpleNamespace(public_key=lambda: PUBLIC_KEY)
+    access: Any = Keyring("bunny", public=PUBLIC_KEY)
     return Cluster(path, spec, open_provider(spec, tmp_path), access)
 
 
@@ -110,3 +112,46 @@ def test_the_group_stays_as_proof_until_the_key_pair_is_gone(
     cloud.no_rights = set()
     take_down(cluster, ignore, pace=PACE)
     assert cloud.left() == []
+
+
+@pytest.mark.parametrize(
+    "description", ["my own", "hpcapp cluster bunny", "hpcapp cluster x life y"]
+)
+def test_a_foreign_group_with_our_name_is_never_taken_for_ours(
+    cloud: StrictCloud, cluster: Cluster, description: str
+) -> None:
+    cloud.model.backend.create_security_group("hpcapp-bunny", description, {})
+    with pytest.raises(CloudError, match="hpcapp-bunny exists and is not hpcapp's"):
+        bring_up(cluster, ignore, pace=PACE)
+    take_down(cluster, ignore, pace=PACE)
+    reap(cluster.provider, ignore, replace(PACE, now=lambda: utc_now() + timedelta(days=9)))
+    assert cloud.left() == ["hpcapp-bunny"]
+    assert [group.description for group in cloud.groups] == [description]
+
+
+@pytest.mark.parametrize("change", [{"region": "eu-west-1"}, {"credentials": {"profile": "other"}}])
+def test_down_after_a_change_of_place_says_where_something_was_made(
+    cloud: StrictCloud, cluster: Cluster, change: dict[str, Any]
+) -> None:
+    """The other region, or account, lists nothing: that proves nothing of this one."""
+    bring_up(cluster, ignore, pace=PACE)
+    provider = cluster.spec.provider.model_copy(
+        update={k: Credentials(**v) if k == "credentials" else v for k, v in change.items()}
+    )
+    there = replace(cluster, spec=cluster.spec.model_copy(update={"provider": provider}))
+    nothing: Any = replace(there, provider=MemoryProvider())
+    for _ in range(2):
+        with pytest.raises(LeftoverError, match=r"nothing is left in .*, but it was made in "):
+            take_down(nothing, ignore, pace=PACE)
+        assert len(cloud.living) == 1
+    lines: list[str] = []
+    with pytest.raises(CloudError):
+        bring_up(replace(nothing, provider=Refusing()), lines.append, pace=PACE)
+    assert any("what was made before in" in line for line in lines)
+    take_down(cluster, ignore, pace=PACE)
+    assert cloud.left() == []
+
+
+class Refusing(MemoryProvider):
+    def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
+        raise CloudError("refused")

@@ -8,13 +8,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from cloud import StrictCloud
 from pydantic import TypeAdapter
-from simulated import SetUp, SimulatedTime
+from simulated import Keyring, SetUp, SimulatedTime
 
 from hpcapp.cli import main
 from hpcdeploy.cluster import Cluster
@@ -74,7 +73,7 @@ def run(*arguments: str | Path) -> int:
 def open_file(path: Path) -> Cluster:
     """Open a file as the verbs do, but with a key that is there and no shells."""
     spec = read_spec(path)
-    access: Any = SimpleNamespace(public_key=lambda: RSA_KEY)
+    access: Any = Keyring("bunny", public=RSA_KEY)
     return Cluster(path, spec, open_provider(spec, path.parent), access)
 
 

@@ -54,10 +54,12 @@ def pair_of(group: GroupSeen) -> KeyPairSeen:
         (-HOUR, State.GONE, 2 * HOUR, False),
         (HOUR, State.STOPPED, 2 * HOUR, True),  # has shut itself down, its disk still costs
         (None, State.RUNNING, timedelta(minutes=50), False),  # its tags are being written
-        (None, State.RUNNING, timedelta(minutes=70), True),
+        (None, State.RUNNING, timedelta(days=2), False),  # its guard knows its lease
+        (None, State.STOPPED, timedelta(minutes=50), False),
+        (None, State.STOPPED, timedelta(minutes=70), True),
     ],
 )
-def test_a_machine_goes_by_its_lease_or_else_by_its_age(
+def test_a_machine_goes_by_its_lease_or_when_it_has_shut_down(
     lease_left: timedelta | None, state: State, age: timedelta, goes: bool
 ) -> None:
     seen = machine("bunny", lease_left, state, age)
@@ -65,12 +67,23 @@ def test_a_machine_goes_by_its_lease_or_else_by_its_age(
     assert overdue(observed, START).machines == ((seen,) if goes else ())
 
 
-@pytest.mark.parametrize(("age", "goes"), [(HOUR / 2, False), (2 * HOUR, True)])
-def test_a_machine_without_its_group_is_an_orphan_once_it_is_old(
-    age: timedelta, goes: bool
-) -> None:
-    seen = machine("bunny", HOUR, age=age)
-    assert bool(overdue(Observed((seen,)), START).machines) == goes
+def test_a_machine_whose_group_is_not_listed_stays_while_its_lease_lasts() -> None:
+    seen = machine("bunny", HOUR, age=timedelta(days=2))
+    assert overdue(Observed((seen,)), START) == Observed()
+
+
+def test_a_machine_that_runs_without_a_lease_stays_and_is_named(tmp_path: Path) -> None:
+    time = SimulatedTime()
+    cloud = MemoryProvider(time.now)
+    seen = cloud.launch(Launch("bunny", "life", NodeName("head")))
+    time.sleep(2 * 24 * 3600)
+    lines: list[str] = []
+    reap(cloud, lines.append, time.pace())
+    assert [m.state for m in cloud.observe(None).machines] == [State.RUNNING]
+    assert lines == [
+        f"head {seen.id} of cluster bunny runs and bears no lease: it stays, its owner's "
+        "hpcapp down removes it"
+    ]
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from simulated import SetUp, make_cluster, make_spec
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.converge import bring_up, take_down
+from hpcdeploy.names import NOBODY
 from hpcdeploy.pace import utc_now
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.shell import Completed
@@ -88,7 +89,7 @@ def test_every_cluster_of_a_cloud_is_listed_even_what_is_left_of_one(
     tmp_path: Path, cloud: MemoryProvider
 ) -> None:
     bring_up(cluster_on(cloud), lambda line: None)
-    cloud.create_group("forgotten", "life")
+    cloud.create_group("forgotten", "life", NOBODY)
     rows = list_clusters("here", cloud.observe(None))
     assert [row["cluster"] for row in rows] == ["bunny", "forgotten"]
     assert rows[0]["states"] == {"running": 2}

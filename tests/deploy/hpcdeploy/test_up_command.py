@@ -11,7 +11,7 @@ from simulated import FILE, START, SetUp
 
 from hpcapp.cli import hpcapp
 from hpccomponent.errors import UsageError
-from hpcdeploy.names import NodeName
+from hpcdeploy.names import NOBODY, NodeName
 from hpcdeploy.pace import utc_now
 from hpcdeploy.provider import Launch, State
 from hpcdeploy.providers.memory import MemoryProvider
@@ -23,7 +23,6 @@ def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MemoryProvider:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr("hpcdeploy.bootstrap.set_up", SetUp())
     monkeypatch.setattr("hpcdeploy.user_data.user_data", lambda *about: "#!")
-    monkeypatch.setattr("hpcdeploy.access.Access.public_key", lambda access: "ssh-rsa AAAA")
     for module in ("hpcdeploy.providers", "hpcdeploy.clouds"):
         monkeypatch.setattr(f"{module}.open_provider", lambda spec, base: cloud)
     return cloud
@@ -97,7 +96,7 @@ def test_status_for_programs(cloud: MemoryProvider, file: str) -> None:
 
 def test_ls_lists_the_files_clusters_or_all(cloud: MemoryProvider, file: str) -> None:
     run("up", "-y", file)
-    cloud.create_group("other", "life")
+    cloud.create_group("other", "life", NOBODY)
     assert [row["cluster"] for row in json.loads(run("ls", "--json", file).stdout)] == ["bunny"]
     rows = json.loads(run("ls", "--all", "--json").stdout)
     assert [row["cluster"] for row in rows] == ["bunny", "other"]
@@ -108,7 +107,7 @@ def test_reap_says_first_and_does_then(cloud: MemoryProvider, file: str) -> None
     run("up", "-y", file)
     lease_until = START.replace(year=2020)
     old = cloud.launch(Launch("old", "life", NodeName("head"), lease_until=lease_until))
-    cloud.create_group("old", "life")
+    cloud.create_group("old", "life", NOBODY)
     cloud.create_key_pair("older", "life", "k")
     dry = run("reap", "--dry-run", file)
     found = f"head {old.id} (running), security group hpcapp-old, key pair hpcapp-older-life"

@@ -14,7 +14,7 @@ from botocore.loaders import create_loader
 from cloud import StrictCloud
 from pydantic import TypeAdapter
 
-from hpcdeploy.names import NodeName
+from hpcdeploy.names import NodeName, Owner
 from hpcdeploy.provider import Launch, MachineSeen
 from hpcdeploy.provider_spec import ProviderSpec
 from hpcdeploy.providers.ec2 import Ec2Provider
@@ -24,6 +24,7 @@ RSA_KEY = (
     "ssh-rsa "
     + base64.b64encode(b"\0\0\0\x07ssh-rsa\0\0\0\x03\1\0\1\0\0\1\1\0" + b"\xc5" * 256).decode()
 )
+OWNER = Owner("anna@lab", "SHA256:abc")
 LEASE = datetime(2030, 1, 2, 3, 4, 5, tzinfo=UTC)
 OPEN = frozenset({"192.0.2.0/24"})
 
@@ -48,7 +49,7 @@ class Desk:
     def prepare(self) -> None:
         """Make what a launch needs, as `up` does."""
         self.provider.create_key_pair("bunny", "a1b2c3", RSA_KEY)
-        group = self.provider.create_group("bunny", "a1b2c3")
+        group = self.provider.create_group("bunny", "a1b2c3", OWNER)
         self.provider.allow(group, OPEN, frozenset({7070}))
 
     def launch(self, node: str = "worker-1", **more: Any) -> MachineSeen:
@@ -71,6 +72,7 @@ def a_launch(node: str = "worker-1", **more: Any) -> Launch:
         "user_data": "#!/bin/sh\n",
         "lease_until": LEASE,
         "tags": {"project": "x"},
+        "owner": OWNER,
     }
     return Launch("bunny", "a1b2c3", NodeName(node), **(asked | more))
 

@@ -13,7 +13,7 @@ from cloud import FOREVER, Call, CutError, StrictCloud
 from cloud.parameters import PROFILES
 
 from hpccomponent.errors import CapacityError, CloudError
-from hpcdeploy.names import NodeName
+from hpcdeploy.names import NOBODY, NodeName
 from hpcdeploy.provider import Observed, State
 
 from .conftest import LEASE, OPEN, RSA_KEY, Desk, a_launch
@@ -144,7 +144,7 @@ def test_a_machine_whose_tags_were_never_written_is_known(
 ) -> None:
     desk = open_desk(profile)
     desk.provider.create_key_pair(cluster, "a1b2c3", RSA_KEY)
-    desk.provider.create_group(cluster, "a1b2c3")
+    desk.provider.create_group(cluster, "a1b2c3", NOBODY)
     desk.cloud.no_rights = {"CreateTags"}
     with pytest.raises(CloudError, match="ec2:CreateTags"):
         desk.provider.launch(replace(a_launch("worker-12"), cluster=cluster))
@@ -176,7 +176,7 @@ def test_clusters_do_not_see_one_another(open_desk: OpenDesk) -> None:
         desk = open_desk(profile)
         for cluster in ("bunny", "bunny-2"):
             desk.provider.create_key_pair(cluster, "a1b2c3", RSA_KEY)
-            desk.provider.create_group(cluster, "a1b2c3")
+            desk.provider.create_group(cluster, "a1b2c3", NOBODY)
             desk.provider.launch(replace(a_launch(), cluster=cluster))
         observed = desk.provider.observe("bunny")
         assert {m.cluster for m in observed.machines} == {"bunny"}
@@ -238,7 +238,7 @@ def test_what_others_made_is_never_touched(open_desk: OpenDesk, profile: str) ->
     for name in ("hpcapp-bunny", "hpcapp-bunny-a1b2c3"):
         backend.import_key_pair(name, RSA_KEY.encode(), {})
     with pytest.raises(CloudError, match="security group hpcapp-bunny exists and is not"):
-        desk.provider.create_group("bunny", "a1b2c3")
+        desk.provider.create_group("bunny", "a1b2c3", NOBODY)
     for cluster in ("bunny", None):
         assert desk.provider.observe(cluster) == Observed()
 
@@ -246,7 +246,7 @@ def test_what_others_made_is_never_touched(open_desk: OpenDesk, profile: str) ->
 @each_kind
 def test_rules_become_what_is_wanted(open_desk: OpenDesk, profile: str) -> None:
     desk = open_desk(profile)
-    group = desk.provider.create_group("bunny", "a1b2c3")
+    group = desk.provider.create_group("bunny", "a1b2c3", NOBODY)
     desk.provider.allow(group, frozenset({"192.0.2.0/24", "203.0.113.9/32"}), frozenset({7070}))
     (foreign,) = desk.cloud.groups
     backend = desk.cloud.model.backend
@@ -265,11 +265,11 @@ def test_rules_become_what_is_wanted(open_desk: OpenDesk, profile: str) -> None:
 def test_ipv6_networks_where_they_are_known(open_desk: OpenDesk) -> None:
     network = frozenset({"2001:db8::/32"})
     desk = open_desk("aws")
-    group = desk.provider.create_group("bunny", "a1b2c3")
+    group = desk.provider.create_group("bunny", "a1b2c3", NOBODY)
     desk.provider.allow(group, network, frozenset())
     assert desk.provider.observe("bunny").groups[0].ssh_from == network
     desk = open_desk("euca-5.1")
-    group = desk.provider.create_group("bunny", "a1b2c3")
+    group = desk.provider.create_group("bunny", "a1b2c3", NOBODY)
     with pytest.raises(CloudError, match="no IPv6 network 2001:db8::/32"):
         desk.provider.allow(group, network, frozenset())
 
@@ -391,5 +391,6 @@ def test_what_amazons_policy_binds_to_a_tag_bears_it(open_desk: OpenDesk) -> Non
     desk.prepare()
     desk.launch()
     for made in (*desk.cloud.groups, *desk.cloud.model.backend.key_pairs.values()):
-        assert [(t["key"], t["value"]) for t in made.get_tags()] == [("hpcapp:cluster", "bunny")]
+        tags = {tag["key"]: tag["value"] for tag in made.get_tags()}
+        assert tags["hpcapp:cluster"] == "bunny"
     assert desk.cloud.instances[0].tags["hpcapp:cluster"] == "bunny"

@@ -6,7 +6,7 @@ import pytest
 from simulated import START, SimulatedTime
 
 from hpccomponent.errors import CapacityError, CloudError
-from hpcdeploy.names import NodeName
+from hpcdeploy.names import NOBODY, NodeName
 from hpcdeploy.provider import Launch, Provider, State
 from hpcdeploy.providers.memory import MemoryProvider
 
@@ -50,7 +50,7 @@ def test_the_same_request_gives_the_same_machine_even_when_it_is_gone() -> None:
 def test_a_fresh_machine_is_unseen_and_yet_keeps_its_group() -> None:
     time = SimulatedTime()
     cloud = MemoryProvider(time.now, unseen_s=10)
-    group = cloud.create_group("bunny", "life")
+    group = cloud.create_group("bunny", "life", NOBODY)
     machine = cloud.launch(LAUNCH)
     assert states(cloud) == []
     assert not cloud.delete_group(group)
@@ -60,7 +60,7 @@ def test_a_fresh_machine_is_unseen_and_yet_keeps_its_group() -> None:
 
 def test_a_group_and_a_key_pair_are_made_once() -> None:
     cloud = MemoryProvider()
-    assert cloud.create_group("bunny", "b") == cloud.create_group("bunny", "a")
+    assert cloud.create_group("bunny", "b", NOBODY) == cloud.create_group("bunny", "a", NOBODY)
     assert cloud.create_key_pair("bunny", "a", "k") == cloud.create_key_pair("bunny", "a", "other")
     assert len(cloud.observe(None).groups) == 1
     assert cloud.observe("other").groups == ()

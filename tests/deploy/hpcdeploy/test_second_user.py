@@ -1,0 +1,239 @@
+"""Two users, one name of a cluster: nobody's healthy machine is ever lost, whatever is done.
+
+Anna has made a cluster. Ben has a cluster file of the same name, the same cloud and no key of
+hers; Clara has her key. They run every command, at any call of one another's commands.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import threading
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from simulated import Failure, Keyring, SimulatedTime, make_cluster, make_spec
+
+from hpccomponent.errors import CloudError
+from hpcdeploy.cluster import Cluster
+from hpcdeploy.converge import bring_up, look_ahead, replace_lost, take_down
+from hpcdeploy.provider import MachineSeen, State
+from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.reap import reap
+from hpcdeploy.spec import ClusterSpec
+
+LIVE = (State.PENDING, State.RUNNING)
+GRACE = timedelta(minutes=5)
+USERS = st.sampled_from(["anna", "ben", "clara"])
+FAULTS = st.sampled_from(["none", "none", "none", "error", "lost answer", "killed", "ctrl-c"])
+VERBS = st.sampled_from(["up", "scale down", "replace_lost", "reap", "plan", "down"])
+
+
+class Killed(BaseException):
+    """Ends a command like kill -9: nothing of ours may catch it."""
+
+
+class WatchedCloud(MemoryProvider):
+    """A cloud that remembers who has ended which machines, as they were."""
+
+    def __init__(self, now: Any) -> None:
+        super().__init__(now, boot_s=30, end_s=20, unseen_s=4)
+        self.user = ""
+        self.ended: list[tuple[str, MachineSeen]] = []
+
+    def terminate(self, machines: Sequence[MachineSeen]) -> None:
+        ids = {machine.id for machine in machines}
+        seen = [self._seen(m) for m in self._machines.values() if m.seen.id in ids]
+        self.ended += [(self.user, machine) for machine in seen if machine.state in LIVE]
+        super().terminate(machines)
+
+
+class Lab:
+    """A cloud and its users, each with a home; whose command runs is who the process is."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, home: Path) -> None:
+        self.home, self.time = home, SimulatedTime()
+        self.cloud = WatchedCloud(self.time.now)
+        self.cloud.hook = self.strike
+        self.unreachable: set[str] = set()
+        self.healthy: dict[str, str] = {}  # machines that were set up, and the key that was used
+        self.fault, self.countdown, self.is_dead = "none", 0, False
+        self.guest: tuple[str, str] | None = None
+        patch.setattr("hpcdeploy.bootstrap.set_up", self.set_up)
+        patch.setattr("hpcdeploy.user_data.user_data", lambda *about: "#!")
+
+    def cluster(self, user: str, count: int = 1) -> Cluster:
+        key = "ssh-rsa anna" if user in ("anna", "clara") else None
+        return make_cluster(make_spec(count, 0), self.cloud, f"{user}@{user}s-laptop", key)
+
+    def set_up(
+        self, spec: ClusterSpec, machines: Sequence[MachineSeen], access: Keyring, report: Any
+    ) -> list[Failure]:
+        """Let in whoever has the key that a machine was launched with."""
+        key = access.held().owner.key
+        failures = []
+        for machine in machines:
+            launched = next(
+                m.seen.owner for m in self.cloud._machines.values() if m.seen.id == machine.id
+            )
+            if launched.key != key:
+                failures.append(Failure(machine, "permission denied"))
+            elif machine.name.node in self.unreachable:
+                failures.append(Failure(machine, "no answer"))
+            else:
+                self.healthy[machine.id] = key
+        self.strike("before", "set_up")
+        return failures
+
+    def strike(self, moment: str, call: str) -> None:
+        """Let the armed fault, or the guest's command, come about at the call it was armed for."""
+        if self.is_dead:
+            raise Killed
+        wanted = "after" if self.fault == "lost answer" else "before"
+        if self.fault == "none" or moment != wanted:
+            return
+        self.countdown -= 1
+        if self.countdown or threading.current_thread() is not threading.main_thread():
+            return
+        fault, self.fault = self.fault, "none"
+        if fault == "guest":
+            assert self.guest is not None
+            self.run(*self.guest)
+        elif fault == "ctrl-c":
+            raise KeyboardInterrupt
+        else:
+            self.is_dead = fault == "killed"
+            raise Killed if self.is_dead else CloudError(f"{call}: injected")
+
+    @contextmanager
+    def as_user(self, user: str) -> Iterator[None]:
+        before = self.cloud.user, os.environ.get("XDG_STATE_HOME", "")
+        self.cloud.user, os.environ["XDG_STATE_HOME"] = user, str(self.home / user)
+        try:
+            yield
+        finally:
+            self.cloud.user, os.environ["XDG_STATE_HOME"] = before
+
+    def run(self, user: str, verb: str, fault: str = "none", at: int = 1, count: int = 1) -> str:
+        """Run a user's verb; return how it ended."""
+        self.fault, self.countdown, self.is_dead = fault, at, False
+        try:
+            with self.as_user(user):
+                self.do(self.cluster(user, 0 if verb == "scale down" else count), verb)
+        except Killed:
+            return "killed"
+        except KeyboardInterrupt:
+            return "ctrl-c"
+        except CloudError:
+            return "failed"
+        finally:
+            self.fault, self.is_dead = "none", False
+        return "done"
+
+    def do(self, cluster: Cluster, verb: str) -> None:
+        pace, say = self.time.pace(), lambda line: None
+        match verb:
+            case "plan":
+                look_ahead(cluster)
+            case "reap":
+                reap(self.cloud, say, pace)
+            case "replace_lost":
+                replace_lost(cluster, say, pace=pace)
+            case "down":
+                take_down(cluster, say, pace=pace)
+            case _:
+                bring_up(cluster, say, pace=pace)
+
+    def check(self) -> None:
+        """Nobody has ended another's machine that was in its lease; nobody an own one in use."""
+        for user, machine in self.cloud.ended:
+            key = self.cluster(user).access.public  # type: ignore[attr-defined]
+            with self.as_user(user):
+                held = self.cluster(user).access.held().owner.key
+            is_own = machine.owner.user.startswith(user) or (key and machine.owner.key == held)
+            is_over = machine.lease_until and machine.lease_until + GRACE < self.time.now()
+            assert is_own or is_over, (user, machine)
+        self.cloud.ended.clear()
+
+
+class TwoUsers(RuleBasedStateMachine):
+    """Commands of three users in any order, and inside one another."""
+
+    @initialize(first=st.sampled_from(["anna", "ben"]))
+    def begin(self, first: str) -> None:
+        self.patch = pytest.MonkeyPatch()
+        self.patch.setenv("XDG_STATE_HOME", "/nowhere")
+        shm = "/dev/shm"  # noqa: S108 - the journal syncs every line
+        memory = shm if os.path.isdir(shm) else None
+        self.home = tempfile.TemporaryDirectory(dir=memory)
+        self.lab = Lab(self.patch, Path(self.home.name))
+        self.lab.run(first, "up", count=2)
+
+    def teardown(self) -> None:
+        if hasattr(self, "lab"):
+            self.patch.undo()
+            self.home.cleanup()
+
+    @rule(user=USERS, verb=VERBS, fault=FAULTS, at=st.integers(1, 20), count=st.integers(0, 2))
+    def command(self, user: str, verb: str, fault: str, at: int, count: int) -> None:
+        self.lab.run(user, verb, fault, at, count)
+
+    @rule(user=USERS, verb=VERBS, guest=USERS, its=VERBS, at=st.integers(1, 15))
+    def commands_inside_one_another(
+        self, user: str, verb: str, guest: str, its: str, at: int
+    ) -> None:
+        self.lab.guest = (guest, its)
+        self.lab.run(user, verb, "guest", at)
+
+    @rule(node=st.sampled_from(["head", "worker-1"]))
+    def lose(self, node: str) -> None:
+        self.lab.cloud.interrupt(node)
+
+    @rule(user=USERS, verb=st.sampled_from(["up", "replace_lost"]),
+          nodes=st.sets(st.sampled_from(["head", "worker-1"]), min_size=1))  # fmt: skip
+    def command_without_an_answer(self, user: str, verb: str, nodes: set[str]) -> None:
+        """A machine that has worked and does not let us in now is never ended for it."""
+        live = [machine for machine in self.machines() if machine.state in LIVE]
+        lives = {group.incarnation for group in self.lab.cloud.observe("bunny").groups}
+        names = Counter(machine.name.node for machine in live)
+        needed = {
+            machine.id
+            for machine in live
+            if machine.id in self.lab.healthy
+            and machine.incarnation in lives
+            and names[machine.name.node] == 1
+        }
+        self.lab.unreachable = nodes
+        self.lab.run(user, verb, count=2)
+        self.lab.unreachable = set()
+        assert needed.isdisjoint(machine.id for _, machine in self.lab.cloud.ended)
+
+    @rule(seconds=st.sampled_from([1, 10, 600, 3600]))
+    def wait(self, seconds: int) -> None:
+        self.lab.time.sleep(seconds)
+
+    def machines(self) -> tuple[MachineSeen, ...]:
+        return tuple(self.lab.cloud._seen(m) for m in self.lab.cloud._machines.values())
+
+    @invariant()
+    def nobodys_healthy_machine_is_lost(self) -> None:
+        if hasattr(self, "lab"):
+            self.lab.check()
+
+
+TestTwoUsers = TwoUsers.TestCase
+TestTwoUsers.settings = settings(
+    max_examples=int(os.environ.get("HPCAPP_SCHEDULES", "60")),
+    stateful_step_count=20,
+    phases=[Phase.explicit, Phase.reuse, Phase.generate],  # shrinking takes minutes
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
