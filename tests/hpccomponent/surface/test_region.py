@@ -66,6 +66,7 @@ def test_a_tile_is_prepared_once_where_its_ticket_comes_back():
 
 def test_sums_can_be_kept_in_a_folder(tmp_path):
     """What a tile has sampled lies beside its lattice, and is read by who solves."""
+    (tmp_path / "job").mkdir()
     method = HierarchicalMethod(48)
     partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
     plan, tiling = partition.plan.to_values(), partition.tiling
