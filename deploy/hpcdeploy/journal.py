@@ -116,11 +116,14 @@ class Journal:
         return frozenset(i for entry in self._entries for i in entry.get("set up", ()))
 
     def launched(self, *, since_opened: bool = False) -> frozenset[Launched]:
-        """Return the machines that were asked for, whether or not there was an answer."""
+        """Return the machines that were asked for, whether or not there was an answer.
+
+        Those of earlier releases, which did not write down what is set up, do not count.
+        """
         return frozenset(
             (entry["incarnation"], NodeName(entry["node"], entry["generation"]))
             for entry in self._entries[self._opened if since_opened else 0 :]
-            if "intent" in entry and "node" in entry
+            if "intent" in entry and "key" in entry
         )
 
     @property

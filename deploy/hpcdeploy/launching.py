@@ -86,6 +86,7 @@ class _Request:
                 instance_type=kind,
                 market=market,
                 lease_until=until.isoformat(),
+                key=self.owner.key,
             ):
                 seen = self.provider.launch(launch)
             if seen.state not in (State.ENDING, State.GONE):

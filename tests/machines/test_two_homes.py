@@ -216,5 +216,5 @@ def test_a_machine_that_has_worked_is_not_replaced_for_a_login_that_fails(
             lambda spec, machines, access, report: [Failure(m, "no answer") for m in machines],
         )
         assert lab.run("anna", "up", "-y") == CLOUD_FAILED
-    assert "head cannot be had: no answer; it stays, for it may be at work" in lab.said
+    assert "head (and 1 more) cannot be had: no answer; it stays, for it may be at" in lab.said
     assert [instance.id for instance in lab.cloud.living] == before
