@@ -1,0 +1,15 @@
+"""The causes for which a machine cannot be logged in to."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+
+from hpcdeploy.reach import Reach, ReachError
+
+
+@pytest.mark.parametrize("reach", Reach)
+def test_an_error_survives_pickling_with_its_cause(reach: Reach) -> None:
+    error = pickle.loads(pickle.dumps(ReachError("head: closed", "open it", reach)))
+    assert (str(error), error.reach, error.exit_code) == ("head: closed; open it", reach, 4)
