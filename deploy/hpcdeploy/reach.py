@@ -17,11 +17,12 @@ class Reach(StrEnum):
     """The cause, as it is told in one phrase."""
 
     UNREACHABLE = "unreachable"
+    SILENT = "does not answer"
     NOT_SSH = "does not speak SSH"
     HOST_KEY_UNKNOWN = "host key unknown"
     HOST_KEY_CHANGED = "host key changed"
     KEY_REFUSED = "refuses our key"
-    PASSPHRASE_NEEDED = "passphrase needed"
+    PASSPHRASE_NEEDED = "passphrase needed"  # noqa: S105 - a cause
 
 
 class ReachError(CloudError):
