@@ -82,12 +82,10 @@ class Way:
         """Read some bytes; TimeoutError where there are none yet."""
         try:
             chunk = self._way.recv(min(size, _CHUNK))
-        except TimeoutError:
-            if self._is_logged_in and time.monotonic() - self._heard > self._silence_s:
-                self.fault = f"it has not answered for {self._silence_s:.0f} s"
-                raise OSError(errno.ETIMEDOUT, self.fault) from None
-            raise
         except OSError as error:
+            if _is_early(error):
+                self._check_silence()
+                raise
             raise _numbered(error) from error
         self._heard = time.monotonic()
         if not self._is_logged_in:
@@ -98,9 +96,9 @@ class Way:
         """Write some bytes."""
         try:
             return self._way.send(content)
-        except TimeoutError:
-            raise
         except OSError as error:
+            if _is_early(error):
+                raise
             raise _numbered(error) from error
 
     def settimeout(self, timeout_s: float | None) -> None:
@@ -112,6 +110,11 @@ class Way:
         self._closed = True
         self._way.close()
 
+    def _check_silence(self) -> None:
+        if self._is_logged_in and time.monotonic() - self._heard > self._silence_s:
+            self.fault = f"it has not answered for {self._silence_s:.0f} s"
+            raise OSError(errno.ECONNABORTED, self.fault)  # ETIMEDOUT would be tried again
+
     def _count(self, chunk: bytes) -> None:
         self._counted += len(chunk)
         if not self.is_ssh:
@@ -122,9 +125,16 @@ class Way:
             raise OSError(errno.EMSGSIZE, self.fault)
 
 
+def _is_early(error: OSError) -> bool:
+    """Tell a call that was given up, to be made again, from a connection that has timed out."""
+    return isinstance(error, TimeoutError) and error.errno is None
+
+
 def _numbered(error: OSError) -> OSError:
     """Return an error with a number: paramiko fails over those of its own channels, without one."""
-    return error if error.errno else OSError(errno.ECONNRESET, str(error) or "closed")
+    if error.errno is None or isinstance(error, TimeoutError):
+        return OSError(errno.ECONNRESET, str(error) or "closed")
+    return error
 
 
 class Connection(paramiko.Transport):
