@@ -10,7 +10,6 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import paramiko
-from paramiko.pkey import UnknownKeyType
 
 from hpccomponent.errors import CloudError
 from hpccomponent.paths import expand_home
@@ -24,16 +23,22 @@ from hpcdeploy.node_keys import NodeKeys
 from hpcdeploy.ownership import Held, cloud_fingerprints, fingerprint
 from hpcdeploy.provider import MachineSeen, Provider
 from hpcdeploy.provider_spec import CloudSpec, LocalSpec, SshSpec
+from hpcdeploy.reach import Reach, ReachError
 from hpcdeploy.shell import Shell
 from hpcdeploy.spec import ClusterSpec
 from hpcdeploy.ssh import SshShell
-from hpcdeploy.ssh_connect import HostKeyError, connect, explain
-from hpcdeploy.ssh_target import Target, host_id, host_target
+from hpcdeploy.ssh_connect import connect
+from hpcdeploy.ssh_keys import public_key
+from hpcdeploy.ssh_target import Target, host_id, host_target, jump_targets
+from hpcdeploy.ssh_way import Patience
 
-__all__ = ["Access", "make_access"]
+__all__ = ["Access", "make_access", "ssh_address"]
 
+HOPELESS = (Reach.HOST_KEY_UNKNOWN, Reach.HOST_KEY_CHANGED, Reach.PASSPHRASE_NEEDED)
+"""What no further attempt changes."""
 DENIED_S = 60.0  # an image's SSH server answers before the key is installed
 RETRY_S = 1.0
+LAST_S = 1.0  # an attempt has so long at least
 KEY_BITS = 2048  # RSA, of 1024, 2048 or 4096 bits: a Eucalyptus imports nothing else
 CONSOLE_LINES = 5
 
@@ -67,9 +72,9 @@ class Access:
         Raises
         ------
         CloudError
-            The key cannot be read or made.
+            The key cannot be read or made, or has a passphrase and no agent holds it.
         """
-        return self._read_key(self._key_file(is_made=True))
+        return public_key(self._key_file(is_made=True))
 
     def held(self) -> Held:
         """Return what this machine holds of the cluster; nothing is made.
@@ -84,7 +89,7 @@ class Access:
         path = self._key_file()
         if self._spec.auth.ssh_private_key == "auto" and not path.exists():
             return Held(Owner(this_user()), lives=lives)
-        key = self._read_key(path)
+        key = public_key(path)
         return Held(Owner(this_user(), fingerprint(key)), cloud_fingerprints(key), lives)
 
     def owner(self) -> Owner:
@@ -97,27 +102,28 @@ class Access:
         """Log in with a key that is not the cluster's yet."""
         self._key = path
 
-    def _read_key(self, path: Path) -> str:
-        try:
-            key = paramiko.PKey.from_path(path)
-        except (OSError, ValueError, paramiko.SSHException, UnknownKeyType) as error:
-            raise CloudError(
-                f"{path}: the SSH key cannot be read ({explain(error)})",
-                "name a private key without a passphrase as auth.ssh_private_key, or use auto",
-            ) from error
-        return f"{key.get_name()} {key.get_base64()}"
-
     def open(self, machine: MachineSeen, timeout_s: float | None = None) -> Shell:
-        """Open a shell on a machine, and wait until it answers, by default for `limits.boot`.
+        """Open a shell on a machine.
+
+        Parameters
+        ----------
+        machine : MachineSeen
+        timeout_s : float, optional
+            How long a cloud's machine is waited for until it answers, by default `limits.boot`;
+            a host is there, so that for it this is the limit of one attempt.
 
         Raises
         ------
-        CloudError
-            It did not answer in time, or its host key is not the pinned one.
+        ReachError
+            Why it does not let us in.
         """
-        shell = self._open(machine, self._spec.limits.boot if timeout_s is None else timeout_s)
+        shell = self._open(machine, timeout_s)
         with self._lock:
             self._shells.append(shell)
+            is_late = self._closing.is_set()
+        if is_late:
+            shell.close()
+            raise _given_up(machine)
         return shell
 
     def close(self) -> None:
@@ -128,7 +134,7 @@ class Access:
         for shell in shells:
             shell.close()
 
-    def _open(self, machine: MachineSeen, timeout_s: float) -> Shell:
+    def _open(self, machine: MachineSeen, timeout_s: float | None) -> Shell:
         node = machine.name.node
         match self._spec.provider:
             case LocalSpec():
@@ -138,8 +144,16 @@ class Access:
                 auth = self._spec.auth
                 is_auto = auth.ssh_private_key == "auto"
                 files = () if is_auto else (str(self._key_file()),)
-                return self._log_in(machine, host_target(host, auth, files))
-        return self._wait_for(machine, time.monotonic() + timeout_s)
+                limit_s = Patience().login_s if timeout_s is None else timeout_s
+                try:
+                    return _log_in(machine, host_target(host, auth, files), limit_s)
+                except ReachError as error:
+                    where = f"{node} ({machine.id})"
+                    raise ReachError(
+                        f"{where}: {error.problem}", error.advice, error.reach
+                    ) from error
+        limit_s = self._spec.limits.boot if timeout_s is None else timeout_s
+        return self._wait_for(machine, time.monotonic() + limit_s)
 
     def _key_file(self, *, is_made: bool = False) -> Path:
         """Return the file of the private key, and make it, if it is to be, where there is none."""
@@ -159,23 +173,23 @@ class Access:
         denied_since: float | None = None
         while True:
             try:
-                reason, shell = "", self._try(machine)
+                shell = self._try(machine, deadline)
                 if shell is not None:
                     return shell
-                reason = "it has not printed its host keys on its console yet"
-            except HostKeyError as error:
-                raise self._unreachable(machine, explain(error)) from error
-            except (OSError, EOFError, paramiko.SSHException) as error:
-                reason = explain(error)
-                if isinstance(error, paramiko.AuthenticationException):
+                error = ReachError("it has not printed its host keys on its console yet")
+            except ReachError as refused:
+                error = refused
+                if error.reach in HOPELESS:
+                    raise self._unreachable(machine, error) from error
+                if error.reach is Reach.KEY_REFUSED:
                     denied_since = denied_since or time.monotonic()
                     deadline = min(deadline, denied_since + DENIED_S)
             if time.monotonic() >= deadline:
-                raise self._unreachable(machine, reason)
+                raise self._unreachable(machine, error) from error
             if self._closing.wait(RETRY_S):
-                raise CloudError(f"{machine.name.node}: no longer waited for")
+                raise _given_up(machine)
 
-    def _try(self, machine: MachineSeen) -> Shell | None:
+    def _try(self, machine: MachineSeen, deadline: float) -> Shell | None:
         """Log in to a cloud's machine; None while its host keys are not known."""
         key_file = self._key_file()
         if not key_file.exists():
@@ -192,37 +206,28 @@ class Access:
             self._host_keys.pin(machine.id, printed)
             keys = self._host_keys.find(machine.id)
         target = Target(
-            address=machine.public_address or machine.private_address,
+            address=ssh_address(machine),
             port=self._spec.auth.ssh_port,
             user=self._spec.auth.ssh_user,
             key_files=(str(key_file),),
             host_keys=tuple(keys),
             host_key_name=machine.id,
+            jumps=jump_targets(
+                self._spec.auth,
+                () if self._spec.auth.ssh_private_key == "auto" else (str(key_file),),
+            ),
         )
-        return _connected(machine.name.node, target)
+        limit_s = min(Patience().login_s, max(LAST_S, deadline - time.monotonic()))
+        return _log_in(machine, target, limit_s)
 
-    def _log_in(self, machine: MachineSeen, target: Target) -> Shell:
-        """Log in to a machine that is there, so that one attempt tells."""
-        try:
-            return _connected(machine.name.node, target)
-        except HostKeyError as error:
-            raise CloudError(
-                f"{machine.name.node} ({machine.id}): {explain(error)}",
-                f"run ssh {machine.id} once and compare the fingerprint",
-            ) from error
-        except (OSError, EOFError, paramiko.SSHException) as error:
-            raise CloudError(
-                f"{machine.name.node} ({machine.id}): {explain(error)}",
-                f"make 'ssh {machine.id}' work without a password",
-            ) from error
-
-    def _unreachable(self, machine: MachineSeen, reason: str) -> CloudError:
-        address = machine.public_address or machine.private_address or "no address"
+    def _unreachable(self, machine: MachineSeen, error: ReachError) -> ReachError:
+        address = ssh_address(machine) or "no address"
         lines = self._provider.console(machine).strip().splitlines()[-CONSOLE_LINES:]
         end = "\n".join(("the end of its console:", *lines)) if lines else "its console is empty"
-        return CloudError(
-            f"{machine.name.node} ({machine.id}, {address}): {reason}\n{end}",
-            "see auth in the cluster file, and the image",
+        return ReachError(
+            f"{machine.name.node} ({machine.id}, {address}): {error.problem}\n{end}",
+            error.advice or "see auth in the cluster file, and the image",
+            error.reach,
         )
 
 
@@ -235,10 +240,19 @@ def _curve_print(pair: KeyPair) -> str:
     return fingerprint(f"curve {base64.b64encode(pair.public.encode()).decode()}")
 
 
-def _connected(node: str, target: Target) -> SshShell:
+def ssh_address(machine: MachineSeen) -> str:
+    """Return the address under which a cloud's machine is logged in to; empty without one."""
+    return machine.public_address or machine.private_address
+
+
+def _log_in(machine: MachineSeen, target: Target, limit_s: float) -> SshShell:
     with ExitStack() as closer:
-        client = connect(target, closer)
-        return SshShell(node, client, closer.pop_all())
+        connection = connect(target, closer, Patience(login_s=limit_s))
+        return SshShell(machine.name.node, connection, closer.pop_all())
+
+
+def _given_up(machine: MachineSeen) -> ReachError:
+    return ReachError(f"{machine.name.node}: no longer waited for")
 
 
 def _make_key(path: Path) -> None:

@@ -38,6 +38,12 @@ CAPABILITIES = Literal[
 ]
 PROFILE_NAME = r"^[a-z][\w-]*$"
 USER_NAME = r"^[^\s@:-][^\s@:]*$"
+JUMP = (
+    r"(?:(?P<user>[^\s@:,\[\]-][^\s@:,\[\]]*)@)?"
+    r"(?:\[(?P<address>[0-9a-fA-F:.]+)\]|(?P<name>[^\s@:,\[\]-][^\s@:,\[\]]*))"
+    r"(?::(?P<port>[0-9]{1,5}))?"
+)
+"""``[USER@]HOST[:PORT]``, an IPv6 address in brackets."""
 LEGAL_REGION = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
 """What boto3 takes for a region: a label of a host name."""
 

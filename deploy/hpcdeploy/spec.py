@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from hpccomponent.config import ConfigModel, read_config
 from hpcdeploy.names import HEAD, NAME_PATTERN
-from hpcdeploy.provider_spec import USER_NAME, LocalSpec, Profile, ProviderSpec, SshSpec
+from hpcdeploy.provider_spec import JUMP, USER_NAME, LocalSpec, Profile, ProviderSpec, SshSpec
 from hpcdeploy.spec_checks import find_misfits
 
 __all__ = [
@@ -96,7 +96,18 @@ def check_tag(key: str) -> str:
 
 
 Duration = Annotated[float, BeforeValidator(parse_duration)]
+
+
+def check_jump(text: str) -> str:
+    """Return a machine on the way as it is; raise ValueError where it is none."""
+    found = re.fullmatch(JUMP, text)
+    if found is None or not 0 < int(found["port"] or 22) < 65536:
+        raise ValueError("should be [USER@]HOST[:PORT], an IPv6 address in brackets")
+    return text
+
+
 Network = Annotated[str, AfterValidator(parse_network)]
+Jump = Annotated[str, AfterValidator(check_jump)]
 Python = Annotated[str, AfterValidator(check_python)]
 Tag = Annotated[str, AfterValidator(check_tag)]
 TagValue = Annotated[str, Field(max_length=255)]
@@ -158,12 +169,21 @@ class Auth(ConfigModel):
     ssh_port : int
     allow_from : tuple of str
         IPv4 networks (CIDR) that reach the SSH port; ``auto`` is this machine's public address.
+    ssh_proxy_jump : str or tuple of str
+        Machines on the way, ``[USER@]HOST[:PORT]``, the nearest first.
     """
 
     ssh_user: str = Field(default="admin", pattern=USER_NAME)
     ssh_private_key: str = "auto"
     ssh_port: int = Field(default=22, ge=1, le=65535)
     allow_from: tuple[Network, ...] = Field(default=("auto",), min_length=1)
+    ssh_proxy_jump: Jump | tuple[Jump, ...] = ()
+
+    @property
+    def proxy_jumps(self) -> tuple[str, ...]:
+        """The machines on the way, the nearest first."""
+        jumps = self.ssh_proxy_jump
+        return (jumps,) if isinstance(jumps, str) else jumps
 
 
 class Limits(ConfigModel):

@@ -14,15 +14,17 @@ from typing import Self
 
 import paramiko
 
-from hpccomponent.errors import CloudError
 from hpcdeploy.forward import Forwarder
+from hpcdeploy.reach import Reach, ReachError
 from hpcdeploy.shell import Completed
 from hpcdeploy.ssh_connect import explain
+from hpcdeploy.ssh_way import Connection
 from hpcdeploy.terminal import give_terminal
 from hpcdeploy.transfer import fetch_file, send_file
 
 __all__ = ["SshShell"]
 
+FILES_S = 120.0  # a request for a piece of a file that takes longer will never be answered
 _CHUNK = 1 << 16
 _NO_CODE = 128  # a signal ended the shell itself, and SSH's answer to paramiko does not say which
 
@@ -33,18 +35,15 @@ class SshShell:
     Parameters
     ----------
     node : str
-    client : paramiko.SSHClient
+    connection : Connection
         Logged in.
     closer : ExitStack
         Closes the connection.
     """
 
-    def __init__(self, node: str, client: paramiko.SSHClient, closer: ExitStack) -> None:
+    def __init__(self, node: str, connection: Connection, closer: ExitStack) -> None:
         self.node = node
-        transport = client.get_transport()
-        if transport is None:
-            raise CloudError(f"{node}: the connection was lost")
-        self._transport = transport
+        self._transport = connection
         self._closer = closer
         self._lock = threading.Lock()
         self._sftp: paramiko.SFTPClient | None = None
@@ -134,6 +133,9 @@ class SshShell:
                 self._sftp = self._transport.open_sftp_client()
                 if self._sftp is None:
                     raise EOFError
+                channel = self._sftp.get_channel()
+                if channel is not None:
+                    channel.settimeout(FILES_S)
                 self._closer.callback(self._sftp.close)
             return self._sftp
 
@@ -155,12 +157,18 @@ class SshShell:
             yield
         except TimeoutError as error:
             if self._transport.is_active() and timeout_s is not None:
-                raise CloudError(
-                    f"{self.node}: {shorten(command, 60)!r} did not end within {timeout_s:.0f} s"
+                raise ReachError(
+                    f"{self.node}: {shorten(command, 60)!r} did not end within {timeout_s:.0f} s",
+                    "",
+                    Reach.SILENT,
                 ) from error
-            raise CloudError(f"{self.node}: {explain(error)}") from error
+            raise self._lost(error) from error
         except (OSError, EOFError, paramiko.SSHException) as error:
-            raise CloudError(f"{self.node}: {explain(error)}") from error
+            raise self._lost(error) from error
+
+    def _lost(self, error: BaseException) -> ReachError:
+        """Say why the connection is no more; what ended it knows more than who waited for it."""
+        return ReachError(f"{self.node}: {self._transport.way.fault or explain(error)}")
 
     def _exit_code(self, channel: paramiko.Channel, deadline: float | None) -> int:
         patience_s = None if deadline is None else max(0.0, deadline - time.monotonic())

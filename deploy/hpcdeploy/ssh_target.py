@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import paramiko
 
 from hpccomponent.errors import ConfigError
 from hpccomponent.paths import expand_home, home_folder
-from hpcdeploy.provider_spec import Host
+from hpcdeploy.provider_spec import JUMP, Host
 from hpcdeploy.spec import Auth
+from hpcdeploy.ssh_keys import own_key_files
 
-__all__ = ["Target", "host_address", "host_id", "host_target"]
+__all__ = ["Target", "host_address", "host_id", "host_target", "jump_targets"]
+
+_JUMP = re.compile(JUMP)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +37,8 @@ class Target:
         What it is called there, where not by its address.
     jumps : tuple of Target
         Machines on the way, the nearest first.
+    name : str
+        What the user calls it, where not by its address.
     """
 
     address: str
@@ -43,6 +49,26 @@ class Target:
     known_hosts: tuple[str, ...] = ()
     host_key_name: str = ""
     jumps: tuple[Target, ...] = ()
+    name: str = ""
+
+    @property
+    def place(self) -> str:
+        """Address and port, for messages."""
+        address = f"[{self.address}]" if ":" in self.address else self.address
+        return f"{address}:{self.port}"
+
+    @property
+    def called(self) -> str:
+        """The user's own name of it."""
+        return self.name or self.address
+
+    @property
+    def command(self) -> str:
+        """The command with which a user logs in by hand."""
+        jumps = ",".join(f"{jump.user}@{jump.place}" for jump in self.jumps)
+        way = f"-J {jumps} " if jumps else ""
+        port = f"-p {self.port} " if self.port != 22 else ""
+        return f"ssh {way}{port}{self.user}@{self.called}"
 
     @property
     def known_as(self) -> str:
@@ -79,12 +105,38 @@ def host_target(host: Host, auth: Auth, key_files: tuple[str, ...]) -> Target:
         The configuration cannot be read.
     """
     config = _read_config()
+    target = _resolve(config, host.address, host.user or "", host.port, auth, key_files)
+    if auth.proxy_jumps:
+        return replace(target, jumps=jump_targets(auth, key_files))
     jumps = config.lookup(host.address).get("proxyjump", "none")
     names = [] if jumps.lower() == "none" else jumps.split(",")
     return replace(
-        _resolve(config, host.address, host.user or "", host.port, auth, key_files),
+        target,
         jumps=tuple(_resolve_jump(config, name.strip(), auth, key_files) for name in names),
     )
+
+
+def jump_targets(auth: Auth, key_files: tuple[str, ...] = ()) -> tuple[Target, ...]:
+    """Return the machines on the way that the cluster file names, the nearest first.
+
+    They are the user's own: their host keys are in the user's ``known_hosts``, and the user's
+    keys let in, as ``~/.ssh/config`` says.
+
+    Parameters
+    ----------
+    auth : Auth
+    key_files : tuple of str
+        Tried first.
+
+    Raises
+    ------
+    ConfigError
+        The configuration cannot be read.
+    """
+    if not auth.proxy_jumps:
+        return ()
+    config = _read_config()
+    return tuple(_resolve_jump(config, jump, auth, key_files) for jump in auth.proxy_jumps)
 
 
 def _read_config() -> paramiko.SSHConfig:
@@ -101,9 +153,14 @@ def _resolve_jump(
     config: paramiko.SSHConfig, jump: str, auth: Auth, key_files: tuple[str, ...]
 ) -> Target:
     """Return the target of a ProxyJump's ``[USER@]HOST[:PORT]``; its own jumps do not count."""
-    user, _, place = jump.rpartition("@")
-    name, _, port = place.partition(":")
-    return _resolve(config, name, user, int(port) if port else None, auth, key_files)
+    found = _JUMP.fullmatch(jump)
+    if found is None:
+        raise ConfigError(f"{jump!r} is no [USER@]HOST[:PORT] to jump over", "correct ProxyJump")
+    user, bracketed, plain, port = found.group("user", "address", "name", "port")
+    name = bracketed or plain
+    target = _resolve(config, name, user or "", int(port) if port else None, auth, ())
+    own = target.key_files or own_key_files()
+    return replace(target, key_files=(*key_files, *own))
 
 
 def _resolve(
@@ -123,6 +180,7 @@ def _resolve(
         key_files=key_files or tuple(map(_home, found.get("identityfile", ()))),
         known_hosts=tuple(map(_home, files)),
         host_key_name=found.get("hostkeyalias", ""),
+        name=name,
     )
 
 

@@ -68,7 +68,7 @@ def list_clusters(where: str, observed: Observed) -> list[dict[str, Any]]:
             {
                 "cloud": where,
                 "cluster": name,
-                "states": dict(Counter(str(machine.state) for machine in machines)),
+                "states": dict(Counter(map(_state, machines))),
                 "instance_types": sorted({m.instance_type for m in machines} - {""}),
                 "lease_left_s": (min(leases) - now).total_seconds() if leases else None,
             }
@@ -84,7 +84,7 @@ def write_table(found: dict[str, Any]) -> str:
             *(machine[key] for key in texts),
             _duration(machine["age_s"]),
             _duration(machine["lease_left_s"]),
-            machine["loader"] or "",
+            machine["loader"] or (machine["reason"] if machine["state"] == State.UNKNOWN else ""),
         )
         for machine in found["machines"]
     ]
@@ -105,6 +105,13 @@ def write_list(rows: list[dict[str, Any]]) -> str:
         kinds = ", ".join(row["instance_types"])
         lines.append((row["cluster"], row["cloud"], states, kinds, _duration(row["lease_left_s"])))
     return "\n".join(_aligned(lines))
+
+
+def _state(machine: MachineSeen) -> str:
+    """Return a state in a few words; of one that is not known, why: its reason begins so."""
+    if machine.state is State.UNKNOWN:
+        return f"{machine.state} ({machine.reason.partition(':')[0]})"
+    return str(machine.state)
 
 
 def _machine(machine: MachineSeen, now: datetime) -> dict[str, Any]:

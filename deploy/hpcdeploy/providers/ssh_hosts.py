@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,6 +21,7 @@ from hpcdeploy.jobs import end_jobs
 from hpcdeploy.layout import machine_folder
 from hpcdeploy.loader_service import stop_command
 from hpcdeploy.names import HEAD, NodeName, Owner, read_owner
+from hpcdeploy.parallel import connections_at_once, run_parallel
 from hpcdeploy.provider import (
     GroupSeen,
     Launch,
@@ -32,12 +32,14 @@ from hpcdeploy.provider import (
 )
 from hpcdeploy.provider_spec import Host, SshSpec
 from hpcdeploy.providers.standing import StandingMachines
+from hpcdeploy.reach import Reach, ReachError
 from hpcdeploy.spec import ClusterSpec
 from hpcdeploy.ssh_target import host_address, host_id
 
 __all__ = ["SshHosts", "open_ssh_hosts"]
 
-AT_ONCE = 16
+LOOK_S = 8.0
+"""For the login, and again for the one command: so long a look at a host may take."""
 _CLAIM = "machine.json"
 
 
@@ -69,12 +71,24 @@ class SshHosts(StandingMachines):
         self._folder = machine_folder(spec.cluster)
 
     def observe(self, cluster: str | None) -> Observed:
-        """Return the hosts that hold our claim; of one that lets us not in nothing is known."""
+        """Return the hosts that hold our claim, and those that do not let us see whether they do.
+
+        Raises
+        ------
+        ReachError
+            Every login needs a passphrase: that says nothing of any host.
+        """
         if cluster not in (None, self._spec.cluster):
             return Observed()
-        with ThreadPoolExecutor(AT_ONCE, thread_name_prefix="hosts") as pool:
-            found = list(pool.map(self._look, self._hosts))
-        return Observed(tuple(machine for machine in found if machine is not None))
+        found = run_parallel(self._look, list(self._hosts), connections_at_once(), "hosts")
+        hidden = [seen for seen in found if isinstance(seen, ReachError)]
+        if len(hidden) == len(found) and all(e.reach is Reach.PASSPHRASE_NEEDED for e in hidden):
+            raise hidden[0]
+        machines = (
+            self._hidden(node, seen) if isinstance(seen, ReachError) else seen
+            for node, seen in zip(self._hosts, found, strict=True)
+        )
+        return Observed(tuple(machine for machine in machines if machine is not None))
 
     def launch(self, launch: Launch) -> MachineSeen:
         """Claim the host of a node.
@@ -110,18 +124,31 @@ class SshHosts(StandingMachines):
 
     def terminate(self, machines: Sequence[MachineSeen]) -> None:
         """Stop the loaders and remove our folders; hosts that do not answer stay as they are."""
-        with ThreadPoolExecutor(AT_ONCE, thread_name_prefix="hosts") as pool:
-            list(pool.map(self._end, (m for m in machines if m.state is State.RUNNING)))
+
+        def end(machine: MachineSeen) -> CloudError | None:
+            try:
+                self._end(machine)
+            except CloudError as error:  # the others are left clean nevertheless
+                return error
+            return None
+
+        running = [machine for machine in machines if machine.state is State.RUNNING]
+        for error in run_parallel(end, running, connections_at_once(), "hosts"):
+            if error is not None:
+                raise error
 
     def check(self) -> list[Problem]:
         """Log in to every host."""
-        problems = []
-        for node in self._hosts:
+
+        def log_in(node: str) -> Problem | None:
             try:
-                self._access.open(self._machine(node)).close()
+                self._access.open(self._machine(node), LOOK_S).close()
             except CloudError as error:
-                problems.append(Problem(error.problem, error.advice))
-        return problems
+                return Problem(error.problem, error.advice)
+            return None
+
+        found = run_parallel(log_in, list(self._hosts), connections_at_once(), "hosts")
+        return [problem for problem in found if problem is not None]
 
     def _machine(self, node: str) -> MachineSeen:
         host = self._hosts[node]
@@ -136,13 +163,20 @@ class SshHosts(StandingMachines):
             private_address=host.private_address or address,
         )
 
-    def _look(self, node: str) -> MachineSeen | None:
+    def _hidden(self, node: str, error: ReachError) -> MachineSeen:
+        """Return a host of which nothing is known but why."""
+        machine = self._machine(node)
+        words = str(error).removeprefix(f"{node} ({machine.id}): ").removeprefix(f"{node}: ")
+        reason = f"{error.reach}: {words.removeprefix(f'{error.reach}: ')}"
+        return replace(machine, state=State.UNKNOWN, reason=reason)
+
+    def _look(self, node: str) -> MachineSeen | ReachError | None:
         machine = self._machine(node)
         try:
-            with self._access.open(machine) as shell:
-                done = shell.run(f"cat {shlex.quote(self._folder)}/{_CLAIM}")
-        except CloudError as error:
-            return replace(machine, state=State.UNKNOWN, reason=error.problem)
+            with self._access.open(machine, LOOK_S) as shell:
+                done = shell.run(f"cat {shlex.quote(self._folder)}/{_CLAIM}", timeout_s=LOOK_S)
+        except ReachError as error:
+            return error
         if done.exit_code:
             return None
         try:

@@ -135,7 +135,7 @@ def test_permission_that_stays_denied_ends_the_waiting(
 ) -> None:
     monkeypatch.setattr(access_module, "DENIED_S", 0.05)
     server.keys.clear()
-    with pytest.raises(CloudError, match="permission denied"):
+    with pytest.raises(CloudError, match="refuses our key: permission denied"):
         access.open(seen(server))
 
 
@@ -195,7 +195,9 @@ def test_a_host_of_the_users_configuration_is_reached(
 
 
 def test_a_host_that_the_user_has_never_seen_is_refused(configured: Access) -> None:
-    with pytest.raises(CloudError, match=r"SHA256:\S+ is not known; run ssh lab1 once"):
+    with pytest.raises(
+        CloudError, match=r"SHA256:\S+ of \S+ is not known; run ssh -p \d+ admin@lab1"
+    ):
         configured.open(host())
 
 

@@ -51,8 +51,8 @@ def shell(server: Server, key: Path) -> Iterator[SshShell]:
     assert entry.key is not None
     target = Target(server.address, server.port, USER, (str(key),), (entry.key,))
     with ExitStack() as closer:
-        client = connect(target, closer)
-        with SshShell("worker-1", client, closer.pop_all()) as shell:
+        connection = connect(target, closer)
+        with SshShell("worker-1", connection, closer.pop_all()) as shell:
             yield shell
 
 

@@ -32,8 +32,8 @@ from hpcdeploy.ssh_target import Target
 port, user, key, hosts, command = sys.argv[1:]
 target = Target("127.0.0.1", int(port), user, (key,), known_hosts=(hosts,))
 with ExitStack() as closer:
-    client = connect(target, closer)
-    with SshShell("head", client, closer.pop_all()) as shell:
+    connection = connect(target, closer)
+    with SshShell("head", connection, closer.pop_all()) as shell:
         try:
             sys.exit(shell.interact(command))
         except HpcError as error:

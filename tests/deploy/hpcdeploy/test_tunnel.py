@@ -76,8 +76,8 @@ def shell(head: Server, tmp_path: Path) -> Iterator[SshShell]:
     assert entry.key is not None
     target = Target(head.address, head.port, USER, (str(tmp_path / "id"),), (entry.key,))
     with ExitStack() as closer:
-        client = connect(target, closer)
-        with SshShell("head", client, closer.pop_all()) as shell:
+        connection = connect(target, closer)
+        with SshShell("head", connection, closer.pop_all()) as shell:
             yield shell
 
 

@@ -1,0 +1,44 @@
+"""Why a machine cannot be logged in to: the causes, told apart.
+
+None of them says that a machine is broken: whoever meets one knows nothing of the machine's
+health, and changes nothing for it.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from hpccomponent.errors import CloudError
+
+__all__ = ["Reach", "ReachError"]
+
+
+class Reach(StrEnum):
+    """The cause, as it is told in one phrase."""
+
+    UNREACHABLE = "unreachable"
+    SILENT = "does not answer"
+    NOT_SSH = "does not speak SSH"
+    HOST_KEY_UNKNOWN = "host key unknown"
+    HOST_KEY_CHANGED = "host key changed"
+    KEY_REFUSED = "refuses our key"
+    PASSPHRASE_NEEDED = "passphrase needed"  # noqa: S105 - a cause
+
+
+class ReachError(CloudError):
+    """A machine that cannot be logged in to.
+
+    Parameters
+    ----------
+    problem : str
+        What is wrong, and where.
+    advice : str
+        The command that mends it.
+    reach : Reach
+        The cause.
+    """
+
+    def __init__(self, problem: str, advice: str = "", reach: Reach = Reach.UNREACHABLE) -> None:
+        super().__init__(problem, advice)
+        self.args = (problem, advice, reach)  # what pickling makes it again from
+        self.reach = reach

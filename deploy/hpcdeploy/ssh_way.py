@@ -1,0 +1,190 @@
+"""A connection as paramiko uses it: bounded in bytes before the login, and in silence after it.
+
+::
+
+    paramiko's thread ── recv, send ──> Way ──> socket, or a channel of the machine before
+                                         └── what was said so far, for whoever explains a failure
+
+A stranger on the other end may say anything, in any amount, or nothing at all.
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+import re
+import socket
+import threading
+import time
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from typing import Any
+
+import paramiko
+
+__all__ = ["Connection", "Patience", "Way"]
+
+GREETING_BYTES = 1 << 16
+LOGIN_BYTES = 1 << 20
+_GREETING = re.compile(rb"(?:^|\n)SSH-[^\n]*\n")
+_CHUNK = 1 << 18
+_LOG = "hpcapp.ssh"
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long a connection is waited for, in seconds.
+
+    Parameters
+    ----------
+    login_s : float
+        For all from the name's look-up to the login, over all machines on the way.
+    beat_s : float
+        How often the other end is asked whether it is there.
+    silence_s : float
+        With no byte for so long the connection is given up.
+    """
+
+    login_s: float = 30.0
+    beat_s: float = 15.0
+    silence_s: float = 60.0
+
+
+class Way:
+    """A socket or a channel, as a transport reads and writes it.
+
+    Parameters
+    ----------
+    way : socket.socket or paramiko.Channel
+    silence_s : float
+    """
+
+    def __init__(self, way: socket.socket | paramiko.Channel, silence_s: float) -> None:
+        self._way = way
+        self._silence_s = silence_s
+        self._heard = time.monotonic()
+        self._counted = 0
+        self._is_logged_in = False
+        self._closed = False  # by this name paramiko asks for it
+        self.said = bytearray()
+        """What came before and with the greeting."""
+        self.is_ssh = False
+        """Whether the greeting was that of SSH."""
+        self.fault = ""
+        """Why we have ended the connection."""
+
+    def logged_in(self) -> None:
+        """Count no longer."""
+        self._is_logged_in = True
+        self.said.clear()
+
+    def recv(self, size: int) -> bytes:
+        """Read some bytes; TimeoutError where there are none yet."""
+        try:
+            chunk = self._way.recv(min(size, _CHUNK))
+        except OSError as error:
+            if _is_early(error):
+                self._check_silence()
+                raise
+            raise _numbered(error) from error
+        self._heard = time.monotonic()
+        if not self._is_logged_in:
+            self._count(chunk)
+        return chunk
+
+    def send(self, content: bytes) -> int:
+        """Write some bytes."""
+        try:
+            return self._way.send(content)
+        except OSError as error:
+            if _is_early(error):
+                raise
+            raise _numbered(error) from error
+
+    def settimeout(self, timeout_s: float | None) -> None:
+        """Set how long one call may take."""
+        self._way.settimeout(timeout_s)
+
+    def close(self) -> None:
+        """End the connection."""
+        self._closed = True
+        self._way.close()
+
+    def _check_silence(self) -> None:
+        if self._is_logged_in and time.monotonic() - self._heard > self._silence_s:
+            self.fault = f"it has not answered for {self._silence_s:.0f} s"
+            raise OSError(errno.ECONNABORTED, self.fault)  # ETIMEDOUT would be tried again
+
+    def _count(self, chunk: bytes) -> None:
+        self._counted += len(chunk)
+        if not self.is_ssh:
+            self.said += chunk
+            self.is_ssh = _GREETING.search(self.said) is not None
+        if self._counted > (LOGIN_BYTES if self.is_ssh else GREETING_BYTES):
+            self.fault = "it says more than any login needs"
+            raise OSError(errno.EMSGSIZE, self.fault)
+
+
+def _is_early(error: OSError) -> bool:
+    """Tell a call that was given up, to be made again, from a connection that has timed out."""
+    return isinstance(error, TimeoutError) and error.errno is None
+
+
+def _numbered(error: OSError) -> OSError:
+    """Return an error with a number: paramiko fails over those of its own channels, without one."""
+    if error.errno is None or isinstance(error, TimeoutError):
+        return OSError(errno.ECONNRESET, str(error) or "closed")
+    return error
+
+
+class Connection(paramiko.Transport):
+    """A transport that keeps its words, and what goes wrong in its thread, off the terminal.
+
+    Parameters
+    ----------
+    way : Way
+    """
+
+    def __init__(self, way: Way) -> None:
+        super().__init__(way)  # type: ignore[arg-type]  # recv, send, settimeout, close are enough
+        self.way = way
+        self.set_log_channel(_LOG)
+
+    def run(self) -> None:
+        """Serve the connection; `get_exception` tells why it ended."""
+        try:
+            super().run()
+        except Exception as error:  # whatever it is, it must end as the others do
+            logging.getLogger(_LOG).debug("the connection's thread failed", exc_info=True)
+            self.saved_exception = error
+            self.active = False
+            self.packetizer.close()
+            if self.completion_event is not None:
+                self.completion_event.set()
+            if self.auth_handler is not None:
+                self.auth_handler.abort()
+            for event in list(self.channel_events.values()):
+                event.set()
+
+    def keep_alive(self, beat_s: float, closer: ExitStack) -> None:
+        """Ask the other end from time to time for an answer, whichever, until `closer` closes."""
+        is_over = threading.Event()
+        closer.callback(is_over.set)
+        threading.Thread(
+            target=self._beat, args=(beat_s, is_over), name="ssh-beat", daemon=True
+        ).start()
+
+    def _beat(self, beat_s: float, is_over: threading.Event) -> None:
+        with suppress(OSError, EOFError, paramiko.SSHException):
+            while not is_over.wait(beat_s) and self.is_active():
+                self.global_request("keepalive@openssh.com", wait=True)
+
+
+def _is_wanted(record: Any) -> bool:
+    """Let what paramiko logs, tracebacks among it, through only where everything is logged."""
+    del record
+    return logging.getLogger("hpcapp").isEnabledFor(logging.DEBUG)
+
+
+for _name in (_LOG, f"{_LOG}.sftp"):
+    logging.getLogger(_name).addFilter(_is_wanted)
