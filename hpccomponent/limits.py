@@ -9,7 +9,14 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["available_cores", "available_memory", "control_groups", "memory_limit", "read_text"]
+__all__ = [
+    "available_cores",
+    "available_memory",
+    "control_groups",
+    "memory_limit",
+    "read_text",
+    "total_memory",
+]
 
 _ROOT = Path("/")
 
@@ -86,6 +93,21 @@ def available_memory(root: Path = _ROOT) -> float | None:
             idle = told.get("total_inactive_file", told.get("inactive_file", 0))
             free.append(max(0.0, float(limit - int(used) + idle)))
     return min(free, default=None)
+
+
+def total_memory(root: Path = _ROOT) -> int:
+    """Return the memory that there is for this process, used or not, in bytes.
+
+    That of the machine, or the lowest limit of its control groups; 0 where nothing is known.
+
+    Parameters
+    ----------
+    root : Path
+        Where ``proc`` and ``sys`` lie.
+    """
+    limits = [memory_limit(group) for group in control_groups("memory", root)]
+    sizes = [1024 * size for size in [_read_fields(root / "proc/meminfo").get("MemTotal:")] if size]
+    return min([*sizes, *(limit for limit in limits if limit is not None)], default=0)
 
 
 def memory_limit(group: Path) -> int | None:

@@ -29,6 +29,7 @@ __all__ = [
     "Each",
     "EachOf",
     "Either",
+    "Exactly",
     "Fields",
     "Fixed",
     "Flag",
@@ -190,6 +191,26 @@ class Text:
             raise _refuse(place, value, "str")
         if len(value) > self.most:
             raise ProtocolError(f"{place} has {len(value)} characters, more than {self.most}")
+
+
+@dataclass(frozen=True, slots=True)
+class Exactly:
+    """A value that the master knows: a str, a number, or a tuple of such.
+
+    Parameters
+    ----------
+    value : object
+    """
+
+    value: Any
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        del extents
+        if type(value) is not type(self.value):
+            raise _refuse(place, value, type(self.value).__name__)
+        if value != self.value:
+            raise ProtocolError(f"{place} is not {self.value!r}")
 
 
 @dataclass(frozen=True, slots=True, init=False)

@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from hpcapp.communicator.losses import LOSS_BUDGET
 from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, Policy, PullPolicy
 from hpcapp.communicator.roster import (
     AskRegister,
@@ -23,7 +24,6 @@ from hpcapp.communicator.roster import (
     Refuse,
     Welcome,
 )
-from hpcapp.communicator.losses import LOSS_BUDGET
 from hpcapp.communicator.scheduler import CREDIT, Scheduler
 from hpccomponent.clock import ManualClock
 from hpccomponent.errors import NoWorkersError, WorkerLostError
