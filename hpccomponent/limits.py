@@ -21,6 +21,7 @@ __all__ = [
     "memory_limit",
     "raise_descriptor_limit",
     "read_text",
+    "total_memory",
 ]
 
 _ROOT = Path("/")
@@ -188,6 +189,21 @@ def _count_tasks_of_user(root: Path) -> int:
         if fields.get("Uid", [""])[0] == user:
             count += int(fields.get("Threads", ["1"])[0])
     return count
+
+
+def total_memory(root: Path = _ROOT) -> int:
+    """Return the memory that there is for this process, used or not, in bytes.
+
+    That of the machine, or the lowest limit of its control groups; 0 where nothing is known.
+
+    Parameters
+    ----------
+    root : Path
+        Where ``proc`` and ``sys`` lie.
+    """
+    limits = [memory_limit(group) for group in control_groups("memory", root)]
+    sizes = [1024 * size for size in [_read_fields(root / "proc/meminfo").get("MemTotal:")] if size]
+    return min([*sizes, *(limit for limit in limits if limit is not None)], default=0)
 
 
 def memory_limit(group: Path) -> int | None:

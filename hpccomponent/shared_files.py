@@ -11,12 +11,15 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from hpccomponent.private_files import create_private
+from hpccomponent.protocol.declared import Flag
+from hpccomponent.runtime.tasks import declare
 
 __all__ = ["sees_files", "write_whole"]
 
 _BUFFER = 1 << 18  # bytes of small pieces that are written together
 
 
+@declare(result=Flag(), limit=4096)
 def sees_files(*files: tuple[str, int]) -> bool:
     """Tell whether some files are there (a task).
 

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from hpcapp.batches import Workforce, map_batches
 from hpccomponent.errors import JobError, UsageError
+from hpccomponent.protocol.declared import Array
+from hpccomponent.runtime.tasks import declare
 
 __all__ = ["INTEGRANDS", "Integral", "estimate", "integrate"]
 
@@ -49,6 +51,10 @@ class Integral:
     intervals: int
 
 
+@declare(
+    result=lambda _integrand, left, _right: Array("<f8", len(left), 2),
+    limit=lambda _integrand, left, _right: 4096 + 16 * len(left),
+)
 def estimate(integrand: str, left: FloatArray, right: FloatArray) -> FloatArray:
     """Integrate over each interval by Gauss-Legendre rules of 7 and 15 nodes.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from hpcapp.communicator.roster import Worker
 from hpccomponent.protocol.frames import SMALLEST_FRAME
@@ -23,13 +23,25 @@ class Admission:
     numerics : str or None
         The numerics id; None until the first worker has set it. A job uses one, so that every
         worker gives the same bits.
+    banned : dict of str to str
+        Names and keys of workers that have been turned away, and why.
     """
 
     package: str
     numerics: str | None = None
+    banned: dict[str, str] = field(default_factory=dict)
+
+    def ban(self, worker: Worker, reason: str) -> None:
+        """Keep a worker out from now on, under its key and under its name."""
+        self.banned[worker.register.worker] = reason
+        if worker.key:
+            self.banned[worker.key] = reason
 
     def objection(self, register: Register, key: str, workers: Iterable[Worker]) -> str | None:
         """Return why a component cannot join `workers`, or None if it can."""
+        reason = self.banned.get(key) or self.banned.get(register.worker)
+        if reason is not None:
+            return reason
         if register.protocol != PROTOCOL_VERSION:
             return f"it speaks protocol {register.protocol}, the master {PROTOCOL_VERSION}"
         if register.package != self.package:

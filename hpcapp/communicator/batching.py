@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
 from itertools import islice
 
 from hpcapp.communicator.forecast import Forecast
 from hpcapp.communicator.roster import Task, Worker
 
-__all__ = ["MAX_BATCH_BYTES", "MAX_BATCH_S", "MAX_TASKS", "BatchCutter", "find_closest"]
+__all__ = [
+    "MAX_BATCH_BYTES",
+    "MAX_BATCH_S",
+    "MAX_TASKS",
+    "BatchCutter",
+    "find_closest",
+    "find_holder",
+]
 
 MAX_TASKS = 64
 MAX_BATCH_BYTES = 1_000_000  # a larger task travels alone
 MAX_BATCH_S = 0.25  # expected work; a task of unknown duration travels alone
 MAX_BLOBS = 64  # in a batch of several tasks; the worker's component keeps a file open for each
+MOST_DETOUR = 1.5  # times as slow may be who has what a task needs
 AFFINITY_WINDOW = 64  # how far from the front a task may be that suits a worker better
 
 
@@ -40,9 +48,6 @@ class BatchCutter:
 
         Near the front those come first of whose blobs the worker lacks least: no worker waits
         for a better task, and none gets a blob while it could work without.
-
-        A task that was lost with a worker before travels alone, so that the one that kills its
-        workers is found, and no other is blamed with it.
 
         Parameters
         ----------
@@ -76,7 +81,7 @@ class BatchCutter:
             size += task.size_bytes
             seconds += self._forecast.expect(worker.identity, task)
             is_full = size > MAX_BATCH_BYTES or seconds > MAX_BATCH_S or len(added) > MAX_BLOBS
-            if batch and (is_full or task.losses):
+            if batch and is_full:
                 break
             del source[number]
             if not task.is_claimed and not self._claim(number):
@@ -84,8 +89,6 @@ class BatchCutter:
                 continue
             task.is_claimed = True
             batch.append(task)
-            if task.losses:
-                break
         return batch, cancelled
 
 
@@ -115,3 +118,31 @@ def find_closest(
             break
     assert best is not None  # noqa: S101 - for mypy
     return best
+
+
+def find_holder(
+    source: OrderedDict[int, Task], workers: Sequence[Worker], chosen: Worker
+) -> Worker:
+    """Return who is idle and has all that the next task needs, if anyone; else the chosen worker.
+
+    Of several the one that has least besides: what the others have is asked for there.
+
+    Parameters
+    ----------
+    source : OrderedDict of int to Task
+        Not empty.
+    workers : sequence of Worker
+    chosen : Worker
+        One of them.
+    """
+    task = find_closest(source, chosen)
+    if not task.blobs:
+        return chosen
+    holders = [
+        worker
+        for worker in workers
+        if (worker is chosen or not worker.batches)
+        and worker.next_s <= MOST_DETOUR * chosen.next_s
+        and not task.lacking_bytes(worker)
+    ]
+    return min(holders, key=lambda worker: len(worker.blobs), default=chosen)

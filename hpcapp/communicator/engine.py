@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 from hpcapp.communicator.entries import Entry
 from hpcapp.communicator.ledger import Ledger
+from hpcapp.communicator.results import open_results
 from hpcapp.communicator.roster import (
     Action,
     AskRegister,
@@ -27,15 +28,17 @@ from hpcapp.communicator.roster import (
     Fail,
     Forgotten,
     Refuse,
+    Retire,
     Welcome,
 )
 from hpcapp.communicator.scheduler import Scheduler
 from hpcapp.communicator.transport import Received, RouterTransport
 from hpccomponent.clock import Clock
 from hpccomponent.errors import JobError, ProtocolError, UsageError
-from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer, join_frames, split_buffers
+from hpccomponent.protocol.frames import LARGEST_FRAME, split_buffers
 from hpccomponent.protocol.messages import (
     Batch,
+    ComponentMessage,
     Drain,
     Farewell,
     Forget,
@@ -62,6 +65,7 @@ _BROKEN = "its connection broke"
 _log = logging.getLogger(__name__)
 
 CLOSE_S = 5.0  # what closes is given half a second; whatever holds it up longer is left behind
+MOST_REASON = 1000  # characters of what a worker is told, and others of it
 MESSAGES_PER_ROUND = 200  # then the inbox and the clock have their turn
 
 
@@ -145,7 +149,13 @@ class Engine:
         can_split = entry.traits.split is not None
         self.post(
             lambda: self.scheduler.submit(
-                number, entry.name, entry.size_bytes, entry.blobs, entry.work, can_split
+                number,
+                entry.name,
+                entry.size_bytes,
+                entry.blobs,
+                entry.work,
+                can_split,
+                entry.limit_bytes,
             )
         )
         if self._end is not None:  # nobody would ever answer
@@ -212,31 +222,34 @@ class Engine:
             received = self._transport.receive()
             if received is None:
                 return
+            known = self.scheduler.workers.get(received.identity)
+            message: ComponentMessage | None = None
             try:
-                self._take_message(received)
+                if known is not None and known.key != received.key:
+                    raise ProtocolError("it came under another key than its sender registered with")
+                message = decode_component_message(received.head)
+                self._take_message(received, message)
             except ProtocolError as error:
                 self.counts["dropped"] += 1
-                _log.warning("a message of %r was dropped: %s", received.identity[:100], error)
+                reason = error.problem[:MOST_REASON]
+                _log.warning("a message of %r was dropped: %s", received.identity[:100], reason)
+                if known is not None and known.key == received.key:
+                    answers = message.results if isinstance(message, Results) else []
+                    numbers = [answer.task for answer in answers]
+                    self._carry_out(self.scheduler.expose(received.identity, reason, numbers))
 
-    def _take_message(self, received: Received) -> None:
-        if not received.frames:
-            raise ProtocolError("it is empty")
-        message = decode_component_message(received.frames[0])
+    def _take_message(self, received: Received, message: ComponentMessage) -> None:
         worker, scheduler = received.identity, self.scheduler
         if isinstance(message, Register):
             self._carry_out(scheduler.register(worker, message, received.key))
             self._announce()
             return
-        known = scheduler.workers.get(worker)
-        if known is not None and known.key != received.key:
-            raise ProtocolError("it came under another key than its sender registered with")
-        if message.session != self.session and known is not None:
+        if message.session != self.session and worker in scheduler.workers:
             self.counts["dropped"] += 1
             return
         match message:
             case Results():
-                sizes = [size for result in message.results for size in result.sizes]
-                self._take_results(worker, message, join_frames(received.frames[1:], sizes))
+                self._take_results(worker, message)
             case Heartbeat():
                 self._carry_out(
                     scheduler.heartbeat(worker, message.progress, message.last_batch, message.held)
@@ -250,17 +263,28 @@ class Engine:
             case Goodbye():
                 self._carry_out(scheduler.goodbye(worker, message.reason))
 
-    def _take_results(self, worker: bytes, message: Results, buffers: list[Buffer]) -> None:
+    def _take_results(self, identity: bytes, message: Results) -> None:
+        """Take results once all of them are what they must be; of a liar, none."""
+        worker, opened = self.scheduler.workers.get(identity), []
+        if worker is not None:
+            limits = self.scheduler.assignments.most_bytes(
+                worker,
+                message.batch,
+                [result.task for result in message.results],
+                self.scheduler.tasks,
+            )
+            largest = min(LARGEST_FRAME, worker.register.largest_frame)
+            opened = open_results(
+                message.results, limits, largest, self._transport.take_frames, self.ledger.find
+            )
         actions = self.scheduler.results(
-            worker, message.batch, message.results, message.is_finished
+            identity, message.batch, message.results, message.is_finished
         )
-        supply = iter(buffers)
-        groups = [[next(supply) for _ in result.sizes] for result in message.results]
-        # The next batch leaves first; decoding can wait, an idle worker should not.
+        # The next batch leaves first: whoever waits for a result may take its time with it.
         self._carry_out([action for action in actions if not isinstance(action, Deliver)])
         for action in actions:
             if isinstance(action, Deliver):
-                self.ledger.deliver(action.task, action.result, groups[action.index])
+                self.ledger.deliver(action.task, action.result, opened[action.index])
 
     def _take_need(self, worker: bytes, message: Need) -> None:
         # A value that was changed after it was shared is refused by every worker, for ever.
@@ -278,7 +302,7 @@ class Engine:
         if not self._transport.take_disconnected() and now < self._probe_at:
             return
         self._probe_at = now + self._timing.probe_s
-        ping = Ping(self.session, self.scheduler.last_batch)
+        ping = Ping(self.session, self.scheduler.assignments.last)
         broken = [identity for identity in self.scheduler.workers if not self._say(identity, ping)]
         if broken:
             self._carry_out(self.scheduler.disconnected(broken, _BROKEN))
@@ -299,8 +323,8 @@ class Engine:
                         pending.extend(
                             self.scheduler.undelivered(action.worker, action.batch, _BROKEN)
                         )
-                case Deliver():
-                    self.ledger.deliver(action.task, action.result, [])
+                case Retire():
+                    _log.warning("%s gets no more of this job: %s", action.machine, action.reason)
                 case Fail():
                     self.ledger.fail(action.task, action.error)
                 case Welcome():

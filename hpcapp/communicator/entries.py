@@ -11,8 +11,9 @@ from typing import Any
 from hpccomponent.errors import HpcError, TaskError, UsageError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.codec import encode_arguments
+from hpccomponent.protocol.declared import ANYTHING, DEFAULT_RESULT_BYTES, Declared
 from hpccomponent.protocol.frames import Buffer
-from hpccomponent.runtime.tasks import PLAIN, Traits
+from hpccomponent.runtime.tasks import PLAIN, Traits, each_result
 
 __all__ = ["Entry", "each_traits", "make_entry", "split_entry"]
 
@@ -31,6 +32,8 @@ class Entry:
     work: float = 1.0
     arguments: tuple[Any, ...] = ()
     traits: Traits = PLAIN
+    declared: Declared = ANYTHING
+    limit_bytes: int = DEFAULT_RESULT_BYTES
     is_claimed: bool = False
 
     @property
@@ -69,7 +72,8 @@ def make_entry(future: Future[Any], name: str, arguments: tuple[Any, ...], trait
                 f"task {name!r} declares a cost of {work}", "let it return a number above 0"
             )
     kept = arguments if traits.split is not None else ()
-    return Entry(future, name, header, buffers, blobs, work, kept, traits)
+    declared, limit = traits.result_of(arguments), traits.limit_of(arguments)
+    return Entry(future, name, header, buffers, blobs, work, kept, traits, declared, limit)
 
 
 def each_traits(traits: Traits) -> Traits:
@@ -87,7 +91,10 @@ def each_traits(traits: Traits) -> Traits:
             return None
         return [tuple(c[:half] for c in columns), tuple(c[half:] for c in columns)]
 
-    return Traits(cost, split, lambda results: [value for part in results for value in part])
+    def join(results: list[list[Any]]) -> list[Any]:
+        return [value for part in results for value in part]
+
+    return Traits(cost, split, join, each_result(traits))
 
 
 def split_entry(entry: Entry) -> list[Entry]:

@@ -109,6 +109,12 @@ class Forecast:
         expected, elapsed = self.expect(worker.identity, first), now - worker.since
         return max(0.0, total - min(elapsed, expected)) + (elapsed if elapsed > expected else 0.0)
 
+    def estimate(self, worker: Worker, name: str, now: float) -> None:
+        """Tell a worker what a policy is to see of it, where tasks of a name come next."""
+        worker.remaining_s = self.remaining_s(worker, now)
+        worker.next_s = self.unit_s(worker.identity, name)
+        worker.slowness = self.slowness(worker.identity)
+
     def ends(self, worker: Worker, now: float) -> Iterator[tuple[Task, float]]:
         """Yield each task that a worker holds, with how long it will be until it is done."""
         left = 0.0

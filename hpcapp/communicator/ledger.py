@@ -5,12 +5,12 @@ from __future__ import annotations
 import itertools
 import logging
 from collections.abc import Iterable
+from typing import Any
 
 from hpcapp.communicator.entries import Entry, split_entry
 from hpcapp.communicator.roster import Task
 from hpccomponent import errors
-from hpccomponent.errors import HpcError, ProtocolError, TaskError
-from hpccomponent.protocol.codec import decode_values
+from hpccomponent.errors import HpcError, TaskError
 from hpccomponent.protocol.frames import Buffer
 from hpccomponent.protocol.messages import Call, Failure, Result
 
@@ -53,7 +53,7 @@ class Ledger:
             entry = self._entries[number]
             sizes = [len(buffer) for buffer in entry.buffers]
             keys = [blob.key for blob in entry.blobs]
-            calls.append(Call(number, entry.name, entry.header, sizes, keys))
+            calls.append(Call(number, entry.name, entry.header, sizes, keys, entry.limit_bytes))
             buffers += entry.buffers
         return calls, buffers
 
@@ -94,7 +94,15 @@ class Ledger:
             own = self.number()
             self._entries[own] = part
             tasks.append(
-                Task(own, part.name, part.size_bytes, part.blobs, part.work, can_split=True)
+                Task(
+                    own,
+                    part.name,
+                    part.size_bytes,
+                    part.blobs,
+                    part.work,
+                    can_split=True,
+                    limit_bytes=part.limit_bytes,
+                )
             )
         return tasks
 
@@ -102,16 +110,15 @@ class Ledger:
         """Tell whether a task can be forgotten because its future was cancelled in time."""
         return number in self._entries and not self.claim(number)
 
-    def deliver(self, number: int, result: Result, buffers: list[Buffer]) -> None:
-        """Set a future's result, or what its task raised."""
+    def find(self, number: int) -> Entry | None:
+        """Return an entry that is still here."""
+        return self._entries.get(number)
+
+    def deliver(self, number: int, result: Result, value: Any) -> None:
+        """Set a future's result, which has been checked, or what its task raised."""
         entry = self._entries[number]
         if result.failure is not None:
             self.fail(number, _rebuild(result.failure, entry.name))
-            return
-        try:
-            (value,) = decode_values(result.header, buffers)
-        except (ProtocolError, ValueError) as error:
-            self.fail(number, ProtocolError(f"the result of task {entry.name!r}: {error}"))
             return
         del self._entries[number]
         entry.future.set_result(value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from dataclasses import dataclass, field
 
 from hpccomponent.errors import HpcError
@@ -19,6 +19,7 @@ __all__ = [
     "Flight",
     "Forgotten",
     "Refuse",
+    "Retire",
     "Task",
     "Welcome",
     "Worker",
@@ -30,10 +31,10 @@ class Task:
     """A task that has no result yet.
 
     `work` is its declared cost, in units of its own, and `can_split` whether it declares how.
-    `losses` counts the workers that were lost while it was (or may have been) running; a task is
-    claimed once, right before it first leaves. `places` are the workers that hold it, with the
-    batch: two where it is run again because the first lags; the first answer counts, and then it is
-    done.
+    `limit_bytes` is how large its result may be. `losses` counts, by machine, the workers that were
+    lost while it was (or may have been) running; a task is claimed once, right before it first
+    leaves. `places` are the workers that hold it, with the batch: two where it is run again because
+    the first lags; the first answer counts, and then it is done.
     """
 
     number: int
@@ -42,7 +43,8 @@ class Task:
     blobs: tuple[Blob, ...] = ()
     work: float = 1.0
     can_split: bool = False
-    losses: int = 0
+    limit_bytes: int = 0
+    losses: Counter[str] = field(default_factory=Counter)
     is_claimed: bool = False
     is_done: bool = False
     places: dict[bytes, int] = field(default_factory=dict)
@@ -56,13 +58,16 @@ class Task:
 class Flight:
     """A batch on its way or at work: the tasks that its worker has not answered, in order.
 
-    `work` is how much that is, by the names of the tasks.
+    `work` is how much that is, by the names of the tasks; `limits` how large the answer to each
+    task of the whole batch may be, in bytes.
     """
 
     tasks: dict[int, Task]
     work: dict[str, float] = field(default_factory=dict)
+    limits: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self.limits = {number: task.limit_bytes for number, task in self.tasks.items()}
         for task in self.tasks.values():
             self.work[task.name] = self.work.get(task.name, 0.0) + task.work
 
@@ -82,7 +87,7 @@ class Worker:
     when its present task began, as far as is known. `remaining_s`, `next_s` and `slowness` are what
     a policy sees (see `policy.Load`). `backlog` holds what waits for this worker and no other.
     `blobs` are the keys of what has been sent to it; it may have let some go, and says so when one
-    is needed.
+    is needed. One that is retired gets nothing more, and waits for the end of the job.
     """
 
     identity: bytes
@@ -92,6 +97,7 @@ class Worker:
     placed: int = 0
     progress: int = 0
     is_draining: bool = False
+    is_retired: bool = False
     since: float = 0.0
     remaining_s: float = 0.0
     next_s: float = 0.0
@@ -99,6 +105,16 @@ class Worker:
     batches: dict[int, Flight] = field(default_factory=dict)
     backlog: OrderedDict[int, Task] = field(default_factory=OrderedDict)
     blobs: set[bytes] = field(default_factory=set)
+
+    @property
+    def machine(self) -> str:
+        """Return the machine's name: there is one worker on each."""
+        return self.register.worker
+
+    @property
+    def is_open(self) -> bool:
+        """Tell whether it may get tasks."""
+        return not (self.is_draining or self.is_retired)
 
     @property
     def queued(self) -> int:
@@ -134,6 +150,14 @@ class Dismiss:
     """Tell a worker to finish what it has, and leave."""
 
     worker: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Retire:
+    """Say that a machine gets nothing more of this job, and why."""
+
+    machine: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,4 +198,4 @@ class Fail:
     error: HpcError
 
 
-Action = Welcome | Refuse | AskRegister | Dismiss | Assign | Forgotten | Deliver | Fail
+Action = Welcome | Refuse | AskRegister | Dismiss | Retire | Assign | Forgotten | Deliver | Fail

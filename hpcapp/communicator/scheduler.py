@@ -8,8 +8,9 @@
 
 Promises: every submitted task ends exactly once, by a result, an error, or its cancellation; a
 result that comes twice is dropped, and counted where the task was run twice on purpose; a task that
-was running on too many lost workers is given up, and so is everything when no worker is left and
-none is to be expected.
+was lost runs on another machine, as long as there is one, and is given up after too many of them;
+so is everything when no worker is left and none is to be expected. A machine that loses what others
+can do is retired, as long as there are others; a worker that lies is turned away.
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 
 from hpcapp.communicator.admission import Admission
-from hpcapp.communicator.batching import MAX_TASKS, BatchCutter, find_closest
+from hpcapp.communicator.assignments import Assignments
+from hpcapp.communicator.batching import MAX_TASKS, BatchCutter, find_holder
 from hpcapp.communicator.endgame import choose_to_run_again, choose_to_split
 from hpcapp.communicator.forecast import Forecast
+from hpcapp.communicator.losses import Losses
 from hpcapp.communicator.policy import Policy
 from hpcapp.communicator.roster import (
     Action,
@@ -32,12 +35,12 @@ from hpcapp.communicator.roster import (
     Flight,
     Forgotten,
     Refuse,
+    Retire,
     Task,
     Welcome,
     Worker,
 )
 from hpccomponent.clock import Clock
-from hpccomponent.errors import NoWorkersError, WorkerLostError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.frames import LARGEST_FRAME
 from hpccomponent.protocol.messages import Register, Result
@@ -45,8 +48,6 @@ from hpccomponent.protocol.messages import Register, Result
 __all__ = ["Scheduler"]
 
 CREDIT = 2  # batches in flight per worker
-LOSS_BUDGET = 3  # workers that may be lost under one task
-MOST_DETOUR = 1.5  # times as slow may be who has what a task needs
 
 
 class Scheduler:
@@ -86,7 +87,7 @@ class Scheduler:
         self.workers: dict[bytes, Worker] = {}
         self.tasks: dict[int, Task] = {}
         self.counts: Counter[str] = Counter()
-        self.last_batch = 0
+        self.assignments = Assignments()
         self._policy = policy
         self._clock = clock
         self._admission = Admission(package, numerics)
@@ -96,6 +97,8 @@ class Scheduler:
         self._liveness_s = liveness_s
         self._worker_wait_s = worker_wait_s
         self._queue: OrderedDict[int, Task] = OrderedDict()
+        self._lost: OrderedDict[int, Task] = OrderedDict()  # not for every worker: see `Losses`
+        self._losses = Losses()
         self._alone_since: float | None = None
         self._gone: str | None = None
 
@@ -109,14 +112,15 @@ class Scheduler:
         blobs: tuple[Blob, ...] = (),
         work: float = 1.0,
         can_split: bool = False,
+        limit_bytes: int = 0,
     ) -> list[Action]:
         """Take a new task; call `dispatch` after the last of several."""
-        task = Task(number, name, size_bytes, blobs, work, can_split)
-        if self._gone is not None and not self.workers:
+        task = Task(number, name, size_bytes, blobs, work, can_split, limit_bytes)
+        if self._gone is not None and self._is_alone():
             self.tasks[number] = task
             return self._give_up(self._gone)
         self.tasks[number] = self._queue[number] = task
-        if not self.workers and self._alone_since is None:
+        if self._is_alone() and self._alone_since is None:
             self._alone_since = self._clock.now()
         return []
 
@@ -139,7 +143,7 @@ class Scheduler:
     def workers_gone(self, reason: str) -> list[Action]:
         """Take the launcher's word that no worker will come; tasks fail once none is left."""
         self._gone = reason
-        return self._give_up(reason) if not self.workers else []
+        return self._give_up(reason) if self._is_alone() else []
 
     def drain(self, identity: bytes) -> list[Action]:
         """Let a worker finish what it has and leave; what it has not been sent goes elsewhere."""
@@ -153,11 +157,8 @@ class Scheduler:
 
     def expel(self, key: str) -> list[Action]:
         """Turn away the workers of a revoked key; what they had goes elsewhere, without blame."""
-        actions: list[Action] = []
-        for worker in [worker for worker in self.workers.values() if worker.key == key]:
-            actions.append(Refuse(worker.identity, "its key was revoked"))
-            actions += self._lose(worker, "its key was revoked", is_blamed=False)
-        return actions + self.dispatch()
+        revoked = [worker for worker in self.workers.values() if worker.key == key]
+        return self._turn_away(revoked, "its key was revoked") + self.dispatch()
 
     # -- events of the workers -----------------------------------------------------------------
 
@@ -170,9 +171,11 @@ class Scheduler:
         self._admission.numerics = register.numerics
         level = min((worker.placed for worker in self._open_workers()), default=0)
         worker = Worker(identity, register, key, self._clock.now(), placed=level)
+        worker.is_retired = worker.machine in self._losses.retired
         # A repeated registration changes nothing: what got lost shows in the next heartbeat.
         self.workers.setdefault(identity, worker).seen = worker.seen
-        self._alone_since = None
+        if not worker.is_retired:
+            self._alone_since = None
         actions: list[Action] = []
         for other in list(self.workers.values()):
             if other.identity != identity and other.register.worker == register.worker:
@@ -183,7 +186,10 @@ class Scheduler:
     def results(
         self, identity: bytes, batch: int, results: Sequence[Result], is_finished: bool
     ) -> list[Action]:
-        """Take results; those of tasks that are done already are dropped and counted."""
+        """Take results of tasks that the worker was given (see `Assignments`), and was still to do.
+
+        Of tasks that are done already they are dropped and counted.
+        """
         worker = self.workers.get(identity)
         if worker is None:
             return self._stranger(identity)
@@ -202,10 +208,29 @@ class Scheduler:
                 continue
             self._withdraw(task)
             actions.append(Deliver(task.number, index, result))
+            for machine in self._losses.credit(task, worker):
+                actions += self._retire(machine)
         worker.since = worker.seen
         if is_finished:
             actions += self._take_back(worker, batch, "it left out a result", is_blamed=True)
         return actions + self.dispatch()
+
+    def expose(self, identity: bytes, reason: str, numbers: Iterable[int] = ()) -> list[Action]:
+        """Turn a worker away whose messages are not what they must be; its tasks go elsewhere.
+
+        Those with the `numbers` that it was about count as lost on this machine.
+        """
+        liar = self.workers.get(identity)
+        if liar is None:
+            return []
+        self.counts["lies"] += 1
+        for number in numbers:
+            if number in self.tasks and identity in self.tasks[number].places:
+                self._losses.blame(self.tasks[number], liar, reason)
+        why = f"{liar.machine} works for this job no more: {reason}"
+        self._admission.ban(liar, why)
+        same = [w for w in self.workers.values() if w is liar or (liar.key and w.key == liar.key)]
+        return self._turn_away(same, why) + self.dispatch()
 
     def heartbeat(
         self, identity: bytes, progress: int, last_batch: int, held: Iterable[int]
@@ -278,11 +303,12 @@ class Scheduler:
         """Take the time: silent workers are lost, and waiting for workers has an end."""
         now = self._clock.now()
         actions: list[Action] = []
+        silence = f"it has been silent for {self._liveness_s:g} s"
         for worker in list(self.workers.values()):
             if now - worker.seen > self._liveness_s:
-                silence = f"it has been silent for {self._liveness_s:g} s"
                 actions += self._lose(worker, silence, is_blamed=True)
-        if self._alone_since is not None and now - self._alone_since > self._worker_wait_s:
+        alone_s = 0.0 if self._alone_since is None else now - self._alone_since
+        if alone_s > self._worker_wait_s:
             actions += self._give_up(f"none came within {self._worker_wait_s:g} s")
         return actions + self.dispatch()
 
@@ -292,19 +318,19 @@ class Scheduler:
         """Place what waits, and send what the credit windows allow."""
         actions: list[Action] = []
         workers = self._open_workers()
+        for task in list(self._lost.values()) if workers else ():
+            actions += self._place_lost(task, workers)
         if self._policy.runs_again:
             self._split_last(workers)
-        if self._queue and workers:
-            name = next(iter(self._queue.values())).name
-            for worker in workers:
-                self._estimate(worker, name)
+        if self._queue:
+            self._estimate(workers)
         while self._queue and workers:
             placement = self._policy.place(len(self._queue), workers)
             if placement is None:
                 break
             worker = workers[placement.worker]
             if not placement.is_fixed:
-                worker = self._find_holder(workers, worker)
+                worker = find_holder(self._queue, workers, worker)
             if placement.is_fixed:
                 number, task = self._queue.popitem(last=False)
                 task.places[worker.identity] = -1
@@ -315,30 +341,27 @@ class Scheduler:
                 worker.placed += len(batch)
                 actions += self._send(worker, batch)
                 if self._queue:
-                    self._estimate(worker, next(iter(self._queue.values())).name)
+                    self._estimate([worker])
         for worker in workers:
             while worker.backlog and len(worker.batches) < CREDIT:
                 actions += self._send(worker, self._cut(worker.backlog, MAX_TASKS, worker))
-        if self._policy.runs_again and not self._queue:
+        if self._policy.runs_again and not self._queue and not self._lost:
             actions += self._run_again(workers)
         return actions
 
-    def _find_holder(self, workers: Sequence[Worker], chosen: Worker) -> Worker:
-        """Return who is idle and has all that a task needs, if anyone; else the chosen worker.
+    def _place_lost(self, task: Task, workers: Sequence[Worker]) -> list[Action]:
+        """Send a task that was lost to who will first be free of those that may have it.
 
-        Of several the one that has least besides: what the others have is asked for there.
+        Alone, so that the one that kills its workers is found, and no other is blamed with it.
         """
-        task = find_closest(self._queue, chosen)
-        if not task.blobs:
-            return chosen
-        holders = [
-            worker
-            for worker in workers
-            if (worker is chosen or not worker.batches)
-            and worker.next_s <= MOST_DETOUR * chosen.next_s
-            and not task.lacking_bytes(worker)
-        ]
-        return min(holders, key=lambda worker: len(worker.blobs), default=chosen)
+        now = self._clock.now()
+        places = self._losses.find_places(task, workers)
+        worker = min(places, key=lambda w: (self._forecast.remaining_s(w, now), len(w.batches)))
+        if len(worker.batches) >= CREDIT:
+            return []
+        del self._lost[task.number]
+        worker.placed += 1
+        return self._send(worker, [task])
 
     def _split_last(self, workers: Sequence[Worker]) -> None:
         now = self._clock.now()
@@ -351,10 +374,10 @@ class Scheduler:
                 self.tasks.update(parts)
                 self._queue.update(parts)
 
-    def _estimate(self, worker: Worker, name: str) -> None:
-        worker.remaining_s = self._forecast.remaining_s(worker, self._clock.now())
-        worker.next_s = self._forecast.unit_s(worker.identity, name)
-        worker.slowness = self._forecast.slowness(worker.identity)
+    def _estimate(self, workers: Sequence[Worker]) -> None:
+        name = next(iter(self._queue.values())).name
+        for worker in workers:
+            self._forecast.estimate(worker, name, self._clock.now())
 
     def _run_again(self, workers: Sequence[Worker]) -> list[Action]:
         idle = [worker for worker in workers if not worker.batches]
@@ -374,21 +397,24 @@ class Scheduler:
     def _send(self, worker: Worker, batch: list[Task]) -> list[Action]:
         if not batch:
             return []
-        self.last_batch += 1
+        number = self.assignments.add(worker)
         if not worker.batches:
             worker.since = self._clock.now()
-        worker.batches[self.last_batch] = Flight({task.number: task for task in batch})
+        worker.batches[number] = Flight({task.number: task for task in batch})
         for task in batch:
-            task.places[worker.identity] = self.last_batch
+            task.places[worker.identity] = number
         lacking = {
             blob.key: blob for task in batch for blob in task.blobs if blob.key not in worker.blobs
         }
         worker.blobs.update(lacking)
         numbers = tuple([task.number for task in batch])
-        return [Assign(worker.identity, self.last_batch, numbers, tuple(lacking.values()))]
+        return [Assign(worker.identity, number, numbers, tuple(lacking.values()))]
 
     def _open_workers(self) -> list[Worker]:
-        return [worker for worker in self.workers.values() if not worker.is_draining]
+        return [worker for worker in self.workers.values() if worker.is_open]
+
+    def _is_alone(self) -> bool:
+        return all(worker.is_retired for worker in self.workers.values())
 
     # -- losing --------------------------------------------------------------------------------
 
@@ -401,38 +427,59 @@ class Scheduler:
         # Batches run in order, so that only the first can have been at work.
         for index, batch in enumerate(list(worker.batches)):
             actions += self._take_back(worker, batch, reason, is_blamed and index == 0)
-        if not self.workers:
+        if self._is_alone():
             if self._gone is not None:
                 return actions + self._give_up(self._gone)
-            self._alone_since = self._clock.now() if self.tasks else None
+            if self._alone_since is None and self.tasks:
+                self._alone_since = self._clock.now()
+        return actions
+
+    def _turn_away(self, workers: Iterable[Worker], why: str) -> list[Action]:
+        actions: list[Action] = []
+        for worker in workers:
+            actions.append(Refuse(worker.identity, why))
+            actions += self._lose(worker, why, is_blamed=False)
+        return actions
+
+    def _retire(self, machine: str) -> list[Action]:
+        """Give a machine nothing more, and take back what it has; the last one is kept."""
+        if not any(worker.machine != machine for worker in self._open_workers()):
+            return []
+        actions: list[Action] = [Retire(machine, self._losses.retire(machine, self.tasks.values()))]
+        for worker in [worker for worker in self.workers.values() if worker.machine == machine]:
+            worker.is_retired = True
+            self._requeue(worker.backlog.values())
+            worker.backlog.clear()
+            for batch in list(worker.batches):
+                actions += self._take_back(worker, batch, "it is retired", is_blamed=False)
         return actions
 
     def _take_back(self, worker: Worker, batch: int, reason: str, is_blamed: bool) -> list[Action]:
         """Put the tasks of a batch back into the queue, but for those at work elsewhere too."""
         actions: list[Action] = []
         again = []
-        flight = worker.batches.pop(batch, None)
-        for task in flight.tasks.values() if flight is not None else ():
+        flight = worker.batches.pop(batch, Flight({}))
+        self.assignments.take_back(batch, flight)
+        for task in flight.tasks.values():
             task.places.pop(worker.identity, None)
-            task.losses += is_blamed
+            if is_blamed:
+                self._losses.blame(task, worker, reason)
             if task.is_done or task.places:
                 continue
-            if task.losses < LOSS_BUDGET:
+            if not task.losses or not self._losses.is_spent(task, self._open_workers()):
                 again.append(task)
                 continue
             del self.tasks[task.number]
-            error = WorkerLostError(
-                f"task {task.name!r} lost {task.losses} workers one after the other, the last "
-                f"({worker.register.worker}) because {reason}",
-                "look for a crash or a lack of memory in what the task does with this batch",
-            )
-            actions.append(Fail(task.number, error))
+            actions.append(Fail(task.number, self._losses.explain(task)))
         self._requeue(again)
         return actions
 
     def _requeue(self, tasks: Iterable[Task]) -> None:
         for task in reversed(list(tasks)):
             task.places.clear()
+            if task.losses:
+                self._lost[task.number] = task
+                continue
             self._queue[task.number] = task
             self._queue.move_to_end(task.number, last=False)
 
@@ -440,19 +487,18 @@ class Scheduler:
         """Take a task that is over from wherever it waits; where it runs, its answer is late."""
         task.is_done = True
         self._queue.pop(task.number, None)
+        self._lost.pop(task.number, None)
         for identity in task.places:
             worker = self.workers.get(identity)
             if worker is not None:
                 worker.backlog.pop(task.number, None)
 
     def _give_up(self, reason: str) -> list[Action]:
-        error = NoWorkersError(
-            f"{len(self.tasks)} tasks have no worker: {reason}",
-            "look at the log of the loaders and components, and start workers",
-        )
+        error = self._losses.explain_absence(len(self.tasks), reason)
         actions: list[Action] = [Fail(number, error) for number in self.tasks]
         self.tasks.clear()
         self._queue.clear()
+        self._lost.clear()
         self._alone_since = None
         return actions
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import zmq
 from zmq.utils import z85
 
-from hpccomponent.errors import UsageError
+from hpccomponent.errors import ProtocolError, UsageError
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer
 from hpccomponent.protocol.keys import KeyPair
 from hpccomponent.protocol.sockets import (
@@ -43,11 +43,11 @@ EVENTS_PER_ROUND = 200
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A wire message: who sent it, under which key, and its frames."""
+    """A wire message: who sent it, under which key, and its first frame."""
 
     identity: bytes
     key: str
-    frames: list[memoryview]
+    head: memoryview
 
 
 class RouterTransport:
@@ -79,6 +79,7 @@ class RouterTransport:
         self.troubles: Counter[str] = Counter()
         self._is_allowed = is_allowed
         self._was_disconnected = False
+        self._has_more = False  # of the message that is being received
         with ExitStack() as stack:
             reading, self._writing = (stack.enter_context(end) for end in socket.socketpair())
             reading.setblocking(False)
@@ -122,16 +123,51 @@ class RouterTransport:
             self._hear_monitor()
 
     def receive(self) -> Received | None:
-        """Return the next message that has come, if any."""
+        """Return the beginning of the next message that has come, if any.
+
+        What `take_frames` has not taken of the one before is let go.
+        """
+        while self._has_more:
+            self._receive_frame()
         if not self._router.poll(0):  # cheaper than to catch Again
             return None
-        frames = self._router.recv_multipart(zmq.NOBLOCK, copy=False)
-        self.bytes_received += sum([len(frame) for frame in frames])
+        identity, head = self._receive_frame(), None
+        if self._has_more:
+            head = self._receive_frame()
         try:
-            key = str(frames[-1].get("User-Id"))
+            key = str((head or identity).get("User-Id"))
         except zmq.ZMQError:
             key = ""  # no handshake, no key: nobody's
-        return Received(frames[0].bytes, key, [frame.buffer for frame in frames[1:]])
+        return Received(identity.bytes, key, head.buffer if head is not None else memoryview(b""))
+
+    def take_frames(self, most_frames: int, most_bytes: int) -> list[memoryview]:
+        """Return the frames after the first one of the message that `receive` has returned last.
+
+        Parameters
+        ----------
+        most_frames, most_bytes : int
+            What is kept of it, at most.
+
+        Raises
+        ------
+        ProtocolError
+            If there is more: nothing of it is kept.
+        """
+        frames: list[memoryview] = []
+        size = 0
+        while self._has_more:
+            frame = self._receive_frame()
+            size += len(frame)
+            if len(frames) == most_frames or size > most_bytes:
+                raise ProtocolError("a message carries more than it announces")
+            frames.append(frame.buffer)
+        return frames
+
+    def _receive_frame(self) -> zmq.Frame:
+        frame = self._router.recv(zmq.NOBLOCK, copy=False)
+        self._has_more = frame.more
+        self.bytes_received += len(frame)
+        return frame
 
     def send(self, identity: bytes, frames: Sequence[Buffer]) -> bool:
         """Send a message without waiting; large frames are not copied.

@@ -19,6 +19,7 @@ import numpy as np
 
 from hpccomponent.errors import ProtocolError, UsageError
 from hpccomponent.protocol.blobs import Blob
+from hpccomponent.protocol.containers import check_containers
 from hpccomponent.protocol.frames import Buffer
 
 __all__ = ["NO_BLOBS", "decode_values", "encode_arguments", "encode_values"]
@@ -27,6 +28,8 @@ TUPLE, LIST, ARRAY, SCALAR, TEXT, BYTES, BIG, BLOB = range(8)
 EMBEDDED_BYTES = 4096  # below this an own frame costs more than a copy into the header
 MAX_HEADER_BYTES = 4 * 1024 * 1024
 MAX_DEPTH = 50
+MAX_AXES = 32
+MAX_INTEGER_BYTES = 1024  # of an int: its digits can still be printed
 DTYPES = frozenset(
     [
         "|b1",
@@ -176,6 +179,9 @@ def decode_values(
     ProtocolError
         If header and buffers do not describe such values.
     """
+    if len(header) > MAX_HEADER_BYTES:
+        raise ProtocolError(f"a header of values has more than {MAX_HEADER_BYTES} bytes")
+    check_containers(header)
     try:
         packed = _decode(header)
         if type(packed) is not list:
@@ -196,7 +202,7 @@ def _pack(value: Any, parts: _Parts, depth: int) -> Any:
     if kind is int:
         if -(2**63) <= value < 2**63:
             return value
-        return [BIG, value.to_bytes(value.bit_length() // 8 + 1, "little", signed=True)]
+        return _pack_big(value)
     packer = _PACKERS.get(kind)
     if packer is None and isinstance(value, np.generic):
         packer = _pack_scalar
@@ -209,6 +215,16 @@ def _pack(value: Any, parts: _Parts, depth: int) -> Any:
             "or tuples, lists and string-keyed dicts of these",
         )
     return packer(value, parts, depth)
+
+
+def _pack_big(value: int) -> list[Any]:
+    length = value.bit_length() // 8 + 1
+    if length > MAX_INTEGER_BYTES:
+        raise UsageError(
+            f"an int of {length} bytes cannot travel to or from a worker",
+            f"pass ints of at most {MAX_INTEGER_BYTES} bytes, larger ones as bytes",
+        )
+    return [BIG, value.to_bytes(length, "little", signed=True)]
 
 
 def _pack_array(value: np.ndarray[Any, Any], parts: _Parts, depth: int) -> list[Any]:
@@ -308,6 +324,8 @@ def _unpack(packed: Any, supply: _Supply, depth: int) -> Any:
         array = _unpack_array(packed, supply)
         return array if tag == ARRAY else array[()]
     if tag == BIG and len(packed) == 2 and type(packed[1]) is bytes:
+        if len(packed[1]) > MAX_INTEGER_BYTES:
+            raise ProtocolError(f"a received int has more than {MAX_INTEGER_BYTES} bytes")
         return int.from_bytes(packed[1], "little", signed=True)
     if tag == BLOB and len(packed) == 2 and type(packed[1]) is bytes:
         return supply.look_up(packed[1])
@@ -322,9 +340,12 @@ def _unpack_array(packed: list[Any], supply: _Supply) -> np.ndarray[Any, Any]:
         raise ProtocolError("an array is not described by dtype, shape and bytes")
     _, code, shape, blob = packed
     if type(code) is not str or code not in DTYPES:
-        raise ProtocolError(f"an array has the dtype {code!r}, which may not travel")
-    if type(shape) is not list or not all(type(n) is int and n >= 0 for n in shape):
-        raise ProtocolError(f"an array has the shape {shape!r}")
+        said = code[:20] if type(code) is str else type(code).__name__
+        raise ProtocolError(f"an array has the dtype {said!r}, which may not travel")
+    if type(shape) is not list or len(shape) > MAX_AXES:
+        raise ProtocolError(f"an array has no shape, or one of more than {MAX_AXES} axes")
+    if not all(type(n) is int and n >= 0 for n in shape):
+        raise ProtocolError("an array has a shape with entries that are no extents")
     if packed[0] == SCALAR and shape:
         raise ProtocolError(f"a number has the shape {shape!r}")
     buffer = supply.take() if blob is None else blob

@@ -28,8 +28,10 @@ import msgspec
 
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.blobs import KEY_BYTES
+from hpccomponent.protocol.declared import DEFAULT_RESULT_BYTES
 
 __all__ = [
+    "MAX_TRACEBACK",
     "PROTOCOL_VERSION",
     "Batch",
     "Call",
@@ -56,7 +58,9 @@ __all__ = [
     "encode_message",
 ]
 
-PROTOCOL_VERSION = 2
+PROTOCOL_VERSION = 3
+
+MAX_TRACEBACK = 20_000  # characters
 
 Count = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
@@ -147,13 +151,17 @@ class Forget(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
 
 
 class Call(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """One task: its number, name, encoded arguments, length of its buffers, blobs it names."""
+    """One task: its number, name, encoded arguments, length of its buffers, blobs it names.
+
+    `limit_bytes` is how large its encoded result may be, header and buffers together.
+    """
 
     task: Count
     name: Name
     header: bytes
     sizes: list[Count]
     blobs: list[Key] = []
+    limit_bytes: Count = DEFAULT_RESULT_BYTES
 
 
 class Batch(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
@@ -170,7 +178,7 @@ class Failure(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
     kind: Name
     problem: Line
     advice: Line
-    traceback: str
+    traceback: Annotated[str, msgspec.Meta(max_length=MAX_TRACEBACK)]
 
 
 class Result(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

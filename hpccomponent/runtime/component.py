@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import zmq
 
 from hpccomponent.errors import ProtocolError
-from hpccomponent.limits import available_cores
+from hpccomponent.limits import available_cores, total_memory
 from hpccomponent.protocol.connection import Connection
 from hpccomponent.protocol.frames import LARGEST_FRAME, group_frames, split_buffers
 from hpccomponent.protocol.messages import (
@@ -275,7 +275,7 @@ def _sizes(batch: Batch) -> list[int]:
 
 
 def _introduce(connection: Connection, options: ComponentOptions) -> Register:
-    memory_bytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    memory_bytes = total_memory() or os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return Register(
         protocol=PROTOCOL_VERSION,
         package=package_version(),

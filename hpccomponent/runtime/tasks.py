@@ -15,8 +15,18 @@ from importlib import import_module
 from typing import Any, TypeVar
 
 from hpccomponent.errors import UsageError
+from hpccomponent.protocol.declared import ANYTHING, DEFAULT_RESULT_BYTES, Declared, Each, EachOf
 
-__all__ = ["EACH", "PLAIN", "TASK_GROUP", "TaskRegistry", "Traits", "declare", "traits_of"]
+__all__ = [
+    "EACH",
+    "PLAIN",
+    "TASK_GROUP",
+    "TaskRegistry",
+    "Traits",
+    "declare",
+    "each_result",
+    "traits_of",
+]
 
 TASK_GROUP = "hpc.tasks"
 EACH = "each:"  # before a name: the task is run for each item, its arguments come as columns
@@ -39,6 +49,12 @@ class Traits:
         None if it cannot be split.
     join : callable, optional
         From the list of their results to the result; with `split` only.
+    result : Declared or callable, optional
+        What the result must be (see `hpccomponent.protocol.declared`), or a function from the
+        task's arguments to it. By default it may be anything.
+    limit : int or callable, optional
+        How large the encoded result may be, in bytes, or a function from the arguments to it; by
+        default `DEFAULT_RESULT_BYTES`.
 
     Notes
     -----
@@ -48,6 +64,16 @@ class Traits:
     cost: Callable[..., float] | None = None
     split: Callable[..., Sequence[tuple[Any, ...]] | None] | None = None
     join: Callable[[list[Any]], Any] | None = None
+    result: Declared | Callable[..., Declared] = ANYTHING
+    limit: int | Callable[..., int] = DEFAULT_RESULT_BYTES
+
+    def result_of(self, arguments: tuple[Any, ...]) -> Declared:
+        """Return what the result of one call must be."""
+        return self.result(*arguments) if callable(self.result) else self.result
+
+    def limit_of(self, arguments: tuple[Any, ...]) -> int:
+        """Return how large the encoded result of one call may be, in bytes."""
+        return int(self.limit(*arguments)) if callable(self.limit) else self.limit
 
     def __post_init__(self) -> None:
         if (self.split is None) != (self.join is None):
@@ -63,8 +89,10 @@ def declare(
     cost: Callable[..., float] | None = None,
     split: Callable[..., Sequence[tuple[Any, ...]] | None] | None = None,
     join: Callable[[list[Any]], Any] | None = None,
+    result: Declared | Callable[..., Declared] = ANYTHING,
+    limit: int | Callable[..., int] = DEFAULT_RESULT_BYTES,
 ) -> Callable[[FunctionT], FunctionT]:
-    """Declare what a task costs, and how to split it; the function stays what it is.
+    """Declare what a task costs, returns, and how to split it; the function stays what it is.
 
     Parameters are those of `Traits`.
 
@@ -76,7 +104,7 @@ def declare(
     >>> traits_of(count_up).cost([1, 2, 3])
     3
     """
-    traits = Traits(cost, split, join)
+    traits = Traits(cost, split, join, result, limit)
 
     def mark(function: FunctionT) -> FunctionT:
         function.task_traits = traits  # type: ignore[attr-defined]
@@ -197,8 +225,22 @@ class TaskRegistry:
         return sought if isinstance(task, str) else self._names[sought]
 
 
+def each_result(single: Traits) -> Callable[..., Declared]:
+    """Return what is declared of the results of a task that is run for each item of columns."""
+
+    def result(*columns: list[Any]) -> Declared:
+        if not callable(single.result):
+            return Each(single.result, len(columns[0]))
+        return EachOf([single.result(*item) for item in zip(*columns, strict=True)])
+
+    return result
+
+
 def _each(function: Callable[..., Any]) -> Callable[..., list[Any]]:
-    return lambda *columns: [function(*item) for item in zip(*columns, strict=True)]
+    def run(*columns: Any) -> list[Any]:
+        return [function(*item) for item in zip(*columns, strict=True)]
+
+    return declare(result=each_result(traits_of(function)))(run)
 
 
 def _import(name: str, reference: str) -> Callable[..., Any]:

@@ -18,8 +18,10 @@ from typing import Any
 
 from hpccomponent import errors
 from hpccomponent.protocol.codec import NO_BLOBS, decode_values, encode_values
+from hpccomponent.protocol.declared import check_result
 from hpccomponent.protocol.frames import Buffer
 from hpccomponent.protocol.messages import (
+    MAX_TRACEBACK,
     Batch,
     Call,
     Failure,
@@ -34,7 +36,7 @@ from hpccomponent.runtime.channel import Channel, ChannelClosedError, cut_payloa
 from hpccomponent.runtime.collecting import rare_collections
 from hpccomponent.runtime.idle import idle_work
 from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
-from hpccomponent.runtime.tasks import TaskRegistry
+from hpccomponent.runtime.tasks import TaskRegistry, Traits, traits_of
 
 __all__ = ["main", "run_batch", "run_call"]
 
@@ -78,10 +80,36 @@ def run_call(
         value = task(*arguments)
         seconds = perf_counter() - start
         header, output = encode_values((value,))
+        _check(call, value, len(header) + sum(map(len, output)), traits_of(task), arguments)
     except BaseException as error:
         failure = _describe(error)
         return Result(call.task, perf_counter() - start, b"", [], failure), []
     return Result(call.task, seconds, header, [len(buffer) for buffer in output]), output
+
+
+def _check(
+    call: Call, value: Any, size_bytes: int, traits: Traits, arguments: tuple[Any, ...]
+) -> None:
+    """Refuse a result that the master would refuse: here it is the task's mistake.
+
+    Raises
+    ------
+    TaskError
+        If it is not what the task declares, or larger.
+    """
+    if size_bytes > call.limit_bytes:
+        raise errors.TaskError(
+            f"task {call.name!r} returned {size_bytes} bytes, more than the {call.limit_bytes} "
+            "that its result may have",
+            "return less, or declare a higher limit with the task",
+        )
+    try:
+        check_result(traits.result_of(arguments), value)
+    except errors.ProtocolError as error:
+        raise errors.TaskError(
+            f"task {call.name!r} returned something else than it declares: {error.problem}",
+            "correct the task, or what is declared of its result",
+        ) from error
 
 
 def run_batch(
@@ -126,7 +154,7 @@ def _describe(error: BaseException) -> Failure:
         problem = f"{kind}: {problem}" if problem else kind
     line = " ".join(problem.split())[:LINE_LENGTH]
     trace = "".join(traceback.format_exception(error))
-    return Failure(kind[:LINE_LENGTH], line, advice[:LINE_LENGTH], trace[-20_000:])
+    return Failure(kind[:LINE_LENGTH], line, advice[:LINE_LENGTH], trace[-MAX_TRACEBACK:])
 
 
 def main(arguments: list[str] | None = None) -> int:

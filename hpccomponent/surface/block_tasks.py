@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from hpccomponent.protocol.declared import Fixed, Whole
+from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface import kernels
 from hpccomponent.surface.arranged_cloud import Points
 from hpccomponent.surface.cloud_regions import Region, take_region
@@ -18,6 +20,7 @@ from hpccomponent.surface.file_ranges import BoxCounts
 from hpccomponent.surface.lattice import merge_counts
 from hpccomponent.surface.packed_cells import count_points
 from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.result_patterns import BOX, BOX_COUNTS, CELL_COUNTS, SAMPLE, SMALL_BYTES
 from hpccomponent.surface.spacing import sample_box_keys
 
 __all__ = [
@@ -34,6 +37,7 @@ BlockPoints = tuple[Any, ...]
 """The folder of a `DiskCloud` that the worker sees, the sorted keys of blocks, `DroppedCells`."""
 
 
+@declare(result=Fixed(Whole(), BOX), limit=SMALL_BYTES)
 def survey_blocks(points: BlockPoints) -> tuple[int, FloatArray]:
     """Count and bound the points in some blocks (a task).
 
@@ -53,6 +57,7 @@ def survey_blocks(points: BlockPoints) -> tuple[int, FloatArray]:
     return len(positions), np.stack(kernels.bound_points(positions))
 
 
+@declare(result=BOX_COUNTS)
 def count_block_boxes(
     points: BlockPoints, low: FloatArray, edges: tuple[float, ...], one_in: int, is_distinct: bool
 ) -> BoxCounts:
@@ -82,6 +87,7 @@ def count_block_boxes(
     return [sample_box_keys(positions, low, edge, one_in) for edge in edges]
 
 
+@declare(result=SAMPLE)
 def sample_blocks(points: BlockPoints, low: FloatArray, edge: float, one_in: int) -> Points:
     """Return the points in a sample of boxes (a task); see `kernels.sample_boxes`.
 
@@ -105,6 +111,7 @@ def sample_blocks(points: BlockPoints, low: FloatArray, edge: float, one_in: int
     return positions[rows], normals.astype(np.float64)
 
 
+@declare(result=CELL_COUNTS)
 def count_block_cells(
     points: BlockPoints, origin: FloatArray, size: float
 ) -> tuple[IntArray, IntArray]:

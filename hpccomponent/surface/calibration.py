@@ -12,8 +12,10 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface.points import PointCloud
 from hpccomponent.surface.pyramid import build_pyramid, fit_levels
+from hpccomponent.surface.result_patterns import PROBE, SMALL_BYTES
 from hpccomponent.surface.weights import weigh_levels
 
 __all__ = ["probe", "time_kernels"]
@@ -50,6 +52,7 @@ def time_kernels(runs: int = 3) -> float:
     return float(best)
 
 
+@declare(result=PROBE, limit=SMALL_BYTES)
 def probe(payload: NDArray[np.uint8], runs: int) -> tuple[str, float]:
     """Take some bytes, and time the kernels (a task).
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = [
+    "NODES",
     "FarField",
     "FarFieldPart",
     "crop_far_field",
@@ -24,7 +25,7 @@ __all__ = [
     "solve_far_field",
 ]
 
-_NODES = 128
+NODES = 128
 _PADDING = 1.5
 _REACH = 1.5
 
@@ -128,7 +129,7 @@ def far_step(low: FloatArray, high: FloatArray) -> float:
     -------
     float
     """
-    return _PADDING * float((high - low).max()) / _NODES
+    return _PADDING * float((high - low).max()) / NODES
 
 
 def solve_far_field(
@@ -166,12 +167,12 @@ def solve_far_field(
 
     low, high = box
     step = far_step(low, high)
-    origin = 0.5 * (low + high) - 0.5 * step * _NODES
+    origin = 0.5 * (low + high) - 0.5 * step * NODES
     places = (centroids - origin) / step
     held = _held_rows((low - origin) / step, (high - origin) / step)
-    chi = np.zeros((_NODES,) * 3, np.float32)
+    chi = np.zeros((NODES,) * 3, np.float32)
     kept = chi[tuple(slice(*bounds) for bounds in held)]
-    kept[:] = integrate_normals(places, normals, max(1.0, smoothing / step), held, _NODES, threads)
+    kept[:] = integrate_normals(places, normals, max(1.0, smoothing / step), held, NODES, threads)
     unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     chi -= np.float32(sample_grid(chi, places).mean())
     rise = sample_grid(chi, places + unit) - sample_grid(chi, places - unit)
@@ -184,5 +185,5 @@ def solve_far_field(
 def _held_rows(low: FloatArray, high: FloatArray) -> IntArray:
     """Return the first and the end of the planes and of the rows that hold a box and two nodes."""
     first = np.maximum(np.floor(low).astype(np.int64) - 2, 0)
-    end = np.minimum(np.ceil(high).astype(np.int64) + 3, _NODES)
+    end = np.minimum(np.ceil(high).astype(np.int64) + 3, NODES)
     return np.stack([first, end], axis=1)[:2]

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface import kernels
 from hpccomponent.surface.arrangement import (
     Arrangement,
@@ -27,6 +28,13 @@ from hpccomponent.surface.disk_cloud import write_part
 from hpccomponent.surface.lattice import unique_keys
 from hpccomponent.surface.point_records import PointRecords
 from hpccomponent.surface.points import FloatArray, IntArray, PointCloud, bounding_box
+from hpccomponent.surface.result_patterns import (
+    SMALL_BYTES,
+    arranged_range,
+    bounded_range,
+    range_bytes,
+    surveyed_range,
+)
 from hpccomponent.surface.spacing import sample_box_keys
 from hpccomponent.surface.usable_points import Dropped, Reach, are_usable, select_usable
 
@@ -43,6 +51,7 @@ BoxCounts = list[tuple[int, IntArray]]
 """For each size of boxes the points in a sample of them, and their keys: `sample_box_keys`."""
 
 
+@declare(result=surveyed_range, limit=range_bytes)
 def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
     """Look through the points of a range (a task).
 
@@ -86,6 +95,7 @@ def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
     return usable, dropped.non_finite_points, dropped.bad_normals, frame, box, sample
 
 
+@declare(result=bounded_range, limit=SMALL_BYTES)
 def bound_range(
     points: FilePoints, origin: FloatArray, reach: tuple[FloatArray, float]
 ) -> tuple[int, FloatArray]:
@@ -112,6 +122,7 @@ def bound_range(
     return count, box
 
 
+@declare(result=arranged_range, limit=range_bytes)
 def arrange_range(
     points: FilePoints,
     origin: FloatArray,

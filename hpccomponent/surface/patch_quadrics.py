@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
+from hpccomponent.protocol.declared import Array
+from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface.points import FloatArray, IntArray
 
 __all__ = ["evaluate_quadrics", "fit_patches", "gradient_quadrics"]
@@ -33,6 +35,12 @@ CHUNK = 16_384
 ZERO_EIGENVALUE = 1e-14
 
 
+@declare(
+    result=lambda _positions, _normals, _offsets, _centers, scales, *_: Array(
+        "<f8", len(scales), 10
+    ),
+    limit=lambda _positions, _normals, _offsets, _centers, scales, *_: 4096 + 80 * len(scales),
+)
 def fit_patches(
     positions: FloatArray,
     normals: FloatArray,

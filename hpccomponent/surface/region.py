@@ -24,6 +24,7 @@ from hpccomponent.store import hold_store
 from hpccomponent.surface.ancestors import corners_at, mark_ancestors
 from hpccomponent.surface.bricks import BrickKinds
 from hpccomponent.surface.far_field import (
+    NODES,
     FarField,
     crop_far_field,
     restore_far_field,
@@ -44,6 +45,13 @@ from hpccomponent.surface.pyramid import (
     raise_levels,
 )
 from hpccomponent.surface.reach import HALO_STEPS, plan_gap
+from hpccomponent.surface.result_patterns import (
+    SMALL_BYTES,
+    far_field,
+    summed_tile,
+    surface_bytes,
+    tile_surface,
+)
 from hpccomponent.surface.slab_growth import grow_tile
 from hpccomponent.surface.tile_plan import CoarseLevels, Plan, Values
 from hpccomponent.surface.tile_points import CellPoints, estimate_work, take_points
@@ -72,7 +80,11 @@ _waiting: dict[str, PreparedTile] = {}
 """By their tickets, the one that was summed first before the others."""
 
 
-@declare(cost=lambda _plan, points, *_: estimate_work(points))
+@declare(
+    cost=lambda _plan, points, *_: estimate_work(points),
+    result=summed_tile,
+    limit=lambda _plan, points, *_: surface_bytes(estimate_work(points)),
+)
 def sum_tile(
     plan: Values,
     points: CellPoints,
@@ -173,6 +185,7 @@ def find_far(plan: Plan, cells: IntArray, sums: FloatArray, threads: int) -> Far
     return solve_far_field(centroids, normals, plan.grid.box, size, threads)
 
 
+@declare(result=far_field(NODES), limit=SMALL_BYTES + 4 * NODES**3)
 def solve_far(plan: Values, samples: Sequence[Values], threads: int = 1) -> Values:
     """Solve for the far field, as far as anything asks for it (a task).
 
@@ -205,7 +218,11 @@ def solve_far(plan: Values, samples: Sequence[Values], threads: int = 1) -> Valu
     return crop_far_field(far, low - margin, high + margin).to_values()
 
 
-@declare(cost=lambda _plan, points, *_: estimate_work(points))
+@declare(
+    cost=lambda _plan, points, *_: estimate_work(points),
+    result=lambda _plan, _points, _ticket, _coarse, keep=None, *_: tile_surface(keep),
+    limit=lambda _plan, points, *_: surface_bytes(estimate_work(points)),
+)
 def mesh_tile(
     plan: Values,
     points: CellPoints,
@@ -253,7 +270,11 @@ def mesh_tile(
     return _give(*_mesh_region(common, levels, corners, kinds, coarse, threads), keep, is_last)
 
 
-@declare(cost=lambda _plan, exits, points, *_: len(exits) + estimate_work(points))
+@declare(
+    cost=lambda _plan, exits, points, *_: len(exits) + estimate_work(points),
+    result=lambda _plan, _exits, _points, _missing, _coarse, keep=None, *_: tile_surface(keep),
+    limit=lambda _plan, _exits, points, *_: surface_bytes(estimate_work(points)),
+)
 def mesh_gap(
     plan: Values,
     exits: IntArray,

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from hpccomponent.protocol.declared import Either, Fixed, Nothing
+from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface import kernels, normals, outlier_regions
 from hpccomponent.surface.cloud_regions import Region, RegionPoints, take_region
 from hpccomponent.surface.disk_cloud import write_part
@@ -26,6 +28,7 @@ from hpccomponent.surface.outlier_regions import (
     rank_region,
 )
 from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.result_patterns import MENDED, RANKS, STRAY_CELLS
 
 __all__ = ["MARGIN", "clean_blocks", "judge_blocks", "mend_blocks"]
 
@@ -33,6 +36,7 @@ MARGIN = max(outlier_regions.MARGIN, normals.MARGIN)
 """Spacings: as far as what decides over a point or over its normal lies."""
 
 
+@declare(result=Fixed(RANKS, Either(Nothing(), MENDED)))
 def clean_blocks(
     points: RegionPoints,
     low: FloatArray,
@@ -67,6 +71,7 @@ def clean_blocks(
     return ranks, None if has_sparse(ranks) else _mend(region, low, spacing, target, sampled)
 
 
+@declare(result=STRAY_CELLS)
 def judge_blocks(points: RegionPoints, low: FloatArray, spacing: float, base: int) -> IntArray:
     """Find the stray cells of low ranks in a region (a task); see `outlier_regions.judge_region`.
 
@@ -81,6 +86,7 @@ def judge_blocks(points: RegionPoints, low: FloatArray, spacing: float, base: in
     return judge_region(region.positions, region.own, low, spacing, base)
 
 
+@declare(result=MENDED)
 def mend_blocks(
     points: RegionPoints,
     low: FloatArray,

@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import OutputError
+from hpccomponent.runtime.tasks import declare
 from hpccomponent.store import hold_store
 from hpccomponent.surface.freed_memory import leave_for_files
 from hpccomponent.surface.mesh_part import MeshPart
 from hpccomponent.surface.part_places import PartPlaces, Runs, place_faces, place_vertices
 from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.result_patterns import SMALL_BYTES, WRITTEN
 
 __all__ = [
     "FACE_SIZE",
@@ -167,6 +169,7 @@ def write_part(part: MeshPart, places: PartPlaces, shared: SharedPly) -> None:
         os.close(file)
 
 
+@declare(result=WRITTEN, limit=SMALL_BYTES)
 def write_kept(kept: tuple[str, str], places: tuple[Any, ...], shared: tuple[Any, ...]) -> bool:
     """Write a part that is kept into the file that all parts share (a task).
 

@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 
 from hpccomponent.errors import OutputError
+from hpccomponent.runtime.tasks import declare
 from hpccomponent.store import hold_store
 from hpccomponent.surface.freed_memory import leave_for_files
 from hpccomponent.surface.lattice import number_keys, unique_keys
 from hpccomponent.surface.mesh_part import MeshPart
 from hpccomponent.surface.part_places import PartPlaces, place_faces
 from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.result_patterns import SMALL_BYTES, WRITTEN
 from hpccomponent.surface.shared_ply import face_rows, mesh_header, vertex_rows
 
 __all__ = ["cut_tile", "write_kept_tile"]
@@ -51,6 +53,7 @@ def cut_tile(
     return vertices, corners.reshape(-1, 3)
 
 
+@declare(result=WRITTEN, limit=SMALL_BYTES)
 def write_kept_tile(
     kept: tuple[str, str],
     places: tuple[Any, ...],

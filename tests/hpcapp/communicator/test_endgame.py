@@ -57,7 +57,7 @@ def test_what_is_nearly_done_twice_at_work_or_dangerous_is_left_alone() -> None:
         if spoil == "is_done":
             lagging.is_done = True
         elif spoil == "losses":
-            lagging.losses = 1
+            lagging.losses["m"] = 1
         elif spoil == "places":
             lagging.places[b"other"] = 2
         now = 0.5 if spoil == "time" else 5.0

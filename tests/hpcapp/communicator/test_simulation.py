@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from hpcapp.communicator.losses import LOSS_BUDGET
 from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, Policy, PullPolicy
 from hpcapp.communicator.roster import (
     AskRegister,
@@ -23,7 +24,7 @@ from hpcapp.communicator.roster import (
     Refuse,
     Welcome,
 )
-from hpcapp.communicator.scheduler import CREDIT, LOSS_BUDGET, Scheduler
+from hpcapp.communicator.scheduler import CREDIT, Scheduler
 from hpccomponent.clock import ManualClock
 from hpccomponent.errors import NoWorkersError, WorkerLostError
 from hpccomponent.protocol.blobs import Blob
@@ -237,7 +238,7 @@ class Cluster:
                 component.carry_out(component.session.tick(self.clock.now()))
         self.carry_out(self.scheduler.tick())
         for identity in self.scheduler.workers:
-            self.send(identity, Ping(SESSION, self.scheduler.last_batch))
+            self.send(identity, Ping(SESSION, self.scheduler.assignments.last))
 
     def settle(self) -> None:
         """End all faults, and work on until nothing moves."""
@@ -366,7 +367,7 @@ class FaultyCluster(RuleBasedStateMachine):
         cluster, scheduler = self.cluster, self.cluster.scheduler
         open_tasks = cluster.calls.keys() - cluster.ended.keys() - cluster.cancelled
         assert open_tasks == scheduler.tasks.keys()
-        places = Counter(scheduler._queue.keys())
+        places = Counter([*scheduler._queue, *scheduler._lost])
         for worker in scheduler.workers.values():
             places.update(worker.backlog.keys())
             for flight in worker.batches.values():

@@ -1,0 +1,78 @@
+"""Which worker was given which batch: what tells a late answer from one that nobody asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable
+
+from hpcapp.communicator.roster import Flight, Worker
+from hpccomponent.errors import ProtocolError
+
+__all__ = ["Assignments"]
+
+MOST_TAKEN_BACK = 1000  # then those are forgotten whose tasks are all done
+
+
+class Assignments:
+    """Every batch since the start, by its number, which counts from 1."""
+
+    def __init__(self) -> None:
+        self._owners: list[bytes] = []
+        self._taken_back: dict[int, Flight] = {}
+
+    @property
+    def last(self) -> int:
+        """Return the number of the last batch."""
+        return len(self._owners)
+
+    def add(self, worker: Worker) -> int:
+        """Return the number of a new batch for a worker."""
+        self._owners.append(worker.identity)
+        return self.last
+
+    def take_back(self, batch: int, flight: Flight) -> None:
+        """Note that a batch was given up; whoever had it may still answer."""
+        if flight.limits:
+            self._taken_back[batch] = flight
+        if len(self._taken_back) > MOST_TAKEN_BACK:
+            self._taken_back = {
+                number: flight
+                for number, flight in self._taken_back.items()
+                if any(not task.is_done for task in flight.tasks.values())
+            }
+
+    def most_bytes(
+        self, worker: Worker, batch: int, numbers: Iterable[int], waiting: Container[int]
+    ) -> list[int]:
+        """Return how large each answer to tasks of a batch may be.
+
+        Parameters
+        ----------
+        worker : Worker
+            Who answers.
+        batch : int
+            What it says that it answers.
+        numbers : iterable of int
+            The tasks.
+        waiting : container of int
+            All tasks that have no answer yet.
+
+        Returns
+        -------
+        list of int
+            In bytes; 0 where nobody waits for it any more.
+
+        Raises
+        ------
+        ProtocolError
+            If it was not given this batch, or one of them is not in it.
+        """
+        if not 0 < batch <= self.last or self._owners[batch - 1] != worker.identity:
+            raise ProtocolError(f"it answers batch {batch}, which it was not given")
+        flight = worker.batches.get(batch) or self._taken_back.get(batch)
+        limits = []
+        for number in numbers:
+            limit = flight.limits.get(number) if flight is not None else None
+            if limit is None and (flight is not None or number in waiting):
+                raise ProtocolError(f"it answers task {number}, which batch {batch} does not hold")
+            limits.append(limit if limit is not None else 0)
+        return limits

@@ -1,0 +1,451 @@
+"""What a task declares of its result, and the check of a value against it.
+
+A declaration is a pattern: what kinds of values stand where, with the dtypes, shapes and ranges of
+arrays. An extent that has a name is the same wherever the name stands::
+
+    Fixed(Array("<f8", "v", 3), Array("<i4", "f", 3, low=0), Whole(0, 100))
+
+A worker checks its own result, where a misfit is the task's mistake; a master checks what workers
+send, where it is theirs.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from hpccomponent.errors import ProtocolError
+
+__all__ = [
+    "ANYTHING",
+    "DEFAULT_RESULT_BYTES",
+    "Anything",
+    "Array",
+    "Declared",
+    "Each",
+    "EachOf",
+    "Either",
+    "Exactly",
+    "Fields",
+    "Fixed",
+    "Flag",
+    "Nothing",
+    "Number",
+    "Text",
+    "Where",
+    "Whole",
+    "check_result",
+]
+
+DEFAULT_RESULT_BYTES = 1 << 30
+"""How large the encoded result of a task may be that declares nothing else."""
+
+_AT_ONCE = 1 << 16  # entries of an array: what is made of them stays in the cache
+
+Extents = dict[str, int]
+
+
+class Declared(Protocol):
+    """A pattern of values."""
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """Make sure that a value fits.
+
+        Parameters
+        ----------
+        value : object
+            What the codec has decoded, or could encode.
+        place : str
+            What to call it.
+        extents : dict of str to int
+            The extents that have been met, by their names; more are added.
+
+        Raises
+        ------
+        ProtocolError
+            If it does not.
+        """
+        ...
+
+
+def check_result(declared: Declared, value: Any) -> None:
+    """Make sure that a result is what its task declares.
+
+    Raises
+    ------
+    ProtocolError
+        If it is not; the message says where.
+
+    Examples
+    --------
+    >>> pattern = Fixed(Array("<f8", "n", 3), Array("|b1", "n"))
+    >>> check_result(pattern, (np.zeros((2, 3)), np.ones(2, bool)))
+    >>> check_result(pattern, (np.zeros((2, 3)), np.ones(1, bool)))
+    Traceback (most recent call last):
+    hpccomponent.errors.ProtocolError: the result[1] has the shape (1,), not (n,) with n = 2
+    """
+    declared.check(value, "the result", {})
+
+
+def _refuse(place: str, value: Any, wanted: str) -> ProtocolError:
+    return ProtocolError(f"{place} is of type {type(value).__name__}, not {wanted}")
+
+
+@dataclass(frozen=True, slots=True)
+class Anything:
+    """Any value that may travel: what a task returns that declares nothing."""
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """Let everything pass."""
+
+
+ANYTHING = Anything()
+
+
+@dataclass(frozen=True, slots=True)
+class Nothing:
+    """None."""
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        del extents
+        if value is not None:
+            raise _refuse(place, value, "None")
+
+
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """A bool."""
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        del extents
+        if type(value) is not bool:
+            raise _refuse(place, value, "bool")
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """An int.
+
+    Parameters
+    ----------
+    low, high : int
+        The least and the greatest; by default what an index can be.
+    """
+
+    low: int = 0
+    high: int = 2**62
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        del extents
+        if type(value) is not int:
+            raise _refuse(place, value, "int")
+        if not self.low <= value <= self.high:
+            raise ProtocolError(f"{place} is not from {self.low} to {self.high}")
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A float, and not NaN.
+
+    Parameters
+    ----------
+    low, high : float
+        The least and the greatest; by default those that are finite.
+    """
+
+    low: float = -sys.float_info.max
+    high: float = sys.float_info.max
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        del extents
+        if type(value) is not float:
+            raise _refuse(place, value, "float")
+        if not self.low <= value <= self.high:
+            raise ProtocolError(f"{place} is {value}, not from {self.low:g} to {self.high:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A str.
+
+    Parameters
+    ----------
+    most : int
+        Characters.
+    """
+
+    most: int = 1000
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        del extents
+        if type(value) is not str:
+            raise _refuse(place, value, "str")
+        if len(value) > self.most:
+            raise ProtocolError(f"{place} has {len(value)} characters, more than {self.most}")
+
+
+@dataclass(frozen=True, slots=True)
+class Exactly:
+    """A value that the master knows: a str, a number, or a tuple of such.
+
+    Parameters
+    ----------
+    value : object
+    """
+
+    value: Any
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        del extents
+        if type(value) is not type(self.value):
+            raise _refuse(place, value, type(self.value).__name__)
+        if value != self.value:
+            raise ProtocolError(f"{place} is not {self.value!r}")
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Array:
+    """An ndarray.
+
+    Parameters
+    ----------
+    dtype : str
+        As ``dtype.str`` has it, little-endian: ``<f8``, ``<i8``, ``|b1``.
+    *shape : int or str
+        Each extent: a number, or a name, to which a number may be added: ``n``, ``n+1``.
+    low, high : number, optional
+        The least and the greatest entry.
+    finite : bool
+        Whether NaN and infinite entries are refused; where there are bounds, NaN is in any case.
+    """
+
+    dtype: str
+    shape: tuple[int | str, ...]
+    low: float | None = field(default=None)
+    high: float | None = field(default=None)
+    finite: bool = field(default=True)
+
+    def __init__(
+        self,
+        dtype: str,
+        *shape: int | str,
+        low: float | None = None,
+        high: float | None = None,
+        finite: bool = True,
+    ) -> None:
+        for name, value in zip(
+            ("dtype", "shape", "low", "high", "finite"),
+            (dtype, shape, low, high, finite),
+            strict=True,
+        ):
+            object.__setattr__(self, name, value)
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        if not isinstance(value, np.ndarray):
+            raise _refuse(place, value, "ndarray")
+        if value.dtype.newbyteorder("<").str != self.dtype:
+            raise ProtocolError(f"{place} has the dtype {value.dtype.str}, not {self.dtype}")
+        fits = len(value.shape) == len(self.shape) and all(
+            _fits(extent, wanted, extents)
+            for extent, wanted in zip(value.shape, self.shape, strict=True)
+        )
+        if not fits:
+            raise ProtocolError(f"{place} has the shape {value.shape}, not {self._say(extents)}")
+        if value.size:
+            self._check_entries(value, place)
+
+    def _check_entries(self, value: np.ndarray[Any, Any], place: str) -> None:
+        may_be_nan = value.dtype.kind in "fc"
+        if self.finite and may_be_nan and not _is_finite(value):
+            raise ProtocolError(f"{place} has entries that are NaN or infinite")
+        # Written so that NaN does not pass.
+        if self.low is not None and not value.min() >= self.low:
+            raise ProtocolError(f"{place} has entries below {self.low}")
+        if self.high is not None and not value.max() <= self.high:
+            raise ProtocolError(f"{place} has entries above {self.high}")
+
+    def _say(self, extents: Extents) -> str:
+        names = dict.fromkeys(
+            extent.partition("+")[0] for extent in self.shape if isinstance(extent, str)
+        )
+        known = [f"{name} = {extents[name]}" for name in names if name in extents]
+        shape = ", ".join(map(str, self.shape)) + ("," if len(self.shape) == 1 else "")
+        return f"({shape})" + (f" with {', '.join(known)}" if known else "")
+
+
+def _fits(extent: int, wanted: int | str, extents: Extents) -> bool:
+    if isinstance(wanted, int):
+        return extent == wanted
+    name, _, more = wanted.partition("+")
+    base = extent - int(more or 0)
+    return base >= 0 and extents.setdefault(name, base) == base
+
+
+def _is_finite(value: np.ndarray[Any, Any]) -> bool:
+    flat = value.reshape(-1)
+    return all(
+        bool(np.isfinite(flat[start : start + _AT_ONCE]).all())
+        for start in range(0, len(flat), _AT_ONCE)
+    )
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Fixed:
+    """A tuple of so many items.
+
+    Parameters
+    ----------
+    *items : Declared
+        One for each.
+    """
+
+    items: tuple[Declared, ...]
+
+    def __init__(self, *items: Declared) -> None:
+        object.__setattr__(self, "items", items)
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        if type(value) is not tuple or len(value) != len(self.items):
+            raise _refuse(place, value, f"a tuple of {len(self.items)}")
+        for index, (item, entry) in enumerate(zip(self.items, value, strict=True)):
+            item.check(entry, f"{place}[{index}]", extents)
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Fields:
+    """A dict with these keys and no others.
+
+    Parameters
+    ----------
+    **items : Declared
+        One for each.
+    """
+
+    items: tuple[tuple[str, Declared], ...]
+
+    def __init__(self, **items: Declared) -> None:
+        object.__setattr__(self, "items", tuple(items.items()))
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        keys = [key for key, _ in self.items]
+        if type(value) is not dict or value.keys() != set(keys):
+            raise _refuse(place, value, f"a dict of {', '.join(keys)}")
+        for key, item in self.items:
+            item.check(value[key], f"{place}[{key!r}]", extents)
+
+
+@dataclass(frozen=True, slots=True)
+class Each:
+    """A list of items of one kind; the names of extents are each item's own.
+
+    Parameters
+    ----------
+    item : Declared
+        What each is.
+    count : int, optional
+        How many there are; any number by default.
+    """
+
+    item: Declared
+    count: int | None = None
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        del extents
+        if type(value) is not list:
+            raise _refuse(place, value, "a list")
+        if self.count is not None and len(value) != self.count:
+            raise ProtocolError(f"{place} has {len(value)} items, not {self.count}")
+        if isinstance(self.item, Anything):
+            return
+        for index, entry in enumerate(value):
+            self.item.check(entry, f"{place}[{index}]", {})
+
+
+@dataclass(frozen=True, slots=True)
+class EachOf:
+    """A list of items that are declared one by one.
+
+    Parameters
+    ----------
+    items : sequence of Declared
+        One for each.
+    """
+
+    items: Sequence[Declared]
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        del extents
+        if type(value) is not list or len(value) != len(self.items):
+            raise _refuse(place, value, f"a list of {len(self.items)}")
+        for index, (item, entry) in enumerate(zip(self.items, value, strict=True)):
+            item.check(entry, f"{place}[{index}]", {})
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Either:
+    """One of several patterns.
+
+    Parameters
+    ----------
+    *choices : Declared
+        The first that fits counts.
+    """
+
+    choices: tuple[Declared, ...]
+
+    def __init__(self, *choices: Declared) -> None:
+        object.__setattr__(self, "choices", choices)
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        complaints = []
+        for choice in self.choices:
+            met = dict(extents)
+            try:
+                choice.check(value, place, met)
+            except ProtocolError as error:
+                complaints.append(error.problem)
+            else:
+                extents.update(met)
+                return
+        raise ProtocolError(" and ".join(dict.fromkeys(complaints)))
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """A pattern whose parts must also agree with one another.
+
+    Parameters
+    ----------
+    pattern : Declared
+        What is checked first.
+    agrees : callable
+        Tells of a value that fits the pattern whether its parts agree.
+    rule : str
+        What they must agree in, for the message.
+    """
+
+    pattern: Declared
+    agrees: Callable[[Any], bool]
+    rule: str
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        self.pattern.check(value, place, extents)
+        if not self.agrees(value):
+            raise ProtocolError(f"{place} is not consistent: {self.rule}")
