@@ -28,6 +28,8 @@ SHIPPED = {
     "info": "hpcapp.applications.surface.commands:info",
 }
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+# What these log is raised too, and said in our words: a user sees it with --debug only.
+FOREIGN = ("boto3", "botocore", "paramiko", "s3transfer", "urllib3")
 
 
 class Verbs(click.Group):
@@ -56,6 +58,14 @@ class Verbs(click.Group):
             command = next(iter(found)).load()
         assert isinstance(command, click.Command)  # noqa: S101 - a plug-in's own mistake
         return command
+
+
+class _Lines(logging.Formatter):
+    """Writes a record without the traceback that it may carry."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return its message."""
+        return record.getMessage()
 
 
 class _LogLines(logging.Handler):
@@ -87,14 +97,17 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
 @click.option("--debug", is_flag=True, help="Log everything; show the traceback of an error.")
 def hpcapp(debug: bool) -> None:
     """Turn oriented point clouds into watertight meshes, on one machine or on many."""
+    lines = _LogLines()
+    lines.setFormatter(logging.Formatter("%(name)s: %(message)s") if debug else _Lines())
     logging.basicConfig(
         level=logging.INFO if debug else logging.WARNING,  # of the libraries that we use
-        format="%(name)s: %(message)s" if debug else "%(message)s",
-        handlers=[_LogLines()],
+        handlers=[lines],
         force=True,
     )
     for name in ("hpcapp", "hpccomponent"):
         logging.getLogger(name).setLevel(logging.DEBUG if debug else logging.INFO)
+    for name in FOREIGN:
+        logging.getLogger(name).setLevel(logging.INFO if debug else logging.CRITICAL)
     logging.raiseExceptions = debug  # a log that cannot be written must not end the job
     logging.captureWarnings(True)
     logging.getLogger("py.warnings").setLevel(logging.WARNING if debug else logging.ERROR)

@@ -27,7 +27,7 @@ from hpcdeploy.provider_spec import CloudSpec
 from hpcdeploy.providers.ec2_access import GroupKeeper, KeyPairKeeper
 from hpcdeploy.providers.ec2_capabilities import capabilities_of
 from hpcdeploy.providers.ec2_check import check_cloud, find_image
-from hpcdeploy.providers.ec2_client import Calls, cloud_name, open_client
+from hpcdeploy.providers.ec2_client import Calls, open_calls
 from hpcdeploy.providers.ec2_errors import code_of
 from hpcdeploy.providers.ec2_launch import attempt_of, launch_parameters, launch_tags, profile_of
 from hpcdeploy.providers.ec2_observe import as_machine, identity_tags, lease_text, read_machine
@@ -55,8 +55,7 @@ def open_ec2(spec: ClusterSpec, base: Path) -> Ec2Provider:
         The cloud's keys or its endpoint are not to be found.
     """
     cloud = cast(CloudSpec, spec.provider)
-    calls = Calls(open_client("ec2", cloud, base), cloud_name(cloud))
-    return Ec2Provider(cloud, calls, spec.auth.ssh_port)
+    return Ec2Provider(cloud, open_calls(cloud, base), spec.auth.ssh_port)
 
 
 class Ec2Provider:

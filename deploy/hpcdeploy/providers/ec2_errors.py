@@ -7,7 +7,15 @@ from botocore.parsers import ResponseParserError
 
 from hpccomponent.errors import CapacityError, CloudError
 
-__all__ = ["BOTO_ERRORS", "code_of", "is_lost_answer", "is_throttled", "translate"]
+__all__ = [
+    "BOTO_ERRORS",
+    "NETWORK_ERRORS",
+    "code_of",
+    "has_expired",
+    "is_lost_answer",
+    "is_throttled",
+    "translate",
+]
 
 BOTO_ERRORS = (boto.ClientError, boto.BotoCoreError, ResponseParserError)
 """All that a call may raise: the last, of no family, where a web page answers instead of EC2."""
@@ -34,14 +42,19 @@ _THROTTLED = {
     "ThrottlingException",
     "TooManyRequestsException",
 }
-_LOST = (
-    boto.ConnectionClosedError,
-    boto.ConnectTimeoutError,
-    boto.EndpointConnectionError,
+NETWORK_ERRORS = (
+    boto.ConnectionError,  # among them a proxy's, and certificates
     boto.HTTPClientError,
     boto.ReadTimeoutError,
-    ResponseParserError,  # a gateway's page may hide that it was done
 )
+"""No answer, or none that may be trusted."""
+_LOST = (*NETWORK_ERRORS, ResponseParserError)  # a gateway's page may hide that it was done
+_EXPIRED = {
+    "AuthFailure.Expired",
+    "ExpiredToken",
+    "ExpiredTokenException",
+    "RequestExpired",
+}
 _KEYS = "check provider.credentials, or the environment's AWS_ACCESS_KEY_ID"
 _CLOCK = "check this machine's clock (timedatectl)"
 _RENEW = "get new credentials (for AWS: aws sso login, or new session keys)"
@@ -96,6 +109,11 @@ def is_throttled(error: Exception) -> bool:
     return code_of(error) in _THROTTLED
 
 
+def has_expired(error: Exception) -> bool:
+    """Tell whether the keys were good once, so that newer ones may lie where they came from."""
+    return code_of(error) in _EXPIRED
+
+
 def is_lost_answer(error: Exception) -> bool:
     """Tell whether a request may have been done though no answer came."""
     if isinstance(error, boto.ClientError):
@@ -135,18 +153,19 @@ def translate(error: Exception, doing: str, place: str) -> CloudError:
 def _advise(error: Exception) -> str:
     if isinstance(error, boto.SSLError):
         return "name the cloud's certificate in provider.ca_bundle, and check that it is https"
+    if isinstance(error, boto.ProxyConnectionError):
+        return "check the proxy (HTTPS_PROXY, HTTP_PROXY), or name the cloud's host in NO_PROXY"
     if isinstance(error, boto.NoCredentialsError | boto.PartialCredentialsError):
         return "name provider.credentials, or set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
-    if isinstance(error, boto.ProfileNotFound):
-        return "aws configure list-profiles shows those there are"
     if isinstance(error, boto.InvalidRegionError):
         return 'name a provider.signing_region, such as "eucalyptus"'
-    if isinstance(error, boto.CredentialRetrievalError | boto.TokenRetrievalError):
-        return _RENEW
     if isinstance(error, boto.ParamValidationError | boto.UnknownServiceError):
         return "check provider.capabilities"
     if isinstance(error, ResponseParserError):
-        return "something other than EC2 answers: check provider.endpoint_url"
+        return (
+            "something other than EC2 answers: check provider.endpoint_url and the proxy "
+            "(HTTPS_PROXY, HTTP_PROXY, NO_PROXY)"
+        )
     if isinstance(error, _LOST):
         return "check provider.endpoint_url, provider.region and the network, and try again"
     return ""
