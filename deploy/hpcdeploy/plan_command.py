@@ -73,15 +73,15 @@ def _lines(
 def _as_json(
     name: str, actions: Sequence[Action], cost: Cost, missing: Sequence[Problem]
 ) -> dict[str, Any]:
-    """Write a plan for programs; money is in dollars."""
+    """Write a plan for programs; money is in dollars, and null where a price is not known."""
     return {
         "cluster": name,
         "actions": [
             {"kind": type(action).__name__, "description": str(action)} for action in actions
         ],
         "cost": {
-            "hourly": cost.hourly,
-            "total_at_most": cost.total_at_most,
+            "hourly": None if cost.unknown else cost.hourly,
+            "total_at_most": None if cost.unknown else cost.total_at_most,
             "lease_s": cost.lease_s,
             "priced_as_of": cost.priced_as_of,
             "is_estimate": True,

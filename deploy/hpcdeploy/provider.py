@@ -197,6 +197,10 @@ class Provider(Protocol):
         """Return all that exists of a cluster of ours, or of every one where None."""
         ...
 
+    def hosts(self) -> tuple[MachineSeen, ...]:
+        """Return the machines that are there before they belong to a cluster."""
+        ...
+
     def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
         """Make the key pair of a cluster's life known, or return the one there is."""
         ...

@@ -78,6 +78,7 @@ _ADVICE = {
     "InvalidAction": "check provider.endpoint_url and provider.capabilities",
     "InvalidBlockDeviceMapping": "raise the profile's disk_gb to the image's own size at least",
     "InvalidClientTokenId": _KEYS,
+    "InvalidInstanceType": "check the profile's instance_type; types differ by region and zone",
     "InvalidKey.Format": "a key pair takes RSA keys of 2048 or 4096 bits: see auth.ssh_private_key",
     "InvalidSubnet": "check provider.subnet",
     "InvalidSubnetID.NotFound": "check provider.subnet",

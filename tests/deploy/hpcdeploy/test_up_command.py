@@ -10,7 +10,7 @@ from click.testing import CliRunner, Result
 from simulated import FILE, START, SetUp
 
 from hpcapp.cli import hpcapp
-from hpccomponent.errors import UsageError
+from hpccomponent.errors import CloudError, UsageError
 from hpcdeploy.names import NodeName
 from hpcdeploy.pace import utc_now
 from hpcdeploy.provider import Launch, State
@@ -55,14 +55,27 @@ def test_up_shows_what_it_will_do_and_asks(cloud: MemoryProvider, file: str) -> 
     assert alive(cloud) == ["head", "worker-1", "worker-2"]
 
 
-def test_up_names_missing_wheels_before_it_asks(cloud: MemoryProvider, file: str) -> None:
+def test_up_launches_nothing_where_wheels_are_missing(cloud: MemoryProvider, file: str) -> None:
     wheels = Path(file).with_name("wheels")
     wheels.mkdir()
     text = Path(file).read_text() + "env: {wheelhouse: wheels}\n"
     Path(file).write_text(text)
-    asked = run("up", file, typed="n\n")
-    assert asked.output.index("missing: ") < asked.output.index("Go on?")
-    assert "no compiled wheel for Linux in it" in asked.output
+    refused = run("up", "-y", file)
+    assert isinstance(refused.exception, CloudError)
+    assert "nothing is launched: " in str(refused.exception)
+    assert "no compiled wheel for Linux in it" in str(refused.exception)
+    assert "missing: " in refused.output
+    assert cloud.observe(None).groups == ()
+    run("up", "-y", "--skip-checks", file)
+    assert alive(cloud) == ["head", "worker-1", "worker-2"]
+
+
+def test_up_without_a_terminal_says_how_to_go_on(cloud: MemoryProvider, file: str) -> None:
+    for typed in ("", "n\n"):
+        refused = run("up", file, typed=typed)
+        assert isinstance(refused.exception, UsageError)
+        assert refused.exception.advice == "run it with -y"
+    assert alive(cloud) == []
 
 
 def test_up_again_asks_nothing_where_nothing_is_to_be_done(
