@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 import click
 
-from hpccomponent.errors import HpcError
+from hpccomponent.errors import ConfigError, HpcError, write_block
 from hpccomponent.runtime.collecting import rare_collections
 
 __all__ = ["hpcapp", "main"]
@@ -121,9 +121,23 @@ def _interrupt(signum: int, frame: Any) -> NoReturn:
 
 def _report(text: str) -> None:
     """Write one line to stderr, whatever file names and logs the text quotes."""
-    line = " | ".join(part for part in text.splitlines() if part)
+    _write("hpcapp: " + " | ".join(part for part in text.splitlines() if part))
+
+
+def _report_error(error: HpcError) -> None:
+    """Write an error: a file's mistakes one a line, an excerpt below in a block of its own."""
+    if isinstance(error, ConfigError):
+        for mistake in str(error).splitlines():
+            _report(mistake)
+    else:
+        _report(str(error))
+    if error.excerpt:
+        _write(write_block(error.excerpt))
+
+
+def _write(text: str) -> None:
     with contextlib.suppress(OSError):  # nobody can be told that stderr is full or closed
-        click.echo(f"hpcapp: {line}", err=True)
+        click.echo(text, err=True)
 
 
 def _fill_closed_descriptors() -> None:
@@ -176,7 +190,7 @@ def _run(arguments: list[str], debug: bool) -> int:
     except HpcError as error:
         if debug:
             logging.getLogger("hpcapp").exception("the error's way:")
-        _report(str(error))
+        _report_error(error)
         return error.exit_code
     except OSError as error:
         if debug:

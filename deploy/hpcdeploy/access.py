@@ -174,10 +174,11 @@ class Access:
     def _unreachable(self, machine: MachineSeen, reason: str) -> CloudError:
         address = machine.public_address or machine.private_address or "no address"
         lines = self._provider.console(machine).strip().splitlines()[-CONSOLE_LINES:]
-        end = "\n".join(("the end of its console:", *lines)) if lines else "its console is empty"
+        console = "its console ends so" if lines else "its console is empty"
         return CloudError(
-            f"{machine.name.node} ({machine.id}, {address}): {reason}\n{end}",
-            "see auth in the cluster file, and the image",
+            f"{machine.name.node} ({machine.id}, {address}): {reason}",
+            f"see auth in the cluster file, and the image; {console}",
+            "\n".join(lines),
         )
 
 

@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from hpccomponent.errors import CloudError, HpcError
+from hpccomponent.errors import CloudError, HpcError, write_block
 from hpccomponent.inventory import Inventory, InventoryWorker, dump_inventory
 from hpccomponent.protocol.connection import Connection
 from hpccomponent.runtime.numerics import package_version
@@ -159,6 +159,8 @@ class _SetUp:
                 except (HpcError, OSError) as error:
                     machine = machine_of(thing)
                     reason = str(error).removeprefix(f"{machine.name.node}: ")
+                    if isinstance(error, HpcError) and error.excerpt:
+                        self._report(f"{machine.name.node}:\n{write_block(error.excerpt)}")
                     failures.append(Failure(machine, reason))
             return results, failures
         except BaseException:

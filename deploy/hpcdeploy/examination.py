@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from hpccomponent.errors import CloudError
+from hpccomponent.errors import CloudError, write_block
 from hpccomponent.runtime.numerics import package_version
 from hpcdeploy.bootstrap import MIN_FREE, check_wheels
 from hpcdeploy.cluster import Cluster
@@ -100,6 +100,8 @@ def _told(
     for problem in found:
         said = problem.what.removeprefix(f"{what}: ")
         report(f"{what}: {said}" + (f"; {problem.advice}" if problem.advice else ""))
+        if problem.excerpt:
+            report(write_block(problem.excerpt))
     return found
 
 
@@ -116,7 +118,7 @@ def _visit(cluster: Cluster, machine: MachineSeen, wait_s: float, answer_s: floa
             probed = probe(shell, spec.cluster, folder, spec.env.python, left_s())
             version = _version(shell, folder, left_s()) if probed.installed else ""
     except CloudError as error:
-        return Visit(machine, (Problem(error.problem, error.advice),))
+        return Visit(machine, (Problem(error.problem, error.advice, excerpt=error.excerpt),))
     problems = (
         *_machine_problems(probed),
         *_python_problems(cluster, machine, probed),

@@ -23,6 +23,17 @@ from pathlib import Path
 
 __all__ = ["clusters_folder", "forget_cluster", "machine_folder", "state_folder"]
 
+_OURS = (
+    "id",
+    ".id.*",  # of a maker that was killed
+    "known_hosts",
+    "known_hosts.*",
+    "keys.json",
+    "keys.json.*",
+    "release/*",
+    "journal.jsonl",
+)
+
 
 def machine_folder(cluster: str) -> str:
     """Return the folder of a cluster on a machine, relative to the login user's home."""
@@ -43,8 +54,10 @@ def state_folder(cluster: str) -> Path:
 def forget_cluster(cluster: str) -> None:
     """Remove what this machine knows of a cluster that is gone; what is not ours stays there."""
     folder = state_folder(cluster)
-    for name in ("id", "known_hosts", "keys.json", "journal.jsonl"):
-        (folder / name).unlink(missing_ok=True)
-    for empty in (folder / "nodes", folder):
+    for pattern in _OURS:
+        for path in folder.glob(pattern):
+            path.unlink(missing_ok=True)
+    top = clusters_folder()
+    for empty in (folder / "nodes", folder / "release", folder, top, top.parent):
         with suppress(OSError):
             empty.rmdir()

@@ -175,11 +175,14 @@ class Problem:
     what, advice : str
     is_fatal : bool
         Whether `up` would fail over it.
+    excerpt : str
+        Lines of somebody else's that tell more, such as the end of a machine's console.
     """
 
     what: str
     advice: str
     is_fatal: bool = True
+    excerpt: str = ""
 
 
 class Provider(Protocol):

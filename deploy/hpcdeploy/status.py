@@ -12,6 +12,7 @@ from hpccomponent.errors import HpcError
 from hpcdeploy.cluster import node_order
 from hpcdeploy.layout import machine_folder
 from hpcdeploy.loader_service import is_running_command
+from hpcdeploy.names import HEAD
 from hpcdeploy.pace import utc_now
 from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.shell import Shell
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["describe_cluster", "list_clusters", "write_list", "write_table"]
 
-AT_ONCE = 16
+AT_ONCE = 64
 ANSWER_S = 10.0
 """How long a machine may take to tell about its loader."""
 
@@ -41,12 +42,13 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> dict[str, A
     loaders = _ask_loaders(cluster, machines) if ask_machines else {}
     rows = [{**_machine(machine, now), "loader": loaders.get(machine.id)} for machine in machines]
     wanted = cluster.spec.nodes()
-    there = {machine.name.node for machine in machines if machine.state is State.RUNNING}
+    there = [machine.name.node for machine in machines if machine.state is State.RUNNING]
     return {
         "cluster": cluster.spec.cluster,
         "provider": cluster.provider.name,
-        "is_up": set(wanted) <= there,
+        "is_up": set(wanted) <= set(there),
         "missing": [node for node in wanted if node not in there],
+        "unwanted": [node for node in there if node not in wanted],
         "machines": rows,
     }
 
@@ -84,10 +86,25 @@ def write_table(found: dict[str, Any]) -> str:
         )
         for machine in found["machines"]
     ]
-    head = f"cluster {found['cluster']} ({found['provider']}): " + (
-        "up" if found["is_up"] else f"not up, missing: {', '.join(found['missing'])}"
-    )
+    head = f"cluster {found['cluster']} ({found['provider']}): {_verdict(found)}"
     return "\n".join([head, *_aligned(lines)]) if found["machines"] else head
+
+
+def _verdict(found: dict[str, Any]) -> str:
+    """Say how what runs differs from the file: after `scale`, that is as it was asked for."""
+    missing, unwanted = found["missing"], found["unwanted"]
+    running = sum(machine["state"] == State.RUNNING for machine in found["machines"])
+    if not running:
+        return f"not up, missing: {', '.join(missing)}"
+    parts = ["up" if HEAD not in missing else f"not up: {HEAD} does not run"]
+    workers = [node for node in missing if node != HEAD]
+    if workers:
+        parts.append(
+            f"without {', '.join(workers)} of the file (hpcapp up launches what is missing)"
+        )
+    if unwanted:
+        parts.append(f"with {', '.join(unwanted)} beyond the file (hpcapp up ends what is beyond)")
+    return ", ".join(parts)
 
 
 def write_list(rows: list[dict[str, Any]]) -> str:
@@ -97,6 +114,7 @@ def write_list(rows: list[dict[str, Any]]) -> str:
     lines = [("CLUSTER", "CLOUD", "MACHINES", "TYPES", "LEASE")]
     for row in rows:
         states = ", ".join(f"{count} {state}" for state, count in row["states"].items())
+        states = states or "none; hpcapp down or reap removes what is left"
         kinds = ", ".join(row["instance_types"])
         lines.append((row["cluster"], row["cloud"], states, kinds, _duration(row["lease_left_s"])))
     return "\n".join(_aligned(lines))

@@ -24,7 +24,7 @@ import boto3
 import botocore.session
 from botocore.config import Config
 from botocore.credentials import ProcessProvider
-from botocore.exceptions import CredentialRetrievalError
+from botocore.exceptions import BotoCoreError, CredentialRetrievalError
 from botocore.utils import JSONFileCache
 
 from hpccomponent.errors import CloudError
@@ -32,7 +32,7 @@ from hpcdeploy.providers.ec2_credentials import CloudKeys
 from hpcdeploy.providers.ec2_errors import is_lost_answer, is_throttled
 from hpcdeploy.providers.ec2_key_errors import MfaCodeError, NoKeysError, Source, explain_keys
 
-__all__ = ["Login", "Patience"]
+__all__ = ["Login", "Patience", "default_region"]
 
 _RETRIES_S = (0.5, 1.0)
 
@@ -159,6 +159,21 @@ class Login:
         except Exception:  # the very files cannot be read: `error` says it
             source = Source(self._keys.profile, {})
         return explain_keys(error, source, self._place)
+
+
+def default_region() -> str:
+    """Return the region of the environment, or of its profile; empty where neither says it.
+
+    Raises
+    ------
+    CloudError
+        AWS's files cannot be read, or do not have the profile.
+    """
+    core = botocore.session.Session()
+    try:
+        return core.get_config_variable("region") or ""
+    except BotoCoreError as error:
+        raise explain_keys(error, Source(os.environ.get("AWS_PROFILE"), {}), "aws") from error
 
 
 class _BoundedProcess(subprocess.Popen[bytes]):

@@ -12,7 +12,7 @@ import pytest
 
 from hpccomponent.errors import CapacityError, CloudError, OutputError
 from hpcdeploy.journal import Attempt, Journal, open_journal
-from hpcdeploy.layout import forget_cluster, state_folder
+from hpcdeploy.layout import clusters_folder, forget_cluster, state_folder
 from hpcdeploy.names import NodeName
 
 UNTIL = datetime(2026, 11, 1, 14, tzinfo=UTC)
@@ -138,9 +138,12 @@ def test_a_forgotten_cluster_leaves_no_folder() -> None:
     with open_journal("bunny") as journal:
         journal.note_bad("i-1", "no pip")
         (folder / "keys.json").touch()
+        (folder / ".id.4711").touch()
         (folder / "nodes").mkdir()
+        (folder / "release").mkdir()
+        (folder / "release/hpcapp-1.0-py3-none-any.whl").touch()
         forget_cluster("bunny")
-    assert not folder.exists()
+    assert not clusters_folder().parent.exists(), "nor those that it was in"
     with open_journal("bunny") as journal:
         assert journal.known_bad == frozenset()
         (folder / "theirs").touch()

@@ -13,7 +13,7 @@ from hpcapp.cli import hpcapp
 from hpccomponent.errors import CloudError, UsageError
 from hpcdeploy.names import NodeName
 from hpcdeploy.pace import utc_now
-from hpcdeploy.provider import Launch, State
+from hpcdeploy.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
 
 
@@ -100,6 +100,29 @@ def test_down_says_that_nothing_is_left(cloud: MemoryProvider, file: str) -> Non
     assert result.output.splitlines()[-1] == "cluster bunny: nothing is left"
     assert alive(cloud) == []
     assert cloud.observe(None).groups == ()
+
+
+def test_ls_lists_the_clouds_that_answer_and_names_the_others(
+    cloud: MemoryProvider, file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run("up", "-y", file)
+    silent = Path(file).with_name("silent.yaml")
+    silent.write_text(Path(file).read_text().replace("type: aws", "type: aws\n  region: eu-west-1"))
+    other = MemoryProvider(utc_now)
+
+    def refuse(cluster: str | None) -> Observed:
+        raise CloudError("no network", "plug it in")
+
+    monkeypatch.setattr(other, "observe", refuse)
+    monkeypatch.setattr(
+        "hpcdeploy.clouds.open_provider",
+        lambda spec, base: other if spec.provider.region == "eu-west-1" else cloud,
+    )
+    result = run("ls", "--all", str(silent), file)
+    assert "bunny" in result.stdout
+    assert str(result.exception) == "no network; plug it in"
+    alone = run("ls", "--all", str(silent))
+    assert (alone.stdout, type(alone.exception)) == ("", CloudError)
 
 
 def test_status_for_programs(cloud: MemoryProvider, file: str) -> None:

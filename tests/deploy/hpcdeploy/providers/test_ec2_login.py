@@ -17,6 +17,7 @@ from cloud.signature import SECRET_KEY
 from pydantic import TypeAdapter
 
 from hpccomponent.errors import CloudError
+from hpcdeploy.clouds import open_clouds
 from hpcdeploy.provider_spec import CloudSpec, ProviderSpec
 from hpcdeploy.providers.ec2 import Ec2Provider
 from hpcdeploy.providers.ec2_client import open_calls
@@ -176,3 +177,18 @@ def role_page(strict: StrictCloud) -> Callable[[], str]:
 <Expiration>{until}</Expiration></Credentials></AssumeRoleResult></AssumeRoleResponse>"""
 
     return page
+
+
+def test_without_a_file_the_region_is_the_profiles(
+    strict: StrictCloud, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    config = tmp_path / "config"
+    config.write_text("[profile lab]\nregion = eu-west-3\n")
+    monkeypatch.setenv("AWS_CONFIG_FILE", str(config))
+    monkeypatch.setenv("AWS_PROFILE", "lab")
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "AKIA")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "x")
+    assert [where for where, _ in open_clouds(())] == ["aws eu-west-3"]
+    monkeypatch.setenv("AWS_PROFILE", "gone")
+    with pytest.raises(CloudError, match="there is no profile gone"):
+        open_clouds(())
