@@ -28,7 +28,7 @@ from hpcdeploy.access import Access
 from hpcdeploy.installing import install, install_here, prepare, stamp_of, write_text
 from hpcdeploy.layout import machine_folder, state_folder
 from hpcdeploy.loader_service import start_loader, stop_command
-from hpcdeploy.names import HEAD
+from hpcdeploy.names import HEAD, without_node
 from hpcdeploy.node_keys import NodeKeys
 from hpcdeploy.probe import Probed, no_python, probe
 from hpcdeploy.provider import MachineSeen, Problem
@@ -158,7 +158,7 @@ class _SetUp:
                     results.append(future.result())
                 except (HpcError, OSError) as error:
                     machine = machine_of(thing)
-                    reason = str(error).removeprefix(f"{machine.name.node}: ")
+                    reason = without_node(str(error), machine.name.node)
                     if isinstance(error, HpcError) and error.excerpt:
                         self._report(f"{machine.name.node}:\n{write_block(error.excerpt)}")
                     failures.append(Failure(machine, reason))

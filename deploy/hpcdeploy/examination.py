@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,8 +12,8 @@ from hpccomponent.errors import CloudError, write_block
 from hpccomponent.runtime.numerics import package_version
 from hpcdeploy.bootstrap import MIN_FREE, check_wheels
 from hpcdeploy.cluster import Cluster
-from hpcdeploy.layout import machine_folder
-from hpcdeploy.names import HEAD
+from hpcdeploy.layout import machine_folder, state_folder
+from hpcdeploy.names import HEAD, without_node
 from hpcdeploy.probe import Probed, no_python, probe
 from hpcdeploy.provider import MachineSeen, Problem
 from hpcdeploy.provider_spec import LocalSpec
@@ -65,6 +66,7 @@ def examine(
     wait_s, answer_s : float
         How long a machine may take to let us in, and to answer.
     """
+    yield from _told("state folder", list(_state_problems(cluster)), "", report)
     machines = cluster.provider.hosts()
     if not machines:
         found = []
@@ -92,13 +94,22 @@ def visit(
         return list(pool.map(lambda m: _visit(cluster, m, wait_s, answer_s), machines))
 
 
+def _state_problems(cluster: Cluster) -> Iterator[Problem]:
+    """Yield what keeps `up` from writing down what it does."""
+    folder = state_folder(cluster.spec.cluster)
+    there = next(path for path in (folder, *folder.parents) if path.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        advice = "set XDG_STATE_HOME to a folder that can be written"
+        yield Problem(f"{there}: cannot be written", advice)
+
+
 def _told(
     what: str, found: Sequence[Problem], about: str, report: Callable[[str], None]
 ) -> Sequence[Problem]:
     if not found:
         report(f"{what}: good" + (f" ({about})" if about else ""))
     for problem in found:
-        said = problem.what.removeprefix(f"{what}: ")
+        said = without_node(problem.what, what)
         report(f"{what}: {said}" + (f"; {problem.advice}" if problem.advice else ""))
         if problem.excerpt:
             report(write_block(problem.excerpt))

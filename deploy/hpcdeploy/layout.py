@@ -18,8 +18,11 @@ STATE is ``$XDG_STATE_HOME/hpcapp/clusters``, by default below ``~/.local/state`
 from __future__ import annotations
 
 import os
+import pwd
 from contextlib import suppress
 from pathlib import Path
+
+from hpccomponent.errors import UsageError
 
 __all__ = ["clusters_folder", "forget_cluster", "machine_folder", "state_folder"]
 
@@ -41,9 +44,28 @@ def machine_folder(cluster: str) -> str:
 
 
 def clusters_folder() -> Path:
-    """Return the folder of all clusters on the user's own machine; it need not exist."""
-    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state"
-    return Path(home) / "hpcapp/clusters"
+    """Return the folder of all clusters on the user's own machine; it need not exist.
+
+    Raises
+    ------
+    UsageError
+        The user has no home.
+    """
+    named = os.environ.get("XDG_STATE_HOME", "")
+    if not Path(named).is_absolute():  # to be ignored then, says whoever defined it
+        named = f"{_home()}/.local/state"
+    return Path(named) / "hpcapp/clusters"
+
+
+def _home() -> str:
+    """Return the user's home: an empty HOME is none."""
+    home = os.environ.get("HOME") or ""
+    if not home:
+        with suppress(KeyError):  # an account that is in no list
+            home = pwd.getpwuid(os.getuid()).pw_dir
+    if not home:
+        raise UsageError("no home directory is known", "set HOME, or XDG_STATE_HOME")
+    return home
 
 
 def state_folder(cluster: str) -> Path:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from hpccomponent.errors import CloudError
 from hpcdeploy.cluster import Cluster
 from hpcdeploy.examination import Visit, visit
-from hpcdeploy.names import HEAD
+from hpcdeploy.names import HEAD, without_node
 from hpcdeploy.plan import Action, LaunchNode
 from hpcdeploy.provider import Problem
 
@@ -68,11 +68,10 @@ def _failing(
     for seen in visits:
         node = seen.machine.name.node
         for problem in seen.problems:
-            report(f"problem: {node}: {_line(problem).removeprefix(f'{node}: ')}")
+            report(f"problem: {node}: {without_node(_line(problem), node)}")
         fatal = next((problem for problem in seen.problems if problem.is_fatal), None)
         if fatal is not None:
-            what = f"{node}: {fatal.what.removeprefix(f'{node}: ')}"
-            yield node, Problem(what, fatal.advice)
+            yield node, Problem(f"{node}: {without_node(fatal.what, node)}", fatal.advice)
 
 
 def _refusal(fatal: Sequence[Problem]) -> CloudError:

@@ -12,7 +12,7 @@ from hpccomponent.errors import HpcError
 from hpcdeploy.cluster import node_order
 from hpcdeploy.layout import machine_folder
 from hpcdeploy.loader_service import is_running_command
-from hpcdeploy.names import HEAD
+from hpcdeploy.names import HEAD, without_node
 from hpcdeploy.pace import utc_now
 from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.shell import Shell
@@ -82,7 +82,7 @@ def write_table(found: dict[str, Any]) -> str:
             *(machine[key] for key in texts),
             _duration(machine["age_s"]),
             _duration(machine["lease_left_s"]),
-            machine["loader"] or "",
+            without_node(machine["loader"] or machine["reason"], machine["node"]),
         )
         for machine in found["machines"]
     ]

@@ -101,6 +101,7 @@ def _ask(cluster: Cluster) -> None:
     except click.Abort:
         if sys.stdin.isatty():
             raise
+        _say("")  # the question's own line is not ended
         raise UsageError(
             f"cluster {cluster.spec.cluster} is not changed: this is not a terminal, and the "
             "question was not answered with yes",

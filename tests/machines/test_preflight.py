@@ -16,6 +16,7 @@ from hpcdeploy.bootstrap import set_up
 from hpcdeploy.cluster import open_cluster
 from hpcdeploy.converge import look_ahead
 from hpcdeploy.doctor_command import doctor
+from hpcdeploy.examination import visit
 from hpcdeploy.preflight import check_ready
 from machines.hosts import claim
 from machines.servers import Server
@@ -123,3 +124,25 @@ def test_the_users_commands_may_install_python(
     reasons = {failure.machine.name.node: failure.reason for failure in failures}
     assert "the wheelhouse has no" in reasons["worker-1"], "its Python was found"
     assert (tmp_path / "ran").read_text() == "once\n"
+
+
+def test_a_host_that_lets_us_in_and_hangs_is_given_up_in_time(
+    file: Path, hosts: tuple[Server, Server], tmp_path: Path
+) -> None:
+    give_python(hosts[1], OLD, tmp_path / "programs")
+    uname = tmp_path / "programs/uname"
+    uname.unlink()
+    write_program(uname, "exec sleep 1000")
+    with open_cluster(file) as cluster:
+        head, worker = visit(cluster, cluster.provider.hosts(), wait_s=10, answer_s=5)
+    assert "did not end within 5 s" in worker.problems[0].what
+    assert "did not end" not in " ".join(problem.what for problem in head.problems)
+
+
+def test_a_state_folder_that_cannot_be_written_is_found(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a-file").touch()
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "a-file"))
+    told = CliRunner().invoke(doctor, [str(file)])
+    assert f"state folder: {tmp_path / 'a-file'}: cannot be written; set XDG_STATE" in told.output

@@ -37,6 +37,7 @@ from hpcdeploy.ssh_target import host_address, host_id
 __all__ = ["SshHosts", "open_ssh_hosts"]
 
 AT_ONCE = 16
+LOOK_S = 10.0  # a host that lets us in and does no more is as good as silent
 _CLAIM = "machine.json"
 
 
@@ -125,7 +126,8 @@ class SshHosts(StandingMachines):
         machine = self._machine(node)
         try:
             with self._access.open(machine) as shell:
-                done = shell.run(f"cat {shlex.quote(self._folder)}/{_CLAIM}")
+                claim = f"{shlex.quote(self._folder)}/{_CLAIM}"
+                done = shell.run(f"cat {claim}", timeout_s=LOOK_S)
         except CloudError as error:
             return replace(machine, state=State.STOPPED, reason=error.problem)
         if done.exit_code:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
+import pwd
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -172,3 +174,13 @@ def test_a_state_folder_that_cannot_be_made_is_named(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
     with pytest.raises(OutputError, match="Not a directory; set XDG_STATE_HOME"):
         open_journal("bunny").__enter__()
+
+
+@pytest.mark.parametrize(("state", "home"), [("", ""), ("relative", "")])
+def test_an_empty_home_is_none_and_a_relative_state_folder_is_ignored(
+    monkeypatch: pytest.MonkeyPatch, state: str, home: str
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", state)
+    monkeypatch.setenv("HOME", home)
+    own = pwd.getpwuid(os.getuid()).pw_dir
+    assert clusters_folder() == Path(own) / ".local/state/hpcapp/clusters"
