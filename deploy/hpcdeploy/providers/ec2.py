@@ -7,7 +7,8 @@
        │ ──── ec2_launch    parameters of a launch
        │ ──── ec2_check     what would make `up` fail
        │          │
-       │      ec2_client ── ec2_credentials, ec2_errors
+       │      ec2_client ── ec2_login ── ec2_key_errors
+       │           └─────── ec2_credentials, ec2_errors
        └──── ec2_capabilities   which cloud knows which call and parameter
 """
 

@@ -243,10 +243,12 @@ class Calls:
         for is_last in self.tries():
             try:
                 return self._ask(operation, parameters)
-            except BOTO_ERRORS as error:
+            except (*BOTO_ERRORS, CloudError) as error:
                 if has_expired(error) and self._renew is not None and not (is_renewed or is_last):
                     self._client, is_renewed = self._renew(), True
                     continue
+                if isinstance(error, CloudError):  # of the keys, and said in our words
+                    raise
                 passes = is_throttled(error) or is_lost_answer(error) or code_of(error) in not_yet
                 is_late = not self._has_answered and time.monotonic() >= deadline
                 if not passes or is_last or is_late:

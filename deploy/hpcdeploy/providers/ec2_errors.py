@@ -112,7 +112,9 @@ def is_throttled(error: Exception) -> bool:
 
 def has_expired(error: Exception) -> bool:
     """Tell whether the keys were good once, so that newer ones may lie where they came from."""
-    return code_of(error) in _EXPIRED
+    return code_of(error) in _EXPIRED or isinstance(
+        error.__cause__, boto.RefreshWithMFAUnsupportedError
+    )
 
 
 def is_lost_answer(error: Exception) -> bool:

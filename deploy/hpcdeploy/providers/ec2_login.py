@@ -16,7 +16,7 @@ import os
 import subprocess
 import time
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from hpcdeploy.providers.ec2_key_errors import MfaCodeError, NoKeysError, Source
 __all__ = ["Login", "Patience", "default_region"]
 
 _RETRIES_S = (0.5, 1.0)
+_SPENT = timedelta(minutes=15)  # botocore asks for another code so long before the end
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +216,7 @@ class _KnownCodes(JSONFileCache):  # type: ignore[misc]  # botocore has no types
             until = datetime.fromisoformat(self[key]["Credentials"]["Expiration"])
         except (KeyError, TypeError, ValueError):
             raise MfaCodeError from None
-        if until.astimezone(UTC) <= datetime.now(UTC):
+        if until.astimezone(UTC) <= datetime.now(UTC) + _SPENT:
             raise MfaCodeError
         return True
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
+from hashlib import sha1
 from pathlib import Path
 
 import pytest
@@ -192,3 +193,37 @@ def test_without_a_file_the_region_is_the_profiles(
     monkeypatch.setenv("AWS_PROFILE", "gone")
     with pytest.raises(CloudError, match="there is no profile gone"):
         open_clouds(())
+
+
+def test_a_role_that_was_assumed_with_a_code_before_asks_for_none(
+    strict: StrictCloud, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    role, serial = "arn:aws:iam::1:role/lab", "arn:aws:iam::1:mfa/me"
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("AWS_CONFIG_FILE", str(tmp_path / "config"))
+    (tmp_path / "config").write_text(
+        f"[profile lab]\nrole_arn = {role}\nmfa_serial = {serial}\nsource_profile = own\n"
+        "[profile own]\naws_access_key_id = AKIA\naws_secret_access_key = x\n"
+    )
+    arguments = json.dumps({"RoleArn": role, "SerialNumber": serial}, sort_keys=True)
+    name = sha1(arguments.encode()).hexdigest()  # noqa: S324 - as AWS names the file
+    known = tmp_path / f".aws/cli/cache/{name}.json"
+    known.parent.mkdir(parents=True)
+
+    def assume() -> None:
+        """Do what AWS's own command line does once it has got the code."""
+        until = datetime.now(UTC) + timedelta(hours=1)
+        keys = {
+            "AccessKeyId": strict.access_key,
+            "SecretAccessKey": SECRET_KEY,
+            "SessionToken": "t",
+            "Expiration": until.isoformat(),
+        }
+        known.write_text(json.dumps({"Credentials": keys}))
+
+    assume()
+    provider = observe(strict_spec(strict), tmp_path)
+    strict.access_key = "AKIANEWER00000000000"
+    strict.fail("DescribeInstances", "RequestExpired", 400)
+    assume()
+    provider.observe("bunny")
