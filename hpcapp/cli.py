@@ -16,7 +16,7 @@ from typing import NoReturn
 import click
 
 from hpcapp.interrupts import EXIT_INTERRUPTED, obey_signals
-from hpccomponent.errors import HpcError
+from hpccomponent.errors import ConfigError, HpcError, write_block
 from hpccomponent.runtime.collecting import rare_collections
 
 __all__ = ["hpcapp", "main"]
@@ -28,6 +28,8 @@ SHIPPED = {
     "info": "hpcapp.applications.surface.commands:info",
 }
 EXIT_FAILED, EXIT_USAGE = 1, 2
+# What these log is raised too, and said in our words: a user sees it with --debug only.
+FOREIGN = ("boto3", "botocore", "paramiko", "s3transfer", "urllib3")
 
 
 class Verbs(click.Group):
@@ -56,6 +58,14 @@ class Verbs(click.Group):
             command = next(iter(found)).load()
         assert isinstance(command, click.Command)  # noqa: S101 - a plug-in's own mistake
         return command
+
+
+class _Lines(logging.Formatter):
+    """Writes a record without the traceback that it may carry."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return its message."""
+        return record.getMessage()
 
 
 class _LogLines(logging.Handler):
@@ -87,14 +97,17 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
 @click.option("--debug", is_flag=True, help="Log everything; show the traceback of an error.")
 def hpcapp(debug: bool) -> None:
     """Turn oriented point clouds into watertight meshes, on one machine or on many."""
+    lines = _LogLines()
+    lines.setFormatter(logging.Formatter("%(name)s: %(message)s") if debug else _Lines())
     logging.basicConfig(
         level=logging.INFO if debug else logging.WARNING,  # of the libraries that we use
-        format="%(name)s: %(message)s" if debug else "%(message)s",
-        handlers=[_LogLines()],
+        handlers=[lines],
         force=True,
     )
     for name in ("hpcapp", "hpccomponent"):
         logging.getLogger(name).setLevel(logging.DEBUG if debug else logging.INFO)
+    for name in FOREIGN:
+        logging.getLogger(name).setLevel(logging.INFO if debug else logging.CRITICAL)
     logging.raiseExceptions = debug  # a log that cannot be written must not end the job
     logging.captureWarnings(True)
     from hpccomponent.held_folders import remove_killed  # --help needs no such thing
@@ -105,9 +118,23 @@ def hpcapp(debug: bool) -> None:
 
 def _report(text: str) -> None:
     """Write one line to stderr, whatever file names and logs the text quotes."""
-    line = " | ".join(part for part in text.splitlines() if part)
+    _write("hpcapp: " + " | ".join(part for part in text.splitlines() if part))
+
+
+def _report_error(error: HpcError) -> None:
+    """Write an error: a file's mistakes one a line, an excerpt below in a block of its own."""
+    if isinstance(error, ConfigError):
+        for mistake in str(error).splitlines():
+            _report(mistake)
+    else:
+        _report(str(error))
+    if error.excerpt:
+        _write(write_block(error.excerpt))
+
+
+def _write(text: str) -> None:
     with contextlib.suppress(OSError):  # nobody can be told that stderr is full or closed
-        click.echo(f"hpcapp: {line}", err=True)
+        click.echo(text, err=True)
 
 
 def _fill_closed_descriptors() -> None:
@@ -158,7 +185,7 @@ def _run(arguments: list[str], debug: bool) -> int:
     except HpcError as error:
         if debug:
             logging.getLogger("hpcapp").exception("the error's way:")
-        _report(str(error))
+        _report_error(error)
         return error.exit_code
     except OSError as error:
         if debug:

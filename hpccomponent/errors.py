@@ -19,7 +19,8 @@
 
 Every error takes positional fields only, so that it survives pickling between processes
 (CPython #80041), and says what is wrong, where, and what to do. The command line prints
-``str(error)`` as one line and leaves with ``error.exit_code``.
+``str(error)`` as one line (a file's mistakes one a line), an excerpt of somebody else's words below
+it, and leaves with ``error.exit_code``.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ __all__ = [
     "TaskError",
     "UsageError",
     "WorkerLostError",
+    "write_block",
 ]
 
 
@@ -50,17 +52,37 @@ class HpcError(Exception):
         What is wrong, and where.
     advice : str
         What the user can do about it.
+    excerpt : str
+        Lines of somebody else's that tell more, such as the end of a machine's console: shown
+        below, in a block of their own.
     """
 
     exit_code = 1
 
-    def __init__(self, problem: str, advice: str = "") -> None:
-        super().__init__(problem, advice)
+    def __init__(self, problem: str, advice: str = "", excerpt: str = "") -> None:
+        super().__init__(problem, advice, excerpt)
         self.problem = problem
         self.advice = advice
+        self.excerpt = excerpt
 
     def __str__(self) -> str:
         return f"{self.problem}; {self.advice}" if self.advice else self.problem
+
+
+def write_block(excerpt: str) -> str:
+    r"""Write an excerpt as a block: indented, without what a terminal would take for orders.
+
+    Examples
+    --------
+    >>> print(write_block("Kernel panic\n\n\x1b[2Jnot syncing"))
+        Kernel panic
+         [2Jnot syncing
+    """
+    return "\n".join(
+        "    " + "".join(c if c.isprintable() else " " for c in line)
+        for line in excerpt.splitlines()
+        if line.strip()
+    )
 
 
 class UsageError(HpcError):

@@ -223,11 +223,13 @@ class Access:
     def _unreachable(self, machine: MachineSeen, error: ReachError) -> ReachError:
         address = ssh_address(machine) or "no address"
         lines = self._provider.console(machine).strip().splitlines()[-CONSOLE_LINES:]
-        end = "\n".join(("the end of its console:", *lines)) if lines else "its console is empty"
+        console = "its console ends so" if lines else "its console is empty"
+        advice = error.advice or "see auth in the cluster file, and the image"
         return ReachError(
-            f"{machine.name.node} ({machine.id}, {address}): {error.problem}\n{end}",
-            error.advice or "see auth in the cluster file, and the image",
+            f"{machine.name.node} ({machine.id}, {address}): {error.problem}",
+            f"{advice}; {console}",
             error.reach,
+            "\n".join(lines),
         )
 
 

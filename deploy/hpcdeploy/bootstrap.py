@@ -20,17 +20,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from hpccomponent.errors import CloudError, HpcError
+from hpccomponent.errors import CloudError, HpcError, write_block
 from hpccomponent.inventory import Inventory, InventoryWorker, dump_inventory
 from hpccomponent.protocol.connection import Connection
 from hpccomponent.runtime.numerics import package_version
 from hpcdeploy.access import Access
-from hpcdeploy.installing import install, install_here, stamp_of, write_text
+from hpcdeploy.installing import install, install_here, prepare, stamp_of, write_text
 from hpcdeploy.layout import machine_folder, state_folder
 from hpcdeploy.loader_service import start_loader, stop_command
-from hpcdeploy.names import HEAD
+from hpcdeploy.names import HEAD, without_node
 from hpcdeploy.node_keys import NodeKeys
-from hpcdeploy.probe import Probed, probe
+from hpcdeploy.probe import Probed, no_python, probe
 from hpcdeploy.provider import MachineSeen, Problem
 from hpcdeploy.provider_spec import CloudSpec, LocalSpec
 from hpcdeploy.requirements import Needs, choose_release, find_problems, needs_of
@@ -69,6 +69,8 @@ class _Member:
     machine: MachineSeen
     shell: Shell
     probed: Probed
+    is_prepared: bool = False
+    """Whether `env.setup` has been run already, because there was no Python."""
 
 
 def set_up(
@@ -156,7 +158,9 @@ class _SetUp:
                     results.append(future.result())
                 except (HpcError, OSError) as error:
                     machine = machine_of(thing)
-                    reason = str(error).removeprefix(f"{machine.name.node}: ")
+                    reason = without_node(str(error), machine.name.node)
+                    if isinstance(error, HpcError) and error.excerpt:
+                        self._report(f"{machine.name.node}:\n{write_block(error.excerpt)}")
                     failures.append(Failure(machine, reason))
             return results, failures
         except BaseException:
@@ -168,9 +172,16 @@ class _SetUp:
     def _join(self, machine: MachineSeen) -> _Member:
         """Log in and look."""
         shell = self._access.open(machine)
+        env = self._spec.env
         try:
-            python = self._spec.env.python
-            return _Member(machine, shell, probe(shell, self._spec.cluster, self._folder, python))
+            probed = probe(shell, self._spec.cluster, self._folder, env.python)
+            is_prepared = not probed.kinds and bool(env.setup)
+            if is_prepared:
+                prepare(shell, env.setup, self._report)
+                probed = probe(shell, self._spec.cluster, self._folder, env.python)
+            if not probed.kinds:
+                raise no_python(probed, env.python)
+            return _Member(machine, shell, probed, is_prepared)
         except BaseException:
             shell.close()
             raise
@@ -211,7 +222,8 @@ class _SetUp:
                     f"its disk has {probed.free >> 20} MiB left, {MIN_FREE >> 20} are needed",
                     "set disk_gb in its profile, or make room",
                 )
-            install(shell, self._folder, python, needs, env.setup, self._report)
+            setup = () if member.is_prepared else env.setup
+            install(shell, self._folder, python, needs, setup, self._report)
             self._check_version(shell)
         write_text(shell, f"{self._folder}/installed", stamp)
         return False

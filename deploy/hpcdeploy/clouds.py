@@ -51,7 +51,9 @@ def open_clouds(files: Sequence[Path]) -> list[tuple[str, Provider]]:
         A cloud's keys are not to be found.
     """
     if not files:
-        region = os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION", "us-east-1")
+        from hpcdeploy.providers.ec2_login import default_region  # it imports boto3
+
+        region = os.environ.get("AWS_REGION") or default_region() or "us-east-1"
         spec = parse_config(ANY_CLUSTER.format(region=region), "the environment", ClusterSpec)
         return [(f"aws {region}", open_provider(spec, Path.cwd()))]
     clouds: dict[str, tuple[str, Provider]] = {}

@@ -147,12 +147,19 @@ def describe_cost(cost: Cost) -> list[str]:
         return ["cost: none that is known of: the machines are there anyway"]
     lines = [
         f"cost: {line.who}: {line.count} x {line.instance_type}, "
-        + ("no price is known" if line.hourly is None else f"{_dollars(line.hourly)} an hour each")
+        + (
+            f"no price is known: give provider.profiles.{line.profile}.hourly_cost"
+            if line.hourly is None
+            else f"{_dollars(line.hourly)} an hour each"
+        )
         for line in cost.lines
     ]
-    known = "what is known " if cost.unknown else ""
+    if len(cost.unknown) == len(cost.lines):
+        return [*lines, "cost: not known"]
+    known = "not known in all; what is known " if cost.unknown else ""
+    at_most = "at least" if cost.unknown else "at most"
     lines.append(
-        f"cost: {known}together {_dollars(cost.hourly)} an hour, at most "
+        f"cost: {known}together {_dollars(cost.hourly)} an hour, {at_most} "
         f"{_dollars(cost.total_at_most)} until the lease of {cost.lease_s / 3600:g} h ends"
     )
     lines.append(

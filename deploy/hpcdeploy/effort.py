@@ -6,11 +6,12 @@ Used by `converge` only.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
-from hpccomponent.errors import CapacityError, CloudError
+from hpccomponent.errors import CapacityError, CloudError, write_block
 from hpcdeploy.clouds import place_of
 from hpcdeploy.cluster import node_order
 from hpcdeploy.journal import Journal
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 __all__ = ["Effort", "Report"]
 
 Report = Callable[[str], None]
+CONSOLE_LINES = 5
 Failed = tuple[MachineSeen, str]
 
 
@@ -253,13 +255,12 @@ class Effort:
         said = f" ({machine.reason})" if machine.reason else ""
         if machine.state not in LIVE:
             return f"it ended while it booted{said}"
-        try:
-            lines = self._provider.console(machine).split("\n")
-        except CloudError:
-            lines = []
-        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-        console = f"; its console ends with: {last[:200]}" if last else ""
-        return f"not running after {self._spec.limits.boot:.0f} s{said}{console}"
+        with suppress(CloudError):
+            end = [line for line in self._provider.console(machine).splitlines() if line.strip()]
+            if end:
+                block = write_block("\n".join(line[:200] for line in end[-CONSOLE_LINES:]))
+                self._report(f"{machine.name.node}: its console ends so:\n{block}")
+        return f"not running after {self._spec.limits.boot:.0f} s{said}"
 
     def _set_up(self, running: list[MachineSeen]) -> list[Failed]:
         """Set the machines up; tell which failed, as the cloud sees them now."""

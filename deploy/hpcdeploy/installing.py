@@ -11,7 +11,7 @@ from hpccomponent.errors import CloudError
 from hpcdeploy.requirements import Needs
 from hpcdeploy.shell import Shell
 
-__all__ = ["install", "install_here", "stamp_of", "write_text"]
+__all__ = ["install", "install_here", "prepare", "stamp_of", "write_text"]
 
 INSTALL_S = 900.0
 SETUP_S = 1800.0
@@ -51,9 +51,7 @@ def install(
     CloudError
         A command failed; the message has its last words.
     """
-    for command in setup:
-        report(f"{shell.node}: {command}")
-        _run(shell, f"env.setup: {command}", command, SETUP_S)
+    prepare(shell, setup, report)
     _run(shell, f"cannot make {folder}", f"umask 077; mkdir -p {folder}/wheels")
     _run(shell, "", f"rm -f {folder}/installed")
     _run(shell, "", _sweep(folder, needs))
@@ -61,6 +59,19 @@ def install(
         shell.put(path, f"{folder}/wheels/{path.name}", mode=0o644)
     report(f"{shell.node}: installing {needs.bare[-1]}")
     _run(shell, "the installation failed", _install_script(folder, python, needs), INSTALL_S)
+
+
+def prepare(shell: Shell, setup: tuple[str, ...], report: Callable[[str], None]) -> None:
+    """Run the user's commands.
+
+    Raises
+    ------
+    CloudError
+        One failed; the message has its last words.
+    """
+    for command in setup:
+        report(f"{shell.node}: {command}")
+        _run(shell, f"env.setup: {command}", command, SETUP_S)
 
 
 def install_here(shell: Shell, folder: str) -> None:

@@ -33,6 +33,7 @@ __all__ = ["Jobs", "end_jobs", "open_jobs", "raise_failure"]
 
 _ERRORS: dict[int, type[HpcError]] = {2: UsageError, 3: InputError, 4: CloudError}
 PATIENCE_S = 60.0
+EXCERPT = 5
 
 
 class Jobs:
@@ -147,8 +148,12 @@ class Jobs:
 
         code = self._head.follow(f"{self._command('follow', number)} 2>&1", show)
         if not ended:
-            said = " | ".join(rest[-3:]) or f"exit code {code}"
-            raise CloudError(f"{self._head.node}: job {number} cannot be followed ({said})")
+            said, excerpt = _said(rest, code)
+            raise CloudError(
+                f"{self._head.node}: job {number} cannot be followed ({said})",
+                "look at hpcapp logs and hpcapp doctor",
+                excerpt,
+            )
         return ended[-1]
 
     def cancel(self, number: str) -> JobStatus:
@@ -198,10 +203,17 @@ class Jobs:
         """Run a command on the head; return its lines."""
         done = self._head.run(command, stdin=stdin, timeout_s=PATIENCE_S)
         if done.exit_code != 0:
-            said = " | ".join(done.errors.strip().splitlines()[-3:])
+            said, excerpt = _said(done.errors.strip().splitlines(), done.exit_code)
             kind = _ERRORS.get(done.exit_code, CloudError)
-            raise kind(f"{self._head.node}: {said or f'exit code {done.exit_code}'}")
+            raise kind(f"{self._head.node}: {said}", "", excerpt)
         return done.output.splitlines()
+
+
+def _said(lines: Sequence[str], code: int) -> tuple[str, str]:
+    """Return the last line that a command has said, and where it said more, its last lines."""
+    if not lines:
+        return f"exit code {code}", ""
+    return lines[-1].strip(), "\n".join(lines[-EXCERPT:]) if len(lines) > 1 else ""
 
 
 def open_jobs(cluster: Cluster) -> Jobs:

@@ -25,6 +25,18 @@ from hpccomponent.paths import home_folder
 
 __all__ = ["clusters_folder", "forget_cluster", "machine_folder", "state_folder"]
 
+_OURS = (
+    "id",
+    "id.before",
+    ".id.*",  # of a maker that was killed
+    "known_hosts",
+    "known_hosts.*",
+    "keys.json",
+    "keys.json.*",
+    "release/*",
+    "journal.jsonl",
+)
+
 
 def machine_folder(cluster: str) -> str:
     """Return the folder of a cluster on a machine, relative to the login user's home."""
@@ -32,9 +44,17 @@ def machine_folder(cluster: str) -> str:
 
 
 def clusters_folder() -> Path:
-    """Return the folder of all clusters on the user's own machine; it need not exist."""
-    home = os.environ.get("XDG_STATE_HOME") or home_folder() / ".local/state"
-    return Path(home) / "hpcapp/clusters"
+    """Return the folder of all clusters on the user's own machine; it need not exist.
+
+    Raises
+    ------
+    UsageError
+        The user has no home.
+    """
+    named = os.environ.get("XDG_STATE_HOME", "")
+    if not Path(named).is_absolute():  # to be ignored then, says whoever defined it
+        named = f"{home_folder()}/.local/state"
+    return Path(named) / "hpcapp/clusters"
 
 
 def state_folder(cluster: str) -> Path:
@@ -45,8 +65,10 @@ def state_folder(cluster: str) -> Path:
 def forget_cluster(cluster: str) -> None:
     """Remove what this machine knows of a cluster that is gone; what is not ours stays there."""
     folder = state_folder(cluster)
-    for name in ("id", "id.before", "known_hosts", "keys.json", "journal.jsonl"):
-        (folder / name).unlink(missing_ok=True)
-    for empty in (folder / "nodes", folder):
+    for pattern in _OURS:
+        for path in folder.glob(pattern):
+            path.unlink(missing_ok=True)
+    top = clusters_folder()
+    for empty in (folder / "nodes", folder / "release", folder, top, top.parent):
         with suppress(OSError):
             empty.rmdir()

@@ -36,6 +36,7 @@ __all__ = [
     "read_client_token",
     "read_owner",
     "this_user",
+    "without_node",
 ]
 
 PREFIX = "hpcapp-"
@@ -196,3 +197,14 @@ def read_client_token(token: str) -> tuple[str, NodeName] | None:
     """
     match = _TOKEN.fullmatch(token)
     return (match[1], NodeName(match[2], int(match[3]))) if match else None
+
+
+def without_node(text: str, node: str) -> str:
+    """Return a message without the node that it begins with, for whoever names the node anyway.
+
+    Examples
+    --------
+    >>> without_node("head (i-1, 10.0.0.7): connection refused", "head")
+    'connection refused'
+    """
+    return re.sub(rf"^{re.escape(node)}( \([^()]*\))?: ", "", text)

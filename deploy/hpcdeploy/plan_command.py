@@ -69,7 +69,7 @@ def _lines(name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem]) -> li
 
 
 def _as_json(name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem]) -> dict[str, Any]:
-    """Write a plan for programs; money is in dollars."""
+    """Write a plan for programs; money is in dollars, and null where a price is not known."""
     return {
         "cluster": name,
         "actions": [
@@ -77,8 +77,8 @@ def _as_json(name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem]) -> 
         ],
         "obstacles": ahead.obstacles(),
         "cost": {
-            "hourly": cost.hourly,
-            "total_at_most": cost.total_at_most,
+            "hourly": None if cost.unknown else cost.hourly,
+            "total_at_most": None if cost.unknown else cost.total_at_most,
             "lease_s": cost.lease_s,
             "priced_as_of": cost.priced_as_of,
             "is_estimate": True,

@@ -10,17 +10,20 @@ from hpcdeploy.loader_service import is_running_command
 from hpcdeploy.shell import Shell
 from hpcdeploy.wheelhouse import Kind
 
-__all__ = ["Probed", "probe"]
+__all__ = ["Probed", "no_python", "probe"]
 
 PROBE_S = 60.0
-_PYTHONS = "python3 python3.14 python3.13 python3.12 python3.11"
+_PYTHONS = " ".join(("python3", *(f"python3.{minor}" for minor in range(14, 6, -1))))
+_ASK = (
+    "import sys, importlib.util as u; "
+    'print("%d.%d" % sys.version_info[:2], bool(u.find_spec("venv")))'
+)
 _SCRIPT = """
 echo "architecture=$(uname -m)"
 if libc=$(getconf GNU_LIBC_VERSION 2>/dev/null); then echo "libc=$libc"
 else echo "libc=musl $(ldd 2>&1 | sed -n 's/^Version //p')"; fi
 for name in {pythons}; do
-    version=$($name -c 'import sys, venv; print("%d.%d" % sys.version_info[:2])' 2>/dev/null) &&
-        echo "python=$name $version"
+    said=$($name -c '{ask}' 2>/dev/null) && echo "python=$name $said"
 done
 sudo -n true 2>/dev/null && echo sudo=yes
 [ -d /run/systemd/system ] && echo systemd=yes
@@ -44,6 +47,8 @@ class Probed:
     ----------
     kinds : tuple of (str, Kind)
         The interpreters that would do, and which wheels run with each; the first is preferred.
+    pythons : tuple of str
+        All interpreters that there are, as a user reads it.
     is_root_able, has_systemd : bool
         Whether sudo asks no password, and whether services are systemd's.
     home, user : str
@@ -58,6 +63,7 @@ class Probed:
     """
 
     kinds: tuple[tuple[str, Kind], ...]
+    pythons: tuple[str, ...]
     is_root_able: bool
     has_systemd: bool
     home: str
@@ -69,7 +75,9 @@ class Probed:
     is_running: bool
 
 
-def probe(shell: Shell, cluster: str, folder: str, python: str) -> Probed:
+def probe(
+    shell: Shell, cluster: str, folder: str, python: str, timeout_s: float = PROBE_S
+) -> Probed:
     """Ask a machine what it is.
 
     Parameters
@@ -79,14 +87,17 @@ def probe(shell: Shell, cluster: str, folder: str, python: str) -> Probed:
         The cluster's name, and its folder on the machine.
     python : str
         Which interpreters will do, as ``env.python`` says it.
+    timeout_s : float
 
     Raises
     ------
     CloudError
-        No interpreter will do, or the machine does not answer as a POSIX system does.
+        The machine does not answer as a POSIX system does.
     """
-    script = _SCRIPT.format(pythons=_PYTHONS, folder=folder, is_running=is_running_command(cluster))
-    done = shell.run(script, timeout_s=PROBE_S)
+    script = _SCRIPT.format(
+        pythons=_PYTHONS, ask=_ASK, folder=folder, is_running=is_running_command(cluster)
+    )
+    done = shell.run(script, timeout_s=timeout_s)
     lines = [line.partition("=")[::2] for line in done.output.splitlines()]
     said = dict(lines)
     libc = re.search(r"(glibc|musl)\s+(\d+)\.(\d+)", said.get("libc", ""))
@@ -98,17 +109,15 @@ def probe(shell: Shell, cluster: str, folder: str, python: str) -> Probed:
     pythons = [value.split() for key, value in lines if key == "python"]
     kinds = [
         (name, Kind(said["architecture"], libc[1], (int(libc[2]), int(libc[3])), _pair(version)))
-        for name, version in pythons
-        if _pair(version) >= _pair(python.removeprefix(">="))
+        for name, version, has_venv in pythons
+        if has_venv == "True" and _pair(version) >= _pair(python.removeprefix(">="))
     ]
-    if not kinds:
-        found = ", ".join(sorted({version for _, version in pythons})) or "none"
-        raise CloudError(
-            f"{shell.node}: no Python {python} with its venv module (found: {found})",
-            "take another image, or install it by env.setup",
-        )
     return Probed(
         kinds=tuple(kinds),
+        pythons=tuple(
+            f"{version} ({name}{'' if has_venv == 'True' else ', without venv'})"
+            for name, version, has_venv in pythons
+        ),
         is_root_able="sudo" in said or said["user"] == "root",
         has_systemd="systemd" in said,
         home=said["home"],
@@ -118,6 +127,21 @@ def probe(shell: Shell, cluster: str, folder: str, python: str) -> Probed:
         installed=said.get("installed", ""),
         configured=said.get("configured", ""),
         is_running="running" in said,
+    )
+
+
+def no_python(probed: Probed, python: str) -> CloudError:
+    """Return the error that a machine has no interpreter which will do.
+
+    Parameters
+    ----------
+    probed : Probed
+    python : str
+        Which ones will do, as ``env.python`` says it.
+    """
+    return CloudError(
+        f"no Python {python} with its venv module (found: {', '.join(probed.pythons) or 'none'})",
+        "take another image, or install it by env.setup",
     )
 
 

@@ -188,11 +188,14 @@ class Problem:
     what, advice : str
     is_fatal : bool
         Whether `up` would fail over it.
+    excerpt : str
+        Lines of somebody else's that tell more, such as the end of a machine's console.
     """
 
     what: str
     advice: str
     is_fatal: bool = True
+    excerpt: str = ""
 
 
 class Provider(Protocol):
@@ -208,6 +211,10 @@ class Provider(Protocol):
 
     def observe(self, cluster: str | None) -> Observed:
         """Return all that exists of a cluster of ours, or of every one where None."""
+        ...
+
+    def hosts(self) -> tuple[MachineSeen, ...]:
+        """Return the machines that are there before they belong to a cluster."""
         ...
 
     def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:

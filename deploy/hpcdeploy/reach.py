@@ -36,9 +36,17 @@ class ReachError(CloudError):
         The command that mends it.
     reach : Reach
         The cause.
+    excerpt : str
+        See `HpcError`.
     """
 
-    def __init__(self, problem: str, advice: str = "", reach: Reach = Reach.UNREACHABLE) -> None:
-        super().__init__(problem, advice)
-        self.args = (problem, advice, reach)  # what pickling makes it again from
+    def __init__(
+        self,
+        problem: str,
+        advice: str = "",
+        reach: Reach = Reach.UNREACHABLE,
+        excerpt: str = "",
+    ) -> None:
+        super().__init__(problem, advice, excerpt)
+        self.args = (problem, advice, reach, excerpt)  # what pickling makes it again from
         self.reach = reach

@@ -19,7 +19,7 @@ from hpcdeploy.release import DISTRIBUTION, pack_release
 from hpcdeploy.spec import ClusterSpec
 from hpcdeploy.wheelhouse import Kind, fits, kinds_of, read_requirements, select_wheels
 
-__all__ = ["WORKER_NEEDS", "Needs", "choose_release", "find_problems", "needs_of"]
+__all__ = ["WORKER_NEEDS", "Needs", "choose_release", "find_problems", "missing_wheels", "needs_of"]
 
 WORKER_NEEDS = ("msgspec", "numpy", "pydantic", "pyyaml", "pyzmq")
 """What `hpccomponent` and `hpcloader` import; a test compares it with their source."""
@@ -111,7 +111,7 @@ def find_problems(spec: ClusterSpec, base: Path) -> list[Problem]:
     """Return what is missing in the wheelhouse, one problem for each wheel.
 
     Before the machines are there, the wheelhouse itself says which machines it is for: each kind
-    that it has compiled wheels for must be complete.
+    that it has compiled wheels for should be complete. Where none is, `up` would fail.
     """
     if spec.env.wheelhouse is None or not isinstance(spec.provider, CloudSpec | SshSpec):
         return []
@@ -124,12 +124,22 @@ def find_problems(spec: ClusterSpec, base: Path) -> list[Problem]:
                 "fill it by: pip download --only-binary=:all: -d FOLDER hpcapp, on such a machine",
             )
         ]
-    package = spec.env.package if spec.env.package != "auto" else Path(f"{DISTRIBUTION}.whl")
+    lacking = {kind: missing_wheels(spec, base, kind, is_head=True) for kind in kinds}
     return [
-        Problem(f"{folder}: no wheel of {missing} for {kind}", "add it: see docs/cluster.md, env")
-        for kind in kinds
-        for missing in needs_of(spec, base, package, kind, is_head=True)[1]
+        Problem(
+            f"{folder}: no wheel of {missing} for {kind}",
+            "add it: see docs/cluster.md, env",
+            is_fatal=all(lacking.values()),
+        )
+        for kind, names in lacking.items()
+        for missing in names
     ]
+
+
+def missing_wheels(spec: ClusterSpec, base: Path, kind: Kind, *, is_head: bool) -> tuple[str, ...]:
+    """Return what the wheelhouse lacks for a machine of a kind; nothing where there is none."""
+    package = spec.env.package if spec.env.package != "auto" else Path(f"{DISTRIBUTION}.whl")
+    return needs_of(spec, base, package, kind, is_head=is_head)[1]
 
 
 def _bounds() -> Iterator[str]:

@@ -227,7 +227,8 @@ def main(words: Sequence[str] | None = None) -> int:
         _say(str(error))
         return error.exit_code
     except OSError as error:
-        _say(f"{error.filename or 'the head'}: {error.strerror or error}")
+        named = f"{error.filename}: " if error.filename else ""  # whoever reads it names the node
+        _say(f"{named}{error.strerror or error}")
         return 1
     return 0
 

@@ -19,6 +19,7 @@ from cryptography.exceptions import UnsupportedAlgorithm
 from paramiko.pkey import UnknownKeyType
 
 from hpccomponent.errors import CloudError
+from hpccomponent.paths import home_folder
 from hpcdeploy.reach import Reach, ReachError
 
 __all__ = [
@@ -178,7 +179,7 @@ def find_identities(files: Sequence[str], *, are_own: bool, closer: ExitStack) -
 
 def own_key_files() -> tuple[str, ...]:
     """Return the user's private keys where ssh looks for them too."""
-    files = (Path.home() / ".ssh" / name for name in _OWN)
+    files = (home_folder() / ".ssh" / name for name in _OWN)
     return tuple(str(file) for file in files if file.exists())
 
 

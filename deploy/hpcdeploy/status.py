@@ -12,6 +12,7 @@ from hpccomponent.errors import CloudError, HpcError
 from hpcdeploy.cluster import node_order
 from hpcdeploy.layout import machine_folder
 from hpcdeploy.loader_service import is_running_command
+from hpcdeploy.names import HEAD, without_node
 from hpcdeploy.ownership import require_ours
 from hpcdeploy.pace import utc_now
 from hpcdeploy.provider import MachineSeen, Observed, State
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["describe_cluster", "list_clusters", "write_list", "write_table"]
 
-AT_ONCE = 16
+AT_ONCE = 64
 ANSWER_S = 10.0
 """How long a machine may take to tell about its loader."""
 
@@ -44,13 +45,14 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> dict[str, A
     hidden = {m.id: m.reason for m in machines if m.state is State.UNKNOWN}
     rows = [{**_machine(m, now), "loader": (loaders | hidden).get(m.id)} for m in machines]
     wanted = cluster.spec.nodes()
-    there = {machine.name.node for machine in machines if machine.state is State.RUNNING}
+    there = [machine.name.node for machine in machines if machine.state is State.RUNNING]
     return {
         "cluster": cluster.spec.cluster,
         "provider": cluster.provider.name,
         "made_elsewhere": elsewhere,
-        "is_up": set(wanted) <= there,
+        "is_up": set(wanted) <= set(there),
         "missing": [node for node in wanted if node not in there],
+        "unwanted": [node for node in there if node not in wanted],
         "machines": rows,
     }
 
@@ -84,15 +86,31 @@ def write_table(found: dict[str, Any]) -> str:
             *(machine[key] for key in texts),
             _duration(machine["age_s"]),
             _duration(machine["lease_left_s"]),
-            machine["loader"] or (machine["reason"] if machine["state"] == State.UNKNOWN else ""),
+            without_node(machine["loader"] or machine["reason"], machine["node"]),
         )
         for machine in found["machines"]
     ]
-    head = f"cluster {found['cluster']} ({found['provider']}): " + (
-        "up" if found["is_up"] else f"not up, missing: {', '.join(found['missing'])}"
-    )
-    heads = [head, found["made_elsewhere"]] if found["made_elsewhere"] else [head]
+    heads = [f"cluster {found['cluster']} ({found['provider']}): {_verdict(found)}"]
+    if found["made_elsewhere"]:
+        heads.append(found["made_elsewhere"])
     return "\n".join([*heads, *(_aligned(lines) if found["machines"] else [])])
+
+
+def _verdict(found: dict[str, Any]) -> str:
+    """Say how what runs differs from the file: after `scale`, that is as it was asked for."""
+    missing, unwanted = found["missing"], found["unwanted"]
+    running = sum(machine["state"] == State.RUNNING for machine in found["machines"])
+    if not running:
+        return f"not up, missing: {', '.join(missing)}"
+    parts = ["up" if HEAD not in missing else f"not up: {HEAD} does not run"]
+    workers = [node for node in missing if node != HEAD]
+    if workers:
+        parts.append(
+            f"without {', '.join(workers)} of the file (hpcapp up launches what is missing)"
+        )
+    if unwanted:
+        parts.append(f"with {', '.join(unwanted)} beyond the file (hpcapp up ends what is beyond)")
+    return ", ".join(parts)
 
 
 def write_list(rows: list[dict[str, Any]]) -> str:
@@ -102,6 +120,7 @@ def write_list(rows: list[dict[str, Any]]) -> str:
     lines = [("CLUSTER", "CLOUD", "MACHINES", "TYPES", "LEASE")]
     for row in rows:
         states = ", ".join(f"{count} {state}" for state, count in row["states"].items())
+        states = states or "none; hpcapp down or reap removes what is left"
         kinds = ", ".join(row["instance_types"])
         lines.append((row["cluster"], row["cloud"], states, kinds, _duration(row["lease_left_s"])))
     return "\n".join(_aligned(lines))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -35,7 +36,7 @@ def ls(files: tuple[Path, ...], is_all: bool, as_json: bool) -> None:
 
     With --all and no file, all of the AWS account of the environment.
     """
-    from hpccomponent.errors import UsageError
+    from hpccomponent.errors import CloudError, UsageError
     from hpcdeploy.clouds import open_clouds
     from hpcdeploy.spec import read_spec
     from hpcdeploy.status import list_clusters, write_list
@@ -43,10 +44,17 @@ def ls(files: tuple[Path, ...], is_all: bool, as_json: bool) -> None:
     if not files and not is_all:
         raise UsageError("no cluster file is given", "name some, or add --all")
     names = None if is_all else {read_spec(path).cluster for path in files}
-    rows = [
-        row
-        for where, provider in open_clouds(files)
-        for row in list_clusters(where, provider.observe(None))
-        if names is None or row["cluster"] in names
-    ]
-    click.echo(json.dumps(rows) if as_json else write_list(rows))
+    rows, silent = list[dict[str, Any]](), list[CloudError]()
+    for where, provider in open_clouds(files):
+        try:
+            found = list_clusters(where, provider.observe(None))
+        except CloudError as error:  # the other clouds are listed all the same
+            silent.append(error)
+            continue
+        rows += [row for row in found if names is None or row["cluster"] in names]
+    if rows or not silent:
+        click.echo(json.dumps(rows) if as_json else write_list(rows))
+    for other in silent[1:]:
+        click.echo(f"hpcapp: {other}", err=True)
+    if silent:
+        raise silent[0]

@@ -127,9 +127,9 @@ def _wait_for_port(lines: queue.SimpleQueue[str]) -> int:
             if "port" in entries:
                 return int(entries["port"])
             if "error" in entries:
-                raise CloudError(
-                    f"{entries['error']} {' | '.join(said)}".rstrip(), "run 'hpcapp doctor'"
-                )
+                last = f": {said[-1]}" if said else ""
+                excerpt = "\n".join(said[-5:]) if len(said) > 1 else ""
+                raise CloudError(f"{entries['error']}{last}", "run 'hpcapp doctor'", excerpt)
             log.info("the cluster is in use by another program; waiting for it to end")
         except (ValueError, TypeError):
             said.append(line)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+
+from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
     from hpcdeploy.cluster import Cluster
@@ -14,6 +17,10 @@ __all__ = ["ask_name", "down", "scale", "up"]
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 YES = click.option("-y", "--yes", is_flag=True, help="Do not ask.")
+UNCHECKED = click.option(
+    "--skip-checks", "is_unchecked", is_flag=True,
+    help="Launch machines even where something is known to be missing.",
+)  # fmt: skip
 KEEP = click.option(
     "--keep", is_flag=True, help="Leave what was made where the cluster cannot be made whole."
 )
@@ -23,12 +30,13 @@ KEEP = click.option(
 @click.argument("file", type=FILE)
 @YES
 @KEEP
-def up(file: Path, yes: bool, keep: bool) -> None:
+@UNCHECKED
+def up(file: Path, yes: bool, keep: bool, is_unchecked: bool) -> None:
     """Make the machines of the cluster file FILE and set them up; run again, it converges."""
     from hpcdeploy.cluster import open_cluster
 
     with open_cluster(file) as cluster:
-        _bring_up(cluster, yes, keep)
+        _bring_up(cluster, yes, keep, is_unchecked)
 
 
 @click.command()
@@ -89,7 +97,8 @@ def ask_name(cluster: Cluster, purpose: str, *, is_asked: bool, given: str = "")
 @click.argument("workers", type=click.IntRange(0, 1000))
 @YES
 @KEEP
-def scale(file: Path, workers: int, yes: bool, keep: bool) -> None:
+@UNCHECKED
+def scale(file: Path, workers: int, yes: bool, keep: bool, is_unchecked: bool) -> None:
     """Bring the cluster of FILE to so many WORKERS; the file stays as it is."""
     from dataclasses import replace
 
@@ -99,29 +108,48 @@ def scale(file: Path, workers: int, yes: bool, keep: bool) -> None:
         spec = cluster.spec
         chosen = spec.workers.model_copy(update={"count": workers, "min": None})
         scaled = replace(cluster, spec=spec.model_copy(update={"workers": chosen}))
-        _bring_up(scaled, yes, keep)
+        _bring_up(scaled, yes, keep, is_unchecked)
         if spec.worker_count != workers:
             _say(f"the next hpcapp up goes back to {spec.worker_count}: see workers.count")
 
 
-def _bring_up(cluster: Cluster, yes: bool, keep: bool) -> None:
+def _bring_up(cluster: Cluster, yes: bool, keep: bool, is_unchecked: bool) -> None:
     """Show what is to be done, ask, do it."""
     from hpcdeploy.bootstrap import check_wheels
     from hpcdeploy.converge import bring_up, look_ahead
     from hpcdeploy.cost import check_limits, describe_cost, estimate_cost
+    from hpcdeploy.preflight import check_ready
 
     ahead, cost = look_ahead(cluster), estimate_cost(cluster.spec)
     actions = ahead.actions
     planned = (f"will {action}" for action in actions)
     for line in (*planned, *ahead.obstacles(), *describe_cost(cost)):
         _say(line)
-    for problem in check_wheels(cluster.spec, cluster.path.absolute().parent) if actions else ():
+    missing = check_wheels(cluster.spec, cluster.path.absolute().parent) if actions else []
+    for problem in missing:
         _say(f"missing: {problem.what}; {problem.advice}")
     check_limits(cluster.spec, cost)  # before the user is asked
+    if not is_unchecked:
+        check_ready(cluster, actions, missing, _say)
     if actions and not yes:
-        click.confirm("Go on?", abort=True, err=True)
+        _ask(cluster)
     bring_up(cluster, _say, keep=keep)
     _say(f"cluster {cluster.spec.cluster} is up: {len(cluster.machines())} machines")
+
+
+def _ask(cluster: Cluster) -> None:
+    """Ask whether to go on."""
+    try:
+        click.confirm("Go on?", abort=True, err=True)
+    except click.Abort:
+        if sys.stdin.isatty():
+            raise
+        _say("")  # the question's own line is not ended
+        raise UsageError(
+            f"cluster {cluster.spec.cluster} is not changed: this is not a terminal, and the "
+            "question was not answered with yes",
+            "run it with -y",
+        ) from None
 
 
 def _say(line: str) -> None:

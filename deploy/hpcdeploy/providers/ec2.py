@@ -7,7 +7,8 @@
        │ ──── ec2_launch    parameters of a launch
        │ ──── ec2_check     what would make `up` fail
        │          │
-       │      ec2_client ── ec2_credentials, ec2_errors
+       │      ec2_client ── ec2_login ── ec2_key_errors
+       │           └─────── ec2_credentials, ec2_errors
        └──── ec2_capabilities   which cloud knows which call and parameter
 """
 
@@ -35,7 +36,7 @@ from hpcdeploy.provider_spec import CloudSpec
 from hpcdeploy.providers.ec2_access import GroupKeeper, KeyPairKeeper
 from hpcdeploy.providers.ec2_capabilities import capabilities_of
 from hpcdeploy.providers.ec2_check import check_cloud, find_image
-from hpcdeploy.providers.ec2_client import Calls, cloud_name, open_client
+from hpcdeploy.providers.ec2_client import Calls, open_calls
 from hpcdeploy.providers.ec2_errors import code_of
 from hpcdeploy.providers.ec2_launch import attempt_of, launch_parameters, launch_tags, profile_of
 from hpcdeploy.providers.ec2_observe import as_machine, identity_tags, lease_text, read_machine
@@ -64,8 +65,7 @@ def open_ec2(spec: ClusterSpec, base: Path) -> Ec2Provider:
         The cloud's keys or its endpoint are not to be found.
     """
     cloud = cast(CloudSpec, spec.provider)
-    calls = Calls(open_client("ec2", cloud, base), cloud_name(cloud))
-    return Ec2Provider(cloud, calls, spec.auth.ssh_port)
+    return Ec2Provider(cloud, open_calls(cloud, base), spec.auth.ssh_port)
 
 
 class Ec2Provider:
@@ -107,6 +107,10 @@ class Ec2Provider:
             key_pairs=tuple(self._key_pairs.find(cluster, groups)),
             groups=tuple(groups),
         )
+
+    def hosts(self) -> tuple[MachineSeen, ...]:
+        """Return none: machines are made."""
+        return ()
 
     def _find(self, condition: str, value: str) -> list[MachineSeen]:
         reservations = self._calls.all_of(

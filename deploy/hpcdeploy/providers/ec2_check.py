@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from hpccomponent.errors import CloudError
@@ -56,19 +57,15 @@ def check_cloud(calls: Calls, cloud: CloudSpec, capabilities: Capabilities) -> l
             )
         problems += _check_image(calls, name, profile)
         if capabilities.instance_types:
-            problems += _tried(
-                calls,
-                "describe_instance_types",
-                f"find the instance types of profile {name}",
-                InstanceTypes=list(profile.instance_types),
-            )
+            problems += _check_types(calls, name, profile)
         if capabilities.dry_run:
             problems += _dry_run(calls, cloud, profile)
     return problems
 
 
 def _problem(error: CloudError) -> Problem:
-    return Problem(error.problem, error.advice)
+    """Return what a question has met; one that we may not ask stops nothing by itself."""
+    return Problem(error.problem, error.advice, is_fatal=code_of(error) != "UnauthorizedOperation")
 
 
 def _tried(calls: Calls, operation: str, doing: str, **parameters: Any) -> list[Problem]:
@@ -77,6 +74,22 @@ def _tried(calls: Calls, operation: str, doing: str, **parameters: Any) -> list[
     except CloudError as error:
         return [_problem(error)]
     return []
+
+
+def _check_types(calls: Calls, name: str, profile: Profile) -> list[Problem]:
+    """Find the types that there are; a profile needs one of its own."""
+    found = [
+        problem
+        for kind in profile.instance_types
+        for problem in _tried(
+            calls,
+            "describe_instance_types",
+            f"find instance type {kind} of profile {name}",
+            InstanceTypes=[kind],
+        )
+    ]
+    has_one = len(found) < len(profile.instance_types)
+    return [replace(problem, is_fatal=problem.is_fatal and not has_one) for problem in found]
 
 
 def _check_image(calls: Calls, name: str, profile: Profile) -> list[Problem]:
@@ -103,5 +116,5 @@ def _dry_run(calls: Calls, cloud: CloudSpec, profile: Profile) -> list[Problem]:
         calls.call("run_instances", "launch a machine (dry run)", **parameters)
     except CloudError as error:
         if code_of(error) == "UnauthorizedOperation":
-            return [_problem(error)]
+            return [Problem(error.problem, error.advice)]
     return []

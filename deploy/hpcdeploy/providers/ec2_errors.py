@@ -7,7 +7,15 @@ from botocore.parsers import ResponseParserError
 
 from hpccomponent.errors import CapacityError, CloudError
 
-__all__ = ["BOTO_ERRORS", "code_of", "is_lost_answer", "is_throttled", "translate"]
+__all__ = [
+    "BOTO_ERRORS",
+    "NETWORK_ERRORS",
+    "code_of",
+    "has_expired",
+    "is_lost_answer",
+    "is_throttled",
+    "translate",
+]
 
 BOTO_ERRORS = (boto.ClientError, boto.BotoCoreError, ResponseParserError)
 """All that a call may raise: the last, of no family, where a web page answers instead of EC2."""
@@ -34,14 +42,19 @@ _THROTTLED = {
     "ThrottlingException",
     "TooManyRequestsException",
 }
-_LOST = (
-    boto.ConnectionClosedError,
-    boto.ConnectTimeoutError,
-    boto.EndpointConnectionError,
+NETWORK_ERRORS = (
+    boto.ConnectionError,  # among them a proxy's, and certificates
     boto.HTTPClientError,
     boto.ReadTimeoutError,
-    ResponseParserError,  # a gateway's page may hide that it was done
 )
+"""No answer, or none that may be trusted."""
+_LOST = (*NETWORK_ERRORS, ResponseParserError)  # a gateway's page may hide that it was done
+_EXPIRED = {
+    "AuthFailure.Expired",
+    "ExpiredToken",
+    "ExpiredTokenException",
+    "RequestExpired",
+}
 _KEYS = "check provider.credentials, or the environment's AWS_ACCESS_KEY_ID"
 _CLOCK = "check this machine's clock (timedatectl)"
 _RENEW = "get new credentials (for AWS: aws sso login, or new session keys)"
@@ -65,6 +78,7 @@ _ADVICE = {
     "InvalidAction": "check provider.endpoint_url and provider.capabilities",
     "InvalidBlockDeviceMapping": "raise the profile's disk_gb to the image's own size at least",
     "InvalidClientTokenId": _KEYS,
+    "InvalidInstanceType": "check the profile's instance_type; types differ by region and zone",
     "InvalidKey.Format": "a key pair takes RSA keys of 2048 or 4096 bits: see auth.ssh_private_key",
     "InvalidSubnet": "check provider.subnet",
     "InvalidSubnetID.NotFound": "check provider.subnet",
@@ -94,6 +108,13 @@ def code_of(error: BaseException | None) -> str:
 def is_throttled(error: Exception) -> bool:
     """Tell whether a cloud asks for patience."""
     return code_of(error) in _THROTTLED
+
+
+def has_expired(error: Exception) -> bool:
+    """Tell whether the keys were good once, so that newer ones may lie where they came from."""
+    return code_of(error) in _EXPIRED or isinstance(
+        error.__cause__, boto.RefreshWithMFAUnsupportedError
+    )
 
 
 def is_lost_answer(error: Exception) -> bool:
@@ -135,18 +156,19 @@ def translate(error: Exception, doing: str, place: str) -> CloudError:
 def _advise(error: Exception) -> str:
     if isinstance(error, boto.SSLError):
         return "name the cloud's certificate in provider.ca_bundle, and check that it is https"
+    if isinstance(error, boto.ProxyConnectionError):
+        return "check the proxy (HTTPS_PROXY, HTTP_PROXY), or name the cloud's host in NO_PROXY"
     if isinstance(error, boto.NoCredentialsError | boto.PartialCredentialsError):
         return "name provider.credentials, or set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
-    if isinstance(error, boto.ProfileNotFound):
-        return "aws configure list-profiles shows those there are"
     if isinstance(error, boto.InvalidRegionError):
         return 'name a provider.signing_region, such as "eucalyptus"'
-    if isinstance(error, boto.CredentialRetrievalError | boto.TokenRetrievalError):
-        return _RENEW
     if isinstance(error, boto.ParamValidationError | boto.UnknownServiceError):
         return "check provider.capabilities"
     if isinstance(error, ResponseParserError):
-        return "something other than EC2 answers: check provider.endpoint_url"
+        return (
+            "something other than EC2 answers: check provider.endpoint_url and the proxy "
+            "(HTTPS_PROXY, HTTP_PROXY, NO_PROXY)"
+        )
     if isinstance(error, _LOST):
         return "check provider.endpoint_url, provider.region and the network, and try again"
     return ""

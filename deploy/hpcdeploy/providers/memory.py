@@ -185,6 +185,10 @@ class MemoryProvider:
         """Return one line."""
         return f"{machine.name.node}: booting\n"
 
+    def hosts(self) -> tuple[MachineSeen, ...]:
+        """Return none: machines are made."""
+        return ()
+
     def check(self) -> list[Problem]:
         """Find no problem."""
         return []

@@ -137,18 +137,13 @@ class SshHosts(StandingMachines):
             if error is not None:
                 raise error
 
+    def hosts(self) -> tuple[MachineSeen, ...]:
+        """Return the file's hosts, whether they answer or not."""
+        return tuple(self._machine(node) for node in self._hosts)
+
     def check(self) -> list[Problem]:
-        """Log in to every host."""
-
-        def log_in(node: str) -> Problem | None:
-            try:
-                self._access.open(self._machine(node), LOOK_S).close()
-            except CloudError as error:
-                return Problem(error.problem, error.advice)
-            return None
-
-        found = run_parallel(log_in, list(self._hosts), connections_at_once(), "hosts")
-        return [problem for problem in found if problem is not None]
+        """Return nothing: `doctor` and `up` log in to each host themselves."""
+        return []
 
     def _machine(self, node: str) -> MachineSeen:
         host = self._hosts[node]

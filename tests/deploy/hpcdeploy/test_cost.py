@@ -75,7 +75,10 @@ def test_an_unknown_price_is_refused_only_where_there_is_a_limit(limits: str) ->
     spec = spec_of(strange)
     cost = estimate_cost(spec)
     assert [line.instance_type for line in cost.unknown] == ["x9.large"]
-    assert "cost: workers: 3 x x9.large, no price is known" in describe_cost(cost)
+    told = describe_cost(cost)
+    price = "give provider.profiles.fast.hourly_cost"
+    assert f"cost: workers: 3 x x9.large, no price is known: {price}" in told
+    assert any("not known in all; what is known together $0.1032" in line for line in told)
     check_limits(spec, cost)
     with pytest.raises(UsageError, match=r"x9\.large .*give provider\.profiles\.fast\.hourly_cost"):
         check_limits(spec_of(strange, limits), cost)
@@ -110,3 +113,10 @@ def test_machines_that_are_there_cost_nothing(provider: str) -> None:
     assert cost.hourly == 0
     check_limits(spec, cost)
     assert describe_cost(cost) == ["cost: none that is known of: the machines are there anyway"]
+
+
+def test_what_has_no_price_is_never_written_as_nothing() -> None:
+    strange = AWS.replace("m6i.large", "x9.large").replace("c6a.xlarge, c6i.xlarge", "x9.huge")
+    told = describe_cost(estimate_cost(spec_of(strange)))
+    assert told[-1] == "cost: not known"
+    assert "$0" not in " ".join(told)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
+import pwd
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ import pytest
 
 from hpccomponent.errors import CapacityError, CloudError, OutputError
 from hpcdeploy.journal import Attempt, Journal, open_journal
-from hpcdeploy.layout import forget_cluster, state_folder
+from hpcdeploy.layout import clusters_folder, forget_cluster, state_folder
 from hpcdeploy.names import NodeName
 
 UNTIL = datetime(2026, 11, 1, 14, tzinfo=UTC)
@@ -138,9 +140,12 @@ def test_a_forgotten_cluster_leaves_no_folder() -> None:
     with open_journal("bunny") as journal:
         journal.note_bad("i-1", "no pip")
         (folder / "keys.json").touch()
+        (folder / ".id.4711").touch()
         (folder / "nodes").mkdir()
+        (folder / "release").mkdir()
+        (folder / "release/hpcapp-1.0-py3-none-any.whl").touch()
         forget_cluster("bunny")
-    assert not folder.exists()
+    assert not clusters_folder().parent.exists(), "nor those that it was in"
     with open_journal("bunny") as journal:
         assert journal.known_bad == frozenset()
         (folder / "theirs").touch()
@@ -169,3 +174,13 @@ def test_a_state_folder_that_cannot_be_made_is_named(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
     with pytest.raises(OutputError, match="Not a directory; set XDG_STATE_HOME"):
         open_journal("bunny").__enter__()
+
+
+@pytest.mark.parametrize(("state", "home"), [("", ""), ("relative", "")])
+def test_an_empty_home_is_none_and_a_relative_state_folder_is_ignored(
+    monkeypatch: pytest.MonkeyPatch, state: str, home: str
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", state)
+    monkeypatch.setenv("HOME", home)
+    own = pwd.getpwuid(os.getuid()).pw_dir
+    assert clusters_folder() == Path(own) / ".local/state/hpcapp/clusters"

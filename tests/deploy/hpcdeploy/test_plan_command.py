@@ -11,6 +11,7 @@ import pytest
 from simulated import FILE, SetUp, make_cluster
 
 from hpcapp.cli import main
+from hpccomponent.errors import CloudError
 from hpcdeploy.cluster import Cluster
 from hpcdeploy.pace import Pace
 from hpcdeploy.provider import Problem
@@ -51,16 +52,18 @@ def test_a_valid_file_is_said_to_be(file: Path, capsys: pytest.CaptureFixture[st
     assert capsys.readouterr().out == f"{file}: valid: cluster bunny, aws, a head and 2 workers\n"
 
 
-def test_mistakes_are_one_line_and_exit_code_2(
+def test_mistakes_are_one_a_line_and_exit_code_2(
     file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file.write_text(file.read_text().replace("lease", "laese").replace("{profile: small}", "{}"))
     assert run("validate", file) == 2
     told = capsys.readouterr()
     assert told.out == ""
-    assert told.err.count("\n") == 1
-    assert "head.profile: missing key" in told.err
-    assert "limits.laese: unknown key (got '2h'), did you mean \"lease\"?" in told.err
+    lines = told.err.splitlines()
+    assert len(lines) == 2
+    assert all(line.startswith(f"hpcapp: {file}:") for line in lines)
+    assert "head.profile: missing key" in lines[0]
+    assert lines[1].endswith("limits.laese: unknown key (got '2h'), did you mean \"lease\"?")
 
 
 def test_a_plan_says_what_would_be_made_and_what_it_costs(
@@ -116,3 +119,19 @@ def test_a_plan_beyond_the_limits_is_shown_and_refused(
     told = capsys.readouterr()
     assert "would launch head" in told.out
     assert "more than limits.max_hourly_cost, $0.10" in told.err
+
+
+def test_what_a_machine_has_said_stands_in_a_block_of_its_own(
+    file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path) -> Cluster:
+        console = "Kernel panic - not syncing\n\n\x1b[2JVFS: no root"
+        raise CloudError("head (i-1): no answer", "see the image; its console ends so", console)
+
+    monkeypatch.setattr("hpcdeploy.cluster.open_cluster", refuse)
+    assert run("plan", file) == 4
+    assert capsys.readouterr().err.splitlines() == [
+        "hpcapp: head (i-1): no answer; see the image; its console ends so",
+        "    Kernel panic - not syncing",
+        "     [2JVFS: no root",
+    ]

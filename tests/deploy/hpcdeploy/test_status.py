@@ -77,7 +77,25 @@ def test_a_machine_that_does_not_answer_says_why(cloud: MemoryProvider) -> None:
 def test_what_is_missing_is_named_without_asking_machines(cloud: MemoryProvider) -> None:
     bring_up(cluster_on(cloud, 1), lambda line: None)
     found = describe_cluster(cluster_on(cloud, 2), ask_machines=False)
-    assert write_table(found).startswith("cluster bunny (memory): not up, missing: worker-2\n")
+    assert write_table(found).startswith(
+        "cluster bunny (memory): up, without worker-2 of the file (hpcapp up launches"
+    )
+
+
+def test_after_scale_it_is_said_what_differs_from_the_file(cloud: MemoryProvider) -> None:
+    bring_up(cluster_on(cloud, 3), lambda line: None)
+    found = describe_cluster(cluster_on(cloud, 1), ask_machines=False)
+    assert (found["is_up"], found["unwanted"]) == (True, ["worker-2", "worker-3"])
+    assert write_table(found).startswith(
+        "cluster bunny (memory): up, with worker-2, worker-3 beyond the file (hpcapp up ends"
+    )
+
+
+def test_without_its_head_a_cluster_is_not_up(cloud: MemoryProvider) -> None:
+    bring_up(cluster_on(cloud, 1), lambda line: None)
+    cloud.interrupt("head")
+    found = describe_cluster(cluster_on(cloud, 1), ask_machines=False)
+    assert write_table(found).startswith("cluster bunny (memory): not up: head does not run\n")
 
 
 def test_a_cluster_that_is_down(cloud: MemoryProvider) -> None:

@@ -10,10 +10,10 @@ from click.testing import CliRunner, Result
 from simulated import FILE, START, SetUp
 
 from hpcapp.cli import hpcapp
-from hpccomponent.errors import UsageError
+from hpccomponent.errors import CloudError, UsageError
 from hpcdeploy.names import NOBODY, NodeName
 from hpcdeploy.pace import utc_now
-from hpcdeploy.provider import Launch, State
+from hpcdeploy.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
 
 
@@ -54,14 +54,27 @@ def test_up_shows_what_it_will_do_and_asks(cloud: MemoryProvider, file: str) -> 
     assert alive(cloud) == ["head", "worker-1", "worker-2"]
 
 
-def test_up_names_missing_wheels_before_it_asks(cloud: MemoryProvider, file: str) -> None:
+def test_up_launches_nothing_where_wheels_are_missing(cloud: MemoryProvider, file: str) -> None:
     wheels = Path(file).with_name("wheels")
     wheels.mkdir()
     text = Path(file).read_text() + "env: {wheelhouse: wheels}\n"
     Path(file).write_text(text)
-    asked = run("up", file, typed="n\n")
-    assert asked.output.index("missing: ") < asked.output.index("Go on?")
-    assert "no compiled wheel for Linux in it" in asked.output
+    refused = run("up", "-y", file)
+    assert isinstance(refused.exception, CloudError)
+    assert "nothing is launched: " in str(refused.exception)
+    assert "no compiled wheel for Linux in it" in str(refused.exception)
+    assert "missing: " in refused.output
+    assert cloud.observe(None).groups == ()
+    run("up", "-y", "--skip-checks", file)
+    assert alive(cloud) == ["head", "worker-1", "worker-2"]
+
+
+def test_up_without_a_terminal_says_how_to_go_on(cloud: MemoryProvider, file: str) -> None:
+    for typed in ("", "n\n"):
+        refused = run("up", file, typed=typed)
+        assert isinstance(refused.exception, UsageError)
+        assert refused.exception.advice == "run it with -y"
+    assert alive(cloud) == []
 
 
 def test_up_again_asks_nothing_where_nothing_is_to_be_done(
@@ -86,6 +99,29 @@ def test_down_says_that_nothing_is_left(cloud: MemoryProvider, file: str) -> Non
     assert result.output.splitlines()[-1] == "cluster bunny: nothing is left"
     assert alive(cloud) == []
     assert cloud.observe(None).groups == ()
+
+
+def test_ls_lists_the_clouds_that_answer_and_names_the_others(
+    cloud: MemoryProvider, file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run("up", "-y", file)
+    silent = Path(file).with_name("silent.yaml")
+    silent.write_text(Path(file).read_text().replace("type: aws", "type: aws\n  region: eu-west-1"))
+    other = MemoryProvider(utc_now)
+
+    def refuse(cluster: str | None) -> Observed:
+        raise CloudError("no network", "plug it in")
+
+    monkeypatch.setattr(other, "observe", refuse)
+    monkeypatch.setattr(
+        "hpcdeploy.clouds.open_provider",
+        lambda spec, base: other if spec.provider.region == "eu-west-1" else cloud,
+    )
+    result = run("ls", "--all", str(silent), file)
+    assert "bunny" in result.stdout
+    assert str(result.exception) == "no network; plug it in"
+    alone = run("ls", "--all", str(silent))
+    assert (alone.stdout, type(alone.exception)) == ("", CloudError)
 
 
 def test_status_for_programs(cloud: MemoryProvider, file: str) -> None:

@@ -52,7 +52,18 @@ def test_a_right_to_launch_is_tried_where_the_cloud_can(open_desk: OpenDesk) -> 
 def test_types_that_amazon_has_not_are_found(open_desk: OpenDesk) -> None:
     desk = open_desk("aws", small={"instance_type": ["m5.large", "z9.huge"]})
     (problem,) = desk.provider.check()
-    assert "instance types of profile small" in problem.what
+    assert "instance type z9.huge of profile small" in problem.what
+    assert not problem.is_fatal, "there is another one"
+    desk = open_desk("aws", small={"instance_type": "z9.huge"})
+    assert [problem.is_fatal for problem in desk.provider.check()] == [True]
+
+
+def test_what_may_not_be_asked_stops_nothing(open_desk: OpenDesk) -> None:
+    desk = open_desk("aws")
+    desk.cloud.no_rights = {"DescribeInstanceTypes"}
+    (problem,) = desk.provider.check()
+    assert "DescribeInstanceTypes" in problem.advice
+    assert not problem.is_fatal
 
 
 def image(ends: bool = True, size: int = 8, kind: str = "ebs") -> dict[str, Any]:
