@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -39,6 +39,7 @@ from hpccomponent.config_problems import (
     show,
 )
 from hpccomponent.config_tree import MERGE, MOST_BYTES, compose, refuse_length
+from hpccomponent.config_variables import expand_variables
 from hpccomponent.errors import ConfigError
 from hpccomponent.paths import read_regular
 
@@ -77,6 +78,7 @@ def read_config(
     path: Path | str,
     model: type[ModelT],
     check: Callable[[ModelT], Iterable[Misfit]] | None = None,
+    environment: Mapping[str, str] | None = None,
 ) -> ModelT:
     """Read a YAML file into `model`.
 
@@ -88,6 +90,8 @@ def read_config(
         A pydantic model, best a `ConfigModel`.
     check : callable, optional
         Tells which values do not fit together.
+    environment : mapping of str to str, optional
+        Where ``${NAME}`` in a value is looked up; without it, values are taken literally.
 
     Returns
     -------
@@ -111,7 +115,7 @@ def read_config(
         raise ConfigError(
             f"{path}: cannot be read ({error.strerror})", "name a YAML file that you may read"
         ) from error
-    return parse_config(text, str(path), model, check)
+    return parse_config(text, str(path), model, check, environment)
 
 
 def parse_config(
@@ -119,6 +123,7 @@ def parse_config(
     name: str,
     model: type[ModelT],
     check: Callable[[ModelT], Iterable[Misfit]] | None = None,
+    environment: Mapping[str, str] | None = None,
 ) -> ModelT:
     """Read YAML text into `model`.
 
@@ -133,6 +138,8 @@ def parse_config(
     check : callable, optional
         Tells which values do not fit together. Where a block of the text is wrong by itself, the
         others are checked against that block's defaults, if it has any.
+    environment : mapping of str to str, optional
+        See `read_config`.
 
     Returns
     -------
@@ -156,6 +163,8 @@ def parse_config(
     """
     found: list[Problem] = []
     root = compose(text, name)
+    if environment is not None:
+        expand_variables(root, environment, found)
     value = _plain_value(root, (), found)
     valid = _validate(value, root, model, found)
     if check is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from ipaddress import IPv4Network
 from pathlib import Path
@@ -303,4 +304,4 @@ def read_spec(path: Path) -> ClusterSpec:
         With a line for each mistake.
     """
     base = path.absolute().parent
-    return read_config(path, ClusterSpec, lambda spec: find_misfits(spec, base))
+    return read_config(path, ClusterSpec, lambda spec: find_misfits(spec, base), os.environ)
