@@ -100,7 +100,7 @@ def lab(
         cloud.on_launch = boot
         for name, text in cloud.environment().items():
             monkeypatch.setenv(name, text)
-        price = {"hourly_cost": 0.1} if request.param == "generic" else {}
+        price: dict[str, object] = {"hourly_cost": 0.1} if request.param == "generic" else {}
         file = tmp_path / "cluster.yaml"
         spec = {
             "version": 1,

@@ -159,3 +159,24 @@ def test_missing_right(idle_site: Site, right: str) -> None:
     idle_site.bed.cloud.no_rights = {right}
     assert_one_clear_line(idle_site.hpcapp("up", "-y"), right)
     assert idle_site.bed.left() == []
+
+
+def test_another_home_without_the_key_is_told_and_changes_nothing(idle_site: Site) -> None:
+    idle_site.write(workers={"count": 1})
+    idle_site.succeed("up", "-y")
+    before = [instance.id for instance in idle_site.bed.cloud.living]
+    calls = len(idle_site.bed.cloud.calls)
+    elsewhere = {"XDG_STATE_HOME": str(idle_site.bed.home / "ben")}
+    for verb, *more in (
+        ("plan",),
+        ("up", "-y"),
+        ("scale", "0", "-y"),
+        ("submit", str(POINTS), "-o", "mesh.ply"),
+        ("down", "-y"),
+    ):
+        done = idle_site.hpcapp(verb, *more, env=elsewhere)
+        assert_one_clear_line(done, "cluster bunny was made elsewhere: by ")
+    assert not [call.action for call in idle_site.bed.cloud.calls[calls:] if call.changes]
+    assert [instance.id for instance in idle_site.bed.cloud.living] == before
+    idle_site.succeed("up", "-y")
+    idle_site.end()

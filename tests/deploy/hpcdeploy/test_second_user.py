@@ -229,11 +229,22 @@ class TwoUsers(RuleBasedStateMachine):
             self.lab.check()
 
 
+class ManySchedules(TwoUsers):
+    """The same, over and over."""
+
+
+def schedules(count: int) -> settings:
+    return settings(
+        max_examples=count,
+        stateful_step_count=20,
+        phases=[Phase.explicit, Phase.reuse, Phase.generate],  # shrinking takes minutes
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+    )
+
+
 TestTwoUsers = TwoUsers.TestCase
-TestTwoUsers.settings = settings(
-    max_examples=int(os.environ.get("HPCAPP_SCHEDULES", "60")),
-    stateful_step_count=20,
-    phases=[Phase.explicit, Phase.reuse, Phase.generate],  # shrinking takes minutes
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
+TestTwoUsers.settings = schedules(60)
+
+TestManySchedules = pytest.mark.slow(ManySchedules.TestCase)
+TestManySchedules.settings = schedules(1000)
