@@ -24,6 +24,7 @@ from hpccomponent.errors import CapacityError, CloudError, OutputError
 from hpcdeploy.layout import state_folder
 from hpcdeploy.names import NodeName
 from hpcdeploy.pace import utc_now
+from hpcdeploy.plan import LaunchChoice
 
 __all__ = ["Attempt", "Journal", "Step", "begun_lives", "open_journal"]
 
@@ -40,13 +41,12 @@ class Attempt:
 
     Parameters
     ----------
-    instance_type, market : str
+    choice : LaunchChoice
     lease_until : datetime
         A repeated request must be the same in all its parts.
     """
 
-    instance_type: str
-    market: str
+    choice: LaunchChoice
     lease_until: datetime
 
 
@@ -178,7 +178,9 @@ class Journal:
                 if "refused" in entry:
                     return None
                 until = datetime.fromisoformat(entry["lease_until"])
-                return Attempt(entry["instance_type"], entry["market"], until)
+                zone = entry.get("zone", "")  # an older release wrote none
+                choice = LaunchChoice(entry["instance_type"], entry["market"], zone)
+                return Attempt(choice, until)
         return None
 
     def _write(self, entry: dict[str, Any]) -> None:

@@ -11,7 +11,7 @@ from hpccomponent.errors import CapacityError, CloudError
 from hpcdeploy.journal import Journal
 from hpcdeploy.names import HEAD, NodeName, Owner
 from hpcdeploy.pace import Pace
-from hpcdeploy.plan import LaunchNode
+from hpcdeploy.plan import LaunchChoice, LaunchNode
 from hpcdeploy.provider import Launch, MachineSeen, Provider, State
 from hpcdeploy.spec import ClusterSpec
 
@@ -50,62 +50,62 @@ class _Request:
     report: Callable[[str], None]
 
     def launch(self, action: LaunchNode) -> MachineSeen | Shortage:
-        """Try types and markets in their order, and the whole order again after a while."""
+        """Try the choices in their order, and the whole order again after a while."""
         error = CloudError(f"{action.name.node}: nothing to try")
         for wait_s in (0.0, *self.pace.backoff_s):
             if wait_s:
                 self.report(f"{error.problem}; trying again in {wait_s:.0f} s")
                 self.pace.sleep(wait_s)
-            for kind, market in self._choices(action):
+            for choice in self._choices(action):
                 try:
-                    return self._ask(action, kind, market)
+                    return self._ask(action, choice)
                 except CapacityError as refusal:
                     error = refusal
                 except CloudError as failure:
                     return Shortage(action.name.node, failure)
         return Shortage(action.name.node, error)
 
-    def _choices(self, action: LaunchNode) -> list[tuple[str, str]]:
+    def _choices(self, action: LaunchNode) -> list[LaunchChoice]:
         """Begin with the choice whose answer an earlier command did not live to see."""
         attempt = self.journal.attempt(self.incarnation, action.name)
-        begun = [(attempt.instance_type, attempt.market)] if attempt else []
+        begun = [attempt.choice] if attempt else []
         return begun + [choice for choice in action.choices if choice not in begun]
 
-    def _ask(self, action: LaunchNode, kind: str, market: str) -> MachineSeen:
+    def _ask(self, action: LaunchNode, choice: LaunchChoice) -> MachineSeen:
         """Launch; where the cloud remembers a machine that is gone, its successor."""
-        name = action.name
+        name, told = action.name, f" as {choice}" if choice.instance_type else ""
         for generation in range(name.generation, name.generation + REMEMBERED):
             asked = NodeName(name.node, generation)
-            until = self._lease_until(asked, kind, market)
-            launch = self._launch(action, asked, kind, market, until)
+            until = self._lease_until(asked, choice)
+            launch = self._launch(action, asked, choice, until)
             with self.journal.step(
-                f"launch {name.node}" + (f" as {kind} ({market})" if kind else ""),
+                f"launch {name.node}{told}",
                 incarnation=self.incarnation,
                 node=name.node,
                 generation=generation,
-                instance_type=kind,
-                market=market,
+                instance_type=choice.instance_type,
+                market=choice.market,
+                zone=choice.place,
                 lease_until=until.isoformat(),
                 key=self.owner.key,
             ):
                 seen = self.provider.launch(launch)
             if seen.state not in (State.ENDING, State.GONE):
-                self.report(
-                    f"launched {name.node} {seen.id}" + (f" ({kind}, {market})" if kind else "")
-                )
+                self.report(f"launched {name.node} {seen.id}{told}")
                 return seen
         raise CloudError(f"{name.node}: its last {REMEMBERED} machines are gone at once")
 
     def _launch(
-        self, action: LaunchNode, name: NodeName, kind: str, market: str, until: datetime
+        self, action: LaunchNode, name: NodeName, choice: LaunchChoice, until: datetime
     ) -> Launch:
         launch = Launch(
             cluster=self.spec.cluster,
             incarnation=self.incarnation,
             name=name,
             profile=action.profile,
-            instance_type=kind,
-            market=market,
+            instance_type=choice.instance_type,
+            market=choice.market,
+            place=choice.place,
             lease_until=until,
             tags=dict(self.spec.tags),
             owner=self.owner,
@@ -114,18 +114,14 @@ class _Request:
             return launch
         from hpcdeploy.user_data import user_data
 
-        return replace(launch, user_data=user_data(self.spec, market, until))
+        return replace(launch, user_data=user_data(self.spec, choice.market, until))
 
-    def _lease_until(self, name: NodeName, kind: str, market: str) -> datetime:
+    def _lease_until(self, name: NodeName, choice: LaunchChoice) -> datetime:
         """Return the end of the lease: a request that is repeated must be the same in all parts."""
         attempt = self.journal.attempt(self.incarnation, name)
         lease = timedelta(seconds=self.spec.limits.lease)
         now = self.pace.now().replace(microsecond=0)
-        if (
-            attempt
-            and (attempt.instance_type, attempt.market) == (kind, market)
-            and attempt.lease_until > now + lease / 2
-        ):
+        if attempt and attempt.choice == choice and attempt.lease_until > now + lease / 2:
             return attempt.lease_until
         return now + lease
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from typing import NamedTuple
 
 from hpcdeploy.names import NOBODY, NodeName, Owner
 from hpcdeploy.provider import GroupSeen, MachineSeen, Observed, State
@@ -21,6 +22,7 @@ __all__ = [
     "CreateGroup",
     "CreateKeyPair",
     "Extend",
+    "LaunchChoice",
     "LaunchNode",
     "Mark",
     "Plan",
@@ -64,6 +66,27 @@ class CreateKeyPair:
         return "create the key pair"
 
 
+class LaunchChoice(NamedTuple):
+    """One way to have a machine.
+
+    Parameters
+    ----------
+    instance_type : str
+    market : str
+        ``on_demand`` or ``spot``.
+    place : str
+        A zone, or the id of a subnet, where the file names several; else empty.
+    """
+
+    instance_type: str
+    market: str
+    place: str = ""
+
+    def __str__(self) -> str:
+        where = f", {self.place}" if self.place else ""
+        return f"{self.instance_type} ({self.market}{where})"
+
+
 @dataclass(frozen=True, slots=True)
 class LaunchNode:
     """Start the machine of a node.
@@ -72,16 +95,16 @@ class LaunchNode:
     ----------
     name : NodeName
     profile : str
-    choices : tuple of (str, str)
-        Instance types and markets, in the order in which they are tried.
+    choices : tuple of LaunchChoice
+        In the order in which they are tried.
     """
 
     name: NodeName
     profile: str
-    choices: tuple[tuple[str, str], ...]
+    choices: tuple[LaunchChoice, ...]
 
     def __str__(self) -> str:
-        kinds = " or ".join(f"{kind} ({market})" for kind, market in self.choices if kind)
+        kinds = " or ".join(str(choice) for choice in self.choices if choice.instance_type)
         again = f", generation {self.name.generation}" if self.name.generation > 1 else ""
         return f"launch {self.name.node}{f' as {kinds}' if kinds else ''}{again}"
 
@@ -152,20 +175,33 @@ class Plan:
         return [f"{m.name.node} ({m.id}) cannot be looked at: {m.reason}" for m in self.hidden]
 
 
-def launch_choices(profile: Profile | None, has_spot: bool = True) -> tuple[tuple[str, str], ...]:
-    """Return instance types and markets, in the order in which they are tried.
+def launch_choices(
+    profile: Profile | None, has_spot: bool = True, subnets: tuple[str, ...] = ()
+) -> tuple[LaunchChoice, ...]:
+    """Return instance types, markets and places, in the order in which they are tried.
+
+    All places are tried for a type before the next type, and all types for a market before the
+    next market: what is cheapest first.
 
     Parameters
     ----------
     profile : Profile, optional
     has_spot : bool
         Of the cloud; where it has none, a fallback is all there is.
+    subnets : tuple of str
+        Of the cluster file; each lies in a zone, so that several take the place of zones.
     """
     if profile is None:
-        return (("", "on_demand"),)
+        return (LaunchChoice("", "on_demand"),)
+    several = next((places for places in (subnets, profile.zones) if len(places) > 1), ("",))
     fallback = ("spot", "on_demand") if has_spot else ("on_demand",)
     markets = {"spot_with_fallback": fallback}.get(profile.market, (profile.market,))
-    return tuple((kind, market) for market in markets for kind in profile.instance_types)
+    return tuple(
+        LaunchChoice(kind, market, place)
+        for market in markets
+        for kind in profile.instance_types
+        for place in several
+    )
 
 
 def make_plan(
@@ -216,10 +252,11 @@ def make_plan(
     hidden = tuple(machine for machine in machines if machine.state is State.UNKNOWN)
     there = {machine.name.node for machine in (*kept, *hidden)}
     has_spot = isinstance(spec.provider, CloudSpec) and spec.provider.has_spot
+    subnets = spec.provider.subnets if isinstance(spec.provider, CloudSpec) else ()
     for node in spec.nodes():
         if node not in there:
             name = NodeName(node, _next_generation(machines, node, life))
-            choices = launch_choices(spec.profile(node), has_spot)
+            choices = launch_choices(spec.profile(node), has_spot, subnets)
             actions.append(LaunchNode(name, spec.profile_name(node), choices))
     return Plan(tuple(actions), tuple(kept), life, hidden)
 

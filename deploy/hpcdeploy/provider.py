@@ -157,6 +157,8 @@ class Launch:
         One of the profile's.
     market : str
         ``on_demand`` or ``spot``.
+    place : str
+        A zone or the id of a subnet, where the file names several.
     user_data : str
         What the machine runs at its first boot.
     lease_until : datetime, optional
@@ -173,6 +175,7 @@ class Launch:
     profile: str = ""
     instance_type: str = ""
     market: str = "on_demand"
+    place: str = ""
     user_data: str = field(default="", repr=False)
     lease_until: datetime | None = None
     tags: dict[str, str] = field(default_factory=dict)

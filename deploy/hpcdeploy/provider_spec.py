@@ -60,6 +60,12 @@ def _check_endpoint(url: str) -> str:
 
 
 Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
+Subnet = Annotated[str, Field(pattern=r"^(auto|subnet-\w+)$")]
+SubnetId = Annotated[str, Field(pattern=r"^subnet-\w+$")]
+
+
+def _as_tuple(one_or_more: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (one_or_more,) if isinstance(one_or_more, str) else one_or_more
 
 
 class Credentials(ConfigModel):
@@ -104,8 +110,8 @@ class Profile(ConfigModel):
         Of the root disk, 10^9 bytes; the image's own by default.
     market : str
         ``spot_with_fallback`` takes a machine on demand where no spot machine is to be had.
-    zone : str, optional
-        The availability zone; the cloud's choice by default.
+    zone : str or tuple of str, optional
+        Availability zones, in the order in which they are tried; the cloud's choice by default.
     hourly_cost : float, optional
         Of one machine on demand, in dollars; by default from the table that ships.
     """
@@ -114,7 +120,7 @@ class Profile(ConfigModel):
     instance_type: str | tuple[str, ...]
     disk_gb: int | None = Field(default=None, ge=1, le=16384)
     market: Literal["on_demand", "spot", "spot_with_fallback"] = "on_demand"
-    zone: str | None = None
+    zone: str | tuple[str, ...] | None = None
     hourly_cost: float | None = Field(default=None, ge=0)
 
     @field_validator("instance_type")
@@ -124,10 +130,22 @@ class Profile(ConfigModel):
             raise ValueError("should name at least one instance type")
         return types
 
+    @field_validator("zone")
+    @classmethod
+    def _some_zone(cls, zone: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
+        if zone is not None and (not zone or not all([zone] if isinstance(zone, str) else zone)):
+            raise ValueError("should name at least one zone")
+        return zone
+
+    @property
+    def zones(self) -> tuple[str, ...]:
+        """The zones, best first; none where the cloud may choose."""
+        return () if self.zone is None else _as_tuple(self.zone)
+
     @property
     def instance_types(self) -> tuple[str, ...]:
         """The instance types, best first."""
-        return (self.instance_type,) if isinstance(self.instance_type, str) else self.instance_type
+        return _as_tuple(self.instance_type)
 
 
 class _Cloud(ConfigModel):
@@ -143,8 +161,8 @@ class _Cloud(ConfigModel):
     credentials : Credentials
     ca_bundle : str, optional
         A file of certificates, relative to the cluster file.
-    subnet : str
-        ``auto``, or an id.
+    subnet : str or tuple of str
+        ``auto``, or ids of one VPC, in the order in which they are tried.
     capabilities : str
         Which calls and parameters the cloud knows; ``auto`` by the type.
     profiles : dict of str to Profile
@@ -156,9 +174,21 @@ class _Cloud(ConfigModel):
     s3_endpoint_url: Endpoint | None = None
     credentials: Credentials = Credentials()
     ca_bundle: str | None = None
-    subnet: str = Field(default="auto", pattern=r"^(auto|subnet-\w+)$")
+    subnet: Subnet | tuple[SubnetId, ...] = "auto"
     capabilities: CAPABILITIES = "auto"
     profiles: dict[Annotated[str, Field(pattern=PROFILE_NAME)], Profile] = Field(min_length=1)
+
+    @field_validator("subnet")
+    @classmethod
+    def _some_subnet(cls, subnet: str | tuple[str, ...]) -> str | tuple[str, ...]:
+        if not subnet:
+            raise ValueError("should name at least one subnet")
+        return subnet
+
+    @property
+    def subnets(self) -> tuple[str, ...]:
+        """The subnets, best first; none where the cloud's default will do."""
+        return () if self.subnet == "auto" else _as_tuple(self.subnet)
 
     @property
     def has_spot(self) -> bool:

@@ -92,6 +92,12 @@ def _cloud(provider: CloudSpec) -> Iterator[Misfit]:
         yield Misfit(
             ("provider", "region"), "no legal name of a region: give signing_region beside it"
         )
+    for name, profile in provider.profiles.items():
+        if len(profile.zones) > 1 and provider.subnets:
+            yield Misfit(
+                ("provider", "profiles", name, "zone"),
+                "a subnet lies in one zone: name several subnets instead of zones",
+            )
     if provider.has_spot:
         return
     for name, profile in provider.profiles.items():

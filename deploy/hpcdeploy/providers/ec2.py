@@ -86,7 +86,7 @@ class Ec2Provider:
         self._cloud = cloud
         self._calls = calls
         self._knows = capabilities_of(cloud)
-        self._groups = GroupKeeper(calls, self._knows, ssh_port, cloud.subnet)
+        self._groups = GroupKeeper(calls, self._knows, ssh_port, cloud.subnets)
         self._key_pairs = KeyPairKeeper(calls, self._knows)
         self._images: dict[str, dict[str, Any]] = {}  # they do not change
         self._images_lock = threading.Lock()

@@ -93,17 +93,17 @@ class GroupKeeper:
     calls : Calls
     capabilities : Capabilities
     ssh_port : int
-    subnet : str
-        ``auto``, or the id of a subnet, whose VPC a group is made in.
+    subnets : tuple of str
+        Ids of subnets of one VPC, in which a group is made; none for the default.
     """
 
     def __init__(
-        self, calls: Calls, capabilities: Capabilities, ssh_port: int, subnet: str
+        self, calls: Calls, capabilities: Capabilities, ssh_port: int, subnets: tuple[str, ...]
     ) -> None:
         self._calls = calls
         self._knows = capabilities
         self._ssh_port = ssh_port
-        self._subnet = subnet
+        self._subnets = subnets
 
     def find(self, name: str) -> list[GroupSeen]:
         """Return those of a name, which may hold ``*``."""
@@ -129,7 +129,7 @@ class GroupKeeper:
         if self._knows.tags_on_access:
             tags = {CLUSTER_TAG: cluster, OWNER_TAG: str(owner)}
             parameters["TagSpecifications"] = _specification("security-group", tags)
-        if self._subnet != "auto":
+        if self._subnets:
             parameters["VpcId"] = self._vpc()
         try:
             reply = self._calls.call(
@@ -148,9 +148,8 @@ class GroupKeeper:
         return GroupSeen(cluster, reply["GroupId"], name, incarnation, owner=known)
 
     def _vpc(self) -> str:
-        reply = self._calls.call(
-            "describe_subnets", f"find subnet {self._subnet}", SubnetIds=[self._subnet]
-        )
+        subnet = self._subnets[0]
+        reply = self._calls.call("describe_subnets", f"find subnet {subnet}", SubnetIds=[subnet])
         return str(reply["Subnets"][0]["VpcId"])
 
     def allow(

@@ -43,23 +43,40 @@ def check_cloud(calls: Calls, cloud: CloudSpec, capabilities: Capabilities) -> l
         return [_problem(error)]
     problems = []
     known = {zone["ZoneName"] for zone in zones}
-    if cloud.subnet != "auto":
-        problems += _tried(
-            calls, "describe_subnets", f"find subnet {cloud.subnet}", SubnetIds=[cloud.subnet]
-        )
+    problems += _check_subnets(calls, cloud)
     for name, profile in cloud.profiles.items():
-        if profile.zone is not None and profile.zone not in known:
-            problems.append(
-                Problem(
-                    f"profile {name}: there is no zone {profile.zone}",
-                    f"the cloud has {', '.join(sorted(known))}",
-                )
+        problems += [
+            Problem(
+                f"profile {name}: there is no zone {zone}",
+                f"the cloud has {', '.join(sorted(known))}",
             )
+            for zone in profile.zones
+            if zone not in known
+        ]
         problems += _check_image(calls, name, profile)
         if capabilities.instance_types:
             problems += _check_types(calls, name, profile)
         if capabilities.dry_run:
             problems += _dry_run(calls, cloud, profile)
+    return problems
+
+
+def _check_subnets(calls: Calls, cloud: CloudSpec) -> list[Problem]:
+    """Find the subnets; the security group is made in one VPC, so all must lie in it."""
+    problems: list[Problem] = []
+    vpcs: dict[str, str] = {}
+    for subnet in cloud.subnets:
+        try:
+            reply = calls.call("describe_subnets", f"find subnet {subnet}", SubnetIds=[subnet])
+        except CloudError as error:
+            problems.append(_problem(error))
+            continue
+        vpcs.update((subnet, found.get("VpcId", "")) for found in reply["Subnets"])
+    if len(set(vpcs.values())) > 1:
+        lie = ", ".join(f"{subnet} in {vpc}" for subnet, vpc in vpcs.items())
+        problems.append(
+            Problem(f"provider.subnet: {lie}", "name subnets of one VPC: the machines meet there")
+        )
     return problems
 
 
@@ -110,8 +127,8 @@ def _dry_run(calls: Calls, cloud: CloudSpec, profile: Profile) -> list[Problem]:
         "MaxCount": 1,
         "DryRun": True,
     }
-    if cloud.subnet != "auto":
-        parameters["SubnetId"] = cloud.subnet
+    if cloud.subnets:
+        parameters["SubnetId"] = cloud.subnets[0]
     try:
         calls.call("run_instances", "launch a machine (dry run)", **parameters)
     except CloudError as error:

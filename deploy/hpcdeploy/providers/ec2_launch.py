@@ -21,7 +21,7 @@ USER_DATA_LIMIT = 16384
 
 def attempt_of(launch: Launch) -> str:
     """Return what tells one launch of a node from the next that is tried."""
-    return f"{launch.instance_type}-{launch.market}"
+    return "-".join(filter(None, (launch.instance_type, launch.market, launch.place)))
 
 
 def profile_of(cloud: CloudSpec, name: str) -> Profile:
@@ -88,14 +88,23 @@ def launch_parameters(
     }
     if launch.user_data:
         parameters["UserData"] = launch.user_data
-    if cloud.subnet != "auto":
-        parameters["SubnetId"] = cloud.subnet
-    if profile.zone is not None:
-        parameters["Placement"] = {"AvailabilityZone": profile.zone}
+    subnet, zone = _place(cloud, profile, launch)
+    if subnet:
+        parameters["SubnetId"] = subnet
+    if zone:
+        parameters["Placement"] = {"AvailabilityZone": zone}
     disk = root_disk(image, profile.disk_gb)
     if disk is not None:
         parameters["BlockDeviceMappings"] = [disk]
     return parameters | _where_known(capabilities, launch)
+
+
+def _place(cloud: CloudSpec, profile: Profile, launch: Launch) -> tuple[str, str]:
+    """Return subnet and zone of a launch; empty where the cloud may choose."""
+    if launch.place in cloud.subnets:
+        return launch.place, ""  # a subnet lies in one zone
+    subnet, zone = ("".join(places[:1]) for places in (cloud.subnets, profile.zones))
+    return subnet, launch.place or zone
 
 
 def _where_known(capabilities: Capabilities, launch: Launch) -> dict[str, Any]:

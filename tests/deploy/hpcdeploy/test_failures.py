@@ -146,6 +146,35 @@ def test_capacity_of_one_type_leads_to_the_next(scene: Scene) -> None:
     assert {instance.type for instance in scene.cloud.living} == {"m5.xlarge"}
 
 
+ZONES = ("us-east-1a", "us-east-1b", "us-east-1c")
+
+
+def place_of(cloud: StrictCloud, name: str) -> set[str]:
+    calls = (call for call in cloud.calls if call.action == "RunInstances")
+    return {call.parameters.get(name, "") for call in calls}
+
+
+def test_a_zone_without_capacity_leads_to_the_next(scene: Scene) -> None:
+    for zone in ZONES[:2]:
+        match = {"Placement.AvailabilityZone": zone}
+        code = "InsufficientInstanceCapacity"
+        scene.cloud.fail("RunInstances", code, 500, match=match, times=FOREVER)
+    scene.up(zone=list(ZONES))
+    assert scene.nodes() == ["head", "worker-1", "worker-2", "worker-3"]
+    assert place_of(scene.cloud, "Placement.AvailabilityZone") == set(ZONES)
+    assert sum(f", {ZONES[2]})" in line for line in scene.lines if "launched" in line) == 4
+    scene.down()
+    assert scene.cloud.left() == []
+
+
+def test_a_lost_answer_in_a_zone_is_asked_for_again_there(scene: Scene) -> None:
+    scene.cloud.lose("RunInstances")
+    scene.up(zone=list(ZONES))
+    assert scene.nodes() == ["head", "worker-1", "worker-2", "worker-3"]
+    assert len(scene.cloud.instances) == 4
+    assert place_of(scene.cloud, "Placement.AvailabilityZone") == {ZONES[0]}
+
+
 def test_throttling_and_lost_answers_are_outlasted(scene: Scene) -> None:
     scene.cloud.fail("RunInstances", "RequestLimitExceeded", 503, times=2)
     scene.cloud.lose("CreateSecurityGroup")

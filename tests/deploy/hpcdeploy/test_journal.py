@@ -16,6 +16,7 @@ from hpccomponent.errors import CapacityError, CloudError, OutputError
 from hpcdeploy.journal import Attempt, Journal, open_journal
 from hpcdeploy.layout import clusters_folder, forget_cluster, state_folder
 from hpcdeploy.names import NodeName
+from hpcdeploy.plan import LaunchChoice
 
 UNTIL = datetime(2026, 11, 1, 14, tzinfo=UTC)
 LAUNCH = {
@@ -73,7 +74,7 @@ def test_what_was_cut_short_is_told_to_the_next_command() -> None:
         cut_short(journal)
     with open_journal("bunny") as journal:
         assert journal.unfinished() == ["launch worker-1"]
-        expected = Attempt("c6i.xlarge", "spot", UNTIL)
+        expected = Attempt(LaunchChoice("c6i.xlarge", "spot"), UNTIL)
         assert journal.attempt("life", NodeName("worker-1")) == expected
         assert journal.attempt("life", NodeName("worker-1", 2)) is None
         assert journal.attempt("another life", NodeName("worker-1")) is None
@@ -83,7 +84,7 @@ def test_a_launch_that_is_done_is_asked_for_again_in_the_same_words() -> None:
     with open_journal("bunny") as journal:
         with journal.step("launch worker-1", **LAUNCH):
             pass
-        expected = Attempt("c6i.xlarge", "spot", UNTIL)
+        expected = Attempt(LaunchChoice("c6i.xlarge", "spot"), UNTIL)
         assert journal.attempt("life", NodeName("worker-1")) == expected
 
 

@@ -215,10 +215,24 @@ def test_a_group_that_vanished_is_made_again_for_the_life_of_its_machines() -> N
 )
 def test_spot_comes_before_on_demand(market: str, choices: list[str]) -> None:
     profile = make_spec(market=market).profile("worker-1")
-    assert [" ".join(choice) for choice in launch_choices(profile)] == choices
+    assert [f"{c.instance_type} {c.market}" for c in launch_choices(profile)] == choices
     without_spot = launch_choices(profile, has_spot=False)
     assert set(without_spot) <= set(launch_choices(profile))
-    assert ("spot" in {market for _, market in without_spot}) == (profile.market == "spot")
+    assert ("spot" in {choice.market for choice in without_spot}) == (profile.market == "spot")
+
+
+def test_all_places_come_before_the_next_type() -> None:
+    profile = make_spec(market="spot_with_fallback").profile("worker-1")
+    assert profile is not None
+    zoned = profile.model_copy(update={"zone": ("a", "b")})
+    assert list(map(str, launch_choices(zoned)))[:5] == [
+        "c6i.xlarge (spot, a)", "c6i.xlarge (spot, b)", "c6a.xlarge (spot, a)",
+        "c6a.xlarge (spot, b)", "c6i.xlarge (on_demand, a)",
+    ]  # fmt: skip
+    subnets = ("subnet-1", "subnet-2")
+    assert {choice.place for choice in launch_choices(profile, subnets=subnets)} == set(subnets)
+    one = profile.model_copy(update={"zone": "a"})
+    assert launch_choices(one) == launch_choices(profile, subnets=("subnet-1",))
 
 
 def test_where_machines_are_there_no_group_no_key_pair_and_no_lease_is_planned() -> None:

@@ -19,6 +19,7 @@ from pydantic import TypeAdapter
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.clouds import open_clouds
+from hpcdeploy.names import Owner
 from hpcdeploy.provider_spec import CloudSpec, ProviderSpec
 from hpcdeploy.providers.ec2 import Ec2Provider
 from hpcdeploy.providers.ec2_client import open_calls
@@ -132,7 +133,7 @@ def test_keys_that_expire_in_mid_work_and_are_renewed_on_disk_are_taken(
     strict.fail("DescribeInstances", code, 400)
     file.write_text(keys_of(strict.access_key))
     provider.observe("bunny")
-    provider.create_group("bunny", "life")  # changes go by the newer ones too
+    provider.create_group("bunny", "life", Owner())  # changes go by the newer ones too
     assert [group.cluster for group in provider.observe("bunny").groups] == ["bunny"]
 
 
