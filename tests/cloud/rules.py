@@ -128,6 +128,22 @@ class Rules:
             raise RefusedError("InvalidKeyPair.NotFound", f"The key pair {parameters['KeyName']}")
         if len(parameters.get("ClientToken", "")) > 64:
             raise RefusedError("InvalidParameterValue", "ClientToken is limited to 64 characters")
+        kinds = [v for k, v in parameters.items() if k.endswith(".ResourceType")]
+        if (
+            "spot-instances-request" in kinds
+            and "InstanceMarketOptions.MarketType" not in parameters
+        ):
+            raise RefusedError(
+                "InvalidParameterValue", "'spot-instances-request' is not valid here"
+            )
+        if not {*kinds} <= {"instance", "volume", "network-interface", "spot-instances-request"}:
+            raise RefusedError("InvalidParameterValue", f"{kinds} are not valid for a launch")
+        if "NetworkInterface.1.DeviceIndex" in parameters and (
+            "SubnetId" in parameters or "SecurityGroupId.1" in parameters
+        ):
+            raise RefusedError(
+                "InvalidParameterCombination", "Network interfaces and an instance-level subnet ID"
+            )
 
     def _DescribeInstances(self, parameters: Parameters, moto: Moto) -> Answer:  # noqa: N802
         named = [value for name, value in parameters.items() if name.startswith("InstanceId.")]

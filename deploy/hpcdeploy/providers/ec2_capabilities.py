@@ -25,6 +25,8 @@ class Capabilities:
     tags_at_launch : bool
         ``TagSpecifications`` of RunInstances. Where it is missing, machines are found by their
         group's name and known by their client token, and tagged afterwards.
+    tags_on_parts : bool
+        Whether they may be for volumes, network interfaces and spot requests too.
     tags_on_access : bool
         ``TagSpecifications`` of ImportKeyPair and CreateSecurityGroup.
     tags_on_groups : bool
@@ -45,6 +47,7 @@ class Capabilities:
 
     api_version: str | None
     tags_at_launch: bool = False
+    tags_on_parts: bool = False
     tags_on_access: bool = False
     tags_on_groups: bool = False
     spot: bool = False
@@ -58,7 +61,7 @@ class Capabilities:
 
 # A version that a cloud does not know is no error there: it takes its own.
 _TABLE = {
-    "aws": Capabilities(None, *[True] * 10),
+    "aws": Capabilities(None, *[True] * 11),
     "euca-4.0": Capabilities("2014-09-01", tags_on_groups=True),
     "euca-4.1": Capabilities("2014-10-01", tags_on_groups=True),
     "euca-4.2": Capabilities("2015-04-15", tags_on_groups=True),

@@ -15,6 +15,8 @@ from hpcdeploy.providers.ec2_observe import identity_tags, lease_text
 
 __all__ = ["attempt_of", "launch_parameters", "launch_tags", "profile_of", "root_disk"]
 
+_PARTS = ("volume", "network-interface")
+"""What comes and goes with a machine; the rules of an organisation may ask for tags on it too."""
 USER_DATA_LIMIT = 16384
 """Bytes, on every cloud that we know."""
 
@@ -111,7 +113,10 @@ def _where_known(capabilities: Capabilities, launch: Launch) -> dict[str, Any]:
     parameters: dict[str, Any] = {}
     if capabilities.tags_at_launch:
         tags = [{"Key": key, "Value": value} for key, value in launch_tags(launch).items()]
-        parameters["TagSpecifications"] = [{"ResourceType": "instance", "Tags": tags}]
+        kinds = ["instance", *(_PARTS if capabilities.tags_on_parts else ())]
+        if capabilities.tags_on_parts and launch.market == "spot":
+            kinds.append("spot-instances-request")
+        parameters["TagSpecifications"] = [{"ResourceType": kind, "Tags": tags} for kind in kinds]
     if capabilities.ends_when_shut_down:
         parameters["InstanceInitiatedShutdownBehavior"] = "terminate"
     if capabilities.imds_v2:

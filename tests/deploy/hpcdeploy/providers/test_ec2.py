@@ -16,7 +16,7 @@ from hpccomponent.errors import CapacityError, CloudError
 from hpcdeploy.names import NOBODY, NodeName
 from hpcdeploy.provider import Observed, State
 
-from .conftest import LEASE, OPEN, RSA_KEY, Desk, a_launch
+from .conftest import LEASE, OPEN, OWNER, RSA_KEY, Desk, a_launch
 
 OpenDesk = Callable[..., Desk]
 every_cloud = pytest.mark.parametrize("profile", PROFILES)
@@ -287,6 +287,43 @@ def test_amazon_gets_what_only_amazon_knows(open_desk: OpenDesk) -> None:
     (seen,) = desk.provider.observe("bunny").machines
     assert (seen.state, seen.market) == (State.GONE, "spot")
     assert seen.reason == "Server.SpotInstanceTermination"
+
+
+def tagged(desk: Desk) -> dict[str, dict[str, str]]:
+    """Return what a launch asks to be tagged, by the kind of thing."""
+    (call,) = [call for call in desk.cloud.calls if call.action == "RunInstances"]
+    found: dict[str, dict[str, str]] = {}
+    for number in range(1, 5):
+        prefix = f"TagSpecification.{number}."
+        if kind := call.parameters.get(f"{prefix}ResourceType"):
+            keys = {k: v for k, v in call.parameters.items() if k.startswith(f"{prefix}Tag.")}
+            found[kind] = {
+                v: keys[k.removesuffix("Key") + "Value"]
+                for k, v in keys.items()
+                if k.endswith("Key")
+            }
+    return found
+
+
+@pytest.mark.parametrize("market", ["on_demand", "spot"])
+def test_what_comes_with_a_machine_is_tagged_as_it_is(open_desk: OpenDesk, market: str) -> None:
+    desk = open_desk("aws")
+    desk.prepare()
+    desk.launch(market=market)
+    found = tagged(desk)
+    spot = {"spot-instances-request"} if market == "spot" else set()
+    assert found.keys() == {"instance", "volume", "network-interface"} | spot
+    for tags in found.values():
+        assert tags == found["instance"]
+        assert {"hpcapp:cluster": "bunny", "project": "x"}.items() <= tags.items()
+        assert tags["hpcapp:owner"] == str(OWNER)
+
+
+def test_a_eucalyptus_is_asked_for_tags_of_machines_alone(open_desk: OpenDesk) -> None:
+    desk = open_desk("euca-5.1")
+    desk.prepare()
+    desk.launch()
+    assert tagged(desk).keys() == {"instance"}
 
 
 @pytest.mark.parametrize("profile", ["euca-4.0", "euca-5.1", "generic"])
