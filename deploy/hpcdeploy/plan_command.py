@@ -47,28 +47,34 @@ def plan(file: Path, as_json: bool) -> None:
 
     with open_cluster(file) as cluster:
         ahead = look_ahead(cluster)
+        decided = cluster.provider.decided()
     missing = check_wheels(cluster.spec, file.absolute().parent)
     cost = estimate_cost(cluster.spec)
     if as_json:
-        click.echo(json.dumps(_as_json(cluster.spec.cluster, ahead, cost, missing)))
+        click.echo(json.dumps(_as_json(cluster.spec.cluster, ahead, cost, missing, decided)))
     else:
-        click.echo("\n".join(_lines(cluster.spec.cluster, ahead, cost, missing)))
+        click.echo("\n".join(_lines(cluster.spec.cluster, ahead, cost, missing, decided)))
     check_limits(cluster.spec, cost)
 
 
-def _lines(name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem]) -> list[str]:
+def _lines(
+    name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem], decided: Sequence[str]
+) -> list[str]:
     """Write a plan for people."""
     from hpcdeploy.cost import describe_cost
 
     planned = [*(f"would {action}" for action in ahead.actions), *ahead.obstacles()]
     return [
         *(planned or [f"cluster {name}: nothing to create or change"]),
+        *decided,
         *describe_cost(cost),
         *(f"missing: {problem.what}; {problem.advice}" for problem in missing),
     ]
 
 
-def _as_json(name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem]) -> dict[str, Any]:
+def _as_json(
+    name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem], decided: Sequence[str]
+) -> dict[str, Any]:
     """Write a plan for programs; money is in dollars, and null where a price is not known."""
     return {
         "cluster": name,
@@ -76,6 +82,7 @@ def _as_json(name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem]) -> 
             {"kind": type(action).__name__, "description": str(action)} for action in ahead.actions
         ],
         "obstacles": ahead.obstacles(),
+        "decided": list(decided),
         "cost": {
             "hourly": None if cost.unknown else cost.hourly,
             "total_at_most": None if cost.unknown else cost.total_at_most,

@@ -220,6 +220,10 @@ class Provider(Protocol):
         """Return the machines that are there before they belong to a cluster."""
         ...
 
+    def decided(self) -> tuple[str, ...]:
+        """Say what the file leaves open and is decided for this command, in a line each."""
+        ...
+
     def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
         """Make the key pair of a cluster's life known, or return the one there is."""
         ...

@@ -6,7 +6,7 @@ import re
 from typing import Annotated, Literal
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from hpccomponent.config import ConfigModel
 
@@ -87,15 +87,34 @@ class Credentials(ConfigModel):
 
 
 class Image(ConfigModel):
-    """The image that machines boot.
+    """The image that machines boot: by its id, by a parameter, or by owner and name.
 
     Parameters
     ----------
-    id : str
-        ``ami-...`` or ``emi-...``.
+    id : str, optional
+        ``ami-...`` or ``emi-...``; another one in each region.
+    ssm : str, optional
+        A parameter of the cloud's parameter store that holds the id: those below
+        ``/aws/service/`` are the publishers' own, in every region.
+    owner : str, optional
+        ``self``, ``amazon``, or the number of an account.
+    name : str, optional
+        Of the owner's image, with ``*`` for any text; the newest that fits is taken.
     """
 
-    id: str = Field(pattern=r"^[ae]mi-\w+$")
+    id: str | None = Field(default=None, pattern=r"^[ae]mi-\w+$")
+    ssm: str | None = Field(default=None, pattern=r"^/[\w./-]+$")
+    owner: str | None = Field(default=None, pattern=r"^(self|amazon|aws-marketplace|\d{12})$")
+    name: str | None = Field(default=None, min_length=1)
+
+    @model_validator(mode="after")
+    def _named_once(self) -> Image:
+        ways = [self.id, self.ssm, self.owner if self.owner is not None else self.name]
+        if sum(way is not None for way in ways) != 1:
+            raise ValueError("should have an id, or ssm, or owner and name")
+        if (self.owner is None) != (self.name is None):
+            raise ValueError("should have an owner and a name")
+        return self
 
 
 class Profile(ConfigModel):
@@ -108,6 +127,8 @@ class Profile(ConfigModel):
         In the order in which they are tried.
     disk_gb : int
         Of the root disk, 10^9 bytes; the image's own by default.
+    iam_instance_profile : str, optional
+        Name or ARN of a role's profile that the machines have.
     market : str
         ``spot_with_fallback`` takes a machine on demand where no spot machine is to be had.
     zone : str or tuple of str, optional
@@ -119,6 +140,9 @@ class Profile(ConfigModel):
     image: Image
     instance_type: str | tuple[str, ...]
     disk_gb: int | None = Field(default=None, ge=1, le=16384)
+    iam_instance_profile: str | None = Field(
+        default=None, pattern=r"^([\w+=,.@-]{1,128}|arn:[\w-]+:iam::\d{12}:instance-profile/.+)$"
+    )
     market: Literal["on_demand", "spot", "spot_with_fallback"] = "on_demand"
     zone: str | tuple[str, ...] | None = None
     hourly_cost: float | None = Field(default=None, ge=0)

@@ -93,6 +93,11 @@ def _cloud(provider: CloudSpec) -> Iterator[Misfit]:
             ("provider", "region"), "no legal name of a region: give signing_region beside it"
         )
     for name, profile in provider.profiles.items():
+        if profile.image.ssm is not None and provider.type != "aws":
+            yield Misfit(
+                ("provider", "profiles", name, "image", "ssm"),
+                "this cloud has no parameter store: give the image's id, or owner and name",
+            )
         if len(profile.zones) > 1 and provider.subnets:
             yield Misfit(
                 ("provider", "profiles", name, "zone"),

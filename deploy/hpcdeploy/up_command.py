@@ -123,7 +123,8 @@ def _bring_up(cluster: Cluster, yes: bool, keep: bool, is_unchecked: bool) -> No
     ahead, cost = look_ahead(cluster), estimate_cost(cluster.spec)
     actions = ahead.actions
     planned = (f"will {action}" for action in actions)
-    for line in (*planned, *ahead.obstacles(), *describe_cost(cost)):
+    decided = cluster.provider.decided() if actions else ()
+    for line in (*planned, *decided, *ahead.obstacles(), *describe_cost(cost)):
         _say(line)
     missing = check_wheels(cluster.spec, cluster.path.absolute().parent) if actions else []
     for problem in missing:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+from datetime import datetime
 from typing import Any
 from unittest import mock
 
@@ -32,18 +33,26 @@ class Model:
             self.backend: Any = ec2_backends[self.account][REGION]
         prefix = "emi" if profile.startswith("euca") else "ami"
         self.image_id = f"{prefix}-0123456789abcdef0"
-        known_to_moto = self.image_id.replace("emi", "ami")
+        self.image_ids: set[str] = set()
+        self.add_image(self.image_id, "debian-12", datetime(2024, 1, 1))
+        self.instances: dict[str, Instance] = {}
+
+    def add_image(self, image_id: str, name: str, created: datetime) -> None:
+        """Register an image of this account."""
+        self.image_ids.add(image_id)
+        known_to_moto = image_id.replace("emi-", "ami-")
         self.backend.amis[known_to_moto] = Ami(
             self.backend,
             known_to_moto,
-            name="debian-12",
+            owner_id=self.account,
+            creation_date=created,
+            name=name,
             public=True,
             virtualization_type="hvm",
             architecture="x86_64",
             root_device_type="ebs",
             root_device_name="/dev/xvda",
         )
-        self.instances: dict[str, Instance] = {}
 
     def groups(self) -> list[Any]:
         """All security groups that are not called default."""

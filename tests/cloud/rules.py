@@ -120,7 +120,7 @@ class Rules:
             raise RefusedError("InvalidUserData.Malformed", "user data is not base64") from None
         if size > USER_DATA_LIMIT:
             raise RefusedError("InvalidParameterValue", "User data is limited to 16384 bytes")
-        if parameters.get("ImageId") != self._model.image_id:
+        if parameters.get("ImageId") not in self._model.image_ids:
             raise RefusedError("InvalidAMIID.NotFound", f"The image id {parameters.get('ImageId')}")
         if not TYPES.match(parameters.get("InstanceType", "")):
             raise RefusedError("InvalidParameterValue", "Invalid value for InstanceType")
@@ -189,7 +189,7 @@ class Rules:
 
     def _DescribeImages(self, parameters: Parameters, moto: Moto) -> Answer:  # noqa: N802
         named = {v for name, v in parameters.items() if name.startswith("ImageId.")}
-        if named - {self._model.image_id}:
+        if named - self._model.image_ids:
             raise RefusedError("InvalidAMIID.NotFound", f"The image ids {sorted(named)}")
         changed = {name: value.replace("emi-", "ami-") for name, value in parameters.items()}
         status, headers, body = moto(changed)

@@ -5,6 +5,7 @@
     ec2.py ── ec2_observe   descriptions -> what is ours
        │ ──── ec2_access    key pair, security group and its rules
        │ ──── ec2_launch    parameters of a launch
+       │ ──── ec2_images    which image a profile boots
        │ ──── ec2_check     what would make `up` fail
        │          │
        │      ec2_client ── ec2_login ── ec2_key_errors
@@ -14,10 +15,10 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -35,9 +36,10 @@ from hpcdeploy.provider import GroupSeen, KeyPairSeen, Launch, MachineSeen, Obse
 from hpcdeploy.provider_spec import CloudSpec
 from hpcdeploy.providers.ec2_access import GroupKeeper, KeyPairKeeper
 from hpcdeploy.providers.ec2_capabilities import capabilities_of
-from hpcdeploy.providers.ec2_check import check_cloud, find_image
-from hpcdeploy.providers.ec2_client import Calls, open_calls
+from hpcdeploy.providers.ec2_check import check_cloud
+from hpcdeploy.providers.ec2_client import Calls, open_calls, read_parameter
 from hpcdeploy.providers.ec2_errors import code_of
+from hpcdeploy.providers.ec2_images import ImageKeeper
 from hpcdeploy.providers.ec2_launch import attempt_of, launch_parameters, launch_tags, profile_of
 from hpcdeploy.providers.ec2_observe import as_machine, identity_tags, lease_text, read_machine
 from hpcdeploy.spec import ClusterSpec
@@ -65,7 +67,12 @@ def open_ec2(spec: ClusterSpec, base: Path) -> Ec2Provider:
         The cloud's keys or its endpoint are not to be found.
     """
     cloud = cast(CloudSpec, spec.provider)
-    return Ec2Provider(cloud, open_calls(cloud, base), spec.auth.ssh_port)
+    calls = open_calls(cloud, base)
+    return Ec2Provider(cloud, calls, spec.auth.ssh_port, partial(read_parameter, cloud, base))
+
+
+def _no_parameters(name: str) -> str:
+    raise CloudError(f"there is no parameter store to find {name} in", "give the image's id")
 
 
 class Ec2Provider:
@@ -77,19 +84,26 @@ class Ec2Provider:
     calls : Calls
     ssh_port : int
         That `allow` opens.
+    read_parameter : callable
+        Returns the value of a parameter of the cloud's parameter store.
     """
 
     makes_machines = True
 
-    def __init__(self, cloud: CloudSpec, calls: Calls, ssh_port: int) -> None:
+    def __init__(
+        self,
+        cloud: CloudSpec,
+        calls: Calls,
+        ssh_port: int,
+        read_parameter: Callable[[str], str] = _no_parameters,
+    ) -> None:
         self.name: str = cloud.type
         self._cloud = cloud
         self._calls = calls
         self._knows = capabilities_of(cloud)
         self._groups = GroupKeeper(calls, self._knows, ssh_port, cloud.subnets)
         self._key_pairs = KeyPairKeeper(calls, self._knows)
-        self._images: dict[str, dict[str, Any]] = {}  # they do not change
-        self._images_lock = threading.Lock()
+        self._images = ImageKeeper(calls, read_parameter)
 
     def observe(self, cluster: str | None) -> Observed:
         """Return all that exists of a cluster of ours, or of every one where None."""
@@ -165,7 +179,7 @@ class Ec2Provider:
                 f"cannot {doing}: security group {group_name(launch.cluster)} is gone",
                 "run hpcapp up again",
             )
-        image = self._image(profile_of(self._cloud, launch.profile).image.id)
+        image = self._images.find(profile_of(self._cloud, launch.profile).image)
         parameters = launch_parameters(self._cloud, self._knows, launch, groups[0].id, image)
         try:
             reply = self._calls.call(
@@ -181,12 +195,6 @@ class Ec2Provider:
             self._tag([machine.id], launch_tags(launch))
         owner = machine.owner if machine.owner.key else launch.owner
         return replace(machine, lease_until=launch.lease_until, owner=owner)
-
-    def _image(self, image_id: str) -> dict[str, Any]:
-        with self._images_lock:
-            if image_id not in self._images:
-                self._images[image_id] = find_image(self._calls, image_id)
-            return self._images[image_id]
 
     def _launched_before(self, launch: Launch, error: CloudError) -> MachineSeen:
         """Return the machine that an earlier `up` launched by the same token.
@@ -279,4 +287,8 @@ class Ec2Provider:
 
     def check(self) -> list[Problem]:
         """Look, without changing anything, for what would make `up` fail."""
-        return check_cloud(self._calls, self._cloud, self._knows)
+        return check_cloud(self._calls, self._cloud, self._knows, self._images)
+
+    def decided(self) -> tuple[str, ...]:
+        """Say which images were found for profiles that name none by its id."""
+        return self._images.decided(self._cloud)

@@ -11,27 +11,15 @@ from hpcdeploy.provider_spec import CloudSpec, Profile
 from hpcdeploy.providers.ec2_capabilities import Capabilities
 from hpcdeploy.providers.ec2_client import Calls
 from hpcdeploy.providers.ec2_errors import code_of
+from hpcdeploy.providers.ec2_images import ImageKeeper
 from hpcdeploy.providers.ec2_launch import root_disk
 
-__all__ = ["check_cloud", "find_image"]
+__all__ = ["check_cloud"]
 
 
-def find_image(calls: Calls, image_id: str) -> dict[str, Any]:
-    """Return an image as the cloud describes it.
-
-    Raises
-    ------
-    CloudError
-        There is none, or it cannot be used yet.
-    """
-    found = calls.call("describe_images", f"find image {image_id}", ImageIds=[image_id])
-    for image in found["Images"]:
-        if image.get("State", "available") == "available":
-            return dict(image)
-    raise CloudError(f"image {image_id} is not available", "check the profile's image.id")
-
-
-def check_cloud(calls: Calls, cloud: CloudSpec, capabilities: Capabilities) -> list[Problem]:
+def check_cloud(
+    calls: Calls, cloud: CloudSpec, capabilities: Capabilities, images: ImageKeeper
+) -> list[Problem]:
     """Look at credentials, images, types, zones, subnet and rights.
 
     A cloud that cannot be reached, or does not let us in, is the only problem named: all others
@@ -53,11 +41,11 @@ def check_cloud(calls: Calls, cloud: CloudSpec, capabilities: Capabilities) -> l
             for zone in profile.zones
             if zone not in known
         ]
-        problems += _check_image(calls, name, profile)
+        problems += _check_image(images, name, profile)
         if capabilities.instance_types:
             problems += _check_types(calls, name, profile)
         if capabilities.dry_run:
-            problems += _dry_run(calls, cloud, profile)
+            problems += _dry_run(calls, cloud, profile, images)
     return problems
 
 
@@ -109,19 +97,24 @@ def _check_types(calls: Calls, name: str, profile: Profile) -> list[Problem]:
     return [replace(problem, is_fatal=problem.is_fatal and not has_one) for problem in found]
 
 
-def _check_image(calls: Calls, name: str, profile: Profile) -> list[Problem]:
+def _check_image(images: ImageKeeper, name: str, profile: Profile) -> list[Problem]:
     try:
-        image = find_image(calls, profile.image.id)
-        root_disk(image, profile.disk_gb)
+        root_disk(images.find(profile.image), profile.disk_gb)
     except CloudError as error:
         return [Problem(f"profile {name}: {error.problem}", error.advice)]
     return []
 
 
-def _dry_run(calls: Calls, cloud: CloudSpec, profile: Profile) -> list[Problem]:
+def _dry_run(
+    calls: Calls, cloud: CloudSpec, profile: Profile, images: ImageKeeper
+) -> list[Problem]:
     """Ask whether a launch would be let through; the answer is an error either way."""
+    try:
+        image = images.find(profile.image)
+    except CloudError:
+        return []  # it is told already
     parameters: dict[str, Any] = {
-        "ImageId": profile.image.id,
+        "ImageId": image["ImageId"],
         "InstanceType": profile.instance_types[0],
         "MinCount": 1,
         "MaxCount": 1,

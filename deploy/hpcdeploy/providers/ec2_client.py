@@ -28,7 +28,7 @@ from hpcdeploy.providers.ec2_errors import (
 )
 from hpcdeploy.providers.ec2_login import Login, Patience
 
-__all__ = ["Calls", "cloud_name", "open_calls", "open_client"]
+__all__ = ["Calls", "cloud_name", "open_calls", "open_client", "read_parameter"]
 
 ATTEMPTS = 5
 FIRST_WAIT_S = 0.5  # doubled each time: 7.5 s at most in all
@@ -47,7 +47,7 @@ def open_client(
     Parameters
     ----------
     service : str
-        ``ec2`` or ``s3``.
+        ``ec2``, ``s3`` or ``ssm``.
     cloud : CloudSpec
     base : Path
         The folder of the cluster file.
@@ -83,6 +83,23 @@ def open_calls(
     )
 
 
+def read_parameter(cloud: CloudSpec, base: Path, name: str) -> str:
+    """Return the value of a parameter in the parameter store (SSM).
+
+    Raises
+    ------
+    CloudError
+        There is none, or it must not be read.
+    """
+    client = open_client("ssm", cloud, base)
+    try:
+        return str(client.get_parameter(Name=name)["Parameter"]["Value"])
+    except (BotoCoreError, ClientError) as error:
+        raise translate(error, f"read the parameter {name}", cloud_name(cloud)) from error
+    finally:
+        client.close()
+
+
 class _Way:
     """The clients of one login: for questions, whose answers come soon, and for changes."""
 
@@ -115,8 +132,10 @@ class _Way:
         if service == "ec2":
             endpoint = cloud.endpoint_url or keys.ec2_url
             version = capabilities_of(cloud).api_version
-        else:
+        elif service == "s3":
             endpoint, version = cloud.s3_endpoint_url or keys.s3_url, None
+        else:  # a service of Amazon's alone, at its own address
+            endpoint = version = None
         if endpoint is None and cloud.type != "aws":
             key = "endpoint_url" if service == "ec2" else "s3_endpoint_url"
             raise CloudError(

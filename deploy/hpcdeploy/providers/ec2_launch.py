@@ -78,7 +78,7 @@ def launch_parameters(
         )
     profile = profile_of(cloud, launch.profile)
     parameters: dict[str, Any] = {
-        "ImageId": profile.image.id,
+        "ImageId": image["ImageId"],
         "InstanceType": launch.instance_type,
         "MinCount": 1,
         "MaxCount": 1,
@@ -95,6 +95,9 @@ def launch_parameters(
         parameters["SubnetId"] = subnet
     if zone:
         parameters["Placement"] = {"AvailabilityZone": zone}
+    if profile.iam_instance_profile is not None:
+        kind = "Arn" if profile.iam_instance_profile.startswith("arn:") else "Name"
+        parameters["IamInstanceProfile"] = {kind: profile.iam_instance_profile}
     disk = root_disk(image, profile.disk_gb)
     if disk is not None:
         parameters["BlockDeviceMappings"] = [disk]

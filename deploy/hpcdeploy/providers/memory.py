@@ -189,6 +189,10 @@ class MemoryProvider:
         """Return none: machines are made."""
         return ()
 
+    def decided(self) -> tuple[str, ...]:
+        """Return nothing: the file says all."""
+        return ()
+
     def check(self) -> list[Problem]:
         """Find no problem."""
         return []

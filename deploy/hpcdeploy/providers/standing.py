@@ -42,6 +42,10 @@ class StandingMachines:
     def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
         """Do nothing: the machines stay."""
 
+    def decided(self) -> tuple[str, ...]:
+        """Return nothing: the file says all."""
+        return ()
+
     def delete_group(self, group: GroupSeen) -> bool:
         """Do nothing: there is none."""
         del group
