@@ -25,14 +25,14 @@ from hpcdeploy.provider import MachineSeen, Provider
 from hpcdeploy.provider_spec import CloudSpec, LocalSpec, SshSpec
 from hpcdeploy.reach import Reach, ReachError
 from hpcdeploy.shell import Shell
-from hpcdeploy.spec import ClusterSpec
+from hpcdeploy.spec import ClusterSpec, address_kind
 from hpcdeploy.ssh import SshShell
 from hpcdeploy.ssh_connect import connect
 from hpcdeploy.ssh_keys import public_key
 from hpcdeploy.ssh_target import Target, host_id, host_target, jump_targets
 from hpcdeploy.ssh_way import Patience
 
-__all__ = ["Access", "make_access", "ssh_address"]
+__all__ = ["Access", "make_access"]
 
 HOPELESS = (Reach.HOST_KEY_UNKNOWN, Reach.HOST_KEY_CHANGED, Reach.PASSPHRASE_NEEDED)
 """What no further attempt changes."""
@@ -206,7 +206,7 @@ class Access:
             self._host_keys.pin(machine.id, printed)
             keys = self._host_keys.find(machine.id)
         target = Target(
-            address=ssh_address(machine),
+            address=self._address(machine),
             port=self._spec.auth.ssh_port,
             user=self._spec.auth.ssh_user,
             key_files=(str(key_file),),
@@ -220,8 +220,11 @@ class Access:
         limit_s = min(Patience().login_s, max(LAST_S, deadline - time.monotonic()))
         return _log_in(machine, target, limit_s)
 
+    def _address(self, machine: MachineSeen) -> str:
+        return machine.address(address_kind(self._spec))
+
     def _unreachable(self, machine: MachineSeen, error: ReachError) -> ReachError:
-        address = ssh_address(machine) or "no address"
+        address = self._address(machine) or "no address"
         lines = self._provider.console(machine).strip().splitlines()[-CONSOLE_LINES:]
         console = "its console ends so" if lines else "its console is empty"
         advice = error.advice or "see auth in the cluster file, and the image"
@@ -240,11 +243,6 @@ def make_access(spec: ClusterSpec, base: Path, provider: Provider) -> Access:
 
 def _curve_print(pair: KeyPair) -> str:
     return fingerprint(f"curve {base64.b64encode(pair.public.encode()).decode()}")
-
-
-def ssh_address(machine: MachineSeen) -> str:
-    """Return the address under which a cloud's machine is logged in to; empty without one."""
-    return machine.public_address or machine.private_address
 
 
 def _log_in(machine: MachineSeen, target: Target, limit_s: float) -> SshShell:

@@ -35,6 +35,7 @@ from hpcdeploy.plan import (
 from hpcdeploy.provider import GroupSeen, MachineSeen, Observed, State
 from hpcdeploy.provider_spec import LocalSpec
 from hpcdeploy.removal import remove
+from hpcdeploy.spec import address_kind
 from hpcdeploy.ssh_networks import ssh_networks
 from hpcdeploy.termination import Proof, Reason, end, may_terminate
 
@@ -243,13 +244,14 @@ class Effort:
 
     def _await_running(self, awaited: list[MachineSeen]) -> tuple[list[MachineSeen], list[Failed]]:
         """Wait until machines run and have an address; tell which do not, and why."""
+        kind = address_kind(self._spec)
         for _ in self._pace.looks(self._spec.limits.boot):
-            if all(_is_ready(machine) or machine.state not in LIVE for machine in awaited):
+            if all(_is_ready(machine, kind) or machine.state not in LIVE for machine in awaited):
                 break
             seen = {machine.id: machine for machine in self._observe().machines}
             awaited = [seen.get(machine.id, machine) for machine in awaited]
-        failed = [(m, self._why_not_running(m)) for m in awaited if not _is_ready(m)]
-        return [machine for machine in awaited if _is_ready(machine)], failed
+        failed = [(m, self._why_not_running(m)) for m in awaited if not _is_ready(m, kind)]
+        return [machine for machine in awaited if _is_ready(machine, kind)], failed
 
     def _why_not_running(self, machine: MachineSeen) -> str:
         said = f" ({machine.reason})" if machine.reason else ""
@@ -315,6 +317,5 @@ class Effort:
             )
 
 
-def _is_ready(machine: MachineSeen) -> bool:
-    has_address = bool(machine.public_address or machine.private_address)
-    return machine.state is State.RUNNING and has_address
+def _is_ready(machine: MachineSeen, kind: str) -> bool:
+    return machine.state is State.RUNNING and bool(machine.address(kind))

@@ -77,6 +77,17 @@ class MachineSeen:
     reason: str = ""
     owner: Owner = NOBODY
 
+    def address(self, kind: str = "auto") -> str:
+        """Return where the machine is reached; empty while it is nowhere.
+
+        Parameters
+        ----------
+        kind : str
+            ``public``, ``private``, or ``auto``: the public address where there is one.
+        """
+        known = {"public": (self.public_address,), "private": (self.private_address,)}
+        return next(filter(None, known.get(kind, (self.public_address, self.private_address))), "")
+
 
 @dataclass(frozen=True, slots=True)
 class KeyPairSeen:

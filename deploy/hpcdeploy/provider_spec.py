@@ -127,6 +127,8 @@ class Profile(ConfigModel):
         In the order in which they are tried.
     disk_gb : int
         Of the root disk, 10^9 bytes; the image's own by default.
+    public_ip : bool, optional
+        Whether machines get a public address; by default as the subnet says.
     iam_instance_profile : str, optional
         Name or ARN of a role's profile that the machines have.
     market : str
@@ -140,6 +142,7 @@ class Profile(ConfigModel):
     image: Image
     instance_type: str | tuple[str, ...]
     disk_gb: int | None = Field(default=None, ge=1, le=16384)
+    public_ip: bool | None = None
     iam_instance_profile: str | None = Field(
         default=None, pattern=r"^([\w+=,.@-]{1,128}|arn:[\w-]+:iam::\d{12}:instance-profile/.+)$"
     )
@@ -187,6 +190,9 @@ class _Cloud(ConfigModel):
         A file of certificates, relative to the cluster file.
     subnet : str or tuple of str
         ``auto``, or ids of one VPC, in the order in which they are tried.
+    address : str
+        Where machines are reached: ``public``, ``private``, or ``auto``: by the public address
+        where there is one.
     capabilities : str
         Which calls and parameters the cloud knows; ``auto`` by the type.
     profiles : dict of str to Profile
@@ -199,6 +205,7 @@ class _Cloud(ConfigModel):
     credentials: Credentials = Credentials()
     ca_bundle: str | None = None
     subnet: Subnet | tuple[SubnetId, ...] = "auto"
+    address: Literal["auto", "public", "private"] = "auto"
     capabilities: CAPABILITIES = "auto"
     profiles: dict[Annotated[str, Field(pattern=PROFILE_NAME)], Profile] = Field(min_length=1)
 

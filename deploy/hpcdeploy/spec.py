@@ -12,7 +12,15 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from hpccomponent.config import ConfigModel, read_config
 from hpcdeploy.names import HEAD, NAME_PATTERN
-from hpcdeploy.provider_spec import JUMP, USER_NAME, LocalSpec, Profile, ProviderSpec, SshSpec
+from hpcdeploy.provider_spec import (
+    JUMP,
+    USER_NAME,
+    CloudSpec,
+    LocalSpec,
+    Profile,
+    ProviderSpec,
+    SshSpec,
+)
 from hpcdeploy.spec_checks import find_misfits
 
 __all__ = [
@@ -24,6 +32,7 @@ __all__ = [
     "Head",
     "Limits",
     "Workers",
+    "address_kind",
     "parse_duration",
     "read_spec",
 ]
@@ -293,6 +302,11 @@ class ClusterSpec(ConfigModel):
     def nodes(self) -> tuple[str, ...]:
         """Return the names of all its machines: ``head``, ``worker-1``, ..."""
         return (HEAD, *(f"worker-{n}" for n in range(1, self.worker_count + 1)))
+
+
+def address_kind(spec: ClusterSpec) -> str:
+    """Return by which of their addresses machines are reached; see `MachineSeen.address`."""
+    return spec.provider.address if isinstance(spec.provider, CloudSpec) else "auto"
 
 
 def read_spec(path: Path) -> ClusterSpec:

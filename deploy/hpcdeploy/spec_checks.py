@@ -98,6 +98,11 @@ def _cloud(provider: CloudSpec) -> Iterator[Misfit]:
                 ("provider", "profiles", name, "image", "ssm"),
                 "this cloud has no parameter store: give the image's id, or owner and name",
             )
+        if profile.public_ip is False and provider.address == "public":
+            yield Misfit(
+                ("provider", "profiles", name, "public_ip"),
+                "machines without a public address cannot be reached by one: see provider.address",
+            )
         if len(profile.zones) > 1 and provider.subnets:
             yield Misfit(
                 ("provider", "profiles", name, "zone"),

@@ -52,7 +52,11 @@ _SINCE_4_1 = {
     "CreateSecurityGroup": "VpcId",
     "DescribeSubnets": f"SubnetId.N {_FILTER}",
     "DescribeVpcs": f"VpcId.N {_FILTER}",
-    "RunInstances": "SubnetId",
+    "RunInstances": (
+        "SubnetId NetworkInterface.N.DeviceIndex NetworkInterface.N.AssociatePublicIpAddress"
+        " NetworkInterface.N.DeleteOnTermination NetworkInterface.N.SubnetId"
+        " NetworkInterface.N.SecurityGroupId.N"
+    ),
 }
 _SINCE_5_0 = {
     "RunInstances": (

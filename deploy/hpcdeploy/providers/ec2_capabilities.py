@@ -31,6 +31,8 @@ class Capabilities:
         ``TagSpecifications`` of ImportKeyPair and CreateSecurityGroup.
     tags_on_groups : bool
         Whether CreateTags takes security groups.
+    network_interfaces : bool
+        ``NetworkInterfaces`` of RunInstances.
     spot : bool
         ``InstanceMarketOptions``.
     ends_when_shut_down : bool
@@ -50,6 +52,7 @@ class Capabilities:
     tags_on_parts: bool = False
     tags_on_access: bool = False
     tags_on_groups: bool = False
+    network_interfaces: bool = False
     spot: bool = False
     ends_when_shut_down: bool = False
     imds_v2: bool = False
@@ -61,14 +64,18 @@ class Capabilities:
 
 # A version that a cloud does not know is no error there: it takes its own.
 _TABLE = {
-    "aws": Capabilities(None, *[True] * 11),
+    "aws": Capabilities(None, *[True] * 12),
     "euca-4.0": Capabilities("2014-09-01", tags_on_groups=True),
-    "euca-4.1": Capabilities("2014-10-01", tags_on_groups=True),
-    "euca-4.2": Capabilities("2015-04-15", tags_on_groups=True),
-    "euca-4.3": Capabilities("2015-10-01", tags_on_groups=True),
-    "euca-4.4": Capabilities("2016-09-15", tags_on_groups=True),
-    "euca-5.0": Capabilities("2016-11-15", tags_at_launch=True, tags_on_groups=True),
-    "euca-5.1": Capabilities("2016-11-15", tags_at_launch=True, tags_on_groups=True),
+    "euca-4.1": Capabilities("2014-10-01", tags_on_groups=True, network_interfaces=True),
+    "euca-4.2": Capabilities("2015-04-15", tags_on_groups=True, network_interfaces=True),
+    "euca-4.3": Capabilities("2015-10-01", tags_on_groups=True, network_interfaces=True),
+    "euca-4.4": Capabilities("2016-09-15", tags_on_groups=True, network_interfaces=True),
+    "euca-5.0": Capabilities(
+        "2016-11-15", tags_at_launch=True, tags_on_groups=True, network_interfaces=True
+    ),
+    "euca-5.1": Capabilities(
+        "2016-11-15", tags_at_launch=True, tags_on_groups=True, network_interfaces=True
+    ),
     "generic": Capabilities("2016-11-15"),
 }
 _AUTO = {"aws": "aws", "eucalyptus": "euca-4.0", "ec2": "generic"}

@@ -101,7 +101,30 @@ def launch_parameters(
     disk = root_disk(image, profile.disk_gb)
     if disk is not None:
         parameters["BlockDeviceMappings"] = [disk]
+    if profile.public_ip is not None:
+        _set_public_ip(parameters, profile.public_ip, cloud, capabilities)
     return parameters | _where_known(capabilities, launch)
+
+
+def _set_public_ip(
+    parameters: dict[str, Any], has_one: bool, cloud: CloudSpec, capabilities: Capabilities
+) -> None:
+    """Describe the interface of a machine, which then has the subnet and the group too."""
+    if not capabilities.network_interfaces:
+        raise CloudError(
+            f"{cloud.type} ({cloud.capabilities}) cannot be told whether machines get a public "
+            "address",
+            "leave out the profile's public_ip, or set provider.capabilities",
+        )
+    interface = {
+        "DeviceIndex": 0,
+        "AssociatePublicIpAddress": has_one,
+        "DeleteOnTermination": True,
+        "Groups": parameters.pop("SecurityGroupIds"),
+    }
+    if "SubnetId" in parameters:
+        interface["SubnetId"] = parameters.pop("SubnetId")
+    parameters["NetworkInterfaces"] = [interface]
 
 
 def _place(cloud: CloudSpec, profile: Profile, launch: Launch) -> tuple[str, str]:

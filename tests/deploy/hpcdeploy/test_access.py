@@ -215,3 +215,17 @@ def test_a_proxy_jump_is_followed(
     )
     with configured.open(host()) as shell:
         assert shell.run("pwd").output.strip() == str(server.home)
+
+
+@pytest.mark.parametrize(
+    ("kind", "public", "found"),
+    [
+        ("auto", "203.0.113.7", "203.0.113.7"), ("auto", "", "10.0.0.7"),
+        ("private", "203.0.113.7", "10.0.0.7"), ("public", "", ""),
+    ],
+)  # fmt: skip
+def test_machines_are_reached_by_the_address_that_is_asked_for(
+    kind: str, public: str, found: str
+) -> None:
+    machine = MachineSeen("i-1", "c", NodeName("head"), "life", State.RUNNING, public, "10.0.0.7")
+    assert machine.address(kind) == found

@@ -431,3 +431,31 @@ def test_what_amazons_policy_binds_to_a_tag_bears_it(open_desk: OpenDesk) -> Non
         tags = {tag["key"]: tag["value"] for tag in made.get_tags()}
         assert tags["hpcapp:cluster"] == "bunny"
     assert desk.cloud.instances[0].tags["hpcapp:cluster"] == "bunny"
+
+
+def launched_parameters(desk: Desk) -> dict[str, str]:
+    (call,) = [call for call in desk.cloud.calls if call.action == "RunInstances"]
+    return call.parameters
+
+
+@pytest.mark.parametrize("profile", ["aws", "euca-4.1"])
+@pytest.mark.parametrize("has_one", [True, False])
+def test_a_machine_gets_a_public_address_or_none(
+    open_desk: OpenDesk, profile: str, has_one: bool
+) -> None:
+    desk = open_desk(profile, small={"public_ip": has_one})
+    desk.prepare()
+    desk.launch()
+    sent = launched_parameters(desk)
+    assert sent["NetworkInterface.1.AssociatePublicIpAddress"] == str(has_one).lower()
+    assert sent["NetworkInterface.1.SecurityGroupId.1"] == desk.cloud.groups[0].id
+    assert "SecurityGroupId.1" not in sent
+
+
+@pytest.mark.parametrize("profile", ["euca-4.0", "generic"])
+def test_a_cloud_that_cannot_be_told_is_not_asked(open_desk: OpenDesk, profile: str) -> None:
+    desk = open_desk(profile, small={"public_ip": False})
+    desk.prepare()
+    with pytest.raises(CloudError, match="cannot be told whether machines get a public address"):
+        desk.launch()
+    assert not desk.cloud.instances
