@@ -186,10 +186,7 @@ class Scheduler:
     def results(
         self, identity: bytes, batch: int, results: Sequence[Result], is_finished: bool
     ) -> list[Action]:
-        """Take results of tasks that the worker was given (see `Assignments`), and was still to do.
-
-        Of tasks that are done already they are dropped and counted.
-        """
+        """Take results of tasks that it was given (see `Assignments`); of those done, drop them."""
         worker = self.workers.get(identity)
         if worker is None:
             return self._stranger(identity)
@@ -216,10 +213,7 @@ class Scheduler:
         return actions + self.dispatch()
 
     def expose(self, identity: bytes, reason: str, numbers: Iterable[int] = ()) -> list[Action]:
-        """Turn a worker away whose messages are not what they must be; its tasks go elsewhere.
-
-        Those with the `numbers` that it was about count as lost on this machine.
-        """
+        """Turn a liar away; the tasks that it lied about count as lost on its machine."""
         liar = self.workers.get(identity)
         if liar is None:
             return []
@@ -350,10 +344,7 @@ class Scheduler:
         return actions
 
     def _place_lost(self, task: Task, workers: Sequence[Worker]) -> list[Action]:
-        """Send a task that was lost to who will first be free of those that may have it.
-
-        Alone, so that the one that kills its workers is found, and no other is blamed with it.
-        """
+        """Send a lost task, alone, so that no other is blamed with it, to who is free first."""
         now = self._clock.now()
         places = self._losses.find_places(task, workers)
         worker = min(places, key=lambda w: (self._forecast.remaining_s(w, now), len(w.batches)))

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from hpccomponent.protocol.declared import (
-    DEFAULT_RESULT_BYTES,
     Array,
     Declared,
     Each,
@@ -24,6 +23,7 @@ from hpccomponent.protocol.declared import (
     Where,
     Whole,
 )
+from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES
 
 __all__ = [
     "BOX",
