@@ -49,10 +49,14 @@ class Losses:
 
     def blame(self, task: Task, worker: Worker, reason: str) -> None:
         """Hold the loss of a task against its machine, and against the task."""
+        self.accuse(worker, reason)
+        task.losses[worker.machine] += 1
+
+    def accuse(self, worker: Worker, reason: str) -> None:
+        """Hold the loss of a worker against its machine."""
         record = self._record(worker)
         record.lost += 1
         record.reason, record.is_shaken = reason, True
-        task.losses[worker.machine] += 1
 
     def credit(self, task: Task, worker: Worker) -> list[str]:
         """Note that a task is done, and return the machines that are bad by that.

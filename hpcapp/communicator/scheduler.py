@@ -212,15 +212,13 @@ class Scheduler:
             actions += self._take_back(worker, batch, "it left out a result", is_blamed=True)
         return actions + self.dispatch()
 
-    def expose(self, identity: bytes, reason: str, numbers: Iterable[int] = ()) -> list[Action]:
-        """Turn a liar away; the tasks that it lied about count as lost on its machine."""
+    def expose(self, identity: bytes, reason: str) -> list[Action]:
+        """Turn a liar away; its tasks go elsewhere, without blame: a lie is never their fault."""
         liar = self.workers.get(identity)
         if liar is None:
             return []
         self.counts["lies"] += 1
-        for number in numbers:
-            if number in self.tasks and identity in self.tasks[number].places:
-                self._losses.blame(self.tasks[number], liar, reason)
+        self._losses.accuse(liar, reason)
         why = f"{liar.machine} works for this job no more: {reason}"
         self._admission.ban(liar, why)
         same = [w for w in self.workers.values() if w is liar or (liar.key and w.key == liar.key)]

@@ -214,7 +214,7 @@ class Cluster:
                 if any(result.header for result in message.results):
                     raise ProtocolError("the value is not what it must be")
             except ProtocolError as error:
-                self.carry_out(scheduler.expose(identity, error.problem, numbers))
+                self.carry_out(scheduler.expose(identity, error.problem))
                 return
         self.carry_out(
             scheduler.results(identity, message.batch, message.results, message.is_finished)
@@ -249,7 +249,7 @@ class Cluster:
         self.components.remove(component)
         self.carry_out(self.scheduler.disconnected([component.identity], "its connection broke"))
 
-    def kill_later(self, component: Component) -> None:
+    def leave(self, component: Component) -> None:
         """Let a component leave without a word that is held against anything."""
         self.carry_out(self.scheduler.goodbye(component.identity, "it was told to"))
 
@@ -479,14 +479,15 @@ class ClusterWithABadMachine(RuleBasedStateMachine):
             assert liar.identity not in scheduler.workers
             again = scheduler.register(b"again", liar.session._register, "key of " + name)
             assert [type(action) for action in again] == [Refuse]
-        self.cluster.kill_later(liar)
+        self.cluster.leave(liar)
 
     def teardown(self) -> None:
         cluster = self.cluster
         for _ in range(200):
             for component in list(cluster.components):
                 cluster.pump(component, 1000)
-                cluster.work(component)
+                while component.work:
+                    cluster.work(component)
                 cluster.pump(component, 1000)
                 if component.session.state is State.STOPPED:  # the loader starts it again
                     cluster.components.remove(component)
