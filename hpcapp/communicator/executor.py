@@ -132,13 +132,14 @@ class CommunicatorExecutor(Executor):
 
     @property
     def workers(self) -> int:
-        """Return how many workers are registered now."""
-        return len(self._engine.scheduler.workers)
+        """Return how many workers are registered now, without those that get nothing more."""
+        workers = list(self._engine.scheduler.workers.values())
+        return sum(not worker.is_retired for worker in workers)
 
     def statistics(self) -> dict[str, int]:
         """Return counts since the start.
 
-        Bytes, tasks, batches and blobs; lost workers, batches sent again; second answers of tasks
+        Bytes, tasks, batches and blobs; lost workers, liars, batches sent again; second answers of tasks
         that were run twice, tasks that were split; messages that were dropped, peers that were
         refused.
         """
@@ -150,6 +151,7 @@ class CommunicatorExecutor(Executor):
             "batches": own["batches"],
             "blobs": own["blobs"],
             "losses": scheduled["losses"],
+            "lies": scheduled["lies"],
             "resent": scheduled["resent"],
             "duplicates": scheduled["duplicates"],
             "splits": scheduled["splits"],
