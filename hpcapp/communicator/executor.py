@@ -139,9 +139,9 @@ class CommunicatorExecutor(Executor):
     def statistics(self) -> dict[str, int]:
         """Return counts since the start.
 
-        Bytes, tasks, batches and blobs; lost workers, liars, batches sent again; second answers of tasks
-        that were run twice, tasks that were split; messages that were dropped, peers that were
-        refused.
+        Bytes, tasks, batches and blobs; lost workers, liars, batches sent again; second answers of
+        tasks that were run twice, tasks that were split; messages that were dropped, peers that
+        were refused.
         """
         scheduled, own = self._engine.scheduler.counts, self._engine.counts
         return {

@@ -51,6 +51,12 @@ class Losses:
         """Hold the loss of a task against its machine, and against the task."""
         self.accuse(worker, reason)
         task.losses[worker.machine] += 1
+        if task.is_done:  # it was run twice, and another one has done it
+            self._record(worker).spoilt[task.name] += 1
+
+    def is_bad(self, worker: Worker) -> bool:
+        """Tell whether the machine of a worker is to be retired, and is not yet."""
+        return worker.machine not in self.retired and self._record(worker).is_bad()
 
     def accuse(self, worker: Worker, reason: str) -> None:
         """Hold the loss of a worker against its machine."""

@@ -461,6 +461,8 @@ class Scheduler:
             del self.tasks[task.number]
             actions.append(Fail(task.number, self._losses.explain(task)))
         self._requeue(again)
+        if is_blamed and self._losses.is_bad(worker):
+            actions += self._retire(worker.machine)
         return actions
 
     def _requeue(self, tasks: Iterable[Task]) -> None:

@@ -79,7 +79,7 @@ def test_an_int_too_long_to_be_printed_does_not_travel() -> None:
 
 
 def test_long_lists_of_numbers_are_no_containers() -> None:
-    check_containers(msgspec.msgpack.encode(list(np.random.default_rng(1).random(400_000))))
+    check_containers(msgspec.msgpack.encode(np.random.default_rng(1).random(400_000).tolist()))
     lists: list[Any] = [[] for _ in range(MAX_CONTAINERS + 1)]
     with pytest.raises(ProtocolError, match="lists"):
         check_containers(msgspec.msgpack.encode(lists))
