@@ -28,6 +28,7 @@ from hpccomponent.protocol.messages import (
     encode_message,
 )
 from hpccomponent.runtime.numerics import numerics_id, package_version
+from hpccomponent.surface.patch_quadrics import fit_patches
 
 WAIT = 60.0
 ROWS = 200
@@ -55,8 +56,6 @@ LIES: dict[str, Answer] = {
     "wrong shape": say(np.zeros((ROWS, 3))),
     "cut": say(GOOD[:-1]),
     "wrong dtype": say(GOOD.astype(np.float32)),
-    "nan": say(np.full((ROWS, 2), np.nan)),
-    "infinite": say(np.full((ROWS, 2), np.inf)),
     "a tuple of them": say((GOOD, GOOD)),
     "huge integer": say_raw(PACK([[6, b"\x01" * 4_000_000]]), [], []),
     "huge extents": say_raw(PACK([[2, "<f8", [2**63] * 100_000, None]]), [8], [b"8" * 8]),
@@ -114,6 +113,17 @@ class Liar(threading.Thread):
                     return
                 case _:
                     dealer.send(encode_message(Heartbeat(session, 0, 0, [])))
+
+
+def test_a_liar_that_sends_nan_is_turned_away(executor, start_component) -> None:
+    liar = Liar(executor, say(np.full((1, 10), np.nan)))
+    assert liar.registered.wait(WAIT)
+    points = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.array([0, 1])
+    fitted = executor.submit(fit_patches, *points, np.zeros((1, 3)), np.ones(1))
+    liar.join(WAIT)
+    assert "NaN" in liar.reason
+    start_component()
+    assert fitted.result(WAIT).shape == (1, 10)
 
 
 @pytest.mark.parametrize("lie", LIES)
