@@ -223,20 +223,16 @@ class Engine:
             if received is None:
                 return
             known = self.scheduler.workers.get(received.identity)
-            message: ComponentMessage | None = None
             try:
                 if known is not None and known.key != received.key:
                     raise ProtocolError("it came under another key than its sender registered with")
-                message = decode_component_message(received.head)
-                self._take_message(received, message)
+                self._take_message(received, decode_component_message(received.head))
             except ProtocolError as error:
                 self.counts["dropped"] += 1
                 reason = error.problem[:MOST_REASON]
                 _log.warning("a message of %r was dropped: %s", received.identity[:100], reason)
                 if known is not None and known.key == received.key:
-                    answers = message.results if isinstance(message, Results) else []
-                    numbers = [answer.task for answer in answers]
-                    self._carry_out(self.scheduler.expose(received.identity, reason, numbers))
+                    self._carry_out(self.scheduler.expose(received.identity, reason))
 
     def _take_message(self, received: Received, message: ComponentMessage) -> None:
         worker, scheduler = received.identity, self.scheduler

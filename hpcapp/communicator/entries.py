@@ -11,8 +11,8 @@ from typing import Any
 from hpccomponent.errors import HpcError, TaskError, UsageError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.codec import encode_arguments
-from hpccomponent.protocol.declared import ANYTHING, DEFAULT_RESULT_BYTES, Declared
-from hpccomponent.protocol.frames import Buffer
+from hpccomponent.protocol.declared import ANYTHING, Declared
+from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES, Buffer
 from hpccomponent.runtime.tasks import PLAIN, Traits, each_result
 
 __all__ = ["Entry", "each_traits", "make_entry", "split_entry"]

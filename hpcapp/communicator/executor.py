@@ -133,15 +133,16 @@ class CommunicatorExecutor(Executor):
 
     @property
     def workers(self) -> int:
-        """Return how many workers are registered now."""
-        return len(self._engine.scheduler.workers)
+        """Return how many workers are registered now, without those that get nothing more."""
+        workers = list(self._engine.scheduler.workers.values())
+        return sum(not worker.is_retired for worker in workers)
 
     def statistics(self) -> dict[str, int]:
         """Return counts since the start.
 
-        Bytes, tasks, batches and blobs; lost workers, batches sent again; second answers of tasks
-        that were run twice, tasks that were split; messages that were dropped, peers that were
-        refused.
+        Bytes, tasks, batches and blobs; lost workers, liars, batches sent again; second answers of
+        tasks that were run twice, tasks that were split; messages that were dropped, peers that
+        were refused.
         """
         scheduled, own = self._engine.scheduler.counts, self._engine.counts
         return {
@@ -151,6 +152,7 @@ class CommunicatorExecutor(Executor):
             "batches": own["batches"],
             "blobs": own["blobs"],
             "losses": scheduled["losses"],
+            "lies": scheduled["lies"],
             "resent": scheduled["resent"],
             "duplicates": scheduled["duplicates"],
             "splits": scheduled["splits"],

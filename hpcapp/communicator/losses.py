@@ -49,10 +49,20 @@ class Losses:
 
     def blame(self, task: Task, worker: Worker, reason: str) -> None:
         """Hold the loss of a task against its machine, and against the task."""
+        self.accuse(worker, reason)
+        task.losses[worker.machine] += 1
+        if task.is_done:  # it was run twice, and another one has done it
+            self._record(worker).spoilt[task.name] += 1
+
+    def is_bad(self, worker: Worker) -> bool:
+        """Tell whether the machine of a worker is to be retired, and is not yet."""
+        return worker.machine not in self.retired and self._record(worker).is_bad()
+
+    def accuse(self, worker: Worker, reason: str) -> None:
+        """Hold the loss of a worker against its machine."""
         record = self._record(worker)
         record.lost += 1
         record.reason, record.is_shaken = reason, True
-        task.losses[worker.machine] += 1
 
     def credit(self, task: Task, worker: Worker) -> list[str]:
         """Note that a task is done, and return the machines that are bad by that.

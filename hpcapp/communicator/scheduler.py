@@ -186,10 +186,7 @@ class Scheduler:
     def results(
         self, identity: bytes, batch: int, results: Sequence[Result], is_finished: bool
     ) -> list[Action]:
-        """Take results of tasks that the worker was given (see `Assignments`), and was still to do.
-
-        Of tasks that are done already they are dropped and counted.
-        """
+        """Take results of tasks that it was given (see `Assignments`); of those done, drop them."""
         worker = self.workers.get(identity)
         if worker is None:
             return self._stranger(identity)
@@ -215,18 +212,13 @@ class Scheduler:
             actions += self._take_back(worker, batch, "it left out a result", is_blamed=True)
         return actions + self.dispatch()
 
-    def expose(self, identity: bytes, reason: str, numbers: Iterable[int] = ()) -> list[Action]:
-        """Turn a worker away whose messages are not what they must be; its tasks go elsewhere.
-
-        Those with the `numbers` that it was about count as lost on this machine.
-        """
+    def expose(self, identity: bytes, reason: str) -> list[Action]:
+        """Turn a liar away; its tasks go elsewhere, without blame: a lie is never their fault."""
         liar = self.workers.get(identity)
         if liar is None:
             return []
         self.counts["lies"] += 1
-        for number in numbers:
-            if number in self.tasks and identity in self.tasks[number].places:
-                self._losses.blame(self.tasks[number], liar, reason)
+        self._losses.accuse(liar, reason)
         why = f"{liar.machine} works for this job no more: {reason}"
         self._admission.ban(liar, why)
         same = [w for w in self.workers.values() if w is liar or (liar.key and w.key == liar.key)]
@@ -350,10 +342,7 @@ class Scheduler:
         return actions
 
     def _place_lost(self, task: Task, workers: Sequence[Worker]) -> list[Action]:
-        """Send a task that was lost to who will first be free of those that may have it.
-
-        Alone, so that the one that kills its workers is found, and no other is blamed with it.
-        """
+        """Send a lost task, alone, so that no other is blamed with it, to who is free first."""
         now = self._clock.now()
         places = self._losses.find_places(task, workers)
         worker = min(places, key=lambda w: (self._forecast.remaining_s(w, now), len(w.batches)))
@@ -472,6 +461,8 @@ class Scheduler:
             del self.tasks[task.number]
             actions.append(Fail(task.number, self._losses.explain(task)))
         self._requeue(again)
+        if is_blamed and self._losses.is_bad(worker):
+            actions += self._retire(worker.machine)
         return actions
 
     def _requeue(self, tasks: Iterable[Task]) -> None:

@@ -14,15 +14,15 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Protocol
 
 from hpccomponent.errors import ProtocolError
 
+if TYPE_CHECKING:  # who only declares, or starts a worker, does not wait for numpy
+    import numpy as np
+
 __all__ = [
     "ANYTHING",
-    "DEFAULT_RESULT_BYTES",
     "Anything",
     "Array",
     "Declared",
@@ -40,9 +40,6 @@ __all__ = [
     "Whole",
     "check_result",
 ]
-
-DEFAULT_RESULT_BYTES = 1 << 30
-"""How large the encoded result of a task may be that declares nothing else."""
 
 _AT_ONCE = 1 << 16  # entries of an array: what is made of them stays in the cache
 
@@ -82,6 +79,7 @@ def check_result(declared: Declared, value: Any) -> None:
 
     Examples
     --------
+    >>> import numpy as np
     >>> pattern = Fixed(Array("<f8", "n", 3), Array("|b1", "n"))
     >>> check_result(pattern, (np.zeros((2, 3)), np.ones(2, bool)))
     >>> check_result(pattern, (np.zeros((2, 3)), np.ones(1, bool)))
@@ -252,6 +250,8 @@ class Array:
 
     def check(self, value: Any, place: str, extents: Extents) -> None:
         """See `Declared`."""
+        import numpy as np
+
         if not isinstance(value, np.ndarray):
             raise _refuse(place, value, "ndarray")
         if value.dtype.newbyteorder("<").str != self.dtype:
@@ -293,6 +293,8 @@ def _fits(extent: int, wanted: int | str, extents: Extents) -> bool:
 
 
 def _is_finite(value: np.ndarray[Any, Any]) -> bool:
+    import numpy as np
+
     flat = value.reshape(-1)
     return all(
         bool(np.isfinite(flat[start : start + _AT_ONCE]).all())

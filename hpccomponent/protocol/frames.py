@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from hpccomponent.errors import ProtocolError
 
 __all__ = [
+    "DEFAULT_RESULT_BYTES",
     "LARGEST_FRAME",
     "SMALLEST_FRAME",
     "Buffer",
@@ -20,6 +21,9 @@ __all__ = [
 ]
 
 Buffer = bytes | bytearray | memoryview
+
+DEFAULT_RESULT_BYTES = 1 << 30
+"""How large the encoded result of a task may be that declares nothing else."""
 
 LARGEST_FRAME = 256 * 1024  # CURVE is two to three times as fast here as with frames of 8 MiB
 SMALLEST_FRAME = 64 * 1024

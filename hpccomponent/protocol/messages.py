@@ -28,7 +28,7 @@ import msgspec
 
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.blobs import KEY_BYTES
-from hpccomponent.protocol.declared import DEFAULT_RESULT_BYTES
+from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES
 
 __all__ = [
     "MAX_TRACEBACK",

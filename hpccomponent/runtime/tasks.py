@@ -15,7 +15,8 @@ from importlib import import_module
 from typing import Any, TypeVar
 
 from hpccomponent.errors import UsageError
-from hpccomponent.protocol.declared import ANYTHING, DEFAULT_RESULT_BYTES, Declared, Each, EachOf
+from hpccomponent.protocol.declared import ANYTHING, Declared, Each, EachOf
+from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES
 
 __all__ = [
     "EACH",

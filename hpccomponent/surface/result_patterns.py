@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from hpccomponent.protocol.declared import (
-    DEFAULT_RESULT_BYTES,
     Array,
     Declared,
     Each,
@@ -24,6 +23,7 @@ from hpccomponent.protocol.declared import (
     Where,
     Whole,
 )
+from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES
 
 __all__ = [
     "BOX",
@@ -63,11 +63,11 @@ SAMPLE = Fixed(Array("<f8", "s", 3), Array("<f8", "s", 3))
 STRAY_CELLS = Array("<i8", "s", low=0)
 RANKS = Fixed(
     Array("<i8", "ranks", low=0),
-    Array("<i8", "c", low=0),
-    Array("<i8", "c", low=0, high=_MOST),
-    Array("<i8", "s", low=0),
-    Array("<i8", "s", low=0, high=64),
-    Array("<i8", "s", low=0, high=_MOST),
+    Array("<i8", "coarse", low=0),
+    Array("<i8", "coarse", low=0, high=_MOST),
+    Array("<i8", "sparse", low=0),
+    Array("<i8", "sparse", low=0, high=64),
+    Array("<i8", "sparse", low=0, high=_MOST),
 )
 
 

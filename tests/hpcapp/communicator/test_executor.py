@@ -243,6 +243,27 @@ def test_a_task_that_kills_every_worker_is_given_up(executor, start_component) -
     assert [future.result(WAIT) for future in others] == list(range(20))
 
 
+def test_a_machine_that_loses_every_worker_is_retired_and_the_others_do_its_tasks(
+    executor, start_component, tmp_path: Path, caplog
+) -> None:
+    bad = start_component("bad")
+    note = tmp_path / "bad"
+    note.write_text(str(bad.pid))
+    start_component("good-1")
+    start_component("good-2")
+    executor.wait_for_workers(3, WAIT)
+    done: list[int] = []
+    for _ in range(100):
+        futures = [executor.submit("contract.kill_below", str(note)) for _ in range(12)]
+        done += [future.result(WAIT) for future in futures]
+        if executor.workers == 2:
+            break
+    assert executor.workers == 2
+    assert bad.pid not in done
+    assert "bad gets no more of this job" in caplog.text
+    assert "SIGKILL" in caplog.text
+
+
 def test_a_preempted_component_says_goodbye_and_its_task_goes_on_elsewhere(
     executor, start_component, tmp_path: Path
 ) -> None:

@@ -26,7 +26,7 @@ from hpcapp.communicator.roster import (
 )
 from hpcapp.communicator.scheduler import CREDIT, Scheduler
 from hpccomponent.clock import ManualClock
-from hpccomponent.errors import NoWorkersError, WorkerLostError
+from hpccomponent.errors import NoWorkersError, ProtocolError, WorkerLostError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.messages import (
     PROTOCOL_VERSION,
@@ -74,6 +74,7 @@ class Component:
     kept: set[bytes] = field(default_factory=set)
     in_worker: set[bytes] = field(default_factory=set)
     is_frozen: bool = False
+    is_bad: bool = False
 
     def carry_out(self, actions: Sequence[Any]) -> None:
         for action in actions:
@@ -187,11 +188,9 @@ class Cluster:
     def hear(self, identity: bytes, message: Any) -> None:
         scheduler = self.scheduler
         if isinstance(message, Register):
-            self.carry_out(scheduler.register(identity, message, "key"))
+            self.carry_out(scheduler.register(identity, message, f"key of {message.worker}"))
         elif isinstance(message, Results):
-            self.carry_out(
-                scheduler.results(identity, message.batch, message.results, message.is_finished)
-            )
+            self.hear_results(identity, message)
         elif isinstance(message, Heartbeat):
             self.carry_out(
                 scheduler.heartbeat(identity, message.progress, message.last_batch, message.held)
@@ -205,9 +204,28 @@ class Cluster:
         elif isinstance(message, Goodbye):
             self.carry_out(scheduler.goodbye(identity, message.reason))
 
+    def hear_results(self, identity: bytes, message: Results) -> None:
+        """Check and take results, as the engine does."""
+        scheduler, worker = self.scheduler, self.scheduler.workers.get(identity)
+        numbers = [result.task for result in message.results]
+        if worker is not None:
+            try:
+                scheduler.assignments.most_bytes(worker, message.batch, numbers, scheduler.tasks)
+                if any(result.header for result in message.results):
+                    raise ProtocolError("the value is not what it must be")
+            except ProtocolError as error:
+                self.carry_out(scheduler.expose(identity, error.problem))
+                return
+        self.carry_out(
+            scheduler.results(identity, message.batch, message.results, message.is_finished)
+        )
+
     def work(self, component: Component) -> None:
         """Run one task, and send its result."""
         if component.is_frozen or not component.work:
+            return
+        if component.is_bad:
+            self.crash_worker(component)
             return
         batch, index = component.work.popleft()
         call = batch.calls[index]
@@ -230,6 +248,10 @@ class Cluster:
         """Let a component vanish with all that is on its way to it."""
         self.components.remove(component)
         self.carry_out(self.scheduler.disconnected([component.identity], "its connection broke"))
+
+    def leave(self, component: Component) -> None:
+        """Let a component leave without a word that is held against anything."""
+        self.carry_out(self.scheduler.goodbye(component.identity, "it was told to"))
 
     def pass_time(self, seconds: float) -> None:
         self.clock.advance(seconds)
@@ -396,6 +418,100 @@ class FaultyCluster(RuleBasedStateMachine):
         assert kinds <= {Result, WorkerLostError, NoWorkersError}
 
 
+class ClusterWithABadMachine(RuleBasedStateMachine):
+    """One or two machines lose whatever they are given; one that does not lie is always there."""
+
+    policy: Policy = PullPolicy()
+    which = st.integers(min_value=0, max_value=1000)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.cluster = Cluster(self.policy)
+        for name in ("bad-1", "good-1", "good-2"):
+            self.start(name)
+
+    def start(self, name: str) -> None:
+        component = self.cluster.start_component(name)
+        component.is_bad = name.startswith("bad")
+        self.cluster.pump(component, 10)
+
+    @rule(count=st.integers(min_value=1, max_value=20))
+    def submit(self, count: int) -> None:
+        self.cluster.submit(count)
+
+    @rule(which=which, count=st.integers(min_value=1, max_value=5))
+    def work(self, which: int, count: int) -> None:
+        component = self.cluster.components[which % len(self.cluster.components)]
+        self.cluster.pump(component, 100)
+        for _ in range(count):
+            self.cluster.work(component)
+        self.cluster.pump(component, 100)
+
+    @rule()
+    @precondition(lambda self: all(c.identity[:5] != b"bad-2" for c in self.cluster.components))
+    def start_another_bad_one(self) -> None:
+        self.start("bad-2")
+
+    @rule(seconds=st.sampled_from([0.1, 1.0]))
+    def pass_time(self, seconds: float) -> None:
+        self.cluster.pass_time(seconds)
+
+    @rule(
+        number=st.integers(min_value=-2, max_value=40),
+        batch=st.integers(min_value=-1, max_value=3),
+        has_value=st.booleans(),
+    )
+    @precondition(lambda self: self.cluster.scheduler.assignments.last)
+    def lie(self, number: int, batch: int, has_value: bool) -> None:
+        """Answer what nobody asked for, or with a wrong value."""
+        name = f"liar-{self.cluster.started}"
+        self.start(name)
+        liar = self.cluster.components.pop()
+        scheduler = self.cluster.scheduler
+        own = scheduler.workers[liar.identity].batches
+        held = min(own, default=scheduler.assignments.last) + batch
+        numbers = [*own[held].tasks] if held in own and number < 0 else [abs(number)]
+        header = b"a lie" if has_value else b""
+        is_true = held in own and not has_value and set(numbers) <= own[held].tasks.keys()
+        results = [Result(task, 0.001, header, []) for task in numbers]
+        self.cluster.hear_results(liar.identity, Results(SESSION, max(0, held), results, False))
+        if not is_true:
+            assert liar.identity not in scheduler.workers
+            again = scheduler.register(b"again", liar.session._register, "key of " + name)
+            assert [type(action) for action in again] == [Refuse]
+        self.cluster.leave(liar)
+
+    def teardown(self) -> None:
+        cluster = self.cluster
+        for _ in range(200):
+            for component in list(cluster.components):
+                cluster.pump(component, 1000)
+                while component.work:
+                    cluster.work(component)
+                cluster.pump(component, 1000)
+                if component.session.state is State.STOPPED:  # the loader starts it again
+                    cluster.components.remove(component)
+                    self.start(component.session._register.worker)
+            cluster.pass_time(1.0)
+            if not cluster.scheduler.tasks:
+                break
+        assert not cluster.scheduler.tasks, "tasks are stuck"
+        assert all(isinstance(outcome, Result) for outcome in cluster.ended.values())
+        assert all(name.startswith("bad") for name in cluster.scheduler._losses.retired)
+
+
+class AdaptiveClusterWithABadMachine(ClusterWithABadMachine):
+    """The same with tasks that are run a second time where a worker lags."""
+
+    policy = AdaptivePolicy()
+
+
+class EqualClusterWithABadMachine(ClusterWithABadMachine):
+    """The same with the paper's policy."""
+
+    policy = EqualPolicy()
+
+
 class FaultyEqualCluster(FaultyCluster):
     """The same with the paper's policy."""
 
@@ -415,6 +531,12 @@ FAULTS = settings(
     phases=[Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink],
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )
+TestClusterWithABadMachine = ClusterWithABadMachine.TestCase
+TestClusterWithABadMachine.settings = FAULTS
+TestAdaptiveClusterWithABadMachine = AdaptiveClusterWithABadMachine.TestCase
+TestAdaptiveClusterWithABadMachine.settings = FAULTS
+TestEqualClusterWithABadMachine = EqualClusterWithABadMachine.TestCase
+TestEqualClusterWithABadMachine.settings = FAULTS
 TestFaultyCluster = FaultyCluster.TestCase
 TestFaultyCluster.settings = FAULTS
 TestFaultyEqualCluster = FaultyEqualCluster.TestCase

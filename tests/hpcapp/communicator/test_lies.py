@@ -1,0 +1,142 @@
+"""A registered component that lies, over real sockets, beside an honest one."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+import zmq
+
+from hpcapp.applications.quadrature import estimate
+from hpcapp.communicator.executor import CommunicatorExecutor
+from hpccomponent.protocol.codec import encode_values
+from hpccomponent.protocol.frames import LARGEST_FRAME, split_buffers
+from hpccomponent.protocol.messages import (
+    PROTOCOL_VERSION,
+    Batch,
+    Heartbeat,
+    Refused,
+    Register,
+    Registered,
+    Result,
+    Results,
+    decode_master_message,
+    encode_message,
+)
+from hpccomponent.runtime.numerics import numerics_id, package_version
+from hpccomponent.surface.patch_quadrics import fit_patches
+
+WAIT = 60.0
+ROWS = 200
+
+Answer = Callable[[int], tuple[list[Result], list[Any]]]
+
+
+def say(value: Any) -> Answer:
+    def answer(task: int) -> tuple[list[Result], list[Any]]:
+        header, buffers = encode_values((value,))
+        return [Result(task, 0.001, header, [len(buffer) for buffer in buffers])], list(buffers)
+
+    return answer
+
+
+def say_raw(header: bytes, sizes: list[int], frames: list[bytes]) -> Answer:
+    return lambda task: ([Result(task, 0.001, header, sizes)], list(frames))
+
+
+GOOD = np.zeros((ROWS, 2))
+PACK = msgspec.msgpack.encode
+LIES: dict[str, Answer] = {
+    "none": say(None),
+    "text": say("what you want"),
+    "wrong shape": say(np.zeros((ROWS, 3))),
+    "cut": say(GOOD[:-1]),
+    "wrong dtype": say(GOOD.astype(np.float32)),
+    "a tuple of them": say((GOOD, GOOD)),
+    "huge integer": say_raw(PACK([[6, b"\x01" * 4_000_000]]), [], []),
+    "huge extents": say_raw(PACK([[2, "<f8", [2**63] * 100_000, None]]), [8], [b"8" * 8]),
+    "many lists": say_raw(b"\x91\xdd\x00\x38\x00\x00\x01" + b"\x90" * 3_670_015, [], []),
+    "larger than assigned for": say(np.zeros(2_000_000)),
+    "announces gigabytes": say_raw(b"\x90", [2**40], [b"x"]),
+    "more than it announces": say_raw(b"\x90", [1], [b"x" * 100_000] * 300),
+    "less than it announces": say_raw(b"\x90", [100], [b"x"]),
+    "no value": say_raw(b"\x90", [], []),
+    "junk": say_raw(b"\xc1" * 100, [], []),
+    "another task": lambda task: ([Result(task + 1000, 0.0, PACK([1]), [])], []),
+}
+
+
+class Liar(threading.Thread):
+    """A component that answers the first batch it gets with a lie."""
+
+    def __init__(self, executor: CommunicatorExecutor, answer: Answer) -> None:
+        super().__init__(daemon=True)
+        self._connection = executor.invite("liar")
+        self._answer = answer
+        self.registered, self.reason = threading.Event(), ""
+        self.start()
+
+    def run(self) -> None:
+        keys = self._connection
+        with zmq.Context() as context, context.socket(zmq.DEALER) as dealer:
+            dealer.setsockopt(zmq.LINGER, 0)
+            dealer.setsockopt(zmq.CURVE_SERVERKEY, keys.server_key.encode())
+            dealer.setsockopt(zmq.CURVE_PUBLICKEY, keys.public_key.encode())
+            dealer.setsockopt(zmq.CURVE_SECRETKEY, keys.secret_key.encode())
+            dealer.connect(keys.endpoint)
+            register = Register(
+                PROTOCOL_VERSION, package_version(), "liar", "1", "portable",
+                numerics_id("portable"), 1, 1 << 30, LARGEST_FRAME,
+            )  # fmt: skip
+            dealer.send(encode_message(register))
+            self._serve(dealer)
+
+    def _serve(self, dealer: zmq.Socket[bytes]) -> None:
+        session = ""
+        while dealer.poll(int(WAIT * 1000)):
+            match decode_master_message(dealer.recv_multipart()[0]):
+                case Registered() as registered:
+                    session = registered.session
+                    self.registered.set()
+                case Batch() as batch:
+                    results, frames = self._answer(batch.calls[0].task)
+                    message = Results(session, batch.batch, results, True)
+                    dealer.send_multipart(
+                        [encode_message(message), *split_buffers(frames, LARGEST_FRAME)]
+                    )
+                case Refused() as refused:
+                    self.reason = refused.reason
+                    return
+                case _:
+                    dealer.send(encode_message(Heartbeat(session, 0, 0, [])))
+
+
+def test_a_liar_that_sends_nan_is_turned_away(executor, start_component) -> None:
+    liar = Liar(executor, say(np.full((1, 10), np.nan)))
+    assert liar.registered.wait(WAIT)
+    points = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.array([0, 1])
+    fitted = executor.submit(fit_patches, *points, np.zeros((1, 3)), np.ones(1))
+    liar.join(WAIT)
+    assert "NaN" in liar.reason
+    start_component()
+    assert fitted.result(WAIT).shape == (1, 10)
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_liar_is_turned_away_with_a_reason_and_the_work_is_done(
+    executor, start_component, caplog, lie: str
+) -> None:
+    liar = Liar(executor, LIES[lie])
+    assert liar.registered.wait(WAIT)
+    left = np.linspace(0.0, 0.9, ROWS)
+    first = executor.submit(estimate, "wave", left, left + 0.1)
+    liar.join(WAIT)
+    assert "works for this job no more" in liar.reason
+    assert liar.reason in caplog.text
+    start_component()
+    assert np.array_equal(first.result(WAIT), estimate("wave", left, left + 0.1))
+    assert executor.statistics()["losses"] == 0

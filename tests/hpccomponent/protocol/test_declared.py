@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from hpccomponent.errors import ProtocolError, UsageError
+from hpccomponent.protocol.codec import decode_values, encode_values
+from hpccomponent.protocol.containers import MAX_CONTAINERS, check_containers
+from hpccomponent.protocol.declared import (
+    Array,
+    Declared,
+    Each,
+    EachOf,
+    Either,
+    Exactly,
+    Fields,
+    Fixed,
+    Flag,
+    Nothing,
+    Number,
+    Text,
+    Where,
+    Whole,
+    check_result,
+)
+
+POINTS = np.zeros((4, 3))
+
+
+@pytest.mark.parametrize(
+    ("pattern", "fits", "misfits"),
+    [
+        (Nothing(), [None], [0, False]),
+        (Flag(), [True], [1, None, np.True_]),
+        (Whole(0, 9), [0, 9], [-1, 10, True, 1.0, 2**70]),
+        (Number(0.0), [0.0, 1e300], [-1.0, np.nan, np.inf, 1]),
+        (Text(3), ["abc"], ["abcd", b"abc"]),
+        (Exactly(("a", 1)), [("a", 1)], [("a", 2), ["a", 1]]),
+        (Array("<f8", "n", 3), [POINTS, POINTS[:0]], [POINTS[:, :2], POINTS.astype("<f4"), None]),
+        (Array("<f8", 2), [np.ones(2)], [np.array([1, np.nan]), np.array([np.inf, 1])]),
+        (
+            Array("<f8", 2, low=-np.inf, finite=False),
+            [np.array([np.inf, -np.inf])],
+            [np.array([np.nan, 1.0])],
+        ),
+        (Array("<i8", "n", low=0, high=5), [np.arange(6)], [np.arange(7), np.array([-1])]),
+        (
+            Fixed(Array("<i8", "n"), Array("<i8", "n+1")),
+            [(np.arange(2), np.arange(3))],
+            [(np.arange(2), np.arange(2)), (np.arange(2),), [np.arange(2), np.arange(3)]],
+        ),
+        (Fields(a=Flag(), b=Nothing()), [{"b": None, "a": True}], [{"a": True}, (True, None)]),
+        (Each(Whole(), 2), [[1, 2]], [[1], [1, "2"], (1, 2)]),
+        (EachOf([Whole(), Flag()]), [[1, True]], [[1, 1], [1]]),
+        (Either(Nothing(), Whole()), [None, 3], ["3"]),
+        (Where(Whole(), lambda n: n % 2 == 0, "it is even"), [4], [3, None]),
+    ],
+)
+def test_what_fits_a_pattern_passes_and_nothing_else(
+    pattern: Declared, fits: list[Any], misfits: list[Any]
+) -> None:
+    for value in fits:
+        check_result(pattern, value)
+    for value in misfits:
+        with pytest.raises(ProtocolError, match="the result"):
+            check_result(pattern, value)
+
+
+def test_an_int_too_long_to_be_printed_does_not_travel() -> None:
+    (value,) = decode_values(*encode_values((10**2400,)))
+    assert value == 10**2400
+    with pytest.raises(UsageError, match="bytes"):
+        encode_values((1 << 10_000,))
+    with pytest.raises(ProtocolError, match="1024"):
+        decode_values(msgspec.msgpack.encode([[6, b"\x01" * 1025]]), [])
+
+
+def test_long_lists_of_numbers_are_no_containers() -> None:
+    check_containers(msgspec.msgpack.encode(np.random.default_rng(1).random(400_000).tolist()))
+    lists: list[Any] = [[] for _ in range(MAX_CONTAINERS + 1)]
+    with pytest.raises(ProtocolError, match="lists"):
+        check_containers(msgspec.msgpack.encode(lists))
