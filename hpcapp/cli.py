@@ -159,10 +159,11 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     arguments : list of str, optional
         What was typed after ``hpcapp``; the process's own arguments by default.
     """
-    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments is None:  # the process is the command's own, and so are its signals
+        arguments = sys.argv[1:]
+        obey_signals()
     debug = "--debug" in arguments
     _fill_closed_descriptors()
-    obey_signals()
     with rare_collections():
         code = _run(arguments, debug)
     sys.exit(code)

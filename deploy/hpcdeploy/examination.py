@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from hpccomponent.errors import CloudError, write_block
@@ -14,6 +13,7 @@ from hpcdeploy.bootstrap import MIN_FREE, check_wheels
 from hpcdeploy.cluster import Cluster
 from hpcdeploy.layout import machine_folder, state_folder
 from hpcdeploy.names import HEAD, without_node
+from hpcdeploy.parallel import connections_at_once, run_parallel
 from hpcdeploy.probe import Probed, no_python, probe
 from hpcdeploy.provider import MachineSeen, Problem
 from hpcdeploy.provider_spec import LocalSpec
@@ -22,7 +22,6 @@ from hpcdeploy.shell import Shell
 
 __all__ = ["Visit", "examine", "visit"]
 
-AT_ONCE = 64
 WAIT_S = 10.0  # until a machine lets us in
 ANSWER_S = 15.0  # until it has said all that it is asked
 MAX_SKEW_S = 30  # more, and a lease ends at another time than it says
@@ -90,8 +89,11 @@ def visit(
     answer_s: float = ANSWER_S,
 ) -> list[Visit]:
     """Log in to machines, several at once, and look at each; nothing is changed."""
-    with ThreadPoolExecutor(AT_ONCE, thread_name_prefix="doctor") as pool:
-        return list(pool.map(lambda m: _visit(cluster, m, wait_s, answer_s), machines))
+
+    def look(machine: MachineSeen) -> Visit:
+        return _visit(cluster, machine, wait_s, answer_s)
+
+    return run_parallel(look, machines, connections_at_once(), "doctor")
 
 
 def _state_problems(cluster: Cluster) -> Iterator[Problem]:

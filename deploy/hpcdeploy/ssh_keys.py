@@ -12,6 +12,7 @@ import struct
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import paramiko
@@ -81,7 +82,8 @@ def read_key(path: Path) -> paramiko.PKey:
         It is not there, or is no key.
     """
     try:
-        return paramiko.PKey.from_path(path)
+        stat = path.stat()
+        return _parse(path, (stat.st_ino, stat.st_size, stat.st_mtime_ns))
     except (TypeError, paramiko.PasswordRequiredException) as error:
         # TypeError is how cryptography says that a password is missing
         raise ReachError(
@@ -101,6 +103,13 @@ def read_key(path: Path) -> paramiko.PKey:
             f"{path}: the SSH key cannot be read (of a kind that is not supported)",
             "name an RSA, ECDSA or Ed25519 private key as auth.ssh_private_key, or use auto",
         ) from error
+
+
+@lru_cache(maxsize=64)
+def _parse(path: Path, stamp: tuple[int, int, int]) -> paramiko.PKey:
+    """Parse a file once: an RSA key is checked for longer than a login takes."""
+    del stamp  # another file under the same name is parsed anew
+    return paramiko.PKey.from_path(path)
 
 
 def public_key(path: Path) -> str:

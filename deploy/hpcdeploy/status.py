@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ from hpcdeploy.loader_service import is_running_command
 from hpcdeploy.names import HEAD, without_node
 from hpcdeploy.ownership import require_ours
 from hpcdeploy.pace import utc_now
+from hpcdeploy.parallel import connections_at_once, run_parallel
 from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.shell import Shell
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["describe_cluster", "list_clusters", "write_list", "write_table"]
 
-AT_ONCE = 64
 ANSWER_S = 10.0
 """How long a machine may take to tell about its loader."""
 
@@ -171,8 +170,7 @@ def _ask_loaders(cluster: Cluster, machines: Iterable[MachineSeen]) -> dict[str,
             return error.problem
 
     running = [machine for machine in machines if machine.state is State.RUNNING]
-    with ThreadPoolExecutor(AT_ONCE, "status") as pool:
-        answers = list(pool.map(ask, running))
+    answers = run_parallel(ask, running, connections_at_once(), "status")
     return {machine.id: answer for machine, answer in zip(running, answers, strict=True)}
 
 

@@ -85,9 +85,12 @@ class Rules:
             return self._repeated(token, parameters)
         self._check_launch(parameters)
         changed = dict(parameters)
-        if "SubnetId" not in parameters:
+        subnet = "SubnetId"
+        if "NetworkInterface.1.DeviceIndex" in parameters:
+            subnet = "NetworkInterface.1.SubnetId"
+        if subnet not in parameters:
             zone = parameters.get("Placement.AvailabilityZone")
-            changed["SubnetId"] = self._model.default_subnet(zone)
+            changed[subnet] = self._model.default_subnet(zone)
         before = set(self._model.backend.reservations)
         status, headers, body = moto(changed)
         for reservation in set(self._model.backend.reservations) - before:

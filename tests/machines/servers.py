@@ -46,6 +46,8 @@ class Server:
         """So many logins are refused first, as before an image has installed its key."""
         self.commands: list[str] = []
         """What was run."""
+        self.routes: dict[str, str] = {}
+        """Addresses that are reached from this machine only, and where they lead."""
         self.path = os.environ["PATH"]
         self.host_key = asyncssh.generate_private_key("ssh-ed25519")
         self._acceptor: asyncssh.SSHAcceptor | None = None
@@ -171,8 +173,12 @@ class _Login(asyncssh.SSHServer):
 
     def connection_requested(
         self, dest_host: str, dest_port: int, orig_host: str, orig_port: int
-    ) -> bool:
-        return True
+    ) -> Any:
+        if dest_host not in self._server.routes:
+            return True
+        assert self._connection is not None
+        place = self._server.routes[dest_host]
+        return self._connection.forward_connection(place, dest_port)
 
 
 class _Files(asyncssh.SFTPServer):

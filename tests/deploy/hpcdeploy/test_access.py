@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import socket
 import stat
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import paramiko
 import pytest
-from machines.servers import Machines, Server
+from machines.servers import USER, Machines, Server
 
 from hpccomponent.errors import CloudError
 from hpcdeploy import access as access_module
@@ -16,7 +19,9 @@ from hpcdeploy.layout import state_folder
 from hpcdeploy.names import NodeName
 from hpcdeploy.provider import MachineSeen, State
 from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.reach import Reach, ReachError
 from hpcdeploy.spec import ClusterSpec
+from hpcdeploy.ssh_target import jump_targets
 
 
 class Consoles(MemoryProvider):
@@ -30,14 +35,14 @@ class Consoles(MemoryProvider):
         return self.text.get(machine.id, "")
 
 
-def cloud_spec(port: int) -> ClusterSpec:
+def cloud_spec(port: int, **auth: object) -> ClusterSpec:
     image = {"image": {"id": "ami-1"}, "instance_type": "m5.large"}
     return ClusterSpec.model_validate(
         {
             "version": 1,
             "cluster": "bunny",
             "provider": {"type": "aws", "profiles": {"small": image}},
-            "auth": {"ssh_port": port},
+            "auth": {"ssh_port": port, **auth},
         }
     )
 
@@ -229,3 +234,80 @@ def test_machines_are_reached_by_the_address_that_is_asked_for(
 ) -> None:
     machine = MachineSeen("i-1", "c", NodeName("head"), "life", State.RUNNING, public, "10.0.0.7")
     assert machine.address(kind) == found
+
+
+@pytest.fixture
+def bastion(machines: Machines, tmp_path: Path) -> Server:
+    """A machine on the way that lets the user's own key in, and knows the cluster's not."""
+    folder = tmp_path / "user/.ssh"
+    folder.mkdir(parents=True)
+    key = paramiko.RSAKey.generate(2048)
+    key.write_private_key_file(str(folder / "id_rsa"))
+    bastion = machines.add()
+    bastion.keys.append(f"ssh-rsa {key.get_base64()}")
+    return bastion
+
+
+def know(server: Server, tmp_path: Path) -> None:
+    line = f"[{server.address}]:{server.port} {server.host_line}\n"
+    (tmp_path / "user/.ssh/known_hosts").write_text(line)
+
+
+@pytest.fixture
+def behind(
+    server: Server, bastion: Server, cloud: Consoles, tmp_path: Path
+) -> Iterator[tuple[Access, MachineSeen]]:
+    """A cloud's machine whose address leads nowhere from here, only from the bastion."""
+    jump = f"{USER}@{bastion.address}:{bastion.port}"
+    access = make_access(cloud_spec(server.port, ssh_proxy_jump=jump), tmp_path, cloud)
+    server.keys.append(access.public_key())
+    cloud.text[f"i-{server.port}"] = server.console
+    bastion.routes["198.51.100.7"] = server.address  # of a network for documentation
+    yield access, replace(seen(server), public_address="198.51.100.7")
+    access.close()
+
+
+def test_all_channels_of_a_clouds_machine_lead_over_the_bastion(
+    behind: tuple[Access, MachineSeen], server: Server, bastion: Server, tmp_path: Path
+) -> None:
+    access, machine = behind
+    know(bastion, tmp_path)
+    with access.open(machine) as shell:
+        assert shell.run("echo $HOME").output.strip() == str(server.home)
+        lines: list[str] = []
+        assert (shell.follow("echo one; echo two", lines.append), lines) == (0, ["one", "two"])
+        (tmp_path / "file").write_bytes(b"points" * 10_000)
+        shell.put(tmp_path / "file", "there")
+        shell.get("there", tmp_path / "back")
+        assert (tmp_path / "back").read_bytes() == (tmp_path / "file").read_bytes()
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            local = shell.forward(*listener.getsockname())
+            with socket.create_connection(("127.0.0.1", local)) as near:
+                far, _ = listener.accept()
+                with far:
+                    far.sendall(b"through")
+                    assert near.recv(7, socket.MSG_WAITALL) == b"through"
+    assert bastion.commands == []
+
+
+def test_a_bastion_whose_host_key_is_unknown_is_not_passed(
+    behind: tuple[Access, MachineSeen], bastion: Server, server: Server
+) -> None:
+    access, machine = behind
+    with pytest.raises(ReachError) as caught:
+        access.open(machine)
+    assert caught.value.reach is Reach.HOST_KEY_UNKNOWN
+    assert f"on the way, at {bastion.address}:{bastion.port}" in str(caught.value)
+    assert server.commands == []
+
+
+@pytest.mark.parametrize("jump", ["a b", "-oProxyCommand=x", "me@", "h:0", "h:99999", "a,b", "@h"])
+def test_a_jump_that_is_none_is_refused(jump: str) -> None:
+    with pytest.raises(ValueError, match=r"\[USER@\]HOST\[:PORT\]"):
+        cloud_spec(22, ssh_proxy_jump=jump)
+
+
+def test_jumps_may_be_several_and_have_ipv6_addresses(tmp_path: Path) -> None:
+    spec = cloud_spec(22, ssh_proxy_jump=["gate", "me@[2001:db8::1]:2222"])
+    places = [(jump.user, jump.place) for jump in jump_targets(spec.auth)]
+    assert places == [("admin", "gate:22"), ("me", "[2001:db8::1]:2222")]
