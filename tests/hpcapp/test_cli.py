@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from process_tree import are_gone, descendants
 
-from hpcapp.cli import _run
+from hpcapp.cli import _run, main
 from hpcapp.io import read_mesh
 from hpccomponent.surface.points import PointCloud
 
@@ -352,3 +352,11 @@ def test_an_interrupt_while_the_command_is_imported(start_command: StartCommand)
         [process.args[0], "-c", script], capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (130, "hpcapp: interrupted\n")
+
+
+def test_a_command_within_another_process_leaves_its_signals_alone() -> None:
+    """The thread that counts signals would be found by the check for leaks."""
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
