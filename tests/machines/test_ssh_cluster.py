@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -50,6 +51,31 @@ def test_hosts_become_a_cluster_and_are_left_as_they_were(
     for host in hosts:
         assert (host.home / "theirs").read_text() == "stays"
         assert not (host.home / "hpcapp").exists()
+
+
+@pytest.mark.slow
+def test_what_an_image_of_an_old_node_brings_along_does_no_harm(
+    file: Path, hosts: tuple[Server, Server], wheelhouse: Path, tmp_path: Path
+) -> None:
+    """The old node's programs, and a way to an HPC App that is not ours, as an image keeps them."""
+    (file.parent / "wheels").rmdir()
+    (file.parent / "wheels").symlink_to(wheelhouse)
+    worker, image = hosts[1].home / FOLDER, tmp_path / "image"
+    with open_cluster(file) as cluster:
+        claim(cluster)
+        assert set_up(cluster.spec, cluster.machines(), cluster.access, print) == []
+        shutil.copytree(worker, image, symlinks=True)
+        cluster.provider.terminate(cluster.machines())
+    for name in ("loader.yaml", "connection.json", "machine.json"):
+        (image / name).write_text("of another cluster")
+    shutil.copytree(image, worker, symlinks=True)
+    with open_cluster(file) as cluster:
+        claim(cluster)
+        assert set_up(cluster.spec, cluster.machines(), cluster.access, print) == []
+        result = CliRunner().invoke(doctor, [str(file)])
+        assert result.exit_code == 0, result.output
+        assert "worker-1: good" in result.output
+        cluster.provider.terminate(cluster.machines())
 
 
 def test_missing_wheels_fail_each_machine_with_one_line(file: Path) -> None:
