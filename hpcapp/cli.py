@@ -181,6 +181,9 @@ def _run(arguments: list[str], debug: bool) -> int:
         _report(error.format_message().replace("\n", " "))
         return EXIT_USAGE
     except (KeyboardInterrupt, click.Abort):
+        # One that came out of the execution of a string, as of dataclasses, has `python -m` end by
+        # SIGINT whoever catches it, until the next such execution.
+        exec("")  # noqa: S102
         _report("interrupted")
         return EXIT_INTERRUPTED
     except HpcError as error:

@@ -128,20 +128,44 @@ def stuck():
     library.pthread_mutex_lock(lock)
 
 cli.SHIPPED["stuck"] = "__main__:stuck"
-cli.main(["stuck"])
+cli.main()
 """
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a mutex of the C library is what it waits for")
 def test_a_call_that_never_returns_does_not_hold_up_the_second_signal() -> None:
-    command = [sys.executable, "-c", STUCK]
+    command = [sys.executable, "-c", STUCK, "stuck"]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "stuck\n"
+        stat = Path(f"/proc/{process.pid}/stat")
+        while stat.read_text().rpartition(")")[2].split()[0] != "S":
+            pass  # between the words and the lock a signal would still be obeyed
         process.send_signal(signal.SIGTERM)
         read_until(process, "a second signal (Ctrl-C) ends at once")
         process.send_signal(signal.SIGTERM)
         stderr = process.communicate()[1]
     assert (process.returncode, stderr) == (130, "hpcapp: interrupted\n")
+
+
+IN_A_STRING = """
+import click
+from hpcapp import cli
+
+@click.command()
+def importing():
+    exec("raise KeyboardInterrupt")
+
+cli.SHIPPED["importing"] = "__main__:importing"
+cli.main()
+"""
+
+
+def test_a_signal_in_mid_import_ends_with_the_same_code(tmp_path: Path) -> None:
+    """Modules execute strings as they are imported, and Python marks interrupts of these."""
+    (tmp_path / "program.py").write_text(IN_A_STRING)
+    command = [sys.executable, "-m", "program", "importing"]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr.strip()) == (130, "hpcapp: interrupted")
