@@ -289,7 +289,9 @@ class _QuietServer(ThreadingHTTPServer):
 
 
 @contextlib.contextmanager
-def self_signed_server(folder: Path) -> Iterator[tuple[str, Path]]:
+def self_signed_server(
+    folder: Path, page: type[BaseHTTPRequestHandler] = BaseHTTPRequestHandler
+) -> Iterator[tuple[str, Path]]:
     """Serve behind a certificate that nobody knows; give the address and the certificate's file."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "127.0.0.1")])
@@ -314,7 +316,7 @@ def self_signed_server(folder: Path) -> Iterator[tuple[str, Path]]:
     )
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(folder / "cloud-cert.pem", folder / "key.pem")
-    server = _QuietServer(("127.0.0.1", 0), BaseHTTPRequestHandler)
+    server = _QuietServer(("127.0.0.1", 0), page)
     server.daemon_threads = True
     # Shaken hands when first read: a client that turns away is no error of the server's.
     server.socket = context.wrap_socket(

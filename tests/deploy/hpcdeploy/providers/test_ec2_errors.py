@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
-import datetime
-import ipaddress
-import ssl
-import threading
 from collections.abc import Callable, Iterator
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from typing import Any
 
 import pytest
 from botocore.exceptions import ClientError
 from cloud import FOREVER
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import NameOID
+from cloud.broken import self_signed_server
 
 from hpccomponent.errors import CapacityError, CloudError
 from hpcdeploy.providers.ec2_errors import code_of, is_lost_answer, is_throttled, translate
@@ -171,48 +163,11 @@ class _WebPage(BaseHTTPRequestHandler):
         pass
 
 
-class _QuietServer(HTTPServer):
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing where a client turns away from our certificate."""
-
-
 @pytest.fixture
 def self_signed(tmp_path: Path) -> Iterator[tuple[str, Path]]:
     """Give an address behind a certificate that nobody knows, and that certificate's file."""
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "127.0.0.1")])
-    now = datetime.datetime.now(datetime.UTC)
-    certificate = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - datetime.timedelta(days=1))
-        .not_valid_after(now + datetime.timedelta(days=1))
-        .add_extension(
-            x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))]), False
-        )
-        .sign(key, hashes.SHA256())
-    )
-    pem = serialization.Encoding.PEM
-    (tmp_path / "cloud-cert.pem").write_bytes(certificate.public_bytes(pem))
-    (tmp_path / "key.pem").write_bytes(
-        key.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-    )
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.load_cert_chain(tmp_path / "cloud-cert.pem", tmp_path / "key.pem")
-    server = _QuietServer(("127.0.0.1", 0), _WebPage)
-    plain = server.socket
-    # Shaken hands when first read: a client that turns away is no error of the server's.
-    server.socket = context.wrap_socket(plain, server_side=True, do_handshake_on_connect=False)
-    thread = threading.Thread(target=server.serve_forever, args=(0.05,))
-    thread.start()
-    yield f"https://127.0.0.1:{server.server_port}/", tmp_path / "cloud-cert.pem"
-    server.shutdown()
-    thread.join()
-    with contextlib.suppress(OSError):
-        server.server_close()
+    with self_signed_server(tmp_path, _WebPage) as server:
+        yield server
 
 
 def test_an_unknown_certificate_is_never_accepted(
