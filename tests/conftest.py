@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -19,6 +20,10 @@ from hypothesis import settings
 from hpccomponent.inventory import Inventory, InventoryWorker, dump_inventory
 from hpccomponent.protocol.connection import Connection, write_connection
 from hpccomponent.protocol.keys import make_key_pair, write_secret
+
+# A shell takes SIGINT away from what it starts in the background; tests send it, and so do commands
+# that tests start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A shared machine stalls now and then: no example is timed.
 settings.register_profile("untimed", deadline=None)

@@ -53,6 +53,7 @@ __all__ = ["RayExecutor", "check_ray", "open_ray"]
 T = TypeVar("T")
 
 CONNECT_S = 10.0
+CONNECT_TRIES = 3
 LOOK_S = 5.0  # a task that takes longer has the head looked for
 TASKS_PER_CORE = 2
 HTTP2_SETTINGS = b"\x04"  # the type of the frame with which either side begins
@@ -369,8 +370,7 @@ def _connect(address: str) -> Iterator[tuple[Any, Head]]:
         ray = _import_ray()
         if scheme and find_spec("grpc") is None:
             raise UsageError("Ray's client is not installed here", INSTALL)
-        runtime = {"env_vars": ONE_THREAD}
-        with _joined(ray, address=address, runtime_env=runtime):
+        with _joined(ray, address=address):
             yield ray, head or _find_head(ray)
 
 
@@ -394,13 +394,30 @@ def _joined(ray: Any, **options: Any) -> Iterator[None]:
     in_main = threading.current_thread() is threading.main_thread()
     before = signal.getsignal(signal.SIGTERM)
     try:
-        with _errors_of_init():
-            ray.init(log_to_driver=False, logging_level=logging.CRITICAL, **options)
+        with _errors_of_init(), tempfile.TemporaryDirectory(prefix="hpcapp-") as nothing:
+            runtime: dict[str, Any] = {"env_vars": ONE_THREAD}
+            if not options["address"].startswith("ray://"):
+                # Else workers import from this process's folder, where a source tree may lie whose
+                # kernels are other ones.
+                runtime["working_dir"] = nothing
+            _init(ray, runtime_env=runtime, **options)
         if in_main:
             signal.signal(signal.SIGTERM, before)
         yield
     finally:
         ray.shutdown()
+
+
+def _init(ray: Any, **options: Any) -> None:
+    """Connect, more than once where needed: a client's server now and then dies as it is forked."""
+    for left in reversed(range(CONNECT_TRIES)):
+        try:
+            ray.init(log_to_driver=False, logging_level=logging.CRITICAL, **options)
+            return
+        except ConnectionAbortedError:
+            if not left:
+                raise
+            ray.shutdown()
 
 
 @contextmanager

@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from typing import Literal
+from typing import Any, Literal
 
-from hpccomponent.errors import CapacityError
+from hpccomponent.errors import CapacityError, CloudError
 from hpcdeploy.names import Owner, client_token, group_name, key_pair_name
 from hpcdeploy.pace import utc_now
 from hpcdeploy.provider import (
@@ -126,17 +126,14 @@ class MemoryProvider:
             for machine in self._named(machines):
                 machine.seen = replace(machine.seen, owner=owner)
             for group in groups:
-                self._groups[group.cluster] = replace(self._groups[group.cluster], owner=owner)
+                self._change(group, owner=owner)
 
     def allow(
         self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
     ) -> None:
         """Replace the rules of a group."""
         with self._called("allow"):
-            there = self._groups[group.cluster]
-            self._groups[group.cluster] = replace(
-                there, ssh_from=ssh_from, internal_ports=internal_ports
-            )
+            self._change(group, ssh_from=ssh_from, internal_ports=internal_ports)
 
     def launch(self, launch: Launch) -> MachineSeen:
         """Start a machine, or return the one that the same token has started."""
@@ -238,6 +235,15 @@ class MemoryProvider:
         now = self._now()
         is_forgotten = machine.ended is not None and now > machine.ended + self._end + self._listed
         return now >= machine.launched + self._unseen and not is_forgotten
+
+    def _change(self, group: GroupSeen, **values: Any) -> None:
+        """Change a group by its id, as clouds do: one of the same name made later is another."""
+        there = self._groups.get(group.cluster)
+        if there is None or there.id != group.id:
+            raise CloudError(
+                f"security group {group.name} ({group.id}) is gone", "run hpcapp up again"
+            )
+        self._groups[group.cluster] = replace(there, **values)
 
     def _named(self, machines: Sequence[MachineSeen]) -> list[_Machine]:
         ids = {machine.id for machine in machines}

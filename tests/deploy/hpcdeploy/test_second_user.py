@@ -246,5 +246,5 @@ def schedules(count: int) -> settings:
 TestTwoUsers = TwoUsers.TestCase
 TestTwoUsers.settings = schedules(60)
 
-TestManySchedules = pytest.mark.slow(ManySchedules.TestCase)
+TestManySchedules = pytest.mark.slow(pytest.mark.timeout(900)(ManySchedules.TestCase))
 TestManySchedules.settings = schedules(1000)

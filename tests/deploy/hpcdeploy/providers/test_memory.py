@@ -66,6 +66,17 @@ def test_a_group_and_a_key_pair_are_made_once() -> None:
     assert cloud.observe("other").groups == ()
 
 
+def test_a_group_that_another_command_has_deleted_cannot_be_changed() -> None:
+    provider = MemoryProvider()
+    gone = provider.create_group("bunny", "aa11", NOBODY)
+    assert provider.delete_group(gone)
+    provider.create_group("bunny", "bb22", NOBODY)
+    with pytest.raises(CloudError, match="is gone"):
+        provider.allow(gone, frozenset({"192.0.2.0/24"}), frozenset())
+    with pytest.raises(CloudError, match="is gone"):
+        provider.mark((), (gone,), NOBODY)
+
+
 def test_capacity_runs_out_for_a_type_and_market() -> None:
     cloud = MemoryProvider()
     cloud.unavailable.add(("m6i.large", "on_demand"))
