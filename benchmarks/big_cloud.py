@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.io import open_points
-from hpccomponent.surface.points import FloatArray
+from hpccomponent.surface.types.points import FloatArray
 
 HEIGHT, WAVES = 0.08, 7.0
 ROWS_AT_ONCE = 1 << 18

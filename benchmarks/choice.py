@@ -6,7 +6,7 @@ and the median of the pairs' ratios, of wall time and of CPU time (all processes
 
 With --rates one job is measured part by part instead, here and with two workers: what a point and
 a square of the grid's longest side take in units of the calibration, which are the constants of
-``hpcapp/applications/surface/choice.py``.
+``hpcapp/applications/surface/backend_choice/cost_model.py``.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from typing import Any
 import numpy as np
 from big_cloud import write_cloud
 
-from hpcapp.applications.surface import choice
+from hpcapp.applications.surface.backend_choice import cost_model as choice
 from hpcapp.applications.surface.settings import THREADS_FROM_POINTS
-from hpcapp.backends import available_cores
-from hpccomponent.surface.calibration import time_kernels
+from hpcapp.backends.selection import available_cores
+from hpccomponent.surface.tasks.probe import time_kernels
 
 SIZES = (1_000, 10_000, 100_000, 1_000_000)
 WAYS = ((), ("--workers", "2"))

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from metrics import MeshTruth, ShapeTruth, Truth, read_global_mesh
 
-from hpcapp.applications.surface.scanner import ScanSettings, simulate_scan
-from hpcapp.applications.surface.shapes import find_shape
+from hpcapp.applications.simulate.scanner import ScanSettings, simulate_scan
+from hpcapp.applications.simulate.shapes import find_shape
 from hpcapp.io import write_points
 from hpccomponent.errors import UsageError
 

@@ -16,11 +16,11 @@ from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 
 from testbed.cloud import TestBed
+from testbed.sites import POINTS, Site, make_mesh, reason_to_skip
 from testbed.wheels import pack_requirements_of
-from tier_b.sites import POINTS, Site, make_mesh, reason_to_skip
 
 SMALL, LARGE = 3, 15  # workers, beside the head
 ASKED_S = {"life of 4": 90.0, "up of 16": 180.0}

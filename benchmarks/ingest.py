@@ -16,12 +16,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from hpcapp.applications.surface.estimates import choose_scale
-from hpcapp.applications.surface.ingest import ingest_file
-from hpcapp.applications.surface.passes import Passes
-from hpcapp.applications.surface.region_cleaning import clean_regions
+from hpcapp.applications.surface.hierarchical.estimates import choose_scale
+from hpcapp.applications.surface.input.clean_regions import clean_regions
+from hpcapp.applications.surface.input.ingest import ingest_file
+from hpcapp.applications.surface.scans import Passes
 from hpcapp.applications.surface.sizes import TILE_POINTS
-from hpcapp.backends import open_executor
+from hpcapp.backends.selection import open_executor
 from hpcapp.io import open_points
 
 Result = TypeVar("Result")

@@ -16,13 +16,13 @@ import numpy as np
 from nearest import NearestFace, face_normals
 from scipy.spatial import KDTree
 
-from hpcapp.applications.surface.rays import closest_points
-from hpcapp.applications.surface.scanner import sample_surface
-from hpcapp.applications.surface.shapes import SHAPES, Shape, diagonal_of, find_shape
-from hpcapp.applications.surface.topology import Topology, check_mesh
+from hpcapp.applications.simulate.rays import closest_points
+from hpcapp.applications.simulate.scanner import sample_surface
+from hpcapp.applications.simulate.shapes import SHAPES, Shape, diagonal_of, find_shape
+from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.io import read_mesh
-from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
 
 __all__ = ["Measures", "MeshTruth", "ShapeTruth", "Truth", "measure_mesh", "sample_mesh"]
 

@@ -31,14 +31,14 @@ from typing import Any
 
 from clouds import SimulatedCloud
 
-from hpcapp.applications.surface.paper import PaperMethod
+from hpcapp.applications.simulate.scanner import ScanSettings
+from hpcapp.applications.surface.paper.method import PaperMethod
 from hpcapp.applications.surface.pipeline import reconstruct
-from hpcapp.applications.surface.scanner import ScanSettings
-from hpcapp.backends import Backend, available_cores, open_executor
+from hpcapp.backends.selection import Backend, available_cores, open_executor
 from hpcapp.io import drop_unusable, read_points
 from hpcapp.progress import SilentProgress, StageClock
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
     "Run",

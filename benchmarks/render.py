@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.io import read_mesh
-from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import FloatArray
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["render_mesh", "write_png"]
 

@@ -15,12 +15,12 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from hpcapp.applications.surface.hierarchical import HierarchicalMethod
+from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
+from hpcapp.applications.surface.input.load import load_memory
 from hpcapp.applications.surface.job import Settings
-from hpcapp.applications.surface.loading import load_memory
-from hpcapp.backends import SerialExecutor
-from hpcapp.batches import Workforce
+from hpcapp.backends.selection import SerialExecutor
 from hpcapp.progress import SilentProgress, StageClock
+from hpcapp.workforce import Workforce
 from hpccomponent.protocol.codec import encode_values
 
 PARTS = ("own points", "halo", "coarse polynomials", "far field", "the rest")

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.api import reconstruct
-    from hpcapp.backends import open_executor
+    from hpcapp.backends.selection import open_executor
     from hpcapp.io import write_mesh
 
 __all__ = ["open_executor", "reconstruct", "write_mesh"]
 
 _HOMES = {
-    "open_executor": "hpcapp.backends",
+    "open_executor": "hpcapp.backends.selection",
     "reconstruct": "hpcapp.applications.surface.api",
     "write_mesh": "hpcapp.io",
 }

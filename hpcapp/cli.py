@@ -23,9 +23,9 @@ __all__ = ["hpcapp", "main"]
 
 # The verbs that ship; named here so that finding them costs no search through installed packages.
 SHIPPED = {
-    "reconstruct": "hpcapp.applications.surface.commands:reconstruct",
-    "simulate": "hpcapp.applications.surface.commands:simulate",
-    "info": "hpcapp.applications.surface.commands:info",
+    "reconstruct": "hpcapp.applications.surface.command:reconstruct",
+    "simulate": "hpcapp.applications.surface.command:simulate",
+    "info": "hpcapp.applications.surface.command:info",
 }
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # What these log is raised too, and said in our words: a user sees it with --debug only.
@@ -110,7 +110,7 @@ def hpcapp(debug: bool) -> None:
         logging.getLogger(name).setLevel(logging.INFO if debug else logging.CRITICAL)
     logging.raiseExceptions = debug  # a log that cannot be written must not end the job
     logging.captureWarnings(True)
-    from hpccomponent.held_folders import remove_killed  # --help needs no such thing
+    from hpccomponent.files.held_folders import remove_killed  # --help needs no such thing
 
     remove_killed()
     logging.getLogger("py.warnings").setLevel(logging.WARNING if debug else logging.ERROR)

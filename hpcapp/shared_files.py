@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hpcapp.batches import Workforce, map_batches
-from hpccomponent.shared_files import sees_files
+from hpcapp.workforce import Workforce, map_batches
+from hpccomponent.files.shared_files import sees_files
 
 __all__ = ["workers_see"]
 
@@ -22,7 +22,7 @@ def workers_see(workforce: Workforce, *files: Path) -> bool:
     ----------
     workforce : Workforce
     *files : Path
-        As for `hpccomponent.shared_files.sees_files`; they must not grow meanwhile.
+        As for `hpccomponent.files.shared_files.sees_files`; they must not grow meanwhile.
 
     Returns
     -------

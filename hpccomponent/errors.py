@@ -10,7 +10,7 @@
     ├── CloudError                exit 4   a cloud, an instance, provisioning
     │   ├── CapacityError                  this type, market or zone is not to be had now
     │   ├── LeftoverError                  something could not be taken away
-    │   └── ReachError                     why SSH does not let in (hpcdeploy.reach)
+    │   └── ReachError                     why SSH does not let in (hpcdeploy.machine.ssh.reach)
     └── JobError                  exit 1   the work could not be finished
         ├── TaskError                      the task's function raised
         ├── WorkerLostError                a batch outlived too many workers

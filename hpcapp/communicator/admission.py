@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from hpcapp.communicator.roster import Worker
+from hpcapp.communicator.state import Worker
 from hpccomponent.protocol.frames import SMALLEST_FRAME
 from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable
 
-from hpcapp.communicator.roster import Flight, Worker
+from hpcapp.communicator.state import Flight, Worker
 from hpccomponent.errors import ProtocolError
 
 __all__ = ["Assignments"]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Container, Sequence
 from itertools import islice
 
 from hpcapp.communicator.forecast import Forecast
-from hpcapp.communicator.roster import Task, Worker
+from hpcapp.communicator.state import Task, Worker
 
 __all__ = [
     "MAX_BATCH_BYTES",

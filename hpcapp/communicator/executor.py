@@ -22,12 +22,12 @@ from concurrent.futures import Executor, Future
 from types import TracebackType
 from typing import Any, TypeVar
 
-from hpcapp.communicator.door import Door
-from hpcapp.communicator.engine import Engine, Timing
-from hpcapp.communicator.entries import each_traits, make_entry
-from hpcapp.communicator.ledger import Ledger
+from hpcapp.communicator.listener import Door
+from hpcapp.communicator.loop import Engine, Timing
+from hpcapp.communicator.pending import Ledger
 from hpcapp.communicator.policy import AdaptivePolicy, Policy
 from hpcapp.communicator.scheduler import Scheduler
+from hpcapp.communicator.submission import each_traits, make_entry
 from hpccomponent.clock import Clock, MonotonicClock
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.protocol.blobs import Blob, make_blob

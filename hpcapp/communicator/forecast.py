@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from hpcapp.communicator.roster import Task, Worker
+from hpcapp.communicator.state import Task, Worker
 
 __all__ = ["Forecast"]
 

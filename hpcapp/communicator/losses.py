@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from hpcapp.communicator.roster import Task, Worker
+from hpcapp.communicator.state import Task, Worker
 from hpccomponent.errors import NoWorkersError, WorkerLostError
 
 __all__ = ["LOSS_BUDGET", "Losses"]

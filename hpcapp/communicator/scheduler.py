@@ -21,11 +21,11 @@ from collections.abc import Callable, Iterable, Sequence
 from hpcapp.communicator.admission import Admission
 from hpcapp.communicator.assignments import Assignments
 from hpcapp.communicator.batching import MAX_TASKS, BatchCutter, find_holder
-from hpcapp.communicator.endgame import choose_to_run_again, choose_to_split
 from hpcapp.communicator.forecast import Forecast
 from hpcapp.communicator.losses import Losses
 from hpcapp.communicator.policy import Policy
-from hpcapp.communicator.roster import (
+from hpcapp.communicator.speculation import choose_to_run_again, choose_to_split
+from hpcapp.communicator.state import (
     Action,
     AskRegister,
     Assign,

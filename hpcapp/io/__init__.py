@@ -14,7 +14,7 @@ from hpcapp.io.formats import (
 )
 from hpcapp.io.frame import needs_double
 from hpcapp.io.mesh_stream import MeshStream
-from hpcapp.io.ply import shared_ply
+from hpcapp.io.ply.format import shared_ply
 from hpcapp.io.point_source import PointSource
 from hpcapp.io.tiles import TILES_SUFFIX, shared_tiles, write_tiles
 from hpcapp.io.usable import Dropped, drop_unusable

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.points import IntArray
+from hpccomponent.surface.types.points import IntArray
 
 __all__ = ["Ragged", "Rows", "positions_within"]
 

@@ -11,16 +11,16 @@ from typing import Literal, TypeVar
 from hpcapp.io.mesh_stream import MeshStream, as_stream
 from hpcapp.io.obj import read_obj, write_obj
 from hpcapp.io.off import read_off, write_off
-from hpcapp.io.ply import read_ply_mesh, write_ply_mesh, write_ply_points
-from hpcapp.io.ply_points import open_ply
+from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh, write_ply_points
+from hpcapp.io.ply.points import open_ply
 from hpcapp.io.point_source import PointSource, read_whole, translated
 from hpcapp.io.staging import check_place
 from hpcapp.io.stl import read_stl, write_stl
 from hpcapp.io.text import open_text, write_text_points
 from hpcapp.io.tiles import TILES_SUFFIX, check_tiles, write_tiles
 from hpccomponent.errors import InputError, OutputError, UsageError
-from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
     "check_writable",

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpccomponent.surface.points import FloatArray, bounding_box
+from hpccomponent.surface.types.points import FloatArray, bounding_box
 
 __all__ = ["FAR_IN_DIAGONALS", "choose_origin", "finite_bounds", "needs_double", "to_local"]
 

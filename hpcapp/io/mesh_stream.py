@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.io.frame import finite_bounds
-from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["MeshStream", "as_stream"]
 

@@ -12,8 +12,8 @@ from hpcapp.io.polygons import mesh_of_polygons
 from hpcapp.io.rows import Line, line_error, numbered, parse_index, parse_table, write_rows
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
-from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import FloatArray
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["coordinate_format", "read_obj", "write_obj"]
 

@@ -24,7 +24,7 @@ from hpcapp.io.rows import (
 )
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
-from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.types.mesh import Mesh
 
 __all__ = ["read_off", "write_off"]
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
-from hpccomponent.surface.point_records import PointRecords
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.cloud.point_records import PointRecords
+from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["PointSource", "read_whole", "translated"]
 

@@ -9,8 +9,8 @@ import numpy as np
 from hpcapp.io.columns import Ragged, positions_within
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
-from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import FloatArray
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["mesh_of_polygons"]
 

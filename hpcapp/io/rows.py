@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
-from hpccomponent.surface.points import FloatArray
+from hpccomponent.surface.types.points import FloatArray
 
 __all__ = [
     "Line",

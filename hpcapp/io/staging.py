@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from hpccomponent.errors import OutputError
-from hpccomponent.private_files import create_private
+from hpccomponent.files.private_files import create_private
 
 __all__ = ["check_place", "replacing"]
 

@@ -33,7 +33,7 @@ from hpcapp.io.point_source import PointSource
 from hpcapp.io.rows import Line, is_count, line_error, numbered, parse_table, take_lines, write_rows
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
-from hpccomponent.surface.points import FloatArray, PointCloud
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["open_text", "write_text_points"]
 

@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hpcapp.io.mesh_stream import MeshStream
-from hpcapp.io.ply import write_ply_mesh
+from hpcapp.io.ply.format import write_ply_mesh
 from hpccomponent.errors import OutputError
-from hpccomponent.private_files import make_private_folder
+from hpccomponent.files.private_files import make_private_folder
 
 __all__ = ["TILES_SUFFIX", "check_tiles", "shared_tiles", "write_tiles"]
 

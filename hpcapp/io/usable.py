@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from hpccomponent.errors import InputError
-from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
-from hpccomponent.surface.usable_points import Dropped, select_usable
+from hpccomponent.surface.cloud.validity import Dropped, select_usable
+from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
 
 __all__ = [
     "FEWEST_POINTS",

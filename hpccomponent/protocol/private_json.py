@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from hpccomponent.errors import ConfigError
-from hpccomponent.paths import refuse_special
-from hpccomponent.private_files import open_at_once
+from hpccomponent.files.paths import refuse_special
+from hpccomponent.files.private_files import open_at_once
 
 __all__ = ["check_keys", "read_private_json"]
 

@@ -86,6 +86,6 @@ def kernel_id(build: str | None = None) -> str:
         return f"native-{extension.KERNEL_HASH}"
     import hashlib  # it loads OpenSSL, which `hpcapp --version` would feel
 
-    modules = sorted(Path(__file__).parent.glob("*.py"))
+    modules = sorted(Path(__file__).parent.rglob("*.py"))
     sources = b"".join(module.read_bytes() for module in modules)
     return f"portable-{hashlib.sha256(sources).hexdigest()[:_HASH_DIGITS]}"

@@ -16,9 +16,9 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
-from hpccomponent.config import ConfigModel, read_config
+from hpccomponent.config.reader import ConfigModel, read_config
 from hpccomponent.errors import ConfigError
-from hpccomponent.paths import expand_home
+from hpccomponent.files.paths import expand_home
 from hpcloader.builds import BUILDS, Build, Requirements
 from hpcloader.settings import LoaderSettings
 from hpcloader.supervisor import RestartRule

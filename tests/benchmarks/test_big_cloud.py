@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hpcapp.io import open_points, read_points, write_points
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.points import PointCloud
 
 
 @pytest.mark.parametrize("sweep", [False, True])

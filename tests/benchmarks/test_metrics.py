@@ -6,8 +6,8 @@ from metrics import MeshTruth, ShapeTruth, measure_mesh, sample_mesh
 from nearest import NearestFace
 from skimage.measure import marching_cubes
 
-from hpcapp.applications.surface.shapes import SHAPES, diagonal_of
-from hpccomponent.surface.mesh import Mesh
+from hpcapp.applications.simulate.shapes import SHAPES, diagonal_of
+from hpccomponent.surface.types.mesh import Mesh
 
 
 def ball(radius=1.0, cells=40):

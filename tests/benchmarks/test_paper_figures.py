@@ -17,10 +17,10 @@ from paper_figures import (
     summarise,
 )
 
-from hpcapp.applications.surface.paper import PaperMethod
+from hpcapp.applications.surface.paper.method import PaperMethod
 from hpcapp.io import read_points, write_points
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.points import PointCloud
 
 SMALL = PaperMethod(patches=8, grid=12)
 POINTS = 1500

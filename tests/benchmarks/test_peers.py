@@ -10,10 +10,10 @@ from peer_table import geometric_mean, print_cloud, print_summary, ratios
 from peers import Contender, measure_process, run_all
 from skimage.measure import marching_cubes
 
-from hpcapp.applications.surface.scanner import ScanSettings
+from hpcapp.applications.simulate.scanner import ScanSettings
 from hpcapp.io import read_points, write_mesh
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.types.mesh import Mesh
 
 SMALL = SimulatedCloud("sphere-small", "clean", "sphere", ScanSettings(points=500))
 COPY = "import shutil, sys; shutil.copy(sys.argv[1], sys.argv[2])"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from render import render_mesh, write_png
 
-from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.types.mesh import Mesh
 
 SQUARE = np.array([[0.0, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1]])
 FACES = np.array([[0, 1, 2], [0, 2, 3]])  # anticlockwise as seen from +x

@@ -10,7 +10,6 @@ import boto3
 import pytest
 from botocore.config import Config
 from botocore.exceptions import ClientError, ConnectionClosedError
-
 from cloud import FOREVER, Call, CutError, StrictCloud
 
 

@@ -9,10 +9,10 @@ from typing import Any, get_args
 import pytest
 from pydantic_core import PydanticUndefined
 
-from hpccomponent.config import ConfigModel
+from hpccomponent.config.reader import ConfigModel
 from hpccomponent.errors import ConfigError
-from hpcdeploy.provider_spec import AwsSpec, Ec2Spec, EucalyptusSpec, LocalSpec, SshSpec
-from hpcdeploy.spec import ClusterSpec, parse_duration, read_spec
+from hpcdeploy.spec.cluster import ClusterSpec, parse_duration, read_spec
+from hpcdeploy.spec.provider import AwsSpec, Ec2Spec, EucalyptusSpec, LocalSpec, SshSpec
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "deploy/examples").glob("*.yaml"))

@@ -20,12 +20,12 @@ import pytest
 import zmq
 
 from hpcapp.io import write_points
-from hpccomponent.surface.points import FloatArray, PointCloud
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 WriteCloud = Callable[..., Path]
 StartCommand = Callable[..., "subprocess.Popen[str]"]
 
-TASKS = str(Path(__file__).parents[1] / "tasks")
+TASKS = str(Path(__file__).parents[1] / "helpers")
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from process_tree import are_gone, descendants
 
 from hpcapp.cli import _run, main
 from hpcapp.io import read_mesh
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.points import PointCloud
 
 StartCommand = Callable[..., "subprocess.Popen[str]"]
 WriteCloud = Callable[..., Path]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from hpcapp.local_cluster import LocalCluster
+from hpcapp.backends.local_cluster import LocalCluster
 from hpccomponent.errors import NoWorkersError
 
 StartCommand = Callable[..., "subprocess.Popen[str]"]

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import zmq
 
-from hpcapp.backends import Backend, open_backend, open_executor
-from hpcapp.batches import Workforce, map_batches
+from hpcapp.backends.selection import Backend, open_backend, open_executor
+from hpcapp.workforce import Workforce, map_batches
 from hpccomponent.errors import TaskError
 
 NAMES = ("echo", "total", "fail", "append_line", "wait_for_file")

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from hpcapp.backends import SerialExecutor, open_executor
-from hpcapp.batches import Workforce
+from hpcapp.backends.selection import SerialExecutor, open_executor
 from hpcapp.shared_files import workers_see
-from hpccomponent.shared_files import sees_files
+from hpcapp.workforce import Workforce
+from hpccomponent.files.shared_files import sees_files
 
 
 @pytest.mark.usefixtures("standing_helpers")

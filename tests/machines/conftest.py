@@ -8,9 +8,8 @@ from pathlib import Path
 
 import paramiko
 import pytest
-from testbed.wheels import pack_requirements_of
-
 from machines.servers import USER, Machines, Server
+from testbed.wheels import pack_requirements_of
 
 
 @pytest.fixture(scope="session")

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from hpcapp import open_executor
-from hpcapp.applications.quadrature import estimate
-from hpccomponent.errors import CloudError
-from hpcdeploy.cluster import open_cluster
 from machines.hosts import claim
 from machines.openssh import start_sshd
+
+from hpcapp import open_executor
+from hpcapp.applications.quadrature.application import estimate
+from hpccomponent.errors import CloudError
+from hpcdeploy.reconcile.cluster import open_cluster
 
 
 @pytest.fixture

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from machines.hosts import claim
+from machines.servers import Server
 
 from hpcapp.cli import main
 from hpccomponent.errors import CloudError
-from hpcdeploy.bootstrap import set_up
-from hpcdeploy.cluster import open_cluster
-from hpcdeploy.converge import look_ahead
-from hpcdeploy.doctor_command import doctor
-from hpcdeploy.examination import visit
-from hpcdeploy.preflight import check_ready
-from machines.hosts import claim
-from machines.servers import Server
+from hpcdeploy.cli.doctor import doctor
+from hpcdeploy.machine.bootstrap import set_up
+from hpcdeploy.reconcile.cluster import open_cluster
+from hpcdeploy.reconcile.converge import look_ahead
+from hpcdeploy.reconcile.examination import visit
+from hpcdeploy.reconcile.preflight import check_ready
 
 OLD = "3.9 True"
 BARE = "3.11 False"

@@ -7,20 +7,20 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from machines.hosts import claim
+from machines.servers import Machines, Server
 
 from hpcapp.cli import main
 from hpccomponent.errors import CloudError, LeftoverError
-from hpcdeploy.bootstrap import set_up
-from hpcdeploy.cluster import open_cluster
-from hpcdeploy.converge import look_ahead, take_down
-from hpcdeploy.doctor_command import doctor
-from hpcdeploy.names import NodeName
-from hpcdeploy.pace import Pace
-from hpcdeploy.plan import LaunchNode, Terminate
-from hpcdeploy.provider import Launch, State
-from hpcdeploy.shell_command import get, put
-from machines.hosts import claim
-from machines.servers import Machines, Server
+from hpcdeploy.cli.doctor import doctor
+from hpcdeploy.cli.shell import get, put
+from hpcdeploy.machine.bootstrap import set_up
+from hpcdeploy.machine.provider import Launch, State
+from hpcdeploy.reconcile.cluster import open_cluster
+from hpcdeploy.reconcile.converge import look_ahead, take_down
+from hpcdeploy.reconcile.plan import LaunchNode, Terminate
+from hpcdeploy.spec.names import NodeName
+from hpcdeploy.spec.polling import Pace
 
 FOLDER = "hpcapp/lab"
 

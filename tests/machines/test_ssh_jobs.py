@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from machines.hosts import claim
+from machines.servers import Machines, Server
 
 from hpccomponent.errors import CloudError
 from hpccomponent.inventory import hold_cluster
-from hpcdeploy import cluster_job
-from hpcdeploy.cluster import open_cluster
-from hpcdeploy.job_folder import JobState
-from hpcdeploy.jobs import open_jobs
-from machines.hosts import claim
-from machines.servers import Machines, Server
+from hpcdeploy.jobs import cluster_job
+from hpcdeploy.jobs.folder import JobState
+from hpcdeploy.jobs.queries import open_jobs
+from hpcdeploy.reconcile.cluster import open_cluster
 
 FOLDER = "hpcapp/lab"
 WAITING = "waiting for the cluster's present job"

@@ -14,15 +14,15 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
+from machines.rude import ACTS, open_rude
+from machines.servers import USER, Server
 
 from hpcapp.cli import hpcapp
 from hpccomponent.errors import HpcError
 from hpccomponent.runtime.numerics import package_version
-from hpcdeploy.cluster import open_cluster
-from hpcdeploy.parallel import run_parallel
+from hpcdeploy.machine.parallel import run_parallel
 from hpcdeploy.providers import ssh_hosts
-from machines.rude import ACTS, open_rude
-from machines.servers import USER, Server
+from hpcdeploy.reconcile.cluster import open_cluster
 
 
 def write_hosts(file: Path, hosts: list[dict[str, Any]], **more: Any) -> None:
@@ -141,7 +141,7 @@ MANY = """
 import resource, sys
 from pathlib import Path
 resource.setrlimit(resource.RLIMIT_NOFILE, (128, 128))
-from hpcdeploy.cluster import open_cluster
+from hpcdeploy.reconcile.cluster import open_cluster
 with open_cluster(Path(sys.argv[1])) as cluster:
     seen = cluster.provider.observe(None).machines
 print(len(seen), *sorted({m.reason.partition(":")[0] for m in seen}), sep="|")

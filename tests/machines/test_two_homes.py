@@ -12,17 +12,17 @@ from typing import Any
 import paramiko
 import pytest
 from cloud import Instance, StrictCloud
+from machines.servers import Machines
 from simulated import Failure
 
 from hpcapp.cli import main
 from hpccomponent.errors import CloudError
-from hpcdeploy.access import Access
-from hpcdeploy.installing import write_text
-from hpcdeploy.layout import state_folder
-from hpcdeploy.node_keys import NodeKeys
-from hpcdeploy.provider import MachineSeen
-from hpcdeploy.spec import ClusterSpec
-from machines.servers import Machines
+from hpcdeploy.machine.access import Access
+from hpcdeploy.machine.installing import write_text
+from hpcdeploy.machine.node_keys import NodeKeys
+from hpcdeploy.machine.provider import MachineSeen
+from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.layout import state_folder
 
 POINTS = Path(__file__).parents[2] / "examples/knot.ply"
 CLOUD_FAILED = 4
@@ -80,10 +80,10 @@ def lab(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> Iterator[Lab]:
-    monkeypatch.setattr("hpcdeploy.bootstrap.set_up", set_up)
-    monkeypatch.setattr("hpcdeploy.bootstrap.check_wheels", lambda spec, base: [])
-    monkeypatch.setattr("hpcdeploy.user_data.user_data", lambda *about: "#!/bin/sh\n")
-    monkeypatch.setattr("hpcdeploy.access.DENIED_S", 0.2)
+    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", set_up)
+    monkeypatch.setattr("hpcdeploy.machine.bootstrap.check_wheels", lambda spec, base: [])
+    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!/bin/sh\n")
+    monkeypatch.setattr("hpcdeploy.machine.access.DENIED_S", 0.2)
     with Machines.open(tmp_path) as machines, StrictCloud(request.param, lag=0) as cloud:
         ports: list[int] = []
 
@@ -212,7 +212,7 @@ def test_a_machine_that_has_worked_is_not_replaced_for_a_login_that_fails(
     before = [instance.id for instance in lab.cloud.living]
     with monkeypatch.context() as patch:
         patch.setattr(
-            "hpcdeploy.bootstrap.set_up",
+            "hpcdeploy.machine.bootstrap.set_up",
             lambda spec, machines, access, report: [Failure(m, "no answer") for m in machines],
         )
         assert lab.run("anna", "up", "-y") == CLOUD_FAILED

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-
 from testbed.machine import Machine, build_image
 from testbed.metadata import MetadataService
 from testbed.network import METADATA, Network, missing

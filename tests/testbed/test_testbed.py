@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-
 from testbed.machine import Machine
 from testbed.network import LAPTOP, Namespace, Network, Permission, TestBedError
 

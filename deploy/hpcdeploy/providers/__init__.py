@@ -1,4 +1,4 @@
-"""One module for each kind of cloud, behind the interface in ``hpcdeploy.provider``."""
+"""One module for each kind of cloud, behind the interface in ``hpcdeploy.machine.provider``."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import cast
 
-from hpcdeploy.provider import Provider
-from hpcdeploy.spec import ClusterSpec
+from hpcdeploy.machine.provider import Provider
+from hpcdeploy.spec.cluster import ClusterSpec
 
 __all__ = ["open_provider"]
 
 _OPENERS = {
-    "aws": "ec2:open_ec2",
-    "eucalyptus": "ec2:open_ec2",
-    "ec2": "ec2:open_ec2",
+    "aws": "ec2.provider:open_ec2",
+    "eucalyptus": "ec2.provider:open_ec2",
+    "ec2": "ec2.provider:open_ec2",
     "ssh": "ssh_hosts:open_ssh_hosts",
     "local": "local:open_local",
 }

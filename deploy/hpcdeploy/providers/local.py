@@ -13,20 +13,20 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.jobs import end_jobs
-from hpcdeploy.layout import clusters_folder, machine_folder, state_folder
-from hpcdeploy.loader_service import stop_command
-from hpcdeploy.local_shell import LocalShell
-from hpcdeploy.names import NodeName, read_owner
-from hpcdeploy.provider import (
+from hpcdeploy.jobs.queries import end_jobs
+from hpcdeploy.machine.loader_service import stop_command
+from hpcdeploy.machine.local_shell import LocalShell
+from hpcdeploy.machine.provider import (
     Launch,
     MachineSeen,
     Observed,
     Problem,
     State,
 )
-from hpcdeploy.providers.standing import StandingMachines
-from hpcdeploy.spec import ClusterSpec
+from hpcdeploy.providers.fixed import StandingMachines
+from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.layout import clusters_folder, machine_folder, state_folder
+from hpcdeploy.spec.names import NodeName, read_owner
 
 __all__ = ["LocalProvider", "open_local"]
 

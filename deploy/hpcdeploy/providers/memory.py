@@ -16,9 +16,7 @@ from datetime import datetime, timedelta
 from typing import Any, Literal
 
 from hpccomponent.errors import CapacityError, CloudError
-from hpcdeploy.names import Owner, client_token, group_name, key_pair_name
-from hpcdeploy.pace import utc_now
-from hpcdeploy.provider import (
+from hpcdeploy.machine.provider import (
     GroupSeen,
     KeyPairSeen,
     Launch,
@@ -27,6 +25,8 @@ from hpcdeploy.provider import (
     Problem,
     State,
 )
+from hpcdeploy.spec.names import Owner, client_token, group_name, key_pair_name
+from hpcdeploy.spec.polling import utc_now
 
 __all__ = ["Hook", "MemoryProvider"]
 

@@ -15,14 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.access import Access, make_access
-from hpcdeploy.installing import write_text
-from hpcdeploy.jobs import end_jobs
-from hpcdeploy.layout import machine_folder
-from hpcdeploy.loader_service import stop_command
-from hpcdeploy.names import HEAD, NodeName, Owner, read_owner
-from hpcdeploy.parallel import connections_at_once, run_parallel
-from hpcdeploy.provider import (
+from hpcdeploy.jobs.queries import end_jobs
+from hpcdeploy.machine.access import Access, make_access
+from hpcdeploy.machine.installing import write_text
+from hpcdeploy.machine.loader_service import stop_command
+from hpcdeploy.machine.parallel import connections_at_once, run_parallel
+from hpcdeploy.machine.provider import (
     GroupSeen,
     Launch,
     MachineSeen,
@@ -30,11 +28,13 @@ from hpcdeploy.provider import (
     Problem,
     State,
 )
-from hpcdeploy.provider_spec import Host, SshSpec
-from hpcdeploy.providers.standing import StandingMachines
-from hpcdeploy.reach import Reach, ReachError
-from hpcdeploy.spec import ClusterSpec
-from hpcdeploy.ssh_target import host_address, host_id
+from hpcdeploy.machine.ssh.reach import Reach, ReachError
+from hpcdeploy.machine.ssh.target import host_address, host_id
+from hpcdeploy.providers.fixed import StandingMachines
+from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.layout import machine_folder
+from hpcdeploy.spec.names import HEAD, NodeName, Owner, read_owner
+from hpcdeploy.spec.provider import Host, SshSpec
 
 __all__ = ["SshHosts", "open_ssh_hosts"]
 

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hpcapp.applications.surface.loading import Loaded, arrange_usable, clean_points
-from hpcapp.applications.surface.opening import approach_workers
+from hpcapp.applications.surface.backend_choice.opening import approach_workers
+from hpcapp.applications.surface.input.load import Loaded, arrange_usable, clean_points
 from hpcapp.applications.surface.settings import (
     DEFAULT_GRID,
     MAX_GRID,
@@ -31,8 +31,8 @@ from hpcapp.io.frame import to_local
 from hpcapp.io.usable import Dropped
 from hpcapp.progress import Progress, SilentProgress, StageClock
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import FloatArray, PointCloud
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -13,12 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpcapp.applications.surface.choice import Job
-from hpcapp.applications.surface.folder import choose_tile, plan_passes
-from hpcapp.applications.surface.keeping import Keeping
-from hpcapp.applications.surface.loading import Loaded, load_folder, load_memory
+from hpcapp.applications.surface.backend_choice.cost_model import Job
+from hpcapp.applications.surface.backend_choice.opening import approach_workers
+from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.input.folder import choose_tile, plan_passes
+from hpcapp.applications.surface.input.load import Loaded, load_folder, load_memory
 from hpcapp.applications.surface.memory import check_memory, count_most_points
-from hpcapp.applications.surface.opening import approach_workers
 from hpcapp.applications.surface.output import open_output
 from hpcapp.applications.surface.room import Room, open_room
 from hpcapp.applications.surface.settings import (
@@ -27,16 +27,16 @@ from hpcapp.applications.surface.settings import (
     choose_grid,
 )
 from hpcapp.applications.surface.sizes import TILE_POINTS
-from hpcapp.backends import Backend
+from hpcapp.backends.selection import Backend
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.surface.build import kernel_id
-from hpccomponent.surface.freed_memory import keep_memory
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.kernels.freed_memory import keep_memory
+from hpccomponent.surface.types.points import PointCloud
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.steps import Outcome
-    from hpcapp.applications.surface.topology import Topology
-    from hpcapp.local_machines import LocalMachines
+    from hpcapp.applications.surface.stitching.topology import Topology
+    from hpcapp.backends.local_machines import LocalMachines
 
 __all__ = ["Settings", "run_job"]
 

@@ -12,8 +12,8 @@ from hpcapp.applications.surface.sizes import TILE_POINTS
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_memory
 from hpccomponent.surface import kernels
-from hpccomponent.surface.points import PointCloud, bounding_box
-from hpccomponent.surface.spacing import estimate_spacing
+from hpccomponent.surface.cloud.spacing import estimate_spacing
+from hpccomponent.surface.types.points import PointCloud, bounding_box
 
 __all__ = [
     "check_memory",

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
 from hpcapp.applications.surface.surface import Surface
-from hpcapp.batches import Workforce
+from hpcapp.workforce import Workforce
 
 __all__ = ["Advance", "Method"]
 

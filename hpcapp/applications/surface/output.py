@@ -11,7 +11,7 @@ from pathlib import Path
 
 from hpcapp.io import check_writable
 from hpccomponent.errors import OutputError
-from hpccomponent.held_folders import temporary_folder
+from hpccomponent.files.held_folders import temporary_folder
 
 __all__ = ["open_output"]
 

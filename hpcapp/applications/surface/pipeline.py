@@ -16,11 +16,11 @@ from typing import Any
 
 from hpcapp.applications.surface.method import Method
 from hpcapp.applications.surface.surface import Surface
-from hpcapp.batches import Workforce
 from hpcapp.progress import StageClock
+from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.arranged_cloud import ArrangedCloud
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.cloud.arranged import ArrangedCloud
+from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["Preprocess", "Reconstruction", "reconstruct"]
 

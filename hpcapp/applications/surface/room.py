@@ -25,13 +25,13 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from hpcapp.applications.surface.folder import may_pay_in_folder
-from hpcapp.applications.surface.keeping import SUMS, Keeping, digest
+from hpcapp.applications.surface.checkpoint import SUMS, Keeping, digest
+from hpcapp.applications.surface.input.folder import may_pay_in_folder
 from hpcapp.applications.surface.memory import fits_memory
 from hpcapp.applications.surface.settings import Settings, name_backend
-from hpcapp.backends import BACKENDS
+from hpcapp.backends.selection import BACKENDS
 from hpccomponent.errors import HpcError, InputError, OutputError, UsageError
-from hpccomponent.held_folders import (
+from hpccomponent.files.held_folders import (
     HeldFolder,
     create_held,
     hold,
@@ -39,8 +39,8 @@ from hpccomponent.held_folders import (
     remove_abandoned,
     temporary_folder,
 )
-from hpccomponent.private_files import remove_path
-from hpccomponent.store import open_store
+from hpccomponent.files.private_files import remove_path
+from hpccomponent.store.base import open_store
 from hpccomponent.surface.build import kernel_id
 
 __all__ = ["Room", "open_room"]

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hpcapp.applications.surface.sizes import MARGIN
-from hpcapp.batches import Workforce
+from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
-from hpccomponent.surface.points import FloatArray
+from hpccomponent.surface.types.points import FloatArray
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.keeping import Keeping
+    from hpcapp.applications.surface.checkpoint import Keeping
     from hpcapp.applications.surface.method import Method
     from hpcapp.applications.surface.pipeline import Preprocess
 
@@ -60,7 +60,7 @@ class Settings:
     max_memory : float or None
         Of this process and of each worker, in bytes.
     temp_dir : str or None
-        Where points and finished tiles lie: a folder, or a bucket (see `hpccomponent.store`).
+        Where points and finished tiles lie: a folder, or a bucket (see `hpccomponent.store.base`).
     resume : bool
         Whether to go on from what an earlier run left in `temp_dir`.
     """
@@ -130,12 +130,12 @@ def choose_method(
 ) -> Method[Any, Any]:
     """Return the strategy; see `HierarchicalMethod` and `PaperMethod`."""
     if settings.method == "hierarchical":  # each stands on heavy modules
-        from hpcapp.applications.surface.hierarchical import HierarchicalMethod
+        from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 
         return HierarchicalMethod(
             grid, settings.smoothness, settings.detail, threads, tile_points, keeping
         )
-    from hpcapp.applications.surface.paper import PaperMethod
+    from hpcapp.applications.surface.paper.method import PaperMethod
 
     return PaperMethod(
         delta=settings.delta,
@@ -151,7 +151,7 @@ def choose_steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:
     """Return the preprocessing steps that are switched on, in the paper's order."""
     if not (settings.outliers or settings.denoise or settings.resample):
         return ()  # what the steps stand on is heavy
-    from hpcapp.applications.surface.preprocess import denoise, remove_outliers, resample
+    from hpcapp.applications.surface.paper.preprocess import denoise, remove_outliers, resample
 
     wanted: tuple[tuple[bool, str, Preprocess], ...] = (
         (settings.outliers, "remove outliers", remove_outliers),

@@ -14,18 +14,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hpcapp.applications.surface.choice import Choice, Job
-from hpcapp.applications.surface.doubts import (
+from hpcapp.applications.surface.backend_choice.cost_model import Choice, Job
+from hpcapp.applications.surface.backend_choice.opening import Opener
+from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.diagnostics import (
     doubt_closure,
     doubt_normals,
     doubt_resolution,
     sample_cloud,
 )
-from hpcapp.applications.surface.folder import all_see_folder, choose_tile
-from hpcapp.applications.surface.keeping import Keeping
-from hpcapp.applications.surface.loading import Loaded
+from hpcapp.applications.surface.input.folder import all_see_folder, choose_tile
+from hpcapp.applications.surface.input.load import Loaded
 from hpcapp.applications.surface.memory import check_memory
-from hpcapp.applications.surface.opening import Opener
 from hpcapp.applications.surface.pipeline import Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
 from hpcapp.applications.surface.settings import (
@@ -35,12 +35,12 @@ from hpcapp.applications.surface.settings import (
     choose_steps,
     choose_threads,
 )
-from hpcapp.backends import Backend
-from hpcapp.batches import Later
+from hpcapp.backends.selection import Backend
 from hpcapp.progress import StageClock
+from hpcapp.workforce import Later
 from hpccomponent.surface.build import kernel_id
-from hpccomponent.surface.disk_cloud import DiskCloud
-from hpccomponent.surface.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.cloud.disk import DiskCloud
+from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
 
 if TYPE_CHECKING:
     from distributed import Client

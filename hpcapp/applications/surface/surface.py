@@ -13,34 +13,27 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hpcapp.applications.surface.keeping import Keeping
-from hpcapp.applications.surface.topology import Topology, check_mesh
-from hpcapp.applications.surface.weld import WeldPlan, plan_weld
-from hpcapp.applications.surface.welded import (
+from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.stitching.assemble import (
     LoadPart,
     assemble_mesh,
     stream_mesh,
     stream_tiles,
     take_tile,
 )
-from hpcapp.batches import Later, Workforce, stream_batches
-from hpcapp.io import (
-    TILES_SUFFIX,
-    needs_double,
-    shared_ply,
-    shared_tiles,
-    write_mesh,
-    write_tiles,
-)
-from hpccomponent.held_folders import temporary_folder
-from hpccomponent.store import FolderStore
-from hpccomponent.surface.lattice import number_keys
-from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.mesh_part import MeshPart
-from hpccomponent.surface.part_summary import PartSummary
-from hpccomponent.surface.points import FloatArray
-from hpccomponent.surface.shared_ply import write_kept, write_part
-from hpccomponent.surface.tile_ply import write_kept_tile
+from hpcapp.applications.surface.stitching.plan import WeldPlan, plan_weld
+from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
+from hpcapp.io import TILES_SUFFIX, needs_double, shared_ply, shared_tiles, write_mesh, write_tiles
+from hpcapp.workforce import Later, Workforce, stream_batches
+from hpccomponent.files.held_folders import temporary_folder
+from hpccomponent.store.base import FolderStore
+from hpccomponent.surface.extraction.parts import MeshPart
+from hpccomponent.surface.extraction.summary import PartSummary
+from hpccomponent.surface.tasks.shared_ply import write_kept, write_part
+from hpccomponent.surface.tasks.tile_ply import write_kept_tile
+from hpccomponent.surface.types.lattice import number_keys
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["PartSurface", "Surface", "WholeSurface"]
 

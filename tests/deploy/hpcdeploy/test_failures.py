@@ -15,11 +15,11 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from simulated import Keyring, SetUp
 
 from hpccomponent.errors import CloudError, LeftoverError
-from hpcdeploy.cluster import Cluster
-from hpcdeploy.converge import bring_up, replace_lost, take_down
-from hpcdeploy.pace import Pace
 from hpcdeploy.providers import open_provider
-from hpcdeploy.spec import read_spec
+from hpcdeploy.reconcile.cluster import Cluster
+from hpcdeploy.reconcile.converge import bring_up, replace_lost, take_down
+from hpcdeploy.spec.cluster import read_spec
+from hpcdeploy.spec.polling import Pace
 
 PACE = Pace(poll_s=0.01, settle_s=0.01, end_s=30.0, backoff_s=(0.01,))
 PUBLIC_KEY = (
@@ -73,8 +73,8 @@ def scene(
             monkeypatch.setenv(name, text)
         monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
         set_up = SetUp()
-        monkeypatch.setattr("hpcdeploy.bootstrap.set_up", set_up)
-        monkeypatch.setattr("hpcdeploy.user_data.user_data", lambda *about: "#!/bin/sh\n")
+        monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", set_up)
+        monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!/bin/sh\n")
         yield Scene(cloud, tmp_path, set_up)
 
 

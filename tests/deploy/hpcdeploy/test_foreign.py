@@ -17,16 +17,16 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from simulated import Keyring, SetUp
 
 from hpccomponent.errors import CloudError, LeftoverError
-from hpcdeploy.cluster import Cluster
-from hpcdeploy.converge import bring_up, take_down
-from hpcdeploy.names import Owner, draw_incarnation, key_pair_name
-from hpcdeploy.pace import Pace, utc_now
-from hpcdeploy.provider import GroupSeen
-from hpcdeploy.provider_spec import Credentials
+from hpcdeploy.machine.provider import GroupSeen
 from hpcdeploy.providers import open_provider
 from hpcdeploy.providers.memory import MemoryProvider
-from hpcdeploy.reap import reap
-from hpcdeploy.spec import read_spec
+from hpcdeploy.reconcile.cluster import Cluster
+from hpcdeploy.reconcile.converge import bring_up, take_down
+from hpcdeploy.reconcile.reap import reap
+from hpcdeploy.spec.cluster import read_spec
+from hpcdeploy.spec.names import Owner, draw_incarnation, key_pair_name
+from hpcdeploy.spec.polling import Pace, utc_now
+from hpcdeploy.spec.provider import Credentials
 
 PACE = Pace(poll_s=0.01, settle_s=0.01, end_s=30.0, backoff_s=())
 PUBLIC_KEY = (
@@ -45,8 +45,8 @@ def cloud(
         for name, text in cloud.environment().items():
             monkeypatch.setenv(name, text)
         monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-        monkeypatch.setattr("hpcdeploy.bootstrap.set_up", SetUp())
-        monkeypatch.setattr("hpcdeploy.user_data.user_data", lambda *about: "#!/bin/sh\n")
+        monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", SetUp())
+        monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!/bin/sh\n")
         yield cloud
 
 

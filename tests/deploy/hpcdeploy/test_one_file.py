@@ -16,12 +16,12 @@ from pydantic import TypeAdapter
 from simulated import Keyring, SetUp, SimulatedTime
 
 from hpcapp.cli import main
-from hpcdeploy.cluster import Cluster
-from hpcdeploy.converge import bring_up, take_down
-from hpcdeploy.provider_spec import CloudSpec, ProviderSpec
 from hpcdeploy.providers import open_provider
-from hpcdeploy.providers.ec2_capabilities import capabilities_of
-from hpcdeploy.spec import read_spec
+from hpcdeploy.providers.ec2.capabilities import capabilities_of
+from hpcdeploy.reconcile.cluster import Cluster
+from hpcdeploy.reconcile.converge import bring_up, take_down
+from hpcdeploy.spec.cluster import read_spec
+from hpcdeploy.spec.provider import CloudSpec, ProviderSpec
 
 ROOT = Path(__file__).parents[3]
 RSA_KEY = (
@@ -45,9 +45,9 @@ def profile() -> str:
 @pytest.fixture
 def cloud(profile: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[StrictCloud]:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr("hpcdeploy.bootstrap.set_up", SetUp())
-    monkeypatch.setattr("hpcdeploy.bootstrap.check_wheels", lambda spec, base: [])
-    monkeypatch.setattr("hpcdeploy.user_data.user_data", lambda *about: "#!/bin/sh")
+    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", SetUp())
+    monkeypatch.setattr("hpcdeploy.machine.bootstrap.check_wheels", lambda spec, base: [])
+    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!/bin/sh")
     with StrictCloud(profile, lag=0) as opened:
         for name, value in opened.environment().items():
             monkeypatch.setenv(name, value)

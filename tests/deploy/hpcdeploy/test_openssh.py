@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from machines.openssh import open_sshd
 
-from hpcdeploy.reach import Reach, ReachError
-from hpcdeploy.ssh import SshShell
-from hpcdeploy.ssh_connect import connect
-from hpcdeploy.ssh_target import Target
+from hpcdeploy.machine.ssh.connect import connect
+from hpcdeploy.machine.ssh.reach import Reach, ReachError
+from hpcdeploy.machine.ssh.shell import SshShell
+from hpcdeploy.machine.ssh.target import Target
 
 
 @pytest.fixture

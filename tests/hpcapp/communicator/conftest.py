@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 import zmq
 
-from hpcapp.communicator.engine import Timing
 from hpcapp.communicator.executor import CommunicatorExecutor
+from hpcapp.communicator.loop import Timing
 from hpccomponent.protocol.connection import Connection, write_connection
 
-TASKS_FOLDER = Path(__file__).parents[2] / "tasks"
+TASKS_FOLDER = Path(__file__).parents[2] / "helpers"
 TASKS = [
     f"contract.{name}=contract_tasks:{name}"
     for name in (

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, Policy
-from hpcapp.communicator.roster import Action, Assign, Deliver, Task
 from hpcapp.communicator.scheduler import Scheduler
+from hpcapp.communicator.state import Action, Assign, Deliver, Task
 from hpccomponent.clock import ManualClock
 from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register, Result
 

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from hpcapp.communicator.forecast import Forecast
-from hpcapp.communicator.roster import Flight, Task, Worker
+from hpcapp.communicator.state import Flight, Task, Worker
 from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register
 
 REGISTER = Register(PROTOCOL_VERSION, "1", "w", "i", "b", "n", 1, 1, 1 << 20)

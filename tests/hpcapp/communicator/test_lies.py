@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import zmq
 
-from hpcapp.applications.quadrature import estimate
+from hpcapp.applications.quadrature.application import estimate
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.protocol.codec import encode_values
 from hpccomponent.protocol.frames import LARGEST_FRAME, split_buffers
@@ -28,7 +28,7 @@ from hpccomponent.protocol.messages import (
     encode_message,
 )
 from hpccomponent.runtime.numerics import numerics_id, package_version
-from hpccomponent.surface.patch_quadrics import fit_patches
+from hpccomponent.surface.tasks.patch_quadrics import fit_patches
 
 WAIT = 60.0
 ROWS = 200

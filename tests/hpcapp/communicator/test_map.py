@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpcapp.communicator import endgame
+from hpcapp.communicator import speculation as endgame
 from hpccomponent.errors import TaskError, UsageError
 
 WAIT = 30.0

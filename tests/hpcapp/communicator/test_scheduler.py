@@ -5,7 +5,8 @@ from collections.abc import Callable
 import pytest
 
 from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, PullPolicy
-from hpcapp.communicator.roster import (
+from hpcapp.communicator.scheduler import Scheduler
+from hpcapp.communicator.state import (
     Action,
     AskRegister,
     Assign,
@@ -15,7 +16,6 @@ from hpcapp.communicator.roster import (
     Refuse,
     Welcome,
 )
-from hpcapp.communicator.scheduler import Scheduler
 from hpccomponent.clock import ManualClock
 from hpccomponent.errors import NoWorkersError, WorkerLostError
 from hpccomponent.protocol.blobs import Blob

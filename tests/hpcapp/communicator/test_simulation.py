@@ -14,7 +14,8 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from hpcapp.communicator.losses import LOSS_BUDGET
 from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, Policy, PullPolicy
-from hpcapp.communicator.roster import (
+from hpcapp.communicator.scheduler import CREDIT, Scheduler
+from hpcapp.communicator.state import (
     AskRegister,
     Assign,
     Deliver,
@@ -24,7 +25,6 @@ from hpcapp.communicator.roster import (
     Refuse,
     Welcome,
 )
-from hpcapp.communicator.scheduler import CREDIT, Scheduler
 from hpccomponent.clock import ManualClock
 from hpccomponent.errors import NoWorkersError, ProtocolError, WorkerLostError
 from hpccomponent.protocol.blobs import Blob

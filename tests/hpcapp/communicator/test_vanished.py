@@ -12,8 +12,8 @@ import pytest
 
 MASTER = """
 import subprocess, sys, threading
-from hpcapp.communicator.door import Door
-from hpcapp.communicator.engine import Timing
+from hpcapp.communicator.listener import Door
+from hpcapp.communicator.loop import Timing
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.protocol.connection import write_connection
 

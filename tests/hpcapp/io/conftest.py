@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import PointCloud
 
 MakeFile = Callable[..., Path]
 

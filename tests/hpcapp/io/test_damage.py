@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from hpcapp.io import drop_unusable, read_mesh, read_points, write_mesh, write_points
 from hpccomponent.errors import InputError
-from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import PointCloud
 
 HEADER = (
     "ply\nformat {} 1.0\nelement strip 2\nproperty list char int ids\nproperty short s\n"

@@ -14,8 +14,8 @@ from hpcapp.io import (
     write_points,
 )
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import PointCloud
 
 Make = Callable[..., Path]
 MESH_SUFFIXES = [".ply", ".obj", ".off", ".stl", ".PLY", ".Obj"]

@@ -13,8 +13,8 @@ import pytest
 
 from hpcapp.io import PointSource, open_points, read_points, write_points
 from hpccomponent.errors import InputError
-from hpccomponent.surface.point_records import PointRecords
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.cloud.point_records import PointRecords
+from hpccomponent.surface.types.points import PointCloud
 
 Make = Callable[..., Path]
 ORDERS = [("binary_little_endian", "<"), ("binary_big_endian", ">")]

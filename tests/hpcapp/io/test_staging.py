@@ -7,7 +7,7 @@ import pytest
 from hpcapp.io import check_writable, shared_tiles, write_mesh
 from hpcapp.io.staging import check_place, replacing
 from hpccomponent.errors import OutputError
-from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.types.mesh import Mesh
 
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt, RuntimeError, SystemExit])

@@ -6,7 +6,7 @@ import pytest
 
 from hpcapp.io.stl import read_stl, write_stl
 from hpccomponent.errors import InputError
-from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.types.mesh import Mesh
 
 Make = Callable[..., Path]
 CORNERS = "  vertex 0 0 0\n  vertex 1 0 0\n  vertex 0 1 -0.0\n"

@@ -7,7 +7,7 @@ import pytest
 from hpcapp.io.formats import read_points
 from hpcapp.io.text import write_text_points
 from hpccomponent.errors import InputError
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.points import PointCloud
 
 Make = Callable[..., Path]
 

@@ -5,7 +5,7 @@ import pytest
 
 from hpcapp.io import check_writable, read_mesh, write_mesh, write_tiles
 from hpccomponent.errors import OutputError
-from hpccomponent.surface.mesh import Mesh
+from hpccomponent.surface.types.mesh import Mesh
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@ import pytest
 
 from hpcapp.io.usable import Dropped, drop_unusable
 from hpccomponent.errors import InputError
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.points import PointCloud
 
 
 def sphere(n: int = 40, scale: float = 1.0) -> PointCloud:

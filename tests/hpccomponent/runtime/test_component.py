@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import zmq
-from tasks.contract_tasks import wait_for_file
+from contract_tasks import wait_for_file
 
 from hpccomponent.protocol.connection import Connection, write_connection
 from hpccomponent.protocol.keys import make_key_pair

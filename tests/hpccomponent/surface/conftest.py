@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hpccomponent.surface.blending import NODES
-from hpccomponent.surface.field import BRICK, Grid
+from hpccomponent.surface.fitting.blending import NODES
+from hpccomponent.surface.fitting.field import BRICK, Grid
 
 Function = Callable[[np.ndarray], np.ndarray]
 

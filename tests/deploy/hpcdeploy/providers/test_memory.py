@@ -6,9 +6,9 @@ import pytest
 from simulated import START, SimulatedTime
 
 from hpccomponent.errors import CapacityError, CloudError
-from hpcdeploy.names import NOBODY, NodeName
-from hpcdeploy.provider import Launch, Provider, State
+from hpcdeploy.machine.provider import Launch, Provider, State
 from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.spec.names import NOBODY, NodeName
 
 LAUNCH = Launch("bunny", "life", NodeName("head"), "small", "m6i.large", lease_until=START)
 

@@ -13,7 +13,7 @@ from hpcapp.applications.surface.job import Settings, run_job
 from hpcapp.io import read_points, write_mesh
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import HpcError, InputError, UsageError
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.points import PointCloud
 
 FAR = np.array([5_400_000.0, 400_000.0, 100.0])
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.info import describe
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.points import PointCloud
 
 
 def grid(step: float = 0.25) -> np.ndarray:

@@ -12,8 +12,8 @@ from hpcapp.applications.surface.job import Settings, run_job
 from hpcapp.io import read_mesh, write_mesh
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import HpcError, OutputError
-from hpccomponent.surface.mesh import Mesh
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import PointCloud
 
 SILENT = SilentProgress()
 

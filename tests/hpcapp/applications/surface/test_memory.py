@@ -5,7 +5,7 @@ import pytest
 from hpcapp.applications.surface import memory
 from hpcapp.applications.surface.memory import check_memory, estimate_memory
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.points import PointCloud
 
 
 def test_a_volume_grows_with_the_third_power_and_a_surface_with_the_second(

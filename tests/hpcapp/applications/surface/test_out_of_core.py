@@ -14,16 +14,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface import folder, job, regions, room, steps, surface
+from hpcapp.applications.surface import job, room, steps, surface
+from hpcapp.applications.surface.hierarchical import growth as regions
+from hpcapp.applications.surface.input import folder
 from hpcapp.applications.surface.job import run_job
 from hpcapp.applications.surface.memory import fitting_tile, parse_size
 from hpcapp.applications.surface.settings import Settings
 from hpcapp.io import read_mesh, write_points
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import JobError, OutputError, UsageError
-from hpccomponent.surface import region, shared_ply, tile_ply
-from hpccomponent.surface.mesh_part import MeshPart
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.extraction.parts import MeshPart
+from hpccomponent.surface.tasks import shared_ply, tile_ply
+from hpccomponent.surface.tasks import tiles as region
+from hpccomponent.surface.types.points import PointCloud
 
 pytest_plugins = ["lab_bucket"]
 pytestmark = pytest.mark.usefixtures("endpoint")
@@ -178,7 +181,7 @@ def _count_tiles(monkeypatch: pytest.MonkeyPatch, fail_at: int | None = None) ->
 
 KILLED = """
 import os, signal
-from hpcapp.applications.surface import regions
+from hpcapp.applications.surface.hierarchical import growth as regions
 from hpcapp.cli import main
 
 def stream_some(*arguments):

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.paper import PaperMethod
+from hpcapp.applications.surface.paper.method import PaperMethod
 from hpcapp.applications.surface.pipeline import reconstruct
-from hpcapp.backends import SerialExecutor
-from hpcapp.batches import Later, Workforce
+from hpcapp.backends.selection import SerialExecutor
 from hpcapp.progress import SilentProgress, StageClock
+from hpcapp.workforce import Later, Workforce
 from hpccomponent.errors import InputError
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.points import PointCloud
 
 SERIAL = Workforce(SerialExecutor())
 

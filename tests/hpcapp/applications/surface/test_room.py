@@ -17,14 +17,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface import job, regions, room, steps
+from hpcapp.applications.surface import job, room, steps
+from hpcapp.applications.surface.hierarchical import growth as regions
 from hpcapp.applications.surface.job import run_job
 from hpcapp.applications.surface.settings import Settings
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import InputError, JobError, NoWorkersError
-from hpccomponent.surface import region
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.tasks import tiles as region
+from hpccomponent.surface.types.points import PointCloud
 
 pytest_plugins = ["lab_bucket"]
 pytestmark = pytest.mark.usefixtures("endpoint")
@@ -34,7 +35,7 @@ OPTIONS = ("--grid", "64", "--backend", "zmq", "--workers", "2")
 
 PAUSED = """
 import os, sys
-from hpcapp.applications.surface import regions
+from hpcapp.applications.surface.hierarchical import growth as regions
 from hpcapp.cli import main
 
 def stream_some(*arguments):

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.keeping import Keeping
-from hpcapp.applications.surface.loading import load_memory
-from hpcapp.applications.surface.opening import approach_workers
+from hpcapp.applications.surface.backend_choice.opening import approach_workers
+from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.input.load import load_memory
 from hpcapp.applications.surface.settings import Settings
 from hpcapp.applications.surface.steps import run_memory
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress, StageClock
-from hpccomponent.surface.points import PointCloud
+from hpccomponent.surface.types.points import PointCloud
 
 
 class OtherMachine(Executor):

@@ -8,13 +8,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from hpccomponent.surface import cells as portable
 from hpccomponent.surface.build import load_native
-from hpccomponent.surface.far_field import FarField
-from hpccomponent.surface.field import Field, FieldLevel, Grid
-from hpccomponent.surface.lattice import spread_keys
-from hpccomponent.surface.moments import accumulate_moments
-from hpccomponent.surface.points import FloatArray, IntArray
+from hpccomponent.surface.fitting.far_field import FarField
+from hpccomponent.surface.fitting.field import Field, FieldLevel, Grid
+from hpccomponent.surface.fitting.moments import accumulate_moments
+from hpccomponent.surface.kernels.portable import cells as portable
+from hpccomponent.surface.types.lattice import spread_keys
+from hpccomponent.surface.types.points import FloatArray, IntArray
 
 
 @pytest.fixture(scope="session")

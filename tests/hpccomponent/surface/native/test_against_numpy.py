@@ -11,25 +11,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from hpccomponent.surface import (
-    ancestors,
-    arrangement,
-    bricks,
-    cells,
-    coarse_grid,
-    connectivity,
-    extraction,
-    field,
-    hermite,
-    lattice,
-    moments,
-    outliers,
-    packed_cells,
-    reach,
-    robust,
-    spacing,
-)
-from hpccomponent.surface.case_table import case_triangles
+from hpccomponent.surface.cloud import arrangement, outliers, spacing
+from hpccomponent.surface.extraction import bricks
+from hpccomponent.surface.extraction import marching_cubes as extraction
+from hpccomponent.surface.extraction.case_table import case_triangles
+from hpccomponent.surface.fitting import ancestors, field, hermite, moments, robust
+from hpccomponent.surface.kernels.portable import cells, coarse_grid, connectivity
+from hpccomponent.surface.tiles import halo as reach
+from hpccomponent.surface.tiles import packed_cells
+from hpccomponent.surface.types import lattice
 
 coordinates = arrays.arrays(
     np.int64, st.tuples(st.integers(1, 60), st.just(3)), elements=st.integers(-40, 40)

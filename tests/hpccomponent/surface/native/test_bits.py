@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpccomponent.surface import cells
-from hpccomponent.surface.bricks import OPEN, OWN
-from hpccomponent.surface.case_table import case_triangles
+from hpccomponent.surface.extraction.bricks import OPEN, OWN
+from hpccomponent.surface.extraction.case_table import case_triangles
+from hpccomponent.surface.kernels.portable import cells
 
 THREADS = (2, 3, 16)
 WEIGHTS = (0.2, 0.3, 1000.0)

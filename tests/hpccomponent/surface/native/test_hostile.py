@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hpccomponent.surface.case_table import case_triangles
-from hpccomponent.surface.lattice import pack_places
+from hpccomponent.surface.extraction.case_table import case_triangles
+from hpccomponent.surface.types.lattice import pack_places
 
 KERNELS = (
     "accumulate_moments", "balance_vertices", "corner_moments", "count_boxes", "count_cells",

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hpccomponent.surface import normals, outliers
+from hpccomponent.surface.cloud import outliers
+from hpccomponent.surface.normals import consistency as normals
 
 
 @given(st.integers(0, 2**32), st.integers(1, 300), st.floats(0.05, 5.0))

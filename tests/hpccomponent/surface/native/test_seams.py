@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hpccomponent.surface import seams
+from hpccomponent.surface.kernels.portable import seams
 
 
 @st.composite

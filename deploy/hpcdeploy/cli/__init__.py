@@ -1,0 +1,1 @@
+"""The verbs of clusters (entry points ``hpc.commands``)."""

@@ -1,0 +1,159 @@
+"""The verbs ``submit``, ``jobs``, ``logs``, ``attach``, ``cancel`` and ``fetch``."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from hpcdeploy.jobs.folder import JobStatus
+
+__all__ = ["attach", "cancel", "fetch", "jobs", "logs", "submit"]
+
+log = logging.getLogger("hpcapp")
+
+VERB = "reconstruct"
+PATH = click.Path(dir_okay=False, path_type=Path)
+FILE = click.argument("file", type=PATH)
+JOB = click.argument("job", required=False)
+AS_JSON = click.option(
+    "--json", "as_json", is_flag=True, help="Print JSON objects on standard output, one a line."
+)
+
+
+@click.command()
+@FILE
+@click.argument("points", type=PATH)
+@click.argument("options", nargs=-1, type=click.UNPROCESSED)
+@click.option("-o", "--output", required=True, type=PATH, metavar="MESH", help="Mesh to write.")
+@click.option("--detach", is_flag=True, help="Leave once the job is in the queue.")
+@AS_JSON
+def submit(
+    file: Path, points: Path, options: tuple[str, ...], output: Path, detach: bool, as_json: bool
+) -> None:
+    """Run `reconstruct` with OPTIONS (after --) on the points of POINTS on the cluster of FILE."""
+    from hpcdeploy.jobs import cluster_job
+    from hpcdeploy.jobs.queries import open_jobs
+    from hpcdeploy.reconcile.cluster import open_cluster
+
+    with open_cluster(file) as cluster:
+        cluster_job.check_job(cluster, VERB, points, output, options)
+        opened = open_jobs(cluster)
+        status = cluster_job.submit(opened, VERB, points, output.name, options)
+        if detach:
+            _tell([status], as_json)
+            log.info("hpcapp attach %s %s shows it, hpcapp fetch %s %s brings the mesh",
+                     file, status.job, file, status.job)  # fmt: skip
+            return
+        status = cluster_job.watch(cluster, opened, status)
+        _tell_report(output, cluster_job.fetch(opened, status, output), as_json)
+
+
+@click.command()
+@FILE
+@AS_JSON
+def jobs(file: Path, as_json: bool) -> None:
+    """List the jobs of the cluster of FILE."""
+    from hpcdeploy.jobs.queries import open_jobs
+    from hpcdeploy.reconcile.cluster import open_cluster
+
+    with open_cluster(file) as cluster:
+        _tell(open_jobs(cluster).all(), as_json)
+
+
+@click.command()
+@FILE
+@JOB
+@click.option("-f", "--follow", is_flag=True, help="Go on until the job has ended.")
+def logs(file: Path, job: str | None, follow: bool) -> None:
+    """Print what JOB, by default the last one, has said."""
+    from hpcdeploy.jobs.display import JobDisplay
+    from hpcdeploy.jobs.queries import open_jobs
+    from hpcdeploy.reconcile.cluster import open_cluster
+
+    class Printed(JobDisplay):
+        def show_log(self, line: str) -> None:
+            click.echo(line)
+
+    with open_cluster(file) as cluster:
+        opened = open_jobs(cluster)
+        number = opened.find(job).job
+        if follow:
+            opened.follow(number, Printed())
+            return
+        for line in opened.log(number):
+            click.echo(line)
+
+
+@click.command()
+@FILE
+@JOB
+def attach(file: Path, job: str | None) -> None:
+    """Show JOB, by default the last one, until it has ended; leave with its exit code."""
+    from hpcdeploy.jobs import cluster_job
+    from hpcdeploy.jobs.queries import open_jobs, raise_failure
+    from hpcdeploy.reconcile.cluster import open_cluster
+
+    with open_cluster(file) as cluster:
+        opened = open_jobs(cluster)
+        status = cluster_job.watch(cluster, opened, opened.find(job))
+        raise_failure(status)
+        log.info("job %s is done: hpcapp fetch %s %s brings the mesh", status.job, file, status.job)
+        log.info("%s: %s", status.mesh, opened.report(status)["summary"])
+
+
+@click.command()
+@FILE
+@JOB
+def cancel(file: Path, job: str | None) -> None:
+    """End JOB, by default the last one."""
+    from hpcdeploy.jobs.queries import open_jobs
+    from hpcdeploy.reconcile.cluster import open_cluster
+
+    with open_cluster(file) as cluster:
+        opened = open_jobs(cluster)
+        status = opened.cancel(opened.find(job).job)
+        log.info("job %s is %s", status.job, status.state)
+
+
+@click.command()
+@FILE
+@JOB
+@click.option("-o", "--output", type=PATH, metavar="MESH",
+              help="Mesh to write; by default as it was submitted, in this folder.")  # fmt: skip
+@AS_JSON
+def fetch(file: Path, job: str | None, output: Path | None, as_json: bool) -> None:
+    """Fetch the mesh of JOB, by default of the last one."""
+    from hpcdeploy.jobs import cluster_job
+    from hpcdeploy.jobs.queries import open_jobs
+    from hpcdeploy.reconcile.cluster import open_cluster
+
+    with open_cluster(file) as cluster:
+        opened = open_jobs(cluster)
+        status = opened.find(job)
+        target = output or Path(status.mesh)
+        _tell_report(target, cluster_job.fetch(opened, status, target), as_json)
+
+
+def _tell_report(mesh: Path, report: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps(report))
+    else:
+        log.info("%s: %s", mesh, report["summary"])
+
+
+def _tell(statuses: Sequence[JobStatus], as_json: bool) -> None:
+    """Print jobs, one a line."""
+    for status in statuses:
+        if as_json:
+            click.echo(json.dumps(asdict(status)))
+            continue
+        when = status.ended or status.started or status.submitted
+        line = f"{status.job:>4}  {status.state:<9}  {when}  {status.title} -> {status.mesh}"
+        click.echo(f"{line}  {status.reason}".rstrip())

@@ -1,0 +1,95 @@
+"""The verbs ``validate`` and ``plan``: what a cluster file says, and what it would lead to."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from hpcdeploy.machine.provider import Problem
+    from hpcdeploy.reconcile.cost import Cost
+    from hpcdeploy.reconcile.plan import Plan
+
+__all__ = ["plan", "validate"]
+
+FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+@click.command()
+@click.argument("file", type=FILE)
+def validate(file: Path) -> None:
+    """Name every mistake in the cluster file FILE; asks no network."""
+    from hpcdeploy.spec.cluster import read_spec
+
+    spec = read_spec(file)
+    click.echo(
+        f"{file}: valid: cluster {spec.cluster}, {spec.provider.type}, "
+        f"a head and {spec.worker_count} workers"
+    )
+
+
+@click.command()
+@click.argument("file", type=FILE)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def plan(file: Path, as_json: bool) -> None:
+    """Show what `up` would do with the cluster file FILE, and what that costs.
+
+    Changes nothing. Names the wheels that are missing; refuses what the file's limits forbid.
+    """
+    from hpcdeploy.machine.bootstrap import check_wheels
+    from hpcdeploy.reconcile.cluster import open_cluster
+    from hpcdeploy.reconcile.converge import look_ahead
+    from hpcdeploy.reconcile.cost import check_limits, estimate_cost
+
+    with open_cluster(file) as cluster:
+        ahead = look_ahead(cluster)
+        decided = cluster.provider.decided()
+    missing = check_wheels(cluster.spec, file.absolute().parent)
+    cost = estimate_cost(cluster.spec)
+    if as_json:
+        click.echo(json.dumps(_as_json(cluster.spec.cluster, ahead, cost, missing, decided)))
+    else:
+        click.echo("\n".join(_lines(cluster.spec.cluster, ahead, cost, missing, decided)))
+    check_limits(cluster.spec, cost)
+
+
+def _lines(
+    name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem], decided: Sequence[str]
+) -> list[str]:
+    """Write a plan for people."""
+    from hpcdeploy.reconcile.cost import describe_cost
+
+    planned = [*(f"would {action}" for action in ahead.actions), *ahead.obstacles()]
+    return [
+        *(planned or [f"cluster {name}: nothing to create or change"]),
+        *decided,
+        *describe_cost(cost),
+        *(f"missing: {problem.what}; {problem.advice}" for problem in missing),
+    ]
+
+
+def _as_json(
+    name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem], decided: Sequence[str]
+) -> dict[str, Any]:
+    """Write a plan for programs; money is in dollars, and null where a price is not known."""
+    return {
+        "cluster": name,
+        "actions": [
+            {"kind": type(action).__name__, "description": str(action)} for action in ahead.actions
+        ],
+        "obstacles": ahead.obstacles(),
+        "decided": list(decided),
+        "cost": {
+            "hourly": None if cost.unknown else cost.hourly,
+            "total_at_most": None if cost.unknown else cost.total_at_most,
+            "lease_s": cost.lease_s,
+            "priced_as_of": cost.priced_as_of,
+            "is_estimate": True,
+            "no_price_known_of": [line.instance_type for line in cost.unknown],
+        },
+        "missing": [{"what": problem.what, "advice": problem.advice} for problem in missing],
+    }

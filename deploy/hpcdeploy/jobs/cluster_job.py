@@ -1,0 +1,203 @@
+"""A job from beginning to end as its user sees it: submit, watch, fetch, and leave nothing behind.
+
+Whoever watches also looks after the cluster: workers that vanish, as spot machines do, are
+replaced meanwhile.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpccomponent.errors import CloudError, HpcError, OutputError
+from hpcdeploy.jobs.display import open_display
+from hpcdeploy.jobs.folder import JobStatus
+from hpcdeploy.jobs.queries import Jobs, open_jobs
+from hpcdeploy.machine.provider import State
+from hpcdeploy.reconcile.cluster import open_cluster
+from hpcdeploy.spec.layout import machine_folder
+
+if TYPE_CHECKING:
+    from hpcdeploy.reconcile.cluster import Cluster
+
+__all__ = ["check_job", "fetch", "run_on_cluster", "submit", "watch"]
+
+log = logging.getLogger("hpcapp")
+
+LOOK_S = 30.0  # between two looks for workers that have vanished
+
+
+def run_on_cluster(
+    path: Path, verb: str, points: Path, target: Path, options: Sequence[str]
+) -> dict[str, Any]:
+    """Run a verb on a cluster: up if needed, submit, watch, fetch, and down if it was us.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The cluster file.
+    verb : str
+        Of `hpcapp`.
+    points, target : pathlib.Path
+        What it reads and writes, on this machine.
+    options : sequence of str
+        Of the verb.
+
+    Returns
+    -------
+    dict
+        The verb's report.
+
+    Raises
+    ------
+    HpcError
+        What the verb failed with; or the cluster cannot be had, reached or taken away.
+    KeyboardInterrupt
+        The user has detached: the job goes on.
+    """
+    with open_cluster(path) as cluster:
+        is_ours = _bring_up_if_needed(cluster)
+        stays = False
+        try:
+            jobs = open_jobs(cluster)
+            status = submit(jobs, verb, points, target.name, options)
+            try:
+                status = watch(cluster, jobs, status)
+            except (KeyboardInterrupt, CloudError):
+                stays = True
+                if is_ours:
+                    log.info("the cluster stays up for it: hpcapp down %s ends it", path)
+                raise
+            return fetch(jobs, status, target)
+        finally:
+            if is_ours and not stays:
+                from hpcdeploy.reconcile.converge import take_down
+
+                take_down(cluster, log.info)
+
+
+def check_job(
+    cluster: Cluster, verb: str, points: Path, target: Path, options: Sequence[str]
+) -> None:
+    """Let whoever knows the verb look at a job before anything travels.
+
+    Raises
+    ------
+    UsageError
+        The options are wrong, or nothing can be written to `target`.
+    InputError
+        The points will not do.
+    """
+    for entry in entry_points(group="hpc.checks", name=verb):
+        entry.load()(cluster.path, points, target, options)
+
+
+def _bring_up_if_needed(cluster: Cluster) -> bool:
+    """Make the cluster work; tell whether nothing of it was there before."""
+    from hpcdeploy.reconcile.converge import bring_up
+
+    seen = cluster.provider.observe(cluster.spec.cluster).machines
+    was_there = any(machine.state is not State.GONE for machine in seen)
+    if was_there and _is_set_up(cluster):
+        return False
+    bring_up(cluster, log.info)
+    return not (was_there and cluster.provider.makes_machines)
+
+
+def _is_set_up(cluster: Cluster) -> bool:
+    """Tell whether there is a head with an inventory."""
+    try:
+        head = cluster.access.open(cluster.head())
+    except CloudError:
+        return False
+    inventory = f"{machine_folder(cluster.spec.cluster)}/inventory.json"
+    return head.run(f"test -f {inventory}").exit_code == 0
+
+
+def submit(jobs: Jobs, verb: str, points: Path, mesh: str, options: Sequence[str]) -> JobStatus:
+    """Put a job into the queue, and show how its points travel."""
+    with open_display(sys.stderr) as display:
+        status = jobs.submit(verb, points, mesh, options, partial(display.show_bytes, "send"))
+    log.info("job %s of %s is %s", status.job, points, status.state)
+    return status
+
+
+def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, Any]:
+    """Fetch a job's mesh, and show how it travels; return the report of its verb.
+
+    Raises
+    ------
+    OutputError
+        Nothing can be written to `target`.
+    """
+    if not os.access(target.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{target}: its folder cannot be written", "choose or make another one")
+    with open_display(sys.stderr) as display:
+        return jobs.fetch(status, target, partial(display.show_bytes, "fetch"))
+
+
+def watch(cluster: Cluster, jobs: Jobs, status: JobStatus) -> JobStatus:
+    """Show a job from its beginning until it has ended; return how.
+
+    Raises
+    ------
+    CloudError
+        The head cannot be reached any more; the job may well go on.
+    KeyboardInterrupt
+        The user has seen enough; the job goes on.
+    """
+    again = f"hpcapp attach {cluster.path} {status.job}"
+    try:
+        with _replacing_lost(cluster), open_display(sys.stderr) as display:
+            return jobs.follow(status.job, display)
+    except KeyboardInterrupt:
+        log.info("detached: job %s goes on; %s shows it again, hpcapp cancel %s %s ends it",
+                 status.job, again, cluster.path, status.job)  # fmt: skip
+        raise
+    except CloudError as error:
+        raise CloudError(error.problem, f"the job may go on: {again}") from error
+
+
+class _OverError(Exception):
+    """Nobody watches any more."""
+
+
+@contextmanager
+def _replacing_lost(cluster: Cluster) -> Iterator[None]:
+    """Replace workers that vanish, now and then, while the block runs."""
+    from hpcdeploy.reconcile.converge import replace_lost
+    from hpcdeploy.spec.polling import Pace
+
+    is_over = threading.Event()
+
+    def sleep(seconds: float) -> None:
+        if is_over.wait(seconds):
+            raise _OverError
+
+    def look() -> None:
+        while not is_over.wait(LOOK_S):
+            try:
+                replace_lost(cluster, log.info, pace=Pace(sleep=sleep))
+            except _OverError:
+                return  # what was begun stands in the journal
+            except HpcError as error:
+                log.debug("lost workers are not replaced: %s", error)
+
+    if not cluster.provider.makes_machines:
+        yield
+        return
+    thread = threading.Thread(target=look, name="replacements", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+    thread.join()  # but who has interrupted is let go at once

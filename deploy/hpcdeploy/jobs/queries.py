@@ -1,0 +1,262 @@
+"""Jobs as seen from outside: one command on the head for each question.
+
+Nothing is remembered on the user's machine: whoever reaches the head sees all jobs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpccomponent.errors import (
+    CloudError,
+    HpcError,
+    InputError,
+    JobError,
+    UsageError,
+)
+from hpcdeploy.jobs.bucket import Bucket, open_bucket
+from hpcdeploy.jobs.display import JobDisplay
+from hpcdeploy.jobs.folder import JobOrder, JobState, JobStatus
+from hpcdeploy.machine.shell import Shell
+from hpcdeploy.spec.layout import machine_folder
+
+if TYPE_CHECKING:
+    from hpcdeploy.reconcile.cluster import Cluster
+
+__all__ = ["Jobs", "end_jobs", "open_jobs", "raise_failure"]
+
+_ERRORS: dict[int, type[HpcError]] = {2: UsageError, 3: InputError, 4: CloudError}
+PATIENCE_S = 60.0
+EXCERPT = 5
+
+
+class Jobs:
+    """The jobs of a cluster.
+
+    Parameters
+    ----------
+    head : Shell
+        On the head.
+    cluster : str
+    bucket : Bucket, optional
+        Where points and meshes go in place of the shell.
+    """
+
+    def __init__(self, head: Shell, cluster: str, bucket: Bucket | None = None) -> None:
+        self._head = head
+        self._folder = machine_folder(cluster)
+        self._bucket = bucket
+
+    def submit(
+        self,
+        verb: str,
+        points: Path,
+        mesh: str,
+        options: Sequence[str] = (),
+        on_progress: Callable[[int, int], None] | None = None,
+    ) -> JobStatus:
+        """Send the points, and put a job into the queue.
+
+        Parameters
+        ----------
+        verb : str
+            What `hpcapp` is to do.
+        points : pathlib.Path
+            The input; a cloud that is on the head already is not sent again.
+        mesh : str
+            The output's name.
+        options : sequence of str
+            Of the verb.
+        on_progress : callable, optional
+            Told (bytes sent, bytes in all).
+
+        Raises
+        ------
+        InputError
+            The input cannot be read.
+        CloudError
+            The head or the bucket cannot be reached, or does not take it.
+        """
+        try:
+            with points.open("rb") as stream:
+                digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        except OSError as error:
+            raise InputError(
+                f"{points}: cannot be read ({error.strerror})", "name a file that you may read"
+            ) from error
+        name = f"points/{digest}{points.suffix}"
+        order = JobOrder(verb, name, mesh, tuple(options), points.name)
+        if self._bucket is not None:
+            order = self._bucket.send(points, digest, order, on_progress)
+        else:
+            self._run(f"umask 077; mkdir -p {shlex.quote(self._folder)}/points")
+            self._head.put(points, f"{self._folder}/{name}", on_progress=on_progress)
+        [answer] = self._ask("start", stdin=json.dumps(asdict(order)).encode())
+        return JobStatus.from_json(answer)
+
+    def all(self) -> list[JobStatus]:
+        """Return all jobs in their order."""
+        return [JobStatus.from_json(line) for line in self._ask("list")]
+
+    def find(self, number: str | None) -> JobStatus:
+        """Return one job; the last where there is no number.
+
+        Raises
+        ------
+        UsageError
+            There is none.
+        """
+        jobs = self.all()
+        if number is None and jobs:
+            return jobs[-1]
+        for status in jobs:
+            if status.job == number:
+                return status
+        known = ", ".join(status.job for status in jobs)
+        raise UsageError(
+            f"there is no job {number}" if number else "no job was submitted yet",
+            f"the jobs are {known}" if known else "submit one with 'hpcapp submit'",
+        )
+
+    def log(self, number: str) -> list[str]:
+        """Return what a job has said so far."""
+        return self._ask("log", number)
+
+    def follow(self, number: str, display: JobDisplay) -> JobStatus:
+        """Show a job from its beginning until it has ended; return how."""
+        ended: list[JobStatus] = []
+        rest: list[str] = []
+
+        def show(line: str) -> None:
+            try:
+                entries = json.loads(line)
+            except ValueError:
+                rest.append(line)  # no line of ours: an error of the machine
+                return
+            if "log" in entries:
+                display.show_log(entries["log"])
+            elif "event" in entries:
+                display.show_event(entries["event"])
+            else:
+                ended.append(JobStatus.from_json(json.dumps(entries["status"])))
+
+        code = self._head.follow(f"{self._command('follow', number)} 2>&1", show)
+        if not ended:
+            said, excerpt = _said(rest, code)
+            raise CloudError(
+                f"{self._head.node}: job {number} cannot be followed ({said})",
+                "look at hpcapp logs and hpcapp doctor",
+                excerpt,
+            )
+        return ended[-1]
+
+    def cancel(self, number: str) -> JobStatus:
+        """End a job, and return its status when nothing of it runs any more."""
+        [answer] = self._ask("cancel", number)
+        return JobStatus.from_json(answer)
+
+    def report(self, status: JobStatus) -> dict[str, Any]:
+        """Return what the verb of a finished job reported; its `summary` is for people."""
+        [answer] = self._run(f"cat {shlex.quote(self._folder)}/jobs/{status.job}/report.json")
+        report: dict[str, Any] = json.loads(answer)
+        return report
+
+    def fetch(
+        self,
+        status: JobStatus,
+        target: Path,
+        on_progress: Callable[[int, int], None] | None = None,
+    ) -> dict[str, Any]:
+        """Fetch a finished job's mesh; return its report.
+
+        Raises
+        ------
+        JobError
+            The job is not done; other errors by the exit code of its verb.
+        CloudError
+            The mesh does not come.
+        """
+        raise_failure(status)
+        report = self.report(status)
+        if self._bucket is not None and status.mesh_sha256:
+            self._bucket.fetch(status, target)
+        else:
+            source = f"{self._folder}/jobs/{status.job}/{status.mesh}"
+            self._head.get(source, target, on_progress=on_progress)
+        return report
+
+    def _command(self, *words: str) -> str:
+        python = f"{self._folder}/venv/bin/python"
+        parts = [python, "-P", "-m", "hpcdeploy.jobs.runner", "--folder", self._folder, *words]
+        return f"exec {shlex.join(parts)}"
+
+    def _ask(self, *words: str, stdin: bytes = b"") -> list[str]:
+        return self._run(self._command(*words), stdin=stdin)
+
+    def _run(self, command: str, *, stdin: bytes = b"") -> list[str]:
+        """Run a command on the head; return its lines."""
+        done = self._head.run(command, stdin=stdin, timeout_s=PATIENCE_S)
+        if done.exit_code != 0:
+            said, excerpt = _said(done.errors.strip().splitlines(), done.exit_code)
+            kind = _ERRORS.get(done.exit_code, CloudError)
+            raise kind(f"{self._head.node}: {said}", "", excerpt)
+        return done.output.splitlines()
+
+
+def _said(lines: Sequence[str], code: int) -> tuple[str, str]:
+    """Return the last line that a command has said, and where it said more, its last lines."""
+    if not lines:
+        return f"exit code {code}", ""
+    return lines[-1].strip(), "\n".join(lines[-EXCERPT:]) if len(lines) > 1 else ""
+
+
+def open_jobs(cluster: Cluster) -> Jobs:
+    """Return the jobs of a cluster that is up.
+
+    Raises
+    ------
+    CloudError
+        It is not, or its head cannot be reached.
+    """
+    head = cluster.access.open(cluster.head())
+    bucket = open_bucket(cluster.spec, cluster.path.absolute().parent)
+    return Jobs(head, cluster.spec.cluster, bucket)
+
+
+def end_jobs(head: Shell, cluster: str) -> None:
+    """End all jobs of a cluster whose head stays when the cluster goes.
+
+    Raises
+    ------
+    CloudError
+        They do not end.
+    """
+    folder = machine_folder(cluster)
+    done = head.run(
+        f"cd {folder} && [ -d jobs ] && [ -x venv/bin/python ] || exit 0; "
+        "exec venv/bin/python -P -m hpcdeploy.jobs.runner --folder . end",
+        timeout_s=PATIENCE_S,
+    )
+    if done.exit_code != 0:
+        raise CloudError(
+            f"{head.node}: its jobs do not end ({done.errors.strip()[-200:]})",
+            f"end them by hand, see {folder}/jobs",
+        )
+
+
+def raise_failure(status: JobStatus) -> None:
+    """Raise what ended a job, as the verb itself would have; nothing where it is done."""
+    if status.state is JobState.DONE:
+        return
+    if not status.state.is_over:
+        raise JobError(f"job {status.job} is {status.state}", "wait for it with 'hpcapp attach'")
+    if status.state is JobState.CANCELLED:
+        raise JobError(f"job {status.job} was cancelled")
+    kind = _ERRORS.get(status.exit_code or 1, JobError)
+    raise kind(f"job {status.job} {status.state}: {status.reason}")

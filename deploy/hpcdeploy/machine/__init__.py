@@ -1,0 +1,1 @@
+"""One machine: how it is reached, asked, and set up."""

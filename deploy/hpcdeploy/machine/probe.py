@@ -1,0 +1,150 @@
+"""What a machine is, asked by one command that changes nothing."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from hpccomponent.errors import CloudError
+from hpcdeploy.machine.loader_service import is_running_command
+from hpcdeploy.machine.shell import Shell
+from hpcdeploy.machine.wheels.wheelhouse import Kind
+
+__all__ = ["Probed", "no_python", "probe"]
+
+PROBE_S = 60.0
+_PYTHONS = " ".join(("python3", *(f"python3.{minor}" for minor in range(14, 6, -1))))
+_ASK = (
+    "import sys, importlib.util as u; "
+    'print("%d.%d" % sys.version_info[:2], bool(u.find_spec("venv")))'
+)
+_SCRIPT = """
+echo "architecture=$(uname -m)"
+if libc=$(getconf GNU_LIBC_VERSION 2>/dev/null); then echo "libc=$libc"
+else echo "libc=musl $(ldd 2>&1 | sed -n 's/^Version //p')"; fi
+for name in {pythons}; do
+    said=$($name -c '{ask}' 2>/dev/null) && echo "python=$name $said"
+done
+sudo -n true 2>/dev/null && echo sudo=yes
+[ -d /run/systemd/system ] && echo systemd=yes
+echo "home=$HOME"
+echo "user=$(id -un)"
+echo "now=$(date +%s)"
+echo "free=$(df -Pk . | awk 'NR == 2 {{print $4}}')"
+cd {folder} 2>/dev/null || exit 0
+echo "installed=$(cat installed 2>/dev/null)"
+echo "configured=$(cat configured 2>/dev/null)"
+{is_running} && echo running=yes
+exit 0
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Probed:
+    """What one machine is.
+
+    Parameters
+    ----------
+    kinds : tuple of (str, Kind)
+        The interpreters that would do, and which wheels run with each; the first is preferred.
+    pythons : tuple of str
+        All interpreters that there are, as a user reads it.
+    is_root_able, has_systemd : bool
+        Whether sudo asks no password, and whether services are systemd's.
+    home, user : str
+    clock : int
+        Its time, in seconds since 1970.
+    free : int
+        Bytes free on the disk of the home.
+    installed, configured : str
+        The stamps of what we have put there before; empty where there is none.
+    is_running : bool
+        Whether the loader runs.
+    """
+
+    kinds: tuple[tuple[str, Kind], ...]
+    pythons: tuple[str, ...]
+    is_root_able: bool
+    has_systemd: bool
+    home: str
+    user: str
+    clock: int
+    free: int
+    installed: str
+    configured: str
+    is_running: bool
+
+
+def probe(
+    shell: Shell, cluster: str, folder: str, python: str, timeout_s: float = PROBE_S
+) -> Probed:
+    """Ask a machine what it is.
+
+    Parameters
+    ----------
+    shell : Shell
+    cluster, folder : str
+        The cluster's name, and its folder on the machine.
+    python : str
+        Which interpreters will do, as ``env.python`` says it.
+    timeout_s : float
+
+    Raises
+    ------
+    CloudError
+        The machine does not answer as a POSIX system does.
+    """
+    script = _SCRIPT.format(
+        pythons=_PYTHONS, ask=_ASK, folder=folder, is_running=is_running_command(cluster)
+    )
+    done = shell.run(script, timeout_s=timeout_s)
+    lines = [line.partition("=")[::2] for line in done.output.splitlines()]
+    said = dict(lines)
+    libc = re.search(r"(glibc|musl)\s+(\d+)\.(\d+)", said.get("libc", ""))
+    if libc is None or "now" not in said:
+        said_instead = (done.errors or done.output).strip().splitlines() or ["nothing"]
+        raise CloudError(
+            f"{shell.node}: no Linux system with a shell (it says {said_instead[-1]!r})"
+        )
+    pythons = [value.split() for key, value in lines if key == "python"]
+    kinds = [
+        (name, Kind(said["architecture"], libc[1], (int(libc[2]), int(libc[3])), _pair(version)))
+        for name, version, has_venv in pythons
+        if has_venv == "True" and _pair(version) >= _pair(python.removeprefix(">="))
+    ]
+    return Probed(
+        kinds=tuple(kinds),
+        pythons=tuple(
+            f"{version} ({name}{'' if has_venv == 'True' else ', without venv'})"
+            for name, version, has_venv in pythons
+        ),
+        is_root_able="sudo" in said or said["user"] == "root",
+        has_systemd="systemd" in said,
+        home=said["home"],
+        user=said["user"],
+        clock=int(said["now"]),
+        free=int(said.get("free") or 0) * 1024,
+        installed=said.get("installed", ""),
+        configured=said.get("configured", ""),
+        is_running="running" in said,
+    )
+
+
+def no_python(probed: Probed, python: str) -> CloudError:
+    """Return the error that a machine has no interpreter which will do.
+
+    Parameters
+    ----------
+    probed : Probed
+    python : str
+        Which ones will do, as ``env.python`` says it.
+    """
+    return CloudError(
+        f"no Python {python} with its venv module (found: {', '.join(probed.pythons) or 'none'})",
+        "take another image, or install it by env.setup",
+    )
+
+
+def _pair(version: str) -> tuple[int, int]:
+    major, minor = version.split(".")[:2]
+    return int(major), int(minor)

@@ -1,0 +1,284 @@
+"""The interface of every kind of cloud, and what it speaks about.
+
+Providers hold no state of their own: `observe` tells what exists, and every other call may be
+repeated after a crash without harm, because what it makes is known by its name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from enum import StrEnum
+from typing import Protocol
+
+from hpcdeploy.spec.names import NOBODY, NodeName, Owner
+
+__all__ = [
+    "GroupSeen",
+    "KeyPairSeen",
+    "Launch",
+    "MachineSeen",
+    "Observed",
+    "Problem",
+    "Provider",
+    "State",
+]
+
+
+class State(StrEnum):
+    """Where the life of a machine stands."""
+
+    PENDING = "pending"
+    RUNNING = "running"
+    STOPPED = "stopped"  # costs its disk; a machine that shut itself down on a Eucalyptus
+    ENDING = "ending"
+    GONE = "gone"
+    UNKNOWN = "unknown"  # it is there, but does not let us see what it does: it may be at work
+
+
+@dataclass(frozen=True, slots=True)
+class MachineSeen:
+    """A machine as the cloud describes it.
+
+    Parameters
+    ----------
+    id : str
+        The cloud's own.
+    cluster : str
+    name : NodeName
+    incarnation : str
+        Of the cluster's life that it was launched in.
+    state : State
+    public_address, private_address : str
+        Empty while there is none.
+    instance_type, market, zone : str
+        `market` is ``on_demand`` or ``spot``.
+    launched, lease_until : datetime, optional
+        In UTC.
+    reason : str
+        Why it is in its state, where the cloud says so.
+    owner : Owner
+        As its tag says; empty where it has none.
+    """
+
+    id: str
+    cluster: str
+    name: NodeName
+    incarnation: str
+    state: State
+    public_address: str = ""
+    private_address: str = ""
+    instance_type: str = ""
+    market: str = "on_demand"
+    zone: str = ""
+    launched: datetime | None = None
+    lease_until: datetime | None = None
+    reason: str = ""
+    owner: Owner = NOBODY
+
+    def address(self, kind: str = "auto") -> str:
+        """Return where the machine is reached; empty while it is nowhere.
+
+        Parameters
+        ----------
+        kind : str
+            ``public``, ``private``, or ``auto``: the public address where there is one.
+        """
+        known = {"public": (self.public_address,), "private": (self.private_address,)}
+        return next(filter(None, known.get(kind, (self.public_address, self.private_address))), "")
+
+
+@dataclass(frozen=True, slots=True)
+class KeyPairSeen:
+    """A key pair of ours.
+
+    Parameters
+    ----------
+    cluster, name : str
+    incarnation : str
+        Of the cluster's life that it was made in.
+    fingerprint : str
+        Of the key, in the cloud's own form.
+    """
+
+    cluster: str
+    name: str
+    incarnation: str = ""
+    fingerprint: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class GroupSeen:
+    """A security group of ours.
+
+    Parameters
+    ----------
+    cluster, id, name : str
+    incarnation : str
+        Of the cluster: drawn when the group was made and written into its description. Making a
+        group is the one step that a cloud lets only one of two hurried users take, so that both
+        go on with the same incarnation.
+    ssh_from : frozenset of str
+        Networks (CIDR) that reach the SSH port.
+    internal_ports : frozenset of int
+        Ports that machines of the group reach on one another.
+    owner : Owner
+        As its tag says; empty where it has none.
+    """
+
+    cluster: str
+    id: str
+    name: str
+    incarnation: str = ""
+    ssh_from: frozenset[str] = frozenset()
+    internal_ports: frozenset[int] = frozenset()
+    owner: Owner = NOBODY
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """All that exists, of one cluster or of every one.
+
+    Parameters
+    ----------
+    machines : tuple of MachineSeen
+        Those that are gone may still be listed.
+    key_pairs : tuple of KeyPairSeen
+    groups : tuple of GroupSeen
+    """
+
+    machines: tuple[MachineSeen, ...] = ()
+    key_pairs: tuple[KeyPairSeen, ...] = ()
+    groups: tuple[GroupSeen, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Launch:
+    """A machine that is wanted.
+
+    Parameters
+    ----------
+    cluster : str
+    incarnation : str
+    name : NodeName
+    profile : str
+        A name in the file's ``profiles``; empty where the provider has none.
+    instance_type : str
+        One of the profile's.
+    market : str
+        ``on_demand`` or ``spot``.
+    place : str
+        A zone or the id of a subnet, where the file names several.
+    user_data : str
+        What the machine runs at its first boot.
+    lease_until : datetime, optional
+        In UTC.
+    tags : dict
+        The user's own.
+    owner : Owner
+        Who launches it.
+    """
+
+    cluster: str
+    incarnation: str
+    name: NodeName
+    profile: str = ""
+    instance_type: str = ""
+    market: str = "on_demand"
+    place: str = ""
+    user_data: str = field(default="", repr=False)
+    lease_until: datetime | None = None
+    tags: dict[str, str] = field(default_factory=dict)
+    owner: Owner = NOBODY
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Something that `check` found.
+
+    Parameters
+    ----------
+    what, advice : str
+    is_fatal : bool
+        Whether `up` would fail over it.
+    excerpt : str
+        Lines of somebody else's that tell more, such as the end of a machine's console.
+    """
+
+    what: str
+    advice: str
+    is_fatal: bool = True
+    excerpt: str = ""
+
+
+class Provider(Protocol):
+    """A kind of cloud.
+
+    Every method raises `CloudError` with one line that says what the cloud refused, why and what
+    to do; `CapacityError` where another instance type, market or zone may still be had.
+    """
+
+    name: str
+    makes_machines: bool
+    """Whether machines are made and paid for, or are there anyway."""
+
+    def observe(self, cluster: str | None) -> Observed:
+        """Return all that exists of a cluster of ours, or of every one where None."""
+        ...
+
+    def hosts(self) -> tuple[MachineSeen, ...]:
+        """Return the machines that are there before they belong to a cluster."""
+        ...
+
+    def decided(self) -> tuple[str, ...]:
+        """Say what the file leaves open and is decided for this command, in a line each."""
+        ...
+
+    def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
+        """Make the key pair of a cluster's life known, or return the one there is."""
+        ...
+
+    def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
+        """Make the security group of a cluster, without rules; or return the one there is."""
+        ...
+
+    def mark(
+        self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
+    ) -> None:
+        """Write down whose some machines and groups are from now on."""
+        ...
+
+    def allow(
+        self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
+    ) -> None:
+        """Make these the rules of a group: add what is missing, revoke what is too much."""
+        ...
+
+    def launch(self, launch: Launch) -> MachineSeen:
+        """Start a machine; asked again with the same names, return the one that was started."""
+        ...
+
+    def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
+        """Write a new end of the lease on some machines."""
+        ...
+
+    def terminate(self, machines: Sequence[MachineSeen]) -> None:
+        """Begin to end some machines; those that have ended do not matter."""
+        ...
+
+    def delete_group(self, group: GroupSeen) -> bool:
+        """Delete a group; False while it is in use."""
+        ...
+
+    def delete_key_pair(self, key_pair: KeyPairSeen) -> None:
+        """Delete a key pair; one that is gone does not matter."""
+        ...
+
+    def console(self, machine: MachineSeen) -> str:
+        """Return what a machine has printed on its console so far."""
+        ...
+
+    def check(self) -> list[Problem]:
+        """Look, without changing anything, for what would make `up` fail."""
+        ...

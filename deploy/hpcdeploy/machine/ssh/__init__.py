@@ -1,0 +1,1 @@
+"""SSH: logging in, commands, files, and forwarded ports."""

@@ -1,0 +1,202 @@
+"""A shell on a machine that SSH reaches."""
+
+from __future__ import annotations
+
+import shlex
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from textwrap import shorten
+from types import TracebackType
+from typing import Self
+
+import paramiko
+
+from hpcdeploy.machine.shell import Completed
+from hpcdeploy.machine.ssh.connect import explain
+from hpcdeploy.machine.ssh.forward import Forwarder
+from hpcdeploy.machine.ssh.reach import Reach, ReachError
+from hpcdeploy.machine.ssh.terminal import give_terminal
+from hpcdeploy.machine.ssh.transfer import fetch_file, send_file
+from hpcdeploy.machine.ssh.way import Connection
+
+__all__ = ["SshShell"]
+
+FILES_S = 120.0  # a request for a piece of a file that takes longer will never be answered
+_CHUNK = 1 << 16
+_NO_CODE = 128  # a signal ended the shell itself, and SSH's answer to paramiko does not say which
+
+
+class SshShell:
+    """Commands and files on one machine over one connection; safe to use from several threads.
+
+    Parameters
+    ----------
+    node : str
+    connection : Connection
+        Logged in.
+    closer : ExitStack
+        Closes the connection.
+    """
+
+    def __init__(self, node: str, connection: Connection, closer: ExitStack) -> None:
+        self.node = node
+        self._transport = connection
+        self._closer = closer
+        self._lock = threading.Lock()
+        self._sftp: paramiko.SFTPClient | None = None
+
+    def run(self, command: str, *, stdin: bytes = b"", timeout_s: float = 60.0) -> Completed:
+        """Run a POSIX shell command to its end."""
+        deadline = time.monotonic() + timeout_s
+        errors: list[bytes] = []
+        with self._channel(command, timeout_s) as channel:
+            listener = threading.Thread(
+                target=_collect, args=(channel, errors), name="ssh-stderr", daemon=True
+            )
+            listener.start()
+            try:
+                channel.sendall(stdin)
+                channel.shutdown_write()
+                output = b"".join(_chunks(channel, deadline))
+                listener.join(max(0.0, deadline - time.monotonic()))
+                code = self._exit_code(channel, deadline)
+            finally:
+                channel.close()
+                listener.join()
+        return Completed(
+            code, output.decode(errors="replace"), b"".join(errors).decode(errors="replace")
+        )
+
+    def follow(self, command: str, on_line: Callable[[str], None]) -> int:
+        """Run a command, hand over every line of its output as it comes, return its exit code."""
+        with (
+            self._channel(command, None, is_combined=True) as channel,
+            channel.makefile("rb") as lines,
+        ):
+            channel.shutdown_write()
+            for line in lines:
+                on_line(line.decode(errors="replace").rstrip("\r\n"))
+            return self._exit_code(channel, None)
+
+    def interact(self, command: str = "") -> int:
+        """Give the user's terminal to a command, or to a login shell; return its exit code."""
+        with self._border(), self._transport.open_session() as channel:
+            give_terminal(channel, command)
+            return self._exit_code(channel, None)
+
+    def put(
+        self,
+        source: Path,
+        target: str,
+        *,
+        mode: int = 0o600,
+        on_progress: Callable[[int, int], None] | None = None,
+    ) -> None:
+        """Send a file: what is there already goes on, and the whole is checked by its SHA-256."""
+        with self._border():
+            send_file(self, self._files(), source, target, mode, on_progress)
+
+    def get(
+        self, source: str, target: Path, *, on_progress: Callable[[int, int], None] | None = None
+    ) -> None:
+        """Fetch a file, in the same manner."""
+        with self._border():
+            fetch_file(self, self._files(), source, target, on_progress)
+
+    def forward(self, address: str, port: int) -> int:
+        """Forward a local port on loopback to an address the machine reaches; return the port."""
+        forwarder = Forwarder(self._transport, address, port)
+        self._closer.callback(forwarder.close)
+        return forwarder.port
+
+    def close(self) -> None:
+        """End the connection."""
+        self._closer.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _files(self) -> paramiko.SFTPClient:
+        with self._lock:
+            if self._sftp is None:
+                self._sftp = self._transport.open_sftp_client()
+                if self._sftp is None:
+                    raise EOFError
+                channel = self._sftp.get_channel()
+                if channel is not None:
+                    channel.settimeout(FILES_S)
+                self._closer.callback(self._sftp.close)
+            return self._sftp
+
+    @contextmanager
+    def _channel(
+        self, command: str, timeout_s: float | None, *, is_combined: bool = False
+    ) -> Iterator[paramiko.Channel]:
+        """Start a command, under a shell that turns a signal into an exit code."""
+        with self._border(command, timeout_s), self._transport.open_session() as channel:
+            channel.settimeout(timeout_s)
+            channel.set_combine_stderr(is_combined)
+            channel.exec_command(f"sh -c {shlex.quote(command + chr(10) + 'exit $?')}")
+            yield channel
+
+    @contextmanager
+    def _border(self, command: str = "", timeout_s: float | None = None) -> Iterator[None]:
+        """Turn what paramiko and the system raise into our errors."""
+        try:
+            yield
+        except TimeoutError as error:
+            if self._transport.is_active() and timeout_s is not None:
+                raise ReachError(
+                    f"{self.node}: {shorten(command, 60)!r} did not end within {timeout_s:.0f} s",
+                    "",
+                    Reach.SILENT,
+                ) from error
+            raise self._lost(error) from error
+        except (OSError, EOFError, paramiko.SSHException) as error:
+            raise self._lost(error) from error
+
+    def _lost(self, error: BaseException) -> ReachError:
+        """Say why the connection is no more; what ended it knows more than who waited for it."""
+        return ReachError(f"{self.node}: {self._transport.way.fault or explain(error)}")
+
+    def _exit_code(self, channel: paramiko.Channel, deadline: float | None) -> int:
+        patience_s = None if deadline is None else max(0.0, deadline - time.monotonic())
+        if not channel.status_event.wait(patience_s):
+            raise TimeoutError
+        code = channel.recv_exit_status()
+        if code >= 0:
+            return code
+        # paramiko says -1 both where a signal ended the command and where the connection went
+        if not self._transport.is_active():
+            raise EOFError
+        return _NO_CODE
+
+
+def _chunks(channel: paramiko.Channel, deadline: float) -> Iterator[bytes]:
+    """Yield the output until its end; TimeoutError where that does not come in time."""
+    while True:
+        channel.settimeout(max(0.01, deadline - time.monotonic()))
+        chunk = channel.recv(_CHUNK)
+        if not chunk:
+            return
+        yield chunk
+
+
+def _collect(channel: paramiko.Channel, errors: list[bytes]) -> None:
+    """Read stderr beside stdout: a full window of either would stop the command."""
+    try:
+        while chunk := channel.recv_stderr(_CHUNK):
+            errors.append(chunk)
+    except (OSError, EOFError, paramiko.SSHException):
+        return  # the reader of stdout learns of it too

@@ -1,0 +1,1 @@
+"""Which wheels a machine needs, and where they come from."""

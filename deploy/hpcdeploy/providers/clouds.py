@@ -1,0 +1,65 @@
+"""The clouds that `ls --all` and `reap` look at: those of some files, or the environment's."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from hpccomponent.config.reader import parse_config
+from hpcdeploy.machine.provider import Provider
+from hpcdeploy.providers import open_provider
+from hpcdeploy.spec.cluster import ClusterSpec, read_spec
+from hpcdeploy.spec.provider import CloudSpec
+
+__all__ = ["open_clouds", "place_of"]
+
+ANY_CLUSTER = """
+version: 1
+cluster: any
+provider:
+  type: aws
+  region: {region}
+  profiles: {{any: {{image: {{id: ami-0}}, instance_type: any}}}}
+"""
+
+
+def place_of(spec: ClusterSpec) -> str:
+    """Return in words where a cluster file's machines are made; empty where none are made.
+
+    The account is told by the profile of the keys only: keys themselves come and go.
+    """
+    cloud = spec.provider
+    if not isinstance(cloud, CloudSpec):
+        return ""
+    keys = cloud.credentials
+    source = keys.profile or keys.euca_ini or keys.eucarc or os.environ.get("AWS_PROFILE", "")
+    place = f"{cloud.type} {cloud.endpoint_url or ''} {cloud.region}".replace("  ", " ")
+    return f"{place}, with the keys of {source}" if source else place
+
+
+def open_clouds(files: Sequence[Path]) -> list[tuple[str, Provider]]:
+    """Return the clouds of some cluster files, each once, with a name to print.
+
+    Without a file, the AWS account and region of the environment.
+
+    Raises
+    ------
+    ConfigError
+        A file has mistakes.
+    CloudError
+        A cloud's keys are not to be found.
+    """
+    if not files:
+        from hpcdeploy.providers.ec2.login import default_region  # it imports boto3
+
+        region = os.environ.get("AWS_REGION") or default_region() or "us-east-1"
+        spec = parse_config(ANY_CLUSTER.format(region=region), "the environment", ClusterSpec)
+        return [(f"aws {region}", open_provider(spec, Path.cwd()))]
+    clouds: dict[str, tuple[str, Provider]] = {}
+    for path in files:
+        spec = read_spec(path)
+        place = spec.provider.model_dump_json(exclude={"profiles"})
+        if place not in clouds:
+            clouds[place] = (str(path), open_provider(spec, path.absolute().parent))
+    return list(clouds.values())

@@ -1,0 +1,1 @@
+"""Amazon EC2, Eucalyptus, and every other cloud that speaks EC2."""

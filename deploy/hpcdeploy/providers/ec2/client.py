@@ -1,0 +1,306 @@
+"""Clients of boto3, and calls that are repeated where that is of use."""
+
+from __future__ import annotations
+
+import os
+import random
+import threading
+import time
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import Any
+
+from botocore.config import Config
+from botocore.exceptions import BotoCoreError, ClientError
+
+from hpccomponent.errors import CloudError
+from hpccomponent.files.paths import expand_home
+from hpcdeploy.providers.ec2.capabilities import capabilities_of
+from hpcdeploy.providers.ec2.credentials import find_keys
+from hpcdeploy.providers.ec2.errors import (
+    BOTO_ERRORS,
+    code_of,
+    has_expired,
+    is_lost_answer,
+    is_throttled,
+    translate,
+)
+from hpcdeploy.providers.ec2.login import Login, Patience
+from hpcdeploy.spec.provider import CloudSpec
+
+__all__ = ["Calls", "cloud_name", "open_calls", "open_client", "read_parameter"]
+
+ATTEMPTS = 5
+FIRST_WAIT_S = 0.5  # doubled each time: 7.5 s at most in all
+
+
+def cloud_name(cloud: CloudSpec) -> str:
+    """Return what users call their cloud."""
+    return f"{cloud.type} ({cloud.endpoint_url or cloud.region})"
+
+
+def open_client(
+    service: str, cloud: CloudSpec, base: Path, patience: Patience | None = None
+) -> Any:
+    """Return a client of boto3 for a cloud.
+
+    Parameters
+    ----------
+    service : str
+        ``ec2``, ``s3`` or ``ssm``.
+    cloud : CloudSpec
+    base : Path
+        The folder of the cluster file.
+    patience : Patience, optional
+
+    Raises
+    ------
+    CloudError
+        Keys or endpoint are not to be found.
+    """
+    way = _Way(cloud, base, patience or Patience())
+    return way.client(service, way.patience.act_s)
+
+
+def open_calls(
+    cloud: CloudSpec,
+    base: Path,
+    patience: Patience | None = None,
+    sleep: Callable[[float], None] = time.sleep,
+) -> Calls:
+    """Return the calls of a cloud's EC2; see `open_client` for the rest.
+
+    Where its keys have expired in mid-work, those that lie where they came from are taken.
+    """
+    way = _Way(cloud, base, patience or Patience())
+    return Calls(
+        way.asking(),
+        cloud_name(cloud),
+        sleep,
+        acting=way.acting,
+        renew=way.renew,
+        first_s=way.patience.ask_s,
+    )
+
+
+def read_parameter(cloud: CloudSpec, base: Path, name: str) -> str:
+    """Return the value of a parameter in the parameter store (SSM).
+
+    Raises
+    ------
+    CloudError
+        There is none, or it must not be read.
+    """
+    client = open_client("ssm", cloud, base)
+    try:
+        return str(client.get_parameter(Name=name)["Parameter"]["Value"])
+    except (BotoCoreError, ClientError) as error:
+        raise translate(error, f"read the parameter {name}", cloud_name(cloud)) from error
+    finally:
+        client.close()
+
+
+class _Way:
+    """The clients of one login: for questions, whose answers come soon, and for changes."""
+
+    def __init__(self, cloud: CloudSpec, base: Path, patience: Patience) -> None:
+        self._cloud, self._base, self.patience = cloud, base, patience
+        self._lock = threading.Lock()
+        self._login: Login | None = None
+        self._acting: Any = None
+
+    def asking(self) -> Any:
+        """Return a client for questions."""
+        return self.client("ec2", self.patience.ask_s)
+
+    def acting(self) -> Any:
+        """Return the client for changes."""
+        with self._lock:
+            if self._acting is None:
+                self._acting = self.client("ec2", self.patience.act_s)
+            return self._acting
+
+    def renew(self) -> Any:
+        """Read the keys anew; return another client for questions."""
+        with self._lock:
+            self._login = self._acting = None
+            return self.asking()
+
+    def client(self, service: str, read_s: float) -> Any:
+        """Return a client; the first one logs in."""
+        cloud, keys = self._cloud, find_keys(self._cloud, self._base, os.environ)
+        if service == "ec2":
+            endpoint = cloud.endpoint_url or keys.ec2_url
+            version = capabilities_of(cloud).api_version
+        elif service == "s3":
+            endpoint, version = cloud.s3_endpoint_url or keys.s3_url, None
+        else:  # a service of Amazon's alone, at its own address
+            endpoint = version = None
+        if endpoint is None and cloud.type != "aws":
+            key = "endpoint_url" if service == "ec2" else "s3_endpoint_url"
+            raise CloudError(
+                f"{cloud.type}: no endpoint of {service} is known", f"set provider.{key}"
+            )
+        certificates = _certificates(cloud.ca_bundle or keys.ca_bundle, self._base)
+        region = cloud.signing_region or (cloud.region if cloud.type == "aws" else "eucalyptus")
+        if self._login is None:
+            self._login = Login(keys, region, cloud_name(cloud), self.patience)
+        try:
+            return self._login.client(
+                service,
+                region_name=region,
+                endpoint_url=endpoint,
+                api_version=version,
+                verify=certificates,
+                aws_access_key_id=keys.access_key,
+                aws_secret_access_key=keys.secret_key,
+                aws_session_token=keys.token,
+                config=_config(service, self.patience.connect_s, read_s),
+            )
+        except (BotoCoreError, ValueError) as error:
+            raise translate(error, "open a connection", cloud_name(cloud)) from error
+
+
+def _certificates(named: str | None, base: Path) -> str | None:
+    """Return the file of certificates to check the cloud's by; None for the system's own.
+
+    Raises
+    ------
+    CloudError
+        It is not there, be it boto3's own.
+    """
+    path = base / expand_home(named) if named else None
+    name = next((n for n in ("AWS_CA_BUNDLE", "REQUESTS_CA_BUNDLE") if os.environ.get(n)), "")
+    there = path or (Path(os.environ[name]) if name else None)
+    if there is not None and not there.exists():
+        raise CloudError(
+            f"{there}: there is no such file of certificates",
+            f"check {'provider.ca_bundle' if named else name}",
+        )
+    return str(path) if path else None
+
+
+def _config(service: str, connect_s: float, read_s: float) -> Config:
+    common = {"connect_timeout": connect_s, "read_timeout": read_s}
+    if service != "s3":
+        # Once only: boto3 repeats a launch that found no capacity as well, since Amazon answers
+        # it with 500, and cannot be told not to. `Calls` repeats instead.
+        return Config(retries={"mode": "standard", "total_max_attempts": 1}, **common)
+    return Config(
+        retries={"mode": "standard", "total_max_attempts": 4},
+        s3={"addressing_style": "path"},
+        request_checksum_calculation="when_required",  # other stores know no trailing checksums
+        response_checksum_validation="when_required",
+        **common,
+    )
+
+
+class Calls:
+    """Calls of EC2, repeated with growing waits, their errors translated.
+
+    Repeating is safe for each call that we make: launches carry a token, and what is there or
+    gone already is taken as done by the callers.
+
+    Parameters
+    ----------
+    client : EC2 client of boto3
+    place : str
+        The cloud, as the user calls it.
+    sleep : callable
+        Replaced in tests.
+    acting : callable, optional
+        Returns the client for changes, which waits longer for its answers.
+    renew : callable, optional
+        Returns another client, with the keys that are there by now.
+    first_s : float
+        Until the cloud has answered once, it is not asked again after that time.
+    """
+
+    def __init__(
+        self,
+        client: Any,
+        place: str,
+        sleep: Callable[[float], None] = time.sleep,
+        *,
+        acting: Callable[[], Any] | None = None,
+        renew: Callable[[], Any] | None = None,
+        first_s: float = float("inf"),
+    ) -> None:
+        self._client = client
+        self._place = place
+        self._sleep = sleep
+        self._acting = acting
+        self._renew = renew
+        self._first_s = first_s
+        self._has_answered = False
+
+    def call(
+        self,
+        operation: str,
+        doing: str,
+        *,
+        not_yet: Collection[str] = (),
+        **parameters: Any,
+    ) -> dict[str, Any]:
+        """Make a call.
+
+        Parameters
+        ----------
+        operation : str
+            In boto3's spelling: ``run_instances``.
+        doing : str
+            What it is for, in the words of an error.
+        not_yet : collection of str
+            Codes that a cloud gives until it has noticed its own last change: waited out.
+
+        Raises
+        ------
+        CloudError
+            `code_of` tells the cloud's own code.
+        """
+        is_renewed = False
+        deadline = time.monotonic() + self._first_s
+        for is_last in self.tries():
+            try:
+                return self._ask(operation, parameters)
+            except (*BOTO_ERRORS, CloudError) as error:
+                if has_expired(error) and self._renew is not None and not (is_renewed or is_last):
+                    self._client, is_renewed = self._renew(), True
+                    continue
+                if isinstance(error, CloudError):  # of the keys, and said in our words
+                    raise
+                passes = is_throttled(error) or is_lost_answer(error) or code_of(error) in not_yet
+                is_late = not self._has_answered and time.monotonic() >= deadline
+                if not passes or is_last or is_late:
+                    raise translate(error, doing, self._place) from error
+        raise AssertionError("the last try returns or raises")
+
+    def _ask(self, operation: str, parameters: dict[str, Any]) -> dict[str, Any]:
+        is_question = operation.startswith(("describe_", "get_"))
+        client = self._client if is_question or self._acting is None else self._acting()
+        try:
+            reply: dict[str, Any] = getattr(client, operation)(**parameters)
+        except ClientError:
+            self._has_answered = True
+            raise
+        self._has_answered = True
+        return reply
+
+    def tries(self) -> Iterator[bool]:
+        """Yield as often as something is tried, waiting in between; True for the last time."""
+        wait = FIRST_WAIT_S
+        for _ in range(1, ATTEMPTS):
+            yield False
+            self._sleep(wait * random.uniform(0.5, 1.0))  # noqa: S311 - spreads clients, no secret
+            wait *= 2
+        yield True
+
+    def all_of(self, operation: str, key: str, doing: str, **parameters: Any) -> list[Any]:
+        """Return all entries of a list, page by page."""
+        found: list[Any] = []
+        while True:
+            reply = self.call(operation, doing, **parameters)
+            found.extend(reply.get(key, []))
+            if not reply.get("NextToken"):
+                return found
+            parameters = {**parameters, "NextToken": reply["NextToken"]}

@@ -1,0 +1,173 @@
+"""Taking over a cluster that was made elsewhere: a way in, its keys, and its owner tag."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hpccomponent.errors import CloudError, UsageError
+from hpccomponent.protocol.keys import KeyPair, write_secret
+from hpcdeploy.machine.node_keys import NodeKeys
+from hpcdeploy.machine.provider import MachineSeen, Observed, State
+from hpcdeploy.machine.shell import Shell
+from hpcdeploy.providers.clouds import place_of
+from hpcdeploy.reconcile.journal import open_journal
+from hpcdeploy.reconcile.ownership import fingerprint
+from hpcdeploy.spec.layout import machine_folder, state_folder
+from hpcdeploy.spec.names import HEAD
+from hpcdeploy.spec.provider import CloudSpec
+
+if TYPE_CHECKING:
+    from hpcdeploy.reconcile.cluster import Cluster
+
+__all__ = ["check_way_in", "take_over"]
+
+AT_ONCE = 16
+WAIT_S = 30.0  # these machines have answered their owner before
+_ONLY_DOWN = "without its owner's key only 'hpcapp down' remains"
+
+
+def check_way_in(cluster: Cluster, key: Path | None) -> tuple[Observed, dict[str, KeyPair]]:
+    """Log in to all machines of a cluster that run; nothing is changed there.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    key : Path, optional
+        The private key that its owner has handed over; by default what is held here.
+
+    Returns
+    -------
+    Observed
+        What the cloud lists of the cluster.
+    dict of str to KeyPair
+        The keys by which master and workers know one another, as the machines have them.
+
+    Raises
+    ------
+    CloudError
+        There is nothing to take over, or a machine does not let us in.
+    UsageError
+        A key is given where none is used, or another one than the cluster's.
+    """
+    spec = cluster.spec
+    observed = cluster.provider.observe(spec.cluster)
+    there = [m for m in observed.machines if m.state not in (State.ENDING, State.GONE)]
+    if not there:
+        raise CloudError(
+            f"cluster {spec.cluster} has no machine that could be taken over",
+            f"run hpcapp up {cluster.path}, or hpcapp down {cluster.path} to remove its rest",
+        )
+    _choose_key(cluster, key, there)
+    for machine in there:
+        if machine.state is not State.RUNNING:
+            raise CloudError(
+                f"{machine.name.node} ({machine.id}) is {machine.state}, not running",
+                "try again when it runs, or take the cluster down",
+            )
+    with ThreadPoolExecutor(AT_ONCE, "adopt") as pool:
+        found = list(pool.map(lambda machine: _read_keys(cluster, machine), there))
+    return observed, {name: pair for keys in found for name, pair in keys.items()}
+
+
+def _choose_key(cluster: Cluster, key: Path | None, there: Iterable[MachineSeen]) -> None:
+    """Log in with the key that was handed over, where it is the one that fits."""
+    spec, access = cluster.spec, cluster.access
+    if not isinstance(spec.provider, CloudSpec) or spec.auth.ssh_private_key != "auto":
+        if key is not None:
+            why = (
+                "auth.ssh_private_key names it"
+                if isinstance(spec.provider, CloudSpec)
+                else ("hosts let in your own keys")
+            )
+            raise UsageError(f"--key is not used here: {why}", "leave it out")
+        return
+    wanted = {machine.owner.key for machine in there} - {""}
+    if key is not None:
+        access.use_key(key)
+    elif not access.held().owner.key:
+        raise CloudError(
+            f"there is no key of cluster {spec.cluster} here",
+            f"give the key of its owner by --key FILE (there it is "
+            f"{state_folder(spec.cluster) / 'id'}); {_ONLY_DOWN}",
+        )
+    ours = fingerprint(access.public_key())
+    if wanted - {ours}:
+        raise CloudError(
+            f"cluster {spec.cluster} lets in the key {', '.join(sorted(wanted))}, not {ours}",
+            f"give that one by --key FILE; {_ONLY_DOWN}",
+        )
+
+
+def _read_keys(cluster: Cluster, machine: MachineSeen) -> dict[str, KeyPair]:
+    """Log in, and read which keys a machine has, so that its work goes on with them."""
+    with cluster.access.open(machine, WAIT_S) as shell:
+        folder = machine_folder(cluster.spec.cluster)
+        keys: dict[str, KeyPair] = {}
+        said = _read_json(shell, f"{folder}/connection.json")
+        if said:
+            keys[machine.id] = KeyPair(said["public_key"], said["secret_key"])
+        inventory = _read_json(shell, f"{folder}/inventory.json")
+        if machine.name.node == HEAD and inventory:
+            server = KeyPair(inventory["server_public_key"], inventory["server_secret_key"])
+            keys[NodeKeys.SERVER] = server
+    return keys
+
+
+def _read_json(shell: Shell, path: str) -> dict[str, str]:
+    done = shell.run(f"cat {path} 2>/dev/null")
+    try:
+        return dict(json.loads(done.output)) if done.exit_code == 0 else {}
+    except ValueError as error:
+        raise CloudError(f"{shell.node}: {path} is damaged ({error})") from error
+
+
+def take_over(
+    cluster: Cluster,
+    observed: Observed,
+    keys: dict[str, KeyPair],
+    key: Path | None,
+    report: Callable[[str], None],
+) -> None:
+    """Keep a cluster's keys here, and write us down as its owner.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    observed : Observed
+    keys : dict of str to KeyPair
+        As `check_way_in` has found them.
+    key : Path, optional
+        The private key that was handed over.
+    report : callable
+        Takes lines for the user.
+
+    Raises
+    ------
+    CloudError
+        The cloud or a host refuses.
+    """
+    name = cluster.spec.cluster
+    with open_journal(name) as journal, journal.step(f"take over the cluster {name}"):
+        if key is not None:
+            _keep_key(key.read_text(), state_folder(name) / "id")
+        if NodeKeys.SERVER in keys:
+            NodeKeys.write(state_folder(name) / "keys.json", keys)
+        owner = cluster.access.owner()
+        machines = [m for m in observed.machines if m.state is State.RUNNING]
+        cluster.provider.mark(machines, observed.groups, owner)
+        if place := place_of(cluster.spec):
+            journal.note_place(place)
+    report(f"cluster {name} is {owner.user}'s now: {len(machines)} machines")
+
+
+def _keep_key(text: str, path: Path) -> None:
+    """Keep a private key; one that was there before stays beside it."""
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if path.exists() and path.read_text() != text:
+        os.replace(path, path.with_name("id.before"))
+    write_secret(path, text)

@@ -1,0 +1,212 @@
+"""Making the cloud as the file says, and taking it all away again.
+
+::
+
+    observe ──> plan ──> carry out ──> wait until it runs ──> set up ──> done
+       ^                (intent, call, outcome)  │                │
+       └── failed machines are replaced, within a budget <────────┘
+
+`workers.min` decides whether a smaller cluster will do; where it will not, what this `up` made is
+taken away again.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hpccomponent.errors import CloudError, LeftoverError
+from hpcdeploy.jobs.bucket import open_bucket
+from hpcdeploy.machine.provider import Observed, State
+from hpcdeploy.providers.clouds import place_of
+from hpcdeploy.reconcile.cost import check_limits, estimate_cost
+from hpcdeploy.reconcile.effort import Effort, Report
+from hpcdeploy.reconcile.journal import Journal, open_journal
+from hpcdeploy.reconcile.ownership import Held, ours, require_ours
+from hpcdeploy.reconcile.plan import Plan, make_plan
+from hpcdeploy.reconcile.removal import remove
+from hpcdeploy.reconcile.termination import Proof, Reason
+from hpcdeploy.spec.layout import forget_cluster
+from hpcdeploy.spec.names import draw_incarnation
+from hpcdeploy.spec.polling import Pace
+from hpcdeploy.spec.ssh_networks import ssh_networks
+
+if TYPE_CHECKING:
+    from hpcdeploy.reconcile.cluster import Cluster
+
+__all__ = ["bring_up", "look_ahead", "replace_lost", "take_down"]
+
+
+def look_ahead(cluster: Cluster) -> Plan:
+    """Return what `bring_up` would do now; nothing is changed.
+
+    Raises
+    ------
+    CloudError
+        The cluster was made elsewhere.
+    """
+    pace = Pace()
+    observed = cluster.provider.observe(cluster.spec.cluster)
+    require_ours(cluster, observed)
+    return make_plan(
+        cluster.spec,
+        observed,
+        pace.now(),
+        draw_incarnation(pace.now()),
+        ssh_networks(cluster.spec),
+        owner=cluster.access.held().owner,
+    )
+
+
+def bring_up(
+    cluster: Cluster, report: Report, *, keep: bool = False, pace: Pace | None = None
+) -> None:
+    """Make the cloud as the file says, and set the machines up; run again, it goes on.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    report : callable
+        Takes lines for the user.
+    keep : bool
+        Leave what was made where the cluster cannot be made whole.
+    pace : Pace, optional
+
+    Raises
+    ------
+    CloudError
+        The cluster was made elsewhere, and nothing was done; or fewer machines than `workers.min`
+        are to be had, and unless `keep`, what was made is gone.
+    LeftoverError
+        So it is, but something is left.
+    UsageError
+        It may cost more than the file allows; nothing was done.
+    """
+    check_limits(cluster.spec, estimate_cost(cluster.spec))
+    pace = pace or Pace()
+    require_ours(cluster, cluster.provider.observe(cluster.spec.cluster), pace.now())
+    with open_journal(cluster.spec.cluster) as journal:
+        if unfinished := journal.unfinished():
+            report(f"not finished before: {', '.join(unfinished)}; going on from what there is")
+        for elsewhere in _other_places(cluster, journal):
+            report(f"what was made before in {elsewhere} is not taken down by this file any more")
+        effort = Effort(cluster, journal, report, pace)
+        try:
+            with journal.command("bring the cluster up"):
+                effort.converge()
+        except KeyboardInterrupt:
+            report(f"what was made stays: {_ways_on(cluster)}")
+            raise
+        except Exception as error:
+            if keep:
+                report(f"what was made stays: {_ways_on(cluster)}")
+                raise
+            try:
+                effort.undo()
+            except CloudError as left:
+                raise LeftoverError(f"{error}; besides, {left.problem}", left.advice) from None
+            raise
+
+
+def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) -> None:
+    """Start new machines for workers that have vanished, and set them up.
+
+    Nothing else is changed, so that it may be called while a job runs; a worker that is not to be
+    had is done without.
+
+    Raises
+    ------
+    CloudError
+        The head does not run, the cloud refuses, or another command is changing the cluster.
+    """
+    with open_journal(cluster.spec.cluster) as journal:
+        effort = Effort(cluster, journal, report, pace or Pace(), only_replace=True)
+        with journal.command("replace lost workers"):
+            effort.converge()
+
+
+def take_down(
+    cluster: Cluster, report: Report, *, pace: Pace | None = None, is_named: bool = False
+) -> None:
+    """Take away all that the cloud lists of a cluster, whatever its file says by now.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    report : callable
+        Takes lines for the user.
+    pace : Pace, optional
+    is_named : bool
+        Whether the user has named the cluster, so that it goes although it was made elsewhere.
+
+    Raises
+    ------
+    LeftoverError
+        Something is left, here or where an earlier file made it.
+    CloudError
+        The cluster was made elsewhere and not named; or what its jobs have put into the bucket
+        cannot be taken away.
+    """
+    pace = pace or Pace()
+    seen = cluster.provider.observe(cluster.spec.cluster)
+    if not is_named:
+        require_ours(cluster, seen, pace.now())
+    with open_journal(cluster.spec.cluster) as journal:
+        _remove_all(cluster, journal, seen, report, pace)
+        bucket = open_bucket(cluster.spec, cluster.path.absolute().parent)
+        if bucket is not None:
+            with journal.step("clear the bucket"):
+                bucket.clear()
+        journal.clear_place(here := place_of(cluster.spec))
+        if places := _other_places(cluster, journal):
+            raise LeftoverError(
+                f"cluster {cluster.spec.cluster}: nothing is left in {here}, but it was made in "
+                f"{', '.join(places)}",
+                f"let {cluster.path} say so again and run hpcapp down {cluster.path}",
+            )
+        forget_cluster(cluster.spec.cluster)
+
+
+def _remove_all(
+    cluster: Cluster, journal: Journal, seen: Observed, report: Report, pace: Pace
+) -> None:
+    """Take away what was seen, and what is ours; not what others make of this name meanwhile."""
+    lives = frozenset(machine.incarnation for machine in seen.machines)
+    lives |= {group.incarnation for group in seen.groups}
+    lives |= {pair.incarnation for pair in seen.key_pairs}
+
+    def doomed() -> tuple[Observed, Proof]:
+        now = cluster.provider.observe(cluster.spec.cluster)
+        held = cluster.access.held()
+        return _doomed(now, held, lives), Proof(ours=ours(now, held), lives=lives)
+
+    looks = 3 if journal.unfinished() else 1
+    remove(cluster.provider, doomed, Reason.DOWN, journal.step, report, pace, looks)
+
+
+def _doomed(seen: Observed, held: Held, lives: frozenset[str]) -> Observed:
+    mine = ours(seen, held)
+    lives |= held.lives
+    machines = tuple(
+        m
+        for m in seen.machines
+        if m.id in mine or m.incarnation in lives or m.state is State.UNKNOWN
+    )
+    lives |= {machine.incarnation for machine in machines}
+    groups = tuple(
+        g
+        for g in seen.groups
+        if g.incarnation in lives or (g.owner.key and g.owner.key == held.owner.key)
+    )
+    lives |= {group.incarnation for group in groups}
+    pairs = tuple(p for p in seen.key_pairs if p.incarnation in lives)
+    return Observed(machines, pairs, groups)
+
+
+def _other_places(cluster: Cluster, journal: Journal) -> list[str]:
+    """Return where something may be left that the file does not lead to any more."""
+    here = place_of(cluster.spec)
+    return [place for place in journal.places if place != here]
+
+
+def _ways_on(cluster: Cluster) -> str:
+    return f"hpcapp up {cluster.path} goes on, hpcapp down {cluster.path} ends it"

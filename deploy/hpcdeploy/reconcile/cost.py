@@ -1,0 +1,174 @@
+"""What a cluster costs, as an estimate from above, and whether the file allows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hpccomponent.errors import UsageError
+from hpcdeploy.reconcile.prices import read_prices
+from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.names import HEAD
+from hpcdeploy.spec.provider import LocalSpec, Profile, SshSpec
+
+__all__ = ["Cost", "CostLine", "check_limits", "describe_cost", "estimate_cost"]
+
+
+@dataclass(frozen=True, slots=True)
+class CostLine:
+    """Machines of one kind.
+
+    Parameters
+    ----------
+    who : str
+        ``head`` or ``workers``.
+    count : int
+    profile, instance_type : str
+        Of the profile's types the dearest.
+    hourly : float, optional
+        Of one machine on demand, in dollars; None where no price is known. Spot machines cost
+        at most as much.
+    """
+
+    who: str
+    count: int
+    profile: str
+    instance_type: str
+    hourly: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What a cluster costs at most, in dollars.
+
+    Parameters
+    ----------
+    lines : tuple of CostLine
+        None where machines are there anyway.
+    lease_s : float
+        How long they live at most, in seconds.
+    priced_as_of : str
+        Year and month of the table that ships.
+    """
+
+    lines: tuple[CostLine, ...]
+    lease_s: float
+    priced_as_of: str
+
+    @property
+    def hourly(self) -> float:
+        """All machines whose price is known, an hour."""
+        return sum((line.count * line.hourly for line in self.lines if line.hourly), 0.0)
+
+    @property
+    def total_at_most(self) -> float:
+        """The same until the end of the lease."""
+        return self.hourly * self.lease_s / 3600
+
+    @property
+    def unknown(self) -> tuple[CostLine, ...]:
+        """The machines that no price is known of."""
+        return tuple(line for line in self.lines if line.hourly is None)
+
+
+def estimate_cost(spec: ClusterSpec, workers: int | None = None) -> Cost:
+    """Estimate what a cluster costs.
+
+    Parameters
+    ----------
+    spec : ClusterSpec
+    workers : int, optional
+        How many, by default as the file says.
+
+    Returns
+    -------
+    Cost
+        By a profile's ``hourly_cost``, or by the table that ships where the cloud is Amazon's. A
+        Eucalyptus bills nobody by itself: what no ``hourly_cost`` is given for counts as nothing
+        there. Traffic and S3 are not counted.
+    """
+    count = spec.worker_count if workers is None else workers
+    lines = []
+    for who, node, number in ((HEAD, HEAD, 1), ("workers", "worker-1", count)):
+        profile = spec.profile(node)
+        if profile is not None and number:
+            instance_type, hourly = _dearest(spec, profile)
+            lines.append(CostLine(who, number, spec.profile_name(node), instance_type, hourly))
+    return Cost(tuple(lines), spec.limits.lease, read_prices().as_of)
+
+
+def _dearest(spec: ClusterSpec, profile: Profile) -> tuple[str, float | None]:
+    """Return the dearest type of a profile and its price; one without a price comes first."""
+    priced = [(name, _hourly(spec, profile, name)) for name in profile.instance_types]
+    return max(priced, key=lambda pair: float("inf") if pair[1] is None else pair[1])
+
+
+def _hourly(spec: ClusterSpec, profile: Profile, instance_type: str) -> float | None:
+    provider = spec.provider
+    assert not isinstance(provider, SshSpec | LocalSpec)  # noqa: S101 - they have no profiles
+    if profile.hourly_cost is not None:
+        return profile.hourly_cost
+    if provider.type == "aws" or provider.capabilities == "aws":
+        return read_prices().hourly(instance_type, provider.region, profile.disk_gb)
+    return 0.0 if provider.type == "eucalyptus" else None
+
+
+def check_limits(spec: ClusterSpec, cost: Cost) -> None:
+    """Hold a cluster to the limits of its file.
+
+    Raises
+    ------
+    UsageError
+        It costs more than `max_hourly_cost` or `max_total_cost`, or perhaps does, because no
+        price is known.
+    """
+    limits = spec.limits
+    if cost.unknown and (limits.max_hourly_cost is not None or limits.max_total_cost is not None):
+        line = cost.unknown[0]
+        raise UsageError(
+            f"no price is known of {line.instance_type} here, so the limits of cost cannot be held",
+            f"give provider.profiles.{line.profile}.hourly_cost (0 where nobody bills), or drop "
+            "limits.max_hourly_cost and limits.max_total_cost",
+        )
+    for name, limit, estimate, span in (
+        ("max_hourly_cost", limits.max_hourly_cost, cost.hourly, "an hour"),
+        ("max_total_cost", limits.max_total_cost, cost.total_at_most, "within the lease"),
+    ):
+        if limit is not None and estimate > limit + 1e-9:
+            raise UsageError(
+                f"the cluster costs an estimated {_dollars(estimate)} {span}, more than "
+                f"limits.{name}, {_dollars(limit)}",
+                "take fewer or smaller machines or a shorter lease, or raise the limit",
+            )
+
+
+def describe_cost(cost: Cost) -> list[str]:
+    """Return the lines in which people read it."""
+    if not cost.lines:
+        return ["cost: none that is known of: the machines are there anyway"]
+    lines = [
+        f"cost: {line.who}: {line.count} x {line.instance_type}, "
+        + (
+            f"no price is known: give provider.profiles.{line.profile}.hourly_cost"
+            if line.hourly is None
+            else f"{_dollars(line.hourly)} an hour each"
+        )
+        for line in cost.lines
+    ]
+    if len(cost.unknown) == len(cost.lines):
+        return [*lines, "cost: not known"]
+    known = "not known in all; what is known " if cost.unknown else ""
+    at_most = "at least" if cost.unknown else "at most"
+    lines.append(
+        f"cost: {known}together {_dollars(cost.hourly)} an hour, {at_most} "
+        f"{_dollars(cost.total_at_most)} until the lease of {cost.lease_s / 3600:g} h ends"
+    )
+    lines.append(
+        "cost: an estimate from above: the dearest type on demand, by hourly_cost or Amazon's list "
+        f"prices of {cost.priced_as_of} with disk and address; traffic is not counted"
+    )
+    return lines
+
+
+def _dollars(amount: float) -> str:
+    """Write an amount so that a cheap machine is not free."""
+    return f"${amount:.2f}" if amount >= 1 or not amount else f"${amount:.4f}"

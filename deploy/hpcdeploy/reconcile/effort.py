@@ -1,0 +1,321 @@
+"""One run of `up`: from a plan to machines that are set up, with replacements for those that fail.
+
+Used by `converge` only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from datetime import timedelta
+from typing import TYPE_CHECKING
+
+from hpccomponent.errors import CapacityError, CloudError, write_block
+from hpcdeploy.machine.provider import GroupSeen, MachineSeen, Observed, State
+from hpcdeploy.providers.clouds import place_of
+from hpcdeploy.reconcile.cluster import node_order
+from hpcdeploy.reconcile.journal import Journal
+from hpcdeploy.reconcile.launching import launch_nodes
+from hpcdeploy.reconcile.ownership import ours, require_ours
+from hpcdeploy.reconcile.plan import (
+    LIVE,
+    Action,
+    Allow,
+    CreateGroup,
+    CreateKeyPair,
+    Extend,
+    LaunchNode,
+    Mark,
+    Plan,
+    Terminate,
+    make_plan,
+)
+from hpcdeploy.reconcile.removal import remove
+from hpcdeploy.reconcile.termination import Proof, Reason, end, may_terminate
+from hpcdeploy.spec.cluster import address_kind
+from hpcdeploy.spec.names import HEAD, NodeName, Owner, draw_incarnation
+from hpcdeploy.spec.polling import Pace
+from hpcdeploy.spec.provider import LocalSpec
+from hpcdeploy.spec.ssh_networks import ssh_networks
+
+if TYPE_CHECKING:
+    from hpcdeploy.reconcile.cluster import Cluster
+
+__all__ = ["Effort", "Report"]
+
+Report = Callable[[str], None]
+CONSOLE_LINES = 5
+Failed = tuple[MachineSeen, str]
+
+
+class Effort:
+    """One run of `up`: what it has launched, what it has given up."""
+
+    def __init__(
+        self,
+        cluster: Cluster,
+        journal: Journal,
+        report: Report,
+        pace: Pace,
+        only_replace: bool = False,
+    ) -> None:
+        self._cluster, self._spec, self._provider = cluster, cluster.spec, cluster.provider
+        self._journal, self._report, self._pace = journal, report, pace
+        self._only_replace = only_replace
+        self._is_unsettled = self._provider.makes_machines and bool(journal.unfinished())
+        self._ssh_from = frozenset[str]() if only_replace else ssh_networks(self._spec)
+        self._incarnation = draw_incarnation(pace.now())
+        self._group: GroupSeen | None = None
+        self._owner = Owner()
+        self._seen = Observed()
+        self._launched: dict[str, MachineSeen] = {}
+        self._given_up: dict[str, CloudError] = {}
+        nodes = len(self._spec.nodes())
+        self._replacements = 2 + nodes // 4 if self._provider.makes_machines else 0
+        self._deadline = pace.now() + timedelta(seconds=pace.total_s)
+
+    def converge(self) -> None:
+        """Go round until every node is set up or given up; see the module's diagram."""
+        if self._is_unsettled:
+            self._pace.sleep(self._pace.settle_s)
+        plan = self._plan()
+        if self._only_replace and not plan.actions and not self._is_unsettled:
+            return
+        while True:
+            awaited = self._carry_out(plan)
+            self._check_enough()
+            running, failed = self._await_running(awaited)
+            failed = failed or self._set_up(running)
+            for machine, reason in failed:
+                self._dismiss(machine, reason)
+            self._check_enough()
+            plan = self._plan()
+            if not failed and self._is_settled(plan):
+                break
+        for node, error in self._given_up.items():
+            self._report(f"going without {node}: {error.problem}")
+
+    def _is_settled(self, plan: Plan) -> bool:
+        """Tell whether all are there and nobody else: some are lost or listed only by now."""
+        is_late = self._pace.now() >= self._deadline
+        return is_late or not any(isinstance(a, LaunchNode | Terminate) for a in plan.actions)
+
+    def undo(self) -> None:
+        """Take away the machines that this command has launched, and what is empty without them."""
+        self._report("taking away again what was made")
+        if any(not isinstance(error, CapacityError) for error in self._given_up.values()):
+            self._pace.sleep(self._pace.settle_s)  # an answer may be lost, its machine not listed
+
+        def made() -> tuple[Observed, Proof]:
+            seen = self._observe()
+            proof = self._proof(seen)
+            going = tuple(m for m in seen.machines if may_terminate(m, Reason.ROLL_BACK, proof))
+            others = [m for m in seen.machines if m not in going and m.state is not State.GONE]
+            if others or not self._is_ours(seen):
+                return Observed(going), proof
+            return Observed(going, seen.key_pairs, seen.groups), proof
+
+        looks = 3 if self._journal.unfinished() else 1
+        args = (Reason.ROLL_BACK, self._journal.step, self._report, self._pace, looks)
+        remove(self._provider, made, *args)
+        if all(machine.state is State.GONE for machine in self._observe().machines):
+            self._journal.clear_place(place_of(self._spec))
+
+    def _is_ours(self, seen: Observed) -> bool:
+        try:
+            require_ours(self._cluster, seen, self._pace.now())
+        except CloudError:
+            return False
+        return True
+
+    def _proof(self, seen: Observed) -> Proof:
+        """Return what may be ended of what is seen: ours, and what of it nobody can be using."""
+        held = self._cluster.access.held()
+        mine = ours(seen, held)
+        if isinstance(self._spec.provider, LocalSpec):
+            mine = frozenset(machine.id for machine in seen.machines)
+        asked, now_asked = self._journal.launched(), self._journal.launched(since_opened=True)
+
+        def among(machines: frozenset[tuple[str, NodeName]]) -> frozenset[str]:
+            # Who shares our key may have launched the very same node: it bears their name.
+            users = (held.owner.user, "")
+            return frozenset(
+                m.id
+                for m in seen.machines
+                if (m.incarnation, m.name) in machines and m.owner.user in users
+            )
+
+        return Proof(mine, among(asked) - self._journal.used, among(now_asked))
+
+    def _observe(self) -> Observed:
+        """Look at the cloud; what was launched and is not listed yet is pending."""
+        seen = self._provider.observe(self._spec.cluster)
+        listed = {machine.id for machine in seen.machines}
+        unlisted = tuple(m for m in self._launched.values() if m.id not in listed)
+        return replace(seen, machines=seen.machines + unlisted)
+
+    def _plan(self) -> Plan:
+        observed = self._seen = self._observe()
+        require_ours(self._cluster, observed, self._pace.now())
+        self._group = next((g for g in observed.groups if g.cluster == self._spec.cluster), None)
+        plan = make_plan(
+            self._spec,
+            observed,
+            self._pace.now(),
+            self._incarnation,
+            self._ssh_from,
+            self._journal.known_bad & self._proof(observed).unused,
+            self._cluster.access.held().owner,
+        )
+        for machine in plan.hidden:
+            if machine.name.node not in self._spec.nodes():
+                continue
+            reason = machine.reason or "it does not let us see what it does"
+            self._give_up(machine, f"{reason}; it stays as it is")
+        if self._only_replace and all(machine.name.node != HEAD for machine in plan.kept):
+            raise CloudError(
+                f"the head of cluster {self._spec.cluster} does not run",
+                f"run hpcapp up {self._cluster.path}",
+            )
+        return replace(plan, actions=tuple(a for a in plan.actions if self._is_due(a)))
+
+    def _is_due(self, action: Action) -> bool:
+        if isinstance(action, LaunchNode):
+            return action.name.node not in self._given_up
+        if isinstance(action, Terminate) and self._only_replace:
+            return action.why is Reason.UNUSABLE
+        return not self._only_replace
+
+    def _carry_out(self, plan: Plan) -> list[MachineSeen]:
+        """Do what was planned; return the machines that are to run."""
+        if plan.actions:
+            self._owner = self._cluster.access.owner()
+            if place := place_of(self._spec):
+                self._journal.note_place(place)
+        kept = {machine.id: machine for machine in plan.kept}
+        launches = [action for action in plan.actions if isinstance(action, LaunchNode)]
+        for action in plan.actions:
+            if isinstance(action, LaunchNode):
+                continue
+            self._report(str(action))
+            life = {"incarnation": action.incarnation} if isinstance(action, CreateGroup) else {}
+            with self._journal.step(str(action), **life):
+                self._call(action)
+            if isinstance(action, Extend):
+                for machine in action.machines:
+                    kept[machine.id] = replace(machine, lease_until=action.lease_until)
+        launched, short = launch_nodes(
+            self._spec,
+            self._provider,
+            self._journal,
+            launches,
+            self._group.incarnation if self._group else plan.incarnation,
+            self._owner,
+            self._report,
+            self._pace,
+        )
+        self._launched.update((machine.id, machine) for machine in launched)
+        self._given_up.update((shortage.node, shortage.error) for shortage in short)
+        running = [m for m in kept.values() if m.name.node not in self._given_up]
+        return sorted([*running, *launched], key=node_order)
+
+    def _call(self, action: Action) -> None:
+        """Make the provider's call for an action."""
+        match action:
+            case CreateGroup(incarnation):
+                name = self._spec.cluster
+                self._group = self._provider.create_group(name, incarnation, self._owner)
+                if self._group.incarnation != incarnation:  # another hurried user was first
+                    require_ours(self._cluster, self._observe(), self._pace.now())
+            case Allow(ssh_from, internal_ports):
+                assert self._group is not None  # noqa: S101 - planned only where there is one
+                self._provider.allow(self._group, ssh_from, internal_ports)
+            case CreateKeyPair():
+                assert self._group is not None  # noqa: S101 - planned only where there is one
+                life, key = self._group.incarnation, self._cluster.access.public_key()
+                self._provider.create_key_pair(self._spec.cluster, life, key)
+            case Mark(machines, groups, owner):
+                self._provider.mark(machines, groups, owner)
+            case Terminate(machines, why):
+                end(self._provider, machines, why, self._proof(self._seen))
+            case Extend(machines, lease_until):
+                self._provider.extend(machines, lease_until)
+
+    def _await_running(self, awaited: list[MachineSeen]) -> tuple[list[MachineSeen], list[Failed]]:
+        """Wait until machines run and have an address; tell which do not, and why."""
+        kind = address_kind(self._spec)
+        for _ in self._pace.looks(self._spec.limits.boot):
+            if all(_is_ready(machine, kind) or machine.state not in LIVE for machine in awaited):
+                break
+            seen = {machine.id: machine for machine in self._observe().machines}
+            awaited = [seen.get(machine.id, machine) for machine in awaited]
+        failed = [(m, self._why_not_running(m)) for m in awaited if not _is_ready(m, kind)]
+        return [machine for machine in awaited if _is_ready(machine, kind)], failed
+
+    def _why_not_running(self, machine: MachineSeen) -> str:
+        said = f" ({machine.reason})" if machine.reason else ""
+        if machine.state not in LIVE:
+            return f"it ended while it booted{said}"
+        with suppress(CloudError):
+            end = [line for line in self._provider.console(machine).splitlines() if line.strip()]
+            if end:
+                block = write_block("\n".join(line[:200] for line in end[-CONSOLE_LINES:]))
+                self._report(f"{machine.name.node}: its console ends so:\n{block}")
+        return f"not running after {self._spec.limits.boot:.0f} s{said}"
+
+    def _set_up(self, running: list[MachineSeen]) -> list[Failed]:
+        """Set the machines up; tell which failed, as the cloud sees them now."""
+        from hpcdeploy.machine.bootstrap import set_up  # it imports paramiko, which is slow
+
+        self._journal.note_set_up((m.id for m in running), is_done=False)
+        with self._journal.step("set up " + ", ".join(m.name.node for m in running)):
+            failures = set_up(self._spec, running, self._cluster.access, self._report)
+        failed = {failure.machine.id for failure in failures}
+        self._journal.note_set_up((m.id for m in running if m.id not in failed), is_done=True)
+        if not failures:
+            return []
+        seen = {machine.id: machine for machine in self._observe().machines}
+        return [(seen.get(f.machine.id, f.machine), f.reason) for f in failures]
+
+    def _dismiss(self, machine: MachineSeen, reason: str) -> None:
+        """Decide whether a machine that failed is replaced; the next plan carries it out."""
+        is_preempted = machine.market == "spot" and machine.state not in LIVE
+        proof = self._proof(Observed((machine,)))
+        is_new = machine.id in proof.unused | (proof.launched - self._journal.set_up)
+        if self._provider.makes_machines and machine.state in LIVE and not is_new:
+            node = machine.name.node
+            self._give_up(
+                machine,
+                f"{reason}; it stays, for it may be at work",
+                f"mend it, or end it (hpcapp ssh {self._cluster.path} {node} sudo poweroff) and "
+                "run hpcapp up again",
+            )
+            return
+        if self._provider.makes_machines and not is_preempted:  # hosts have no other id
+            self._journal.note_bad(machine.id, reason)
+        may_go_on = self._pace.now() < self._deadline and (is_preempted or self._replacements > 0)
+        if may_go_on:
+            self._replacements -= not is_preempted
+            self._report(f"{machine.name.node}: {reason}; replacing it")
+        else:
+            self._give_up(machine, reason)
+
+    def _give_up(self, machine: MachineSeen, reason: str, advice: str = "") -> None:
+        doctor = f"look at hpcapp doctor {self._cluster.path}, or try another image or type"
+        self._given_up[machine.name.node] = CloudError(reason, advice or doctor)
+
+    def _check_enough(self) -> None:
+        """Fail where the nodes that are left make no cluster."""
+        lost = self._given_up
+        workers = self._spec.worker_count - len(lost.keys() - {HEAD})
+        if HEAD in lost or (workers < self._spec.worker_min and not self._only_replace):
+            node = HEAD if HEAD in lost else min(lost)
+            others = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
+            raise CloudError(
+                f"{node}{others} cannot be had: {lost[node].problem}", lost[node].advice
+            )
+
+
+def _is_ready(machine: MachineSeen, kind: str) -> bool:
+    return machine.state is State.RUNNING and bool(machine.address(kind))

@@ -1,0 +1,191 @@
+"""What `doctor` looks at, and `up` before it launches anything: cloud, wheels, and machines."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from hpccomponent.errors import CloudError, write_block
+from hpccomponent.runtime.numerics import package_version
+from hpcdeploy.machine.bootstrap import MIN_FREE, check_wheels
+from hpcdeploy.machine.parallel import connections_at_once, run_parallel
+from hpcdeploy.machine.probe import Probed, no_python, probe
+from hpcdeploy.machine.provider import MachineSeen, Problem
+from hpcdeploy.machine.shell import Shell
+from hpcdeploy.machine.wheels.requirements import missing_wheels
+from hpcdeploy.reconcile.cluster import Cluster
+from hpcdeploy.spec.layout import machine_folder, state_folder
+from hpcdeploy.spec.names import HEAD, without_node
+from hpcdeploy.spec.provider import LocalSpec
+
+__all__ = ["Visit", "examine", "visit"]
+
+WAIT_S = 10.0  # until a machine lets us in
+ANSWER_S = 15.0  # until it has said all that it is asked
+MAX_SKEW_S = 30  # more, and a lease ends at another time than it says
+_VERSION = (
+    "cd {folder} 2>/dev/null && venv/bin/python -P -c "
+    "'from importlib.metadata import version; print(version(\"hpcapp\"))'"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """What has been seen on a machine.
+
+    Parameters
+    ----------
+    machine : MachineSeen
+    problems : tuple of Problem
+    about : str
+        What it is, where that is known: its Python, its architecture, its room.
+    """
+
+    machine: MachineSeen
+    problems: tuple[Problem, ...]
+    about: str = ""
+
+
+def examine(
+    cluster: Cluster,
+    report: Callable[[str], None],
+    *,
+    wait_s: float = WAIT_S,
+    answer_s: float = ANSWER_S,
+) -> Iterator[Problem]:
+    """Yield what is wrong; nothing is changed.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    report : callable
+        Takes a line for each thing that has been looked at.
+    wait_s, answer_s : float
+        How long a machine may take to let us in, and to answer.
+    """
+    yield from _told("state folder", list(_state_problems(cluster)), "", report)
+    machines = cluster.provider.hosts()
+    if not machines:
+        found = []
+        try:
+            machines = cluster.machines()
+            found = cluster.provider.check()
+        except CloudError as error:  # all else that it would be asked fails too
+            found = [Problem(error.problem, error.advice)]
+        yield from _told("cloud", found, "", report)
+    wheels = check_wheels(cluster.spec, cluster.access.base)
+    yield from _told("wheels", wheels, "", report)
+    for seen in visit(cluster, machines, wait_s=wait_s, answer_s=answer_s):
+        yield from _told(seen.machine.name.node, seen.problems, seen.about, report)
+
+
+def visit(
+    cluster: Cluster,
+    machines: Sequence[MachineSeen],
+    *,
+    wait_s: float = WAIT_S,
+    answer_s: float = ANSWER_S,
+) -> list[Visit]:
+    """Log in to machines, several at once, and look at each; nothing is changed."""
+
+    def look(machine: MachineSeen) -> Visit:
+        return _visit(cluster, machine, wait_s, answer_s)
+
+    return run_parallel(look, machines, connections_at_once(), "doctor")
+
+
+def _state_problems(cluster: Cluster) -> Iterator[Problem]:
+    """Yield what keeps `up` from writing down what it does."""
+    folder = state_folder(cluster.spec.cluster)
+    there = next(path for path in (folder, *folder.parents) if path.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        advice = "set XDG_STATE_HOME to a folder that can be written"
+        yield Problem(f"{there}: cannot be written", advice)
+
+
+def _told(
+    what: str, found: Sequence[Problem], about: str, report: Callable[[str], None]
+) -> Sequence[Problem]:
+    if not found:
+        report(f"{what}: good" + (f" ({about})" if about else ""))
+    for problem in found:
+        said = without_node(problem.what, what)
+        report(f"{what}: {said}" + (f"; {problem.advice}" if problem.advice else ""))
+        if problem.excerpt:
+            report(write_block(problem.excerpt))
+    return found
+
+
+def _visit(cluster: Cluster, machine: MachineSeen, wait_s: float, answer_s: float) -> Visit:
+    """Look at a machine that runs."""
+    spec, folder = cluster.spec, machine_folder(cluster.spec.cluster)
+    deadline = time.monotonic() + wait_s + answer_s
+
+    def left_s() -> float:
+        return max(1.0, min(answer_s, deadline - time.monotonic()))
+
+    try:
+        with cluster.access.open(machine, wait_s) as shell:
+            probed = probe(shell, spec.cluster, folder, spec.env.python, left_s())
+            version = _version(shell, folder, left_s()) if probed.installed else ""
+    except CloudError as error:
+        return Visit(machine, (Problem(error.problem, error.advice, excerpt=error.excerpt),))
+    problems = (
+        *_machine_problems(probed),
+        *_python_problems(cluster, machine, probed),
+        *_install_problems(probed, version),
+    )
+    return Visit(machine, problems, _about(probed))
+
+
+def _version(shell: Shell, folder: str, timeout_s: float) -> str:
+    return shell.run(_VERSION.format(folder=folder), timeout_s=timeout_s).output.strip()
+
+
+def _about(probed: Probed) -> str:
+    kinds = str(probed.kinds[0][1]) if probed.kinds else "no Python"
+    return f"{kinds}; {probed.free / (1 << 30):.1f} GiB free"
+
+
+def _machine_problems(probed: Probed) -> Iterator[Problem]:
+    skew = probed.clock - time.time()
+    if abs(skew) > MAX_SKEW_S:
+        yield Problem(f"its clock is {skew:+.0f} s off", "run a time service there", is_fatal=False)
+    if probed.free < MIN_FREE:
+        yield Problem(
+            f"its disk has {probed.free >> 20} MiB left, {MIN_FREE >> 20} are needed",
+            "make room there, or set disk_gb in its profile",
+            is_fatal=not probed.installed,
+        )
+
+
+def _python_problems(cluster: Cluster, machine: MachineSeen, probed: Probed) -> Iterator[Problem]:
+    """Yield what is missing to install it: an interpreter, or wheels for each of them."""
+    spec = cluster.spec
+    if isinstance(spec.provider, LocalSpec):  # a node is this very interpreter
+        return
+    if not probed.kinds:
+        error = no_python(probed, spec.env.python)
+        yield Problem(error.problem, error.advice, is_fatal=not spec.env.setup)
+        return
+    is_head = machine.name.node == HEAD
+    lacking = [
+        (kind, missing_wheels(spec, cluster.access.base, kind, is_head=is_head))
+        for _, kind in probed.kinds
+    ]
+    if spec.env.wheelhouse is not None and all(missing for _, missing in lacking):
+        kind, missing = lacking[0]
+        yield Problem(f"the wheelhouse has no {', '.join(missing)} for {kind}", "add the wheels")
+
+
+def _install_problems(probed: Probed, version: str) -> Iterator[Problem]:
+    """Yield what `up` would mend on a machine that it has set up before."""
+    if not probed.installed:
+        return
+    if version != package_version():
+        found = f"hpcapp {version}" if version else "no hpcapp"
+        yield Problem(f"{found} is installed, not {package_version()}", "run hpcapp up", False)
+    elif not probed.is_running:
+        yield Problem("its loader does not run", "run hpcapp up; see loader.log", is_fatal=False)

@@ -1,0 +1,265 @@
+"""The journal: what `up` and `down` were about to do, written before they do it.
+
+It tells the user what was under way when a command was cut short or failed, and lets the next one
+ask the cloud again with the very same token. Nothing that exists is found by it: that is the
+cloud's own list, see `provider.Provider.observe`. One line of JSON for each intent and each
+outcome, synced to the disk; the last line may be torn. While a journal is open no other command
+changes the cluster from this machine.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import IO, Any
+
+from hpccomponent.errors import CapacityError, CloudError, OutputError
+from hpcdeploy.reconcile.plan import LaunchChoice
+from hpcdeploy.spec.layout import state_folder
+from hpcdeploy.spec.names import NodeName
+from hpcdeploy.spec.polling import utc_now
+
+__all__ = ["Attempt", "Journal", "Step", "begun_lives", "open_journal"]
+
+Launched = tuple[str, NodeName]
+"""The incarnation and the node of a machine that was asked for."""
+
+Step = Callable[[str], AbstractContextManager[object]]
+"""Writes an intent, lets it be carried out, writes how it went; see `Journal.step`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """A launch that has come about, or may have: a cloud lists a new machine with a delay.
+
+    Parameters
+    ----------
+    choice : LaunchChoice
+    lease_until : datetime
+        A repeated request must be the same in all its parts.
+    """
+
+    choice: LaunchChoice
+    lease_until: datetime
+
+
+class Journal:
+    """An open journal; see `open_journal`."""
+
+    def __init__(self, file: IO[bytes], entries: list[dict[str, Any]]) -> None:
+        self._file = file
+        self._entries = entries
+        self._opened = len(entries)
+        self._lock = threading.Lock()
+
+    def command(self, what: str) -> AbstractContextManager[None]:
+        """Write a whole command's intent, let it be carried out, write how it went.
+
+        Once it is done, nothing that was begun before it is unfinished any more.
+        """
+        return self.step(what, is_command=True)
+
+    @contextmanager
+    def step(self, what: str, **details: str | int) -> Iterator[None]:
+        """Write an intent, let it be carried out, write how it went.
+
+        Parameters
+        ----------
+        what : str
+            What is about to be done, as the user may read it.
+        **details
+            What the next command needs to know about it.
+        """
+        self._write({"intent": what, **details})
+        try:
+            yield
+        except CapacityError as error:
+            self._write({"refused": what, "why": str(error), **details})
+            raise
+        except Exception as error:
+            self._write({"failed": what, "why": str(error), **details})
+            raise
+        self._write({"done": what, **details})
+
+    def note_bad(self, machine_id: str, reason: str) -> None:
+        """Remember that a machine is of no use, so that the next `up` replaces it at once."""
+        self._write({"bad": machine_id, "why": reason})
+
+    @property
+    def known_bad(self) -> frozenset[str]:
+        """The ids of machines that are of no use."""
+        return frozenset(entry["bad"] for entry in self._entries if "bad" in entry)
+
+    def note_set_up(self, machine_ids: Iterable[str], *, is_done: bool) -> None:
+        """Remember that the set-up of machines begins, or that they are set up."""
+        about = "set up" if is_done else "setting up"
+        known = {i for entry in self._entries for i in entry.get(about, ())}
+        if new := sorted(set(machine_ids) - known):
+            self._write({about: new})
+
+    @property
+    def used(self) -> frozenset[str]:
+        """The ids of machines that are set up, or may be: whoever set them up told no end."""
+        begun = frozenset(i for entry in self._entries for i in entry.get("setting up", ()))
+        return self.set_up | (begun - self.known_bad)
+
+    @property
+    def set_up(self) -> frozenset[str]:
+        """The ids of machines that were set up from here."""
+        return frozenset(i for entry in self._entries for i in entry.get("set up", ()))
+
+    def launched(self, *, since_opened: bool = False) -> frozenset[Launched]:
+        """Return the machines that were asked for, whether or not there was an answer.
+
+        Those of earlier releases, which did not write down what is set up, do not count.
+        """
+        return frozenset(
+            (entry["incarnation"], NodeName(entry["node"], entry["generation"]))
+            for entry in self._entries[self._opened if since_opened else 0 :]
+            if "intent" in entry and "key" in entry
+        )
+
+    @property
+    def lives(self) -> frozenset[str]:
+        """The incarnations of the cluster that were begun or used from here."""
+        return _lives(self._entries)
+
+    def note_place(self, place: str) -> None:
+        """Remember where something is about to be made."""
+        if place not in self.places:
+            self._write({"place": place})
+
+    def clear_place(self, place: str) -> None:
+        """Remember that nothing is left at a place."""
+        if place in self.places:
+            self._write({"cleared": place})
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Where something was made that was not taken down since, the earliest first."""
+        found: list[str] = []
+        for entry in self._entries:
+            match entry:
+                case {"place": place}:
+                    found.append(place)
+                case {"cleared": place}:
+                    found.remove(place)
+        return tuple(found)
+
+    def unfinished(self) -> list[str]:
+        """Return what was begun and neither done nor refused, in the order in which it was begun.
+
+        What has failed is among it: the call may have come about and its answer been lost, and
+        what a command made before it failed may not be listed yet.
+        """
+        pending: list[str] = []
+        for entry in self._entries:
+            match entry:
+                case {"intent": what}:
+                    pending = [*(other for other in pending if other != what), what]
+                case {"done": what, "is_command": True} if what in pending:
+                    pending = pending[pending.index(what) + 1 :]
+                case {"done": what} | {"refused": what}:
+                    pending = [other for other in pending if other != what]
+        return pending
+
+    def attempt(self, incarnation: str, name: NodeName) -> Attempt | None:
+        """Return the launch of a node that was asked for last, unless it was refused."""
+        of_node = {"incarnation": incarnation, "node": name.node, "generation": name.generation}
+        for entry in reversed(self._entries):
+            if of_node.items() <= entry.items():
+                if "refused" in entry:
+                    return None
+                until = datetime.fromisoformat(entry["lease_until"])
+                zone = entry.get("zone", "")  # an older release wrote none
+                choice = LaunchChoice(entry["instance_type"], entry["market"], zone)
+                return Attempt(choice, until)
+        return None
+
+    def _write(self, entry: dict[str, Any]) -> None:
+        line = json.dumps({"at": utc_now().isoformat(timespec="milliseconds"), **entry})
+        with self._lock:
+            self._entries.append(entry)
+            self._file.write(line.encode() + b"\n")
+            os.fsync(self._file.fileno())
+
+
+@contextmanager
+def open_journal(cluster: str) -> Iterator[Journal]:
+    """Open the journal of a cluster, for this process alone.
+
+    Raises
+    ------
+    CloudError
+        Another process has it open.
+    OutputError
+        The state folder cannot be written.
+    """
+    path = state_folder(cluster) / "journal.jsonl"
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        file = path.open("ab+", buffering=0)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: {error.strerror}", "set XDG_STATE_HOME to a folder that can be written"
+        ) from None
+    with file:
+        if not _is_ours(file):
+            raise CloudError(
+                f"cluster {cluster} is being changed by another hpcapp on this machine",
+                "wait for it to end, or end it",
+            )
+        yield Journal(file, _read(file, path))
+
+
+def begun_lives(cluster: str) -> frozenset[str]:
+    """Return the incarnations of a cluster that were begun or used from here; takes no lock."""
+    path = state_folder(cluster) / "journal.jsonl"
+    try:
+        lines = path.read_bytes().splitlines()
+    except OSError:
+        return frozenset()
+    entries = []
+    for line in lines:
+        with suppress(ValueError):  # the last one may be half written
+            entries.append(json.loads(line))
+    return _lives(entries)
+
+
+def _lives(entries: Iterable[dict[str, Any]]) -> frozenset[str]:
+    return frozenset(entry["incarnation"] for entry in entries if "incarnation" in entry)
+
+
+def _is_ours(file: IO[bytes]) -> bool:
+    """Lock the journal; tell whether it was free, and not removed by a `down` meanwhile."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return os.fstat(file.fileno()).st_nlink > 0
+
+
+def _read(file: IO[bytes], path: Path) -> list[dict[str, Any]]:
+    """Read all entries, and cut off a last line that is torn."""
+    file.seek(0)
+    text = file.read()
+    whole = text[: text.rfind(b"\n") + 1]
+    if len(whole) < len(text):
+        file.truncate(len(whole))
+    entries = []
+    for number, line in enumerate(whole.splitlines(), start=1):
+        try:
+            entries.append(json.loads(line))
+        except ValueError:
+            raise CloudError(
+                f"{path}:{number}: not a line of the journal",
+                "move the file away: nothing is found by it, the cloud's own lists are",
+            ) from None
+    return entries

@@ -1,0 +1,156 @@
+"""Getting machines: types and markets in their order, again after a while, several at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+
+from hpccomponent.errors import CapacityError, CloudError
+from hpcdeploy.machine.provider import Launch, MachineSeen, Provider, State
+from hpcdeploy.reconcile.journal import Journal
+from hpcdeploy.reconcile.plan import LaunchChoice, LaunchNode
+from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.names import HEAD, NodeName, Owner
+from hpcdeploy.spec.polling import Pace
+
+__all__ = ["Shortage", "launch_nodes"]
+
+AT_ONCE = 8
+"""More launches at a time only meet the cloud's own rate limit."""
+REMEMBERED = 20
+"""So many generations may have come and gone that the cloud does not list any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shortage:
+    """A node whose machine is not to be had.
+
+    Parameters
+    ----------
+    node : str
+    error : CloudError
+    """
+
+    node: str
+    error: CloudError
+
+
+@dataclass(frozen=True, slots=True)
+class _Request:
+    """All that one launch needs beside the node."""
+
+    spec: ClusterSpec
+    provider: Provider
+    journal: Journal
+    incarnation: str
+    owner: Owner
+    pace: Pace
+    report: Callable[[str], None]
+
+    def launch(self, action: LaunchNode) -> MachineSeen | Shortage:
+        """Try the choices in their order, and the whole order again after a while."""
+        error = CloudError(f"{action.name.node}: nothing to try")
+        for wait_s in (0.0, *self.pace.backoff_s):
+            if wait_s:
+                self.report(f"{error.problem}; trying again in {wait_s:.0f} s")
+                self.pace.sleep(wait_s)
+            for choice in self._choices(action):
+                try:
+                    return self._ask(action, choice)
+                except CapacityError as refusal:
+                    error = refusal
+                except CloudError as failure:
+                    return Shortage(action.name.node, failure)
+        return Shortage(action.name.node, error)
+
+    def _choices(self, action: LaunchNode) -> list[LaunchChoice]:
+        """Begin with the choice whose answer an earlier command did not live to see."""
+        attempt = self.journal.attempt(self.incarnation, action.name)
+        begun = [attempt.choice] if attempt else []
+        return begun + [choice for choice in action.choices if choice not in begun]
+
+    def _ask(self, action: LaunchNode, choice: LaunchChoice) -> MachineSeen:
+        """Launch; where the cloud remembers a machine that is gone, its successor."""
+        name, told = action.name, f" as {choice}" if choice.instance_type else ""
+        for generation in range(name.generation, name.generation + REMEMBERED):
+            asked = NodeName(name.node, generation)
+            until = self._lease_until(asked, choice)
+            launch = self._launch(action, asked, choice, until)
+            with self.journal.step(
+                f"launch {name.node}{told}",
+                incarnation=self.incarnation,
+                node=name.node,
+                generation=generation,
+                instance_type=choice.instance_type,
+                market=choice.market,
+                zone=choice.place,
+                lease_until=until.isoformat(),
+                key=self.owner.key,
+            ):
+                seen = self.provider.launch(launch)
+            if seen.state not in (State.ENDING, State.GONE):
+                self.report(f"launched {name.node} {seen.id}{told}")
+                return seen
+        raise CloudError(f"{name.node}: its last {REMEMBERED} machines are gone at once")
+
+    def _launch(
+        self, action: LaunchNode, name: NodeName, choice: LaunchChoice, until: datetime
+    ) -> Launch:
+        launch = Launch(
+            cluster=self.spec.cluster,
+            incarnation=self.incarnation,
+            name=name,
+            profile=action.profile,
+            instance_type=choice.instance_type,
+            market=choice.market,
+            place=choice.place,
+            lease_until=until,
+            tags=dict(self.spec.tags),
+            owner=self.owner,
+        )
+        if not action.profile:
+            return launch
+        from hpcdeploy.machine.user_data import user_data
+
+        return replace(launch, user_data=user_data(self.spec, choice.market, until))
+
+    def _lease_until(self, name: NodeName, choice: LaunchChoice) -> datetime:
+        """Return the end of the lease: a request that is repeated must be the same in all parts."""
+        attempt = self.journal.attempt(self.incarnation, name)
+        lease = timedelta(seconds=self.spec.limits.lease)
+        now = self.pace.now().replace(microsecond=0)
+        if attempt and attempt.choice == choice and attempt.lease_until > now + lease / 2:
+            return attempt.lease_until
+        return now + lease
+
+
+def launch_nodes(
+    spec: ClusterSpec,
+    provider: Provider,
+    journal: Journal,
+    actions: Sequence[LaunchNode],
+    incarnation: str,
+    owner: Owner,
+    report: Callable[[str], None],
+    pace: Pace,
+) -> tuple[list[MachineSeen], list[Shortage]]:
+    """Start the machines of some nodes; without a head, no worker is started.
+
+    Returns
+    -------
+    list of MachineSeen
+    list of Shortage
+        The nodes whose machine is not to be had, and why.
+    """
+    request = _Request(spec, provider, journal, incarnation, owner, pace, report)
+    workers = [action for action in actions if action.name.node != HEAD]
+    results = [request.launch(action) for action in actions if action.name.node == HEAD]
+    if workers and not any(isinstance(result, Shortage) for result in results):
+        with ThreadPoolExecutor(min(AT_ONCE, len(workers)), "launch") as pool:
+            results += pool.map(request.launch, workers)
+    return (
+        [result for result in results if not isinstance(result, Shortage)],
+        [result for result in results if isinstance(result, Shortage)],
+    )

@@ -1,0 +1,328 @@
+"""What to do so that the cloud is as the file says: (spec, observed) -> actions, pure.
+
+Nothing here calls a cloud; `converge` carries the actions out in their order, `plan` prints them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import NamedTuple
+
+from hpcdeploy.machine.provider import GroupSeen, MachineSeen, Observed, State
+from hpcdeploy.reconcile.termination import Reason
+from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.names import NOBODY, NodeName, Owner
+from hpcdeploy.spec.provider import CloudSpec, LocalSpec, Profile
+
+__all__ = [
+    "Action",
+    "Allow",
+    "CreateGroup",
+    "CreateKeyPair",
+    "Extend",
+    "LaunchChoice",
+    "LaunchNode",
+    "Mark",
+    "Plan",
+    "Terminate",
+    "launch_choices",
+    "make_plan",
+]
+
+LIVE = (State.PENDING, State.RUNNING)
+LEASE_SLACK = 0.1
+"""The lease is written anew once this part of it has passed."""
+
+
+@dataclass(frozen=True, slots=True)
+class CreateGroup:
+    """Make the security group; with it a life of the cluster begins."""
+
+    incarnation: str
+
+    def __str__(self) -> str:
+        return "create the security group"
+
+
+@dataclass(frozen=True, slots=True)
+class Allow:
+    """Set the rules of the security group."""
+
+    ssh_from: frozenset[str]
+    internal_ports: frozenset[int]
+
+    def __str__(self) -> str:
+        ports = ", ".join(str(port) for port in sorted(self.internal_ports))
+        return f"allow SSH from {', '.join(sorted(self.ssh_from))}, port {ports} inside"
+
+
+@dataclass(frozen=True, slots=True)
+class CreateKeyPair:
+    """Make the cluster's public key known to the machines of this life."""
+
+    def __str__(self) -> str:
+        return "create the key pair"
+
+
+class LaunchChoice(NamedTuple):
+    """One way to have a machine.
+
+    Parameters
+    ----------
+    instance_type : str
+    market : str
+        ``on_demand`` or ``spot``.
+    place : str
+        A zone, or the id of a subnet, where the file names several; else empty.
+    """
+
+    instance_type: str
+    market: str
+    place: str = ""
+
+    def __str__(self) -> str:
+        where = f", {self.place}" if self.place else ""
+        return f"{self.instance_type} ({self.market}{where})"
+
+
+@dataclass(frozen=True, slots=True)
+class LaunchNode:
+    """Start the machine of a node.
+
+    Parameters
+    ----------
+    name : NodeName
+    profile : str
+    choices : tuple of LaunchChoice
+        In the order in which they are tried.
+    """
+
+    name: NodeName
+    profile: str
+    choices: tuple[LaunchChoice, ...]
+
+    def __str__(self) -> str:
+        kinds = " or ".join(str(choice) for choice in self.choices if choice.instance_type)
+        again = f", generation {self.name.generation}" if self.name.generation > 1 else ""
+        return f"launch {self.name.node}{f' as {kinds}' if kinds else ''}{again}"
+
+
+@dataclass(frozen=True, slots=True)
+class Extend:
+    """Write a new end of the lease."""
+
+    machines: tuple[MachineSeen, ...]
+    lease_until: datetime
+
+    def __str__(self) -> str:
+        nodes = ", ".join(machine.name.node for machine in self.machines)
+        return f"extend the lease of {nodes} to {self.lease_until:%Y-%m-%d %H:%M} UTC"
+
+
+@dataclass(frozen=True, slots=True)
+class Terminate:
+    """End machines for one reason."""
+
+    machines: tuple[MachineSeen, ...]
+    why: Reason
+
+    def __str__(self) -> str:
+        nodes = ", ".join(f"{machine.name.node} ({machine.id})" for machine in self.machines)
+        return f"terminate {nodes}: {self.why}"
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Write down whose machines and a group are that bear no owner's key yet."""
+
+    machines: tuple[MachineSeen, ...]
+    groups: tuple[GroupSeen, ...]
+    owner: Owner
+
+    def __str__(self) -> str:
+        names = [m.name.node for m in self.machines] + [group.name for group in self.groups]
+        return f"mark {', '.join(names)} as {self.owner.user}'s"
+
+
+Action = CreateGroup | Allow | CreateKeyPair | Mark | Terminate | Extend | LaunchNode
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What to do.
+
+    Parameters
+    ----------
+    actions : tuple of Action
+        In their order; empty where nothing is to be done.
+    kept : tuple of MachineSeen
+        Machines of the cluster that stay.
+    incarnation : str
+        The life of the cluster that new machines belong to.
+    hidden : tuple of MachineSeen
+        Those of which nothing can be said, and why: each counts as its node's, and stays.
+    """
+
+    actions: tuple[Action, ...] = ()
+    kept: tuple[MachineSeen, ...] = ()
+    incarnation: str = ""
+    hidden: tuple[MachineSeen, ...] = ()
+
+    def obstacles(self) -> list[str]:
+        """Say what stands in the way of machines that do not let us see what they do."""
+        return [f"{m.name.node} ({m.id}) cannot be looked at: {m.reason}" for m in self.hidden]
+
+
+def launch_choices(
+    profile: Profile | None, has_spot: bool = True, subnets: tuple[str, ...] = ()
+) -> tuple[LaunchChoice, ...]:
+    """Return instance types, markets and places, in the order in which they are tried.
+
+    All places are tried for a type before the next type, and all types for a market before the
+    next market: what is cheapest first.
+
+    Parameters
+    ----------
+    profile : Profile, optional
+    has_spot : bool
+        Of the cloud; where it has none, a fallback is all there is.
+    subnets : tuple of str
+        Of the cluster file; each lies in a zone, so that several take the place of zones.
+    """
+    if profile is None:
+        return (LaunchChoice("", "on_demand"),)
+    several = next((places for places in (subnets, profile.zones) if len(places) > 1), ("",))
+    fallback = ("spot", "on_demand") if has_spot else ("on_demand",)
+    markets = {"spot_with_fallback": fallback}.get(profile.market, (profile.market,))
+    return tuple(
+        LaunchChoice(kind, market, place)
+        for market in markets
+        for kind in profile.instance_types
+        for place in several
+    )
+
+
+def make_plan(
+    spec: ClusterSpec,
+    observed: Observed,
+    now: datetime,
+    incarnation: str = "",
+    ssh_from: frozenset[str] = frozenset(),
+    known_bad: frozenset[str] = frozenset(),
+    owner: Owner = NOBODY,
+) -> Plan:
+    """Compare what is wanted with what is there.
+
+    Parameters
+    ----------
+    spec : ClusterSpec
+    observed : Observed
+        What belongs to other clusters does not matter.
+    now : datetime
+        In UTC.
+    incarnation : str
+        For a new life of the cluster, see `names.draw_incarnation`.
+    ssh_from : frozenset of str
+        Networks (CIDR) that may reach the SSH port.
+    known_bad : frozenset of str
+        Ids of machines that are to be replaced.
+    owner : Owner
+        Us, for what is ours and bears no key of an owner; without a key nothing is marked.
+    """
+    machines = [machine for machine in observed.machines if machine.cluster == spec.cluster]
+    actions: list[Action] = []
+    if isinstance(spec.provider, CloudSpec):
+        group = next((seen for seen in observed.groups if seen.cluster == spec.cluster), None)
+        ports = frozenset({spec.communicator.port})
+        life = group.incarnation if group else _latest_life(machines) or incarnation
+        if group is None:
+            actions.append(CreateGroup(life))
+        if group is None or (group.ssh_from, group.internal_ports) != (ssh_from, ports):
+            actions.append(Allow(ssh_from, ports))
+        if all((p.cluster, p.incarnation) != (spec.cluster, life) for p in observed.key_pairs):
+            actions.append(CreateKeyPair())
+    else:
+        life = _latest_life(machines) or incarnation
+    kept, endings = _sort_out(spec, machines, life, known_bad)
+    actions += _marks(spec, kept, observed, owner)
+    actions += endings
+    actions += _extensions(spec, kept, now)
+    hidden = tuple(machine for machine in machines if machine.state is State.UNKNOWN)
+    there = {machine.name.node for machine in (*kept, *hidden)}
+    has_spot = isinstance(spec.provider, CloudSpec) and spec.provider.has_spot
+    subnets = spec.provider.subnets if isinstance(spec.provider, CloudSpec) else ()
+    for node in spec.nodes():
+        if node not in there:
+            name = NodeName(node, _next_generation(machines, node, life))
+            choices = launch_choices(spec.profile(node), has_spot, subnets)
+            actions.append(LaunchNode(name, spec.profile_name(node), choices))
+    return Plan(tuple(actions), tuple(kept), life, hidden)
+
+
+def _latest_life(machines: Iterable[MachineSeen]) -> str:
+    """Return the incarnation of live machines whose group cannot be seen."""
+    return max((m.incarnation for m in machines if m.state in LIVE), default="")
+
+
+def _sort_out(
+    spec: ClusterSpec, machines: Sequence[MachineSeen], life: str, known_bad: frozenset[str]
+) -> tuple[list[MachineSeen], list[Terminate]]:
+    """Tell the machines that stay, in the order of the nodes, from those that must go."""
+    wanted = spec.nodes()
+    best: dict[str, MachineSeen] = {}
+    going: dict[Reason, list[MachineSeen]] = {}
+    for machine in sorted(machines, key=_merit, reverse=True):
+        node = machine.name.node
+        if machine.state not in (*LIVE, State.STOPPED):
+            continue
+        if machine.id in known_bad:
+            going.setdefault(Reason.UNUSABLE, []).append(machine)
+        elif machine.state is State.STOPPED:
+            going.setdefault(Reason.SHUT_DOWN, []).append(machine)
+        elif machine.incarnation != life:
+            going.setdefault(Reason.EARLIER_LIFE, []).append(machine)
+        elif node not in wanted:
+            going.setdefault(Reason.UNWANTED, []).append(machine)
+        elif node in best:
+            going.setdefault(Reason.DUPLICATE, []).append(machine)
+        else:
+            best[node] = machine
+    kept = [best[node] for node in wanted if node in best]
+    return kept, [Terminate(tuple(some), why) for why, some in going.items()]
+
+
+def _marks(
+    spec: ClusterSpec, kept: Sequence[MachineSeen], observed: Observed, owner: Owner
+) -> list[Mark]:
+    """Return the writing of the owner where it is due."""
+    if not owner.key or isinstance(spec.provider, LocalSpec):
+        return []
+    machines = tuple(machine for machine in kept if not machine.owner.key)
+    groups = tuple(
+        g for g in observed.groups if g.cluster == spec.cluster and g.owner.key != owner.key
+    )
+    # Not for the groups alone: not every cloud can tag them.
+    return [Mark(machines, groups, owner)] if machines else []
+
+
+def _merit(machine: MachineSeen) -> tuple[bool, int, str]:
+    """Rank machines of one node: the one that runs, then the latest."""
+    return machine.state is State.RUNNING, machine.name.generation, machine.id
+
+
+def _extensions(spec: ClusterSpec, kept: Sequence[MachineSeen], now: datetime) -> list[Extend]:
+    """Return the lease's extension where it is due."""
+    if not isinstance(spec.provider, CloudSpec):
+        return []
+    until = now.replace(microsecond=0) + timedelta(seconds=spec.limits.lease)
+    slack = timedelta(seconds=LEASE_SLACK * spec.limits.lease)
+    due = tuple(m for m in kept if m.lease_until is None or abs(until - m.lease_until) > slack)
+    return [Extend(due, until)] if due else []
+
+
+def _next_generation(machines: Iterable[MachineSeen], node: str, life: str) -> int:
+    """Return the first generation of a node that no machine of this life has had."""
+    had = (m.name.generation for m in machines if m.name.node == node and m.incarnation == life)
+    return max(had, default=0) + 1

@@ -1,0 +1,130 @@
+"""Taking things away, and proving that they are gone: for `down`, `reap` and a failed `up`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from hpccomponent.errors import CloudError, LeftoverError
+from hpcdeploy.machine.provider import MachineSeen, Observed, Provider, State
+from hpcdeploy.reconcile.journal import Step
+from hpcdeploy.reconcile.termination import Proof, Reason, end
+from hpcdeploy.spec.polling import Pace
+
+__all__ = ["describe", "remove"]
+
+TRIES = 3
+"""Refusals in a row after which a removal is given up."""
+
+
+def remove(
+    provider: Provider,
+    doomed: Callable[[], tuple[Observed, Proof]],
+    reason: Reason,
+    step: Step,
+    report: Callable[[str], None],
+    pace: Pace,
+    quiet_looks: int = 1,
+) -> None:
+    """Take away what must go until the cloud lists none of it any more.
+
+    Parameters
+    ----------
+    provider : Provider
+    doomed : callable
+        Looks at the cloud; returns what must go, and by which proof.
+    reason : Reason
+    step : callable
+        Writes intent and outcome, see `journal.Journal.step`.
+    report : callable
+        Takes lines for the user.
+    pace : Pace
+    quiet_looks : int
+        How often in a row nothing must be found: more than once where a machine may just have
+        been asked for, which clouds list with a delay.
+
+    Raises
+    ------
+    LeftoverError
+        Something is left; it says what and why.
+    """
+    quiet, refusals, trouble = 0, 0, ""
+    left = Observed()
+    for _ in pace.looks(pace.end_s):
+        found, proof = doomed()
+        left = _present(found)
+        terminate = partial(end, provider, reason=reason, proof=proof)
+        quiet = 0 if _is_any(left) else quiet + 1
+        if quiet >= quiet_looks:
+            return
+        try:
+            _take_away(provider, left, terminate, step, report)
+            silent = _silent_hosts(provider, left)
+            refusals, trouble = (refusals + 1, silent) if silent else (0, trouble)
+        except CloudError as error:
+            refusals, trouble = refusals + 1, str(error)
+        if refusals >= TRIES:
+            break
+    why = f" ({trouble})" if trouble else ""
+    raise LeftoverError(
+        f"still there: {describe(left)}{why}",
+        "it may cost money: run the command again, or remove it in the cloud's console",
+    )
+
+
+def describe(observed: Observed) -> str:
+    """Name all that was observed, in one line."""
+    return ", ".join(
+        [f"{machine.name.node} {machine.id} ({machine.state})" for machine in observed.machines]
+        + [f"security group {group.name}" for group in observed.groups]
+        + [f"key pair {pair.name}" for pair in observed.key_pairs]
+    )
+
+
+def _present(observed: Observed) -> Observed:
+    """Leave out machines that are gone and only still listed."""
+    alive = tuple(machine for machine in observed.machines if machine.state is not State.GONE)
+    return Observed(alive, observed.key_pairs, observed.groups)
+
+
+def _is_any(observed: Observed) -> bool:
+    return bool(observed.machines or observed.groups or observed.key_pairs)
+
+
+def _silent_hosts(provider: Provider, left: Observed) -> str:
+    """Say why hosts do not answer, where no other machine is left; nobody ends them for us."""
+    silent = (State.STOPPED, State.UNKNOWN)
+    if provider.makes_machines or any(m.state not in silent for m in left.machines):
+        return ""
+    return ", ".join(machine.reason for machine in left.machines)
+
+
+def _take_away(
+    provider: Provider,
+    left: Observed,
+    terminate: Callable[[Sequence[MachineSeen]], None],
+    step: Step,
+    report: Callable[[str], None],
+) -> None:
+    """Do what can be done now: key pairs go after machines, and the group that proves them last."""
+    ending = [machine for machine in left.machines if machine.state is not State.ENDING]
+    if ending:
+        report(f"terminating {_names(ending)}")
+        with step(f"terminate {_names(ending)}"):
+            terminate(ending)
+    occupied = {machine.cluster for machine in left.machines}
+    for pair in left.key_pairs:
+        if pair.cluster not in occupied:
+            with step(f"delete the key pair {pair.name}"):
+                provider.delete_key_pair(pair)
+            report(f"deleted the key pair {pair.name}")
+    for group in left.groups:
+        if group.cluster not in occupied:
+            with step(f"delete the security group {group.name}"):
+                is_deleted = provider.delete_group(group)
+            if is_deleted:
+                report(f"deleted the security group {group.name}")
+
+
+def _names(machines: list[MachineSeen]) -> str:
+    return ", ".join(f"{machine.name.node} ({machine.id})" for machine in machines)

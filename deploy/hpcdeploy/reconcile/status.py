@@ -1,0 +1,206 @@
+"""What is known of a cluster: its machines from the cloud, their loaders from themselves."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
+
+from hpccomponent.errors import CloudError, HpcError
+from hpcdeploy.machine.loader_service import is_running_command
+from hpcdeploy.machine.parallel import connections_at_once, run_parallel
+from hpcdeploy.machine.provider import MachineSeen, Observed, State
+from hpcdeploy.machine.shell import Shell
+from hpcdeploy.reconcile.cluster import node_order
+from hpcdeploy.reconcile.ownership import require_ours
+from hpcdeploy.spec.layout import machine_folder
+from hpcdeploy.spec.names import HEAD, without_node
+from hpcdeploy.spec.polling import utc_now
+
+if TYPE_CHECKING:
+    from hpcdeploy.reconcile.cluster import Cluster
+
+__all__ = ["describe_cluster", "list_clusters", "write_list", "write_table"]
+
+ANSWER_S = 10.0
+"""How long a machine may take to tell about its loader."""
+
+
+def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> dict[str, Any]:
+    """Return what is known of a cluster, as JSON takes it.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    ask_machines : bool
+        Whether to ask every machine for its loader, over SSH.
+    """
+    now = utc_now()
+    seen = cluster.provider.observe(cluster.spec.cluster)
+    machines = sorted((m for m in seen.machines if m.state is not State.GONE), key=node_order)
+    elsewhere = _made_elsewhere(cluster, seen)
+    loaders = _ask_loaders(cluster, machines) if ask_machines and not elsewhere else {}
+    hidden = {m.id: m.reason for m in machines if m.state is State.UNKNOWN}
+    rows = [{**_machine(m, now), "loader": (loaders | hidden).get(m.id)} for m in machines]
+    wanted = cluster.spec.nodes()
+    there = [machine.name.node for machine in machines if machine.state is State.RUNNING]
+    return {
+        "cluster": cluster.spec.cluster,
+        "provider": cluster.provider.name,
+        "made_elsewhere": elsewhere,
+        "is_up": set(wanted) <= set(there),
+        "missing": [node for node in wanted if node not in there],
+        "unwanted": [node for node in there if node not in wanted],
+        "machines": rows,
+    }
+
+
+def list_clusters(where: str, observed: Observed) -> list[dict[str, Any]]:
+    """Return a line for every cluster of a cloud."""
+    alive = [machine for machine in observed.machines if machine.state is not State.GONE]
+    names = {m.cluster for m in alive} | {g.cluster for g in observed.groups}
+    now = utc_now()
+    rows = []
+    for name in sorted(names | {pair.cluster for pair in observed.key_pairs}):
+        machines = [machine for machine in alive if machine.cluster == name]
+        leases = [machine.lease_until for machine in machines if machine.lease_until]
+        rows.append(
+            {
+                "cloud": where,
+                "cluster": name,
+                "states": dict(Counter(map(_state, machines))),
+                "instance_types": sorted({m.instance_type for m in machines} - {""}),
+                "lease_left_s": (min(leases) - now).total_seconds() if leases else None,
+            }
+        )
+    return rows
+
+
+def write_table(found: dict[str, Any]) -> str:
+    """Write what `describe_cluster` returns for people."""
+    texts = ("node", "state", "instance_type", "market", "public_address", "private_address")
+    lines = [("NODE", "STATE", "TYPE", "MARKET", "PUBLIC", "PRIVATE", "AGE", "LEASE", "LOADER")] + [
+        (
+            *(machine[key] for key in texts),
+            _duration(machine["age_s"]),
+            _duration(machine["lease_left_s"]),
+            without_node(machine["loader"] or machine["reason"], machine["node"]),
+        )
+        for machine in found["machines"]
+    ]
+    heads = [f"cluster {found['cluster']} ({found['provider']}): {_verdict(found)}"]
+    if found["made_elsewhere"]:
+        heads.append(found["made_elsewhere"])
+    return "\n".join([*heads, *(_aligned(lines) if found["machines"] else [])])
+
+
+def _verdict(found: dict[str, Any]) -> str:
+    """Say how what runs differs from the file: after `scale`, that is as it was asked for."""
+    missing, unwanted = found["missing"], found["unwanted"]
+    running = sum(machine["state"] == State.RUNNING for machine in found["machines"])
+    if not running:
+        return f"not up, missing: {', '.join(missing)}"
+    parts = ["up" if HEAD not in missing else f"not up: {HEAD} does not run"]
+    workers = [node for node in missing if node != HEAD]
+    if workers:
+        parts.append(
+            f"without {', '.join(workers)} of the file (hpcapp up launches what is missing)"
+        )
+    if unwanted:
+        parts.append(f"with {', '.join(unwanted)} beyond the file (hpcapp up ends what is beyond)")
+    return ", ".join(parts)
+
+
+def write_list(rows: list[dict[str, Any]]) -> str:
+    """Write what `list_clusters` returns for people."""
+    if not rows:
+        return "no clusters"
+    lines = [("CLUSTER", "CLOUD", "MACHINES", "TYPES", "LEASE")]
+    for row in rows:
+        states = ", ".join(f"{count} {state}" for state, count in row["states"].items())
+        states = states or "none; hpcapp down or reap removes what is left"
+        kinds = ", ".join(row["instance_types"])
+        lines.append((row["cluster"], row["cloud"], states, kinds, _duration(row["lease_left_s"])))
+    return "\n".join(_aligned(lines))
+
+
+def _state(machine: MachineSeen) -> str:
+    """Return a state in a few words; of one that is not known, why: its reason begins so."""
+    if machine.state is State.UNKNOWN:
+        return f"{machine.state} ({machine.reason.partition(':')[0]})"
+    return str(machine.state)
+
+
+def _machine(machine: MachineSeen, now: datetime) -> dict[str, Any]:
+    launched, until = machine.launched, machine.lease_until
+    return {
+        "node": machine.name.node,
+        "generation": machine.name.generation,
+        "id": machine.id,
+        "state": str(machine.state),
+        "reason": machine.reason,
+        "owner": machine.owner.user,
+        "instance_type": machine.instance_type,
+        "market": machine.market,
+        "public_address": machine.public_address,
+        "private_address": machine.private_address,
+        "age_s": (now - launched).total_seconds() if launched else None,
+        "lease_left_s": (until - now).total_seconds() if until else None,
+    }
+
+
+def _made_elsewhere(cluster: Cluster, seen: Observed) -> str:
+    """Say whose the cluster is, where it is another's."""
+    try:
+        require_ours(cluster, seen)
+    except CloudError as error:
+        return error.problem
+    return ""
+
+
+def _ask_loaders(cluster: Cluster, machines: Iterable[MachineSeen]) -> dict[str, str]:
+    """Ask every machine that runs, several at once, for its loader."""
+
+    def ask(machine: MachineSeen) -> str:
+        try:
+            with cluster.access.open(machine, timeout_s=ANSWER_S) as shell:
+                return _loader_version(cluster.spec.cluster, shell)
+        except HpcError as error:
+            return error.problem
+
+    running = [machine for machine in machines if machine.state is State.RUNNING]
+    answers = run_parallel(ask, running, connections_at_once(), "status")
+    return {machine.id: answer for machine, answer in zip(running, answers, strict=True)}
+
+
+def _loader_version(cluster: str, shell: Shell) -> str:
+    """Return the version of the loader that runs on a machine, or why none does."""
+    answer = shell.run(
+        f"cd {machine_folder(cluster)} || exit 4; {is_running_command(cluster)} || exit 3; "
+        "venv/bin/python -c "
+        "'from importlib.metadata import version; print(version(\"hpcapp\"))'",
+        timeout_s=ANSWER_S,
+    )
+    if answer.exit_code == 3:
+        return "not running"
+    return answer.output.strip() if answer.exit_code == 0 else "not installed"
+
+
+def _duration(seconds: float | None) -> str:
+    """Write seconds as people say them: 1h05, 12m, over."""
+    if seconds is None:
+        return "-"
+    if seconds < 0:
+        return "over"
+    minutes = int(seconds // 60)
+    return f"{minutes // 60}h{minutes % 60:02}" if minutes >= 60 else f"{minutes}m"
+
+
+def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    """Pad columns to their widest cell."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]

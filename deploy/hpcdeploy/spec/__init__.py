@@ -1,0 +1,1 @@
+"""The cluster file, and what follows from it alone: names, places, networks."""

@@ -1,0 +1,292 @@
+"""The block ``provider`` of a cluster file: what differs from cloud to cloud."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Literal
+from urllib.parse import urlsplit
+
+from pydantic import AfterValidator, Field, field_validator, model_validator
+
+from hpccomponent.config.reader import ConfigModel
+
+__all__ = [
+    "AwsSpec",
+    "CloudSpec",
+    "Credentials",
+    "Ec2Spec",
+    "EucalyptusSpec",
+    "Host",
+    "Image",
+    "LocalSpec",
+    "Profile",
+    "ProviderSpec",
+    "SshSpec",
+]
+
+CAPABILITIES = Literal[
+    "auto",
+    "aws",
+    "euca-4.0",
+    "euca-4.1",
+    "euca-4.2",
+    "euca-4.3",
+    "euca-4.4",
+    "euca-5.0",
+    "euca-5.1",
+    "generic",
+]
+PROFILE_NAME = r"^[a-z][\w-]*$"
+USER_NAME = r"^[^\s@:-][^\s@:]*$"
+JUMP = (
+    r"(?:(?P<user>[^\s@:,\[\]-][^\s@:,\[\]]*)@)?"
+    r"(?:\[(?P<address>[0-9a-fA-F:.]+)\]|(?P<name>[^\s@:,\[\]-][^\s@:,\[\]]*))"
+    r"(?::(?P<port>[0-9]{1,5}))?"
+)
+"""``[USER@]HOST[:PORT]``, an IPv6 address in brackets."""
+LEGAL_REGION = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
+"""What boto3 takes for a region: a label of a host name."""
+
+
+def _check_endpoint(url: str) -> str:
+    """Return the URL of a service; raise ValueError where it is none."""
+    parts = urlsplit(url)
+    if parts.scheme not in ("http", "https") or not parts.hostname or re.search(r"\s", url):
+        raise ValueError("should be a URL such as https://cloud.example:8773/services/compute/")
+    if parts.username or parts.query or parts.fragment:
+        raise ValueError("should be a URL without user, password and query; see credentials")
+    parts.port  # noqa: B018 - raises ValueError where it is none
+    return url
+
+
+Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
+Subnet = Annotated[str, Field(pattern=r"^(auto|subnet-\w+)$")]
+SubnetId = Annotated[str, Field(pattern=r"^subnet-\w+$")]
+
+
+def _as_tuple(one_or_more: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (one_or_more,) if isinstance(one_or_more, str) else one_or_more
+
+
+class Credentials(ConfigModel):
+    """Where the keys of the cloud are; at most one of the three, the environment otherwise.
+
+    Parameters
+    ----------
+    profile : str, optional
+        Of the AWS configuration, ``~/.aws``.
+    euca_ini : str, optional
+        A file of euca2ools.
+    eucarc : str, optional
+        A shell file of exports, as a Eucalyptus hands out.
+    """
+
+    profile: str | None = None
+    euca_ini: str | None = None
+    eucarc: str | None = None
+
+
+class Image(ConfigModel):
+    """The image that machines boot: by its id, by a parameter, or by owner and name.
+
+    Parameters
+    ----------
+    id : str, optional
+        ``ami-...`` or ``emi-...``; another one in each region.
+    ssm : str, optional
+        A parameter of the cloud's parameter store that holds the id: those below
+        ``/aws/service/`` are the publishers' own, in every region.
+    owner : str, optional
+        ``self``, ``amazon``, or the number of an account.
+    name : str, optional
+        Of the owner's image, with ``*`` for any text; the newest that fits is taken.
+    """
+
+    id: str | None = Field(default=None, pattern=r"^[ae]mi-\w+$")
+    ssm: str | None = Field(default=None, pattern=r"^/[\w./-]+$")
+    owner: str | None = Field(default=None, pattern=r"^(self|amazon|aws-marketplace|\d{12})$")
+    name: str | None = Field(default=None, min_length=1)
+
+    @model_validator(mode="after")
+    def _named_once(self) -> Image:
+        ways = [self.id, self.ssm, self.owner if self.owner is not None else self.name]
+        if sum(way is not None for way in ways) != 1:
+            raise ValueError("should have an id, or ssm, or owner and name")
+        if (self.owner is None) != (self.name is None):
+            raise ValueError("should have an owner and a name")
+        return self
+
+
+class Profile(ConfigModel):
+    """A kind of machine.
+
+    Parameters
+    ----------
+    image : Image
+    instance_type : str or tuple of str
+        In the order in which they are tried.
+    disk_gb : int
+        Of the root disk, 10^9 bytes; the image's own by default.
+    public_ip : bool, optional
+        Whether machines get a public address; by default as the subnet says.
+    iam_instance_profile : str, optional
+        Name or ARN of a role's profile that the machines have.
+    market : str
+        ``spot_with_fallback`` takes a machine on demand where no spot machine is to be had.
+    zone : str or tuple of str, optional
+        Availability zones, in the order in which they are tried; the cloud's choice by default.
+    hourly_cost : float, optional
+        Of one machine on demand, in dollars; by default from the table that ships.
+    """
+
+    image: Image
+    instance_type: str | tuple[str, ...]
+    disk_gb: int | None = Field(default=None, ge=1, le=16384)
+    public_ip: bool | None = None
+    iam_instance_profile: str | None = Field(
+        default=None, pattern=r"^([\w+=,.@-]{1,128}|arn:[\w-]+:iam::\d{12}:instance-profile/.+)$"
+    )
+    market: Literal["on_demand", "spot", "spot_with_fallback"] = "on_demand"
+    zone: str | tuple[str, ...] | None = None
+    hourly_cost: float | None = Field(default=None, ge=0)
+
+    @field_validator("instance_type")
+    @classmethod
+    def _some_type(cls, types: str | tuple[str, ...]) -> str | tuple[str, ...]:
+        if not types or not all([types] if isinstance(types, str) else types):
+            raise ValueError("should name at least one instance type")
+        return types
+
+    @field_validator("zone")
+    @classmethod
+    def _some_zone(cls, zone: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
+        if zone is not None and (not zone or not all([zone] if isinstance(zone, str) else zone)):
+            raise ValueError("should name at least one zone")
+        return zone
+
+    @property
+    def zones(self) -> tuple[str, ...]:
+        """The zones, best first; none where the cloud may choose."""
+        return () if self.zone is None else _as_tuple(self.zone)
+
+    @property
+    def instance_types(self) -> tuple[str, ...]:
+        """The instance types, best first."""
+        return _as_tuple(self.instance_type)
+
+
+class _Cloud(ConfigModel):
+    """What every EC2-compatible cloud has.
+
+    Parameters
+    ----------
+    region : str
+        The cloud's own name for it.
+    signing_region : str, optional
+        What requests are signed for, where the region's name is no legal one.
+    endpoint_url, s3_endpoint_url : str, optional
+    credentials : Credentials
+    ca_bundle : str, optional
+        A file of certificates, relative to the cluster file.
+    subnet : str or tuple of str
+        ``auto``, or ids of one VPC, in the order in which they are tried.
+    address : str
+        Where machines are reached: ``public``, ``private``, or ``auto``: by the public address
+        where there is one.
+    capabilities : str
+        Which calls and parameters the cloud knows; ``auto`` by the type.
+    profiles : dict of str to Profile
+    """
+
+    region: str = Field(default="us-east-1", min_length=1)
+    signing_region: str | None = Field(default=None, pattern=f"^{LEGAL_REGION.pattern}$")
+    endpoint_url: Endpoint | None = None
+    s3_endpoint_url: Endpoint | None = None
+    credentials: Credentials = Credentials()
+    ca_bundle: str | None = None
+    subnet: Subnet | tuple[SubnetId, ...] = "auto"
+    address: Literal["auto", "public", "private"] = "auto"
+    capabilities: CAPABILITIES = "auto"
+    profiles: dict[Annotated[str, Field(pattern=PROFILE_NAME)], Profile] = Field(min_length=1)
+
+    @field_validator("subnet")
+    @classmethod
+    def _some_subnet(cls, subnet: str | tuple[str, ...]) -> str | tuple[str, ...]:
+        if not subnet:
+            raise ValueError("should name at least one subnet")
+        return subnet
+
+    @property
+    def subnets(self) -> tuple[str, ...]:
+        """The subnets, best first; none where the cloud's default will do."""
+        return () if self.subnet == "auto" else _as_tuple(self.subnet)
+
+    @property
+    def has_spot(self) -> bool:
+        """Whether the cloud has spot machines; elsewhere their calls do nothing, silently."""
+        return self.capabilities == "aws"
+
+
+class AwsSpec(_Cloud):
+    """Amazon EC2."""
+
+    type: Literal["aws"]
+
+    @property
+    def has_spot(self) -> bool:
+        """Whether the cloud has spot machines."""
+        return self.capabilities in ("auto", "aws")
+
+
+class EucalyptusSpec(_Cloud):
+    """A Eucalyptus cloud; ``auto`` uses what all versions from 4.0 on know."""
+
+    type: Literal["eucalyptus"]
+    region: str = Field(default="eucalyptus", min_length=1)
+
+
+class Ec2Spec(_Cloud):
+    """Any other cloud that speaks EC2."""
+
+    type: Literal["ec2"]
+    endpoint_url: Endpoint
+
+
+class Host(ConfigModel):
+    """A machine that is there.
+
+    Parameters
+    ----------
+    address : str
+        Name or address; a name of ``~/.ssh/config`` is followed.
+    user : str, optional
+        By default ``auth.ssh_user``.
+    port : int, optional
+        By default ``auth.ssh_port``.
+    private_address : str, optional
+        Where the other machines reach it; by default its address.
+    """
+
+    address: str = Field(pattern=r"^[^\s@-][^\s@]*$")
+    user: str | None = Field(default=None, pattern=USER_NAME)
+    port: int | None = Field(default=None, ge=1, le=65535)
+    private_address: str | None = Field(default=None, pattern=r"^[^\s@-][^\s@]*$")
+
+
+class SshSpec(ConfigModel):
+    """Machines that are there, reached by SSH; the first is the head."""
+
+    type: Literal["ssh"]
+    hosts: tuple[Host, ...] = Field(min_length=1)
+
+
+class LocalSpec(ConfigModel):
+    """No machine but this one: every node is a folder with processes of its own."""
+
+    type: Literal["local"]
+
+
+CloudSpec = AwsSpec | EucalyptusSpec | Ec2Spec
+ProviderSpec = Annotated[
+    AwsSpec | EucalyptusSpec | Ec2Spec | SshSpec | LocalSpec, Field(discriminator="type")
+]

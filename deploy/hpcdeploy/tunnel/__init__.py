@@ -1,0 +1,1 @@
+"""A master that is not on the head: its workers' way to it."""

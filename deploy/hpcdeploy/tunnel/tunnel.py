@@ -1,0 +1,175 @@
+"""A master that is not on the head: its workers reach it through SSH and the head's relay."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import queue
+import shlex
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from functools import partial
+from pathlib import Path
+
+from hpccomponent.errors import CloudError
+from hpccomponent.files.held_folders import temporary_folder
+from hpccomponent.files.paths import home_folder
+from hpcdeploy.machine.shell import Shell
+from hpcdeploy.reconcile.cluster import open_cluster
+from hpcdeploy.spec.layout import machine_folder
+from hpcdeploy.tunnel.relay import BEAT_S, WANTED, Pair, closing, splice
+
+__all__ = ["Lead", "lead_workers", "open_remote_inventory"]
+
+log = logging.getLogger("hpcapp")
+
+Lead = Callable[[str], AbstractContextManager[None]]
+
+
+@contextmanager
+def open_remote_inventory(path: Path) -> Iterator[tuple[Path, Lead | None]]:
+    """Yield the inventory of a cluster that is up, and what leads its workers to this machine.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The cluster file.
+
+    Yields
+    ------
+    inventory : pathlib.Path
+        A copy that lasts as long as the block; the head's own where this is the head.
+    lead : callable or None
+        See `lead_workers`; None where there is no need, on the head.
+
+    Raises
+    ------
+    CloudError
+        The cluster is not up, or its head cannot be reached.
+    """
+    from hpcdeploy.spec.cluster import read_spec
+
+    folder = machine_folder(read_spec(path).cluster)
+    own = home_folder() / folder / "inventory.json"
+    if own.exists():
+        yield own, None
+        return
+    with open_cluster(path) as cluster, temporary_folder() as temporary:
+        shell = cluster.access.open(cluster.head())
+        copy = temporary / "inventory.json"
+        shell.get(f"{folder}/inventory.json", copy)
+        copy.chmod(0o600)
+        yield copy, partial(lead_workers, shell, folder)
+
+
+@contextmanager
+def lead_workers(shell: Shell, folder: str, endpoint: str) -> Iterator[None]:
+    """Lead a cluster's workers to a master on this machine.
+
+    Parameters
+    ----------
+    shell : Shell
+        On the head.
+    folder : str
+        The cluster's on the head.
+    endpoint : str
+        ``tcp://127.0.0.1:PORT``, where the master listens.
+
+    Raises
+    ------
+    CloudError
+        The relay does not come up.
+    """
+    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+    relay = threading.Thread(
+        target=_follow_relay, args=(shell, folder, lines.put), name="relay", daemon=True
+    )
+    relay.start()
+    port = shell.forward("127.0.0.1", _wait_for_port(lines))  # interrupted, it ends with the shell
+    loop = asyncio.new_event_loop()
+    try:
+        control = loop.run_until_complete(asyncio.open_connection("127.0.0.1", port))
+        tunnel = loop.create_task(_serve(control, port, int(endpoint.rpartition(":")[2])))
+        thread = threading.Thread(target=_run, args=(loop, tunnel), name="tunnel")
+        thread.start()
+        try:
+            yield
+        finally:
+            loop.call_soon_threadsafe(tunnel.cancel)
+            thread.join()
+        relay.join()
+    finally:
+        loop.close()
+
+
+def _follow_relay(shell: Shell, folder: str, put: Callable[[str], None]) -> None:
+    """Run the relay to its end."""
+    python, inventory = f"{folder}/venv/bin/python", f"{folder}/inventory.json"
+    command = f"exec {shlex.join([python, '-P', '-m', 'hpcdeploy.tunnel.relay', inventory])} 2>&1"
+    said = "the relay ended"
+    try:
+        said = f"the relay ended ({shell.follow(command, put)})"
+    except CloudError as error:
+        said = str(error)
+    finally:
+        put(json.dumps({"error": said}))  # whoever waits for the port must not wait for ever
+
+
+def _wait_for_port(lines: queue.SimpleQueue[str]) -> int:
+    """Read what the relay says up to its port."""
+    said: list[str] = []
+    while True:
+        line = lines.get()
+        try:
+            entries = json.loads(line)
+            if "port" in entries:
+                return int(entries["port"])
+            if "error" in entries:
+                last = f": {said[-1]}" if said else ""
+                excerpt = "\n".join(said[-5:]) if len(said) > 1 else ""
+                raise CloudError(f"{entries['error']}{last}", "run 'hpcapp doctor'", excerpt)
+            log.info("the cluster is in use by another program; waiting for it to end")
+        except (ValueError, TypeError):
+            said.append(line)
+
+
+def _run(loop: asyncio.AbstractEventLoop, tunnel: asyncio.Task[None]) -> None:
+    with suppress(asyncio.CancelledError):
+        loop.run_until_complete(tunnel)
+    loop.run_until_complete(loop.shutdown_asyncgens())
+
+
+async def _serve(control: Pair, port: int, master: int) -> None:
+    """Make a way to the master for each worker that the relay announces."""
+    async with closing(control) as (reader, writer):
+        ways: set[asyncio.Task[None]] = set()
+        beat = asyncio.ensure_future(_beat(writer))
+        try:
+            with suppress(OSError):
+                while wanted := await reader.read(1024):
+                    for _ in range(wanted.count(WANTED)):
+                        way = asyncio.ensure_future(_make_way(port, master))
+                        ways.add(way)
+                        way.add_done_callback(ways.discard)
+            log.warning("the way to the cluster's head is cut: its workers are lost to this job")
+        finally:
+            tasks = (beat, *ways)
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _beat(writer: asyncio.StreamWriter) -> None:
+    with suppress(OSError):
+        while True:
+            writer.write(b".")
+            await writer.drain()
+            await asyncio.sleep(BEAT_S)
+
+
+async def _make_way(port: int, master: int) -> None:
+    with suppress(OSError):
+        async with closing(await asyncio.open_connection("127.0.0.1", port)) as inside:
+            await splice(inside, await asyncio.open_connection("127.0.0.1", master))

@@ -1,0 +1,1 @@
+"""Adaptive quadrature: a second application, and the tutorial's."""

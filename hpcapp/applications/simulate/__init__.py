@@ -1,0 +1,1 @@
+"""A virtual range scanner over analytic shapes with known truth."""

@@ -1,0 +1,1 @@
+"""Which backend a job runs on where the user named none."""

@@ -1,0 +1,145 @@
+"""Finished tiles, kept where a job that was killed finds them again.
+
+A tile's name is a hash of all that it is made of: the input, the settings, the kernels, and which
+cells are its own. So nothing that is found can be of another job. The sums of tiles lie beside
+them, for the time of one run.
+
+Who may import it: the job and the default method.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hpccomponent.errors import JobError
+from hpccomponent.files.private_files import make_private_folder
+from hpccomponent.protocol.codec import encode_values
+from hpccomponent.store.base import Store, open_store
+
+__all__ = ["POINTS_NOTE", "SUMS", "Keeping", "digest"]
+
+log = logging.getLogger("hpcapp")
+
+SUMS = "sums"
+"""The folder of what is of one run."""
+
+POINTS_NOTE = ["points", "loaded"]
+"""Where it says that all points are there."""
+
+
+def digest(*values: Any) -> str:
+    """Return a hash of some values that could travel.
+
+    Examples
+    --------
+    >>> digest("a", 1) == digest("a", 1) != digest("a", 2)
+    True
+    """
+    header, buffers = encode_values(values)
+    found = hashlib.blake2b(header, digest_size=16)
+    for buffer in buffers:
+        found.update(buffer)
+    return found.hexdigest()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keeping:
+    """Where the tiles of a job are kept.
+
+    Parameters
+    ----------
+    place : str
+        See `hpccomponent.store.base.open_store`.
+    job : str
+        A hash of the input, the settings and the kernels, and a name of the run: the folder of
+        the job, or the prefix of its names.
+    resumes : bool
+        Whether to take what is there already.
+    is_shared : bool
+        Whether workers see the place: then they put their tiles there themselves, and read points
+        from a folder in it.
+    """
+
+    place: str
+    job: str
+    resumes: bool = False
+    is_shared: bool = True
+    _store: list[Store] = field(default_factory=list)
+
+    @property
+    def store(self) -> Store:
+        """The store, opened when it is first asked for."""
+        if not self._store:
+            self._store.append(open_store(self.place))
+        return self._store[0]
+
+    def check(self) -> None:
+        """Find out whether the place can be had, before the work.
+
+        Raises
+        ------
+        UsageError, OutputError, CloudError
+            See `hpccomponent.store.base.open_store`.
+        """
+        self.store.has(f"{self.job}/tile")
+
+    def make_folders(self) -> None:
+        """Make the folders that tasks put their values into; they make none."""
+        make_private_folder(Path(self.place, self.job, SUMS))
+
+    @property
+    def where(self) -> str:
+        """What messages call the place."""
+        return f"{self.place}/{self.job}"
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether it is a folder, not a bucket."""
+        return "://" not in self.place
+
+    @property
+    def holds_files(self) -> bool:
+        """Whether it is a folder that workers see."""
+        return self.is_shared and self.is_folder
+
+    def name(self, *values: Any) -> str:
+        """Return the name of what is made of some values."""
+        return f"{self.job}/{digest(*values)}"
+
+    def name_sums(self, run: str, tile: int) -> str:
+        """Return the name of a tile's sums in one run of the job."""
+        return f"{self.job}/{SUMS}/{run}-{tile}"
+
+    def find(self, name: str) -> Any | None:
+        """Return what is kept under a name, None where nothing is or where it is not wanted.
+
+        What is damaged is taken away, and named: whoever asked makes it again.
+        """
+        if not self.resumes:
+            return None
+        try:
+            if self.store.has(name):
+                return self.store.get(name)
+            if not (self.is_folder and os.path.lexists(Path(self.place, name))):
+                return None
+            problem = f"{Path(self.place, name)} is not a file"
+        except JobError as error:
+            problem = error.problem
+        log.warning("warning: %s: this tile is made again", problem)
+        self.store.delete(name)
+        return None
+
+    def holds_work(self) -> bool:
+        """Tell whether another run could go on from what is kept: a tile, or all points."""
+        names = (name.split("/")[1:] for name in self.store.list(f"{self.job}/"))
+        return any(len(name) == 1 or name == POINTS_NOTE for name in names)
+
+    def clear(self) -> None:
+        """Take away all that the job has kept."""
+        for name in self.store.list(f"{self.job}/"):
+            self.store.delete(name)

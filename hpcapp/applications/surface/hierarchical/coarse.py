@@ -1,0 +1,183 @@
+"""What the master computes itself: the coarse levels of all tiles together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hpcapp.workforce import Workforce, begin_batch
+from hpccomponent.surface.fitting.cell_points import PartMoments
+from hpccomponent.surface.fitting.far_field import (
+    FarField,
+    FarFieldPart,
+    crop_far_field,
+    far_step,
+    restore_far_field,
+)
+from hpccomponent.surface.fitting.field import FieldLevel, Grid
+from hpccomponent.surface.fitting.levels import find_trust
+from hpccomponent.surface.fitting.pyramid import (
+    Level,
+    Parents,
+    Pyramid,
+    VertexQuadrics,
+    fit_levels,
+    lay_vertices,
+    raise_levels,
+)
+from hpccomponent.surface.tasks.tiles import solve_far
+from hpccomponent.surface.tiles.halo import HALO_STEPS, mark_near
+from hpccomponent.surface.tiles.plan import CoarseLevels, Plan
+from hpccomponent.surface.types.lattice import ancestor_keys, unique_keys, unpack_keys
+from hpccomponent.surface.types.points import IntArray
+
+__all__ = ["Coarse", "far_level", "fit_coarse"]
+
+_FAR_CELLS = 0.5  # steps of the far field, which samples no smaller cells than these
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coarse:
+    """The levels that the master has fitted, of the whole cloud.
+
+    Parameters
+    ----------
+    plan : Plan
+    parents : Parents
+        What the level of the tiles' cells offers to the next finer one.
+    levels : tuple of FieldLevel
+        Those that the field is made of: that level first, if any.
+    far : FarField
+    """
+
+    plan: Plan
+    parents: Parents
+    levels: tuple[FieldLevel, ...]
+    far: FarField
+
+    def around(self, cells: IntArray) -> CoarseLevels:
+        """Return what a tile must know.
+
+        Parameters
+        ----------
+        cells : ndarray of int64, shape (c,)
+            Keys of its coarse cells.
+        """
+        plan = self.plan
+        reach = HALO_STEPS * plan.step
+        size = plan.cell_size * 2.0**plan.coarse
+        wide = int(np.ceil((reach + 3.0 * size) / size))  # corners that nobody needs have parents
+        rows = _find_around(self.parents.keys, cells, wide)
+        above = self.parents
+        parents = Parents(
+            above.keys[rows], above.coefficients[rows], above.support[rows], above.variances[rows]
+        )
+        trust = self.levels[0].trust[rows] if self.levels else None
+        levels = []
+        for depth, level in enumerate(self.levels[1:], start=1):
+            coarser = unique_keys(ancestor_keys(cells, depth))
+            rows = _find_around(level.keys, coarser, int(np.ceil(reach / (size * 2**depth))) + 1)
+            levels.append(FieldLevel(level.keys[rows], level.coefficients[rows], level.trust[rows]))
+        places = unpack_keys(cells)
+        margin = reach + 2.0 * size
+        low = plan.origin + size * places.min(axis=0) - margin
+        high = plan.origin + size * (places.max(axis=0) + 1) + margin
+        return CoarseLevels(parents, trust, tuple(levels), crop_far_field(self.far, low, high))
+
+    def whole(self) -> CoarseLevels:
+        """Return all of it."""
+        low = self.far.origin
+        high = low + self.far.step * len(self.far.values)
+        far = crop_far_field(self.far, low, high)
+        trust = self.levels[0].trust if self.levels else None
+        return CoarseLevels(self.parents, trust, self.levels[1:], far)
+
+
+def far_level(grid: Grid, cell_size: float, height: int) -> int:
+    """Return the finest level whose cells the far field may sample.
+
+    Each cell counts once: its area, not its points, is what a scan's uneven density leaves
+    alone. So its cells must not be so small that most of them are empty where points are few.
+
+    Parameters
+    ----------
+    grid : Grid
+    cell_size : float
+        Edge of the finest cells, in length units of the input.
+    height : int
+        How many levels there are.
+    """
+    level = 0
+    least = _FAR_CELLS * far_step(*grid.box)
+    while level < height - 1 and cell_size * 2.0**level < least:
+        level += 1
+    return level
+
+
+def fit_coarse(
+    plan: Plan,
+    lattices: list[tuple[Any, ...]],
+    samples: list[tuple[Any, ...]],
+    workforce: Workforce,
+    threads: int,
+) -> Coarse:
+    """Put the coarse cells of all tiles together, and fit the levels from there up.
+
+    A worker solves for the far field meanwhile.
+
+    Parameters
+    ----------
+    plan : Plan
+    lattices, samples : list of tuple
+        What `region.sum_tile` gave of each tile, in any order. The first list is emptied: most of
+        it is needed but once.
+    workforce : Workforce
+    threads : int
+        That the tasks of this process may take, and the fits.
+        The result does not depend on it.
+
+    Returns
+    -------
+    Coarse
+    """
+    task = plan.to_values(), samples, threads if workforce.in_process else 1
+    with begin_batch(workforce, solve_far, task) as solved:
+        pyramid, quadrics, parents = _fit(plan, lattices, threads)
+        far = restore_far_field(FarFieldPart(*solved()))
+    return Coarse(plan, parents, find_trust(pyramid, quadrics, far, threads), far)
+
+
+def _fit(
+    plan: Plan, lattices: list[tuple[Any, ...]], threads: int
+) -> tuple[Pyramid, list[VertexQuadrics], Parents]:
+    """Fit the levels from the tiles' one up."""
+    keys, moments, squares, corners = map(list, zip(*lattices, strict=True))
+    lattices.clear()
+    cells, order, rows = _sort(keys)
+    level = Level(cells, PartMoments(moments, rows), np.concatenate(squares)[order])
+    vertices = unique_keys(np.concatenate(corners))
+    height = plan.height - plan.coarse
+    levels = raise_levels(level, height, threads)
+    laid = lay_vertices(vertices, height)
+    pyramid = Pyramid(plan.origin, plan.cell_size, levels, laid, plan.coarse, plan.height)
+    quadrics, parents = fit_levels(pyramid, plan.weights, None, threads)
+    moments.clear()  # no level has them any more
+    assert parents is not None  # noqa: S101 - tiles have finer levels
+    return pyramid, quadrics, parents
+
+
+def _sort(parts: list[IntArray]) -> tuple[IntArray, IntArray, list[IntArray]]:
+    """Return the keys of all parts in their order, this, and where those of each part stand."""
+    keys = np.concatenate(parts)
+    order = np.argsort(keys, kind="stable")  # which merges sorted runs
+    rows = np.empty_like(order)
+    rows[order] = np.arange(len(order))
+    return keys[order], order, np.split(rows, np.cumsum([len(part) for part in parts])[:-1])
+
+
+def _find_around(keys: IntArray, cells: IntArray, wide: int) -> IntArray:
+    """Return the rows of the corners that lie within so many cells of some cells."""
+    found: IntArray = np.flatnonzero(mark_near(keys, cells, wide, wide + 1))
+    return found

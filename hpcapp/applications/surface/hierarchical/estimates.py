@@ -1,0 +1,276 @@
+"""What the hierarchical method finds out about a cloud before it fits: spacing, noise, scale."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpccomponent.errors import InputError
+from hpccomponent.surface import kernels
+from hpccomponent.surface.cloud.arranged import ArrangedCloud, Points
+from hpccomponent.surface.cloud.disk import DiskCloud
+from hpccomponent.surface.cloud.spacing import estimate_spacing
+from hpccomponent.surface.fitting.cell_points import SortedPoints
+from hpccomponent.surface.fitting.pyramid import (
+    Level,
+    VertexQuadrics,
+    build_pyramid,
+    count_levels,
+    fit_levels,
+)
+from hpccomponent.surface.fitting.robust import find_tolerance, measure_points, tell_kurtosis
+from hpccomponent.surface.fitting.weights import LEAST_MU, Weights, tell_noise
+from hpccomponent.surface.types.points import IntArray, PointCloud, bounding_box
+
+__all__ = [
+    "SAMPLED_BOX",
+    "Scale",
+    "choose_scale",
+    "draw_sample",
+    "estimate_noise",
+    "first_share",
+    "probe_noise",
+]
+
+_PROBE_SPACINGS = 2.0
+_PROBE_LAM = 0.3
+_PROBE_SHARE = 0.15
+_PROBE_ROUNDS = 5
+_PROBE_POINTS = 14, 24  # in the finer and in the coarser cells of a probe
+_SAMPLED_POINTS = 15_000
+SAMPLED_BOX = 24.0
+"""Spacings: large against the cells of a probe."""
+
+_QUANTILE, _TO_MEDIAN = 0.25, 1.0
+_FREE = 10
+_NOISE_SHARE = 0.5  # of residuals: what remains is detail, and no point of it is wrong
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """The cell size and what led to it.
+
+    Parameters
+    ----------
+    spacing, noise, cell_size : float
+        In length units of the input; the noise is a standard deviation along the normal.
+    tolerance : float
+        How far off a point may lie until it counts half, in variances of the noise.
+    """
+
+    spacing: float
+    noise: float
+    cell_size: float
+    tolerance: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Noise:
+    """What a probe finds: see `Scale`."""
+
+    deviation: float
+    tolerance: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Residuals:
+    """What fits leave over in cells of a size and of its double.
+
+    Parameters
+    ----------
+    finer, coarser : float
+        Lower quartiles of their variances, in length units of the input squared; 0 where no vertex
+        has enough points.
+    kurtosis : float
+        In the finer cells.
+    """
+
+    finer: float
+    coarser: float
+    kurtosis: float
+
+
+def estimate_noise(cloud: PointCloud, spacing: float, threads: int = 1) -> float:
+    """Estimate the noise of the positions along the normals.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        With normals.
+    spacing : float
+        In length units of the input.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    float
+        Standard deviation, in length units of the input; 0 where no vertex has enough points.
+
+    Notes
+    -----
+    A probe fits quadrics in cells of two sizes, two and four spacings, and takes the lower
+    quartile of the residual variances RSS / (n - 10): edges and thin parts, which no quadric
+    fits, are in the upper ones. Noise is the same in cells of both sizes; what grows with the
+    cell is detail that the quadrics miss, and is taken off. Where the noise exceeds 0.15 of the
+    finer cells, they cut its tails off, and a probe with larger ones is made. Large clouds are
+    sampled by whole boxes.
+    """
+    return _probe(_sample_cloud(cloud, spacing), spacing, threads).deviation
+
+
+def probe_noise(sample: PointCloud, spacing: float, threads: int = 1) -> float:
+    """Estimate the noise of a cloud by a sample of it; see `estimate_noise`, `draw_sample`."""
+    return _probe(sample, spacing, threads).deviation
+
+
+def _probe(sample: PointCloud, spacing: float, threads: int) -> _Noise:
+    """Estimate the noise, and how heavy its tails are where it is what most residuals are of."""
+    cell_size = _PROBE_SPACINGS * spacing
+    left = _fit_probe(sample, cell_size, threads)
+    tolerance = find_tolerance(left.kurtosis)  # larger cells leave detail, too
+    for _ in range(_PROBE_ROUNDS):
+        if left.finer <= (_PROBE_SHARE * cell_size) ** 2:
+            break
+        cell_size *= 2.0
+        left = _fit_probe(sample, cell_size, threads)
+    variance = float(tell_noise(np.array(left.finer), np.array(left.coarser)))
+    is_noise = variance > _NOISE_SHARE * left.finer
+    return _Noise(_TO_MEDIAN * float(np.sqrt(variance)), tolerance if is_noise else np.inf)
+
+
+def _sample_cloud(cloud: PointCloud, spacing: float) -> PointCloud:
+    """Return a sample of a cloud with normals."""
+    if cloud.normals is None:
+        raise InputError("the cloud has no normals", "give oriented points")
+    positions, normals = cloud.positions, cloud.normals
+    low, _ = bounding_box(positions)
+
+    def draw(one_in: int) -> Points:
+        if one_in == 1:
+            return positions, normals
+        rows = kernels.sample_boxes(positions, low, SAMPLED_BOX * spacing, one_in)
+        return positions[rows], normals[rows]
+
+    return PointCloud(*draw_sample(draw, len(cloud)))
+
+
+def first_share(points: int) -> int:
+    """Return how many boxes make one sampled, to begin with; of a small cloud all points are."""
+    return max(points // _SAMPLED_POINTS, 1)
+
+
+def draw_sample(draw: Callable[[int], Points], points: int) -> Points:
+    """Draw a sample of boxes that holds enough points for `probe_noise`.
+
+    Parameters
+    ----------
+    draw : callable
+        Given how many boxes of edge `SAMPLED_BOX` make one sampled, returns the points in them, in
+        the cloud's order.
+    points : int
+        Of the cloud.
+
+    Returns
+    -------
+    positions, normals : ndarray of float64, shape (n, 3)
+        Of about 15,000 points; of a cloud in few boxes more, and all of a small one.
+    """
+    one_in = first_share(points)
+    while one_in > 1:
+        sample = draw(one_in)
+        if len(sample[0]) > _SAMPLED_POINTS // 4:
+            return sample
+        one_in //= 8
+    return draw(1)
+
+
+def _fit_probe(cloud: PointCloud, cell_size: float, threads: int) -> _Residuals:
+    """Fit quadrics in cells of a size and of its double."""
+    low, high = bounding_box(cloud.positions)
+    height = count_levels(float((high - low).max()), cell_size)
+    pyramid = build_pyramid(cloud, low, cell_size, height, threads)
+    levels = list(pyramid.levels[:2])  # a fit drops the moments of its level
+    weights = [Weights(_PROBE_LAM, 0.0, LEAST_MU, LEAST_MU)] * len(pyramid.levels)
+    quadrics, _ = fit_levels(pyramid, weights, None, threads)
+    variances = [
+        cell_size**2 * 4.0**depth * _lower_quartile(level, vertices, fitted, points)
+        for depth, (level, vertices, fitted, points) in enumerate(
+            zip(levels, pyramid.vertices, quadrics, _PROBE_POINTS, strict=False)
+        )
+    ]
+    kurtosis = _find_kurtosis(levels[0], pyramid.vertices[0], quadrics[0])
+    return _Residuals(variances[0], variances[-1] or variances[0], kurtosis)
+
+
+def _find_kurtosis(level: Level, vertices: IntArray, quadrics: VertexQuadrics) -> float:
+    """Return that of the points' distances from the blend of a level's quadrics."""
+    points = level.points
+    assert isinstance(points, SortedPoints)  # noqa: S101 - the finest level has points
+    blend = vertices, quadrics.coefficients, np.ones(len(vertices), np.float32)
+    squares = measure_points(level.cells, points, slice(0, len(level.cells)), 0, blend)
+    return tell_kurtosis(squares, level.cells, points.offsets)
+
+
+def _lower_quartile(
+    level: Level, vertices: IntArray, quadrics: VertexQuadrics, points: int
+) -> float:
+    """Return that of RSS / (n - 10), in cells squared, over the vertices with enough points."""
+    in_cells = level.points.sum(slice(0, len(level.cells)))
+    touched = kernels.spread_keys(level.cells, 0, 1)
+    moments = kernels.corner_moments(touched, level.cells, in_cells)
+    rich = moments[:, 0] >= points
+    if not rich.any():
+        return 0.0
+    rows = kernels.find_keys(vertices, touched[rich])
+    residuals = kernels.evaluate_residuals(moments[rich], quadrics.coefficients[rows])
+    variances = np.sort(residuals / (moments[rich, 0] - _FREE))
+    return float(variances[int(_QUANTILE * (len(variances) - 1))])
+
+
+def choose_scale(
+    cloud: PointCloud | ArrangedCloud,
+    step: float,
+    smoothness: float,
+    detail: float,
+    threads: int = 1,
+) -> Scale:
+    """Choose the cell size.
+
+    Parameters
+    ----------
+    cloud : PointCloud or ArrangedCloud
+        With normals; one that is not in memory has been measured.
+    step : float
+        Of the evaluation grid, in length units of the input; no cell is smaller, because the
+        lattice must reach the nodes on both sides of the surface.
+    smoothness : float
+        Multiplies the noise, dimensionless.
+    detail : float
+        Divides the cell size, dimensionless.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    Scale
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+    """
+    if isinstance(cloud, DiskCloud) and cloud.measured is not None:
+        spacing, sample = cloud.measured.spacing, cloud.measured.sample
+    else:
+        points = (
+            cloud if isinstance(cloud, PointCloud) else PointCloud(*cloud.take_blocks(cloud.keys))
+        )
+        spacing = estimate_spacing(points.positions)
+        sample = _sample_cloud(points, spacing)
+    noise = _probe(sample, spacing, threads)
+    wanted = max(1.5 * spacing, 6.0 * noise.deviation * smoothness) / detail
+    cell_size = max(wanted, step)
+    return Scale(spacing, noise.deviation, cell_size, noise.tolerance)

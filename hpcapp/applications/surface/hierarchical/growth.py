@@ -1,0 +1,173 @@
+"""The surface, tile by tile on the workers, and over the gaps between them until it is quiet.
+
+::
+
+    tiles ── mesh_tile ──> parts, exits ──┐
+               exits that no part has ──> mesh_gap ──> parts, exits ──> ... none left
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.hierarchical.coarse import Coarse
+from hpcapp.applications.surface.hierarchical.tiles import Tiling
+from hpcapp.applications.surface.method import Advance
+from hpcapp.applications.surface.surface import PartSurface
+from hpcapp.workforce import Workforce, stream_batches
+from hpccomponent.errors import JobError
+from hpccomponent.surface.extraction.parts import MeshPart
+from hpccomponent.surface.extraction.summary import PartSummary
+from hpccomponent.surface.fitting.field import BRICK
+from hpccomponent.surface.tasks.tiles import mesh_gap, mesh_tile
+from hpccomponent.surface.tiles.plan import Plan, Values
+from hpccomponent.surface.types.lattice import find_keys, pack_places, unique_keys, unpack_keys
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+__all__ = ["mesh_regions"]
+
+_MOST_ROUNDS = 1000  # each goes on by a coarse cell at least; a grid has no more
+
+
+Found = tuple[Values | None, Values, IntArray]
+
+
+class _Regions:
+    """Runs the tasks of a job, and gathers what they give."""
+
+    def __init__(self, workforce: Workforce, origin: FloatArray, keeping: Keeping | None) -> None:
+        self._workforce = workforce
+        self._keeping = keeping
+        self._exits: list[IntArray] = []
+        self.surface = PartSurface([], [], origin, keeping)
+
+    def run(
+        self,
+        task: Callable[..., Any],
+        tiles: Iterable[tuple[str, tuple[Any, ...]]],
+        count: int,
+        advance: Advance,
+    ) -> None:
+        """Run a task for each of some tiles that are not there yet.
+
+        Parameters
+        ----------
+        task : callable
+        tiles : iterable of (str, tuple)
+            The name of each and what the task is called with, made when there is room for it.
+        count : int
+            Of the tiles.
+        advance : callable
+        """
+        names: list[str] = []
+        started: list[int] = []
+        found: dict[int, Found] = {}
+
+        def batches() -> Iterator[tuple[Any, ...]]:
+            for index, (name, arguments) in enumerate(tiles):
+                names.append(name)
+                kept = self._keeping.find(name) if self._keeping else None
+                if kept is not None:
+                    found[index] = (None, *kept[1:])
+                    advance(len(found), count)
+                    continue
+                started.append(index)
+                yield *arguments, self._keep(name)
+
+        at_once = self._workforce.workers * (1 if self._workforce.in_process else 2)
+        for batch, result in stream_batches(self._workforce, task, batches(), at_once):
+            found[started[batch]] = self._put(names[started[batch]], result)
+            advance(len(found), count)
+        for index, name in enumerate(names):
+            self._take(name, found[index])
+
+    def left(self) -> IntArray:
+        """Return the bricks that the surface leaves for, and that no part has."""
+        wanted = unique_keys(np.concatenate(self._exits))
+        held = unique_keys(np.concatenate([found.bricks for found in self.surface.summaries]))
+        left: IntArray = wanted[find_keys(held, wanted) == len(held)]
+        return left
+
+    def _keep(self, name: str) -> tuple[str, str] | None:
+        """Return where a worker is to put its tile, if it can."""
+        keeping = self._keeping
+        return (keeping.place, name) if keeping is not None and keeping.is_shared else None
+
+    def _put(self, name: str, result: Found) -> Found:
+        """Put a tile that came back where it is kept."""
+        if self._keeping is None or result[0] is None:
+            return result
+        self._keeping.store.put(name, result)
+        return None, *result[1:]
+
+    def _take(self, name: str, result: Found) -> None:
+        part, summary, exits = result
+        self.surface.parts.append(name if part is None else MeshPart.from_values(part))
+        self.surface.summaries.append(PartSummary.from_values(summary))
+        self._exits.append(exits)
+
+
+def mesh_regions(
+    tiling: Tiling,
+    coarse: Coarse,
+    workforce: Workforce,
+    advance: Advance,
+    origin: FloatArray,
+    keeping: Keeping | None = None,
+) -> PartSurface:
+    """Reconstruct the surface inside all tiles.
+
+    Parameters
+    ----------
+    tiling : Tiling
+    coarse : Coarse
+    workforce : Workforce
+    advance : callable
+        Told (tiles done, tiles in all).
+    origin : ndarray of float64, shape (3,)
+        Of the cloud's local frame.
+    keeping : Keeping, optional
+        Where finished tiles are kept; by default they come back to this process.
+
+    Returns
+    -------
+    PartSurface
+        It holds every brick that the surface reaches.
+    """
+    values = coarse.plan.to_values()
+    regions = _Regions(workforce, origin, keeping)
+
+    def tiles() -> Iterator[tuple[str, tuple[Any, ...]]]:
+        for index in range(len(tiling)):
+            name = "" if keeping is None else keeping.name(values, *tiling.groups(index))
+            around = coarse.around(tiling.own(index))
+            points = tiling.tile(index)
+            yield name, (values, points, tiling.tickets[index], around.to_values())
+
+    regions.run(mesh_tile, tiles(), len(tiling), advance)
+    for _ in range(_MOST_ROUNDS):
+        left = regions.left()
+        if not len(left):
+            return regions.surface
+        near = tiling.near(_cells_around(coarse.plan, left))
+        missing = tiling.cells[~near]
+        name = "" if keeping is None else keeping.name(values, left, missing)
+        points = tiling.around(tiling.cells[near])
+        gap = (values, left, points, missing, coarse.whole().to_values())
+        regions.run(mesh_gap, [(name, gap)], 1, lambda _done, _all: None)
+    raise JobError("the surface does not come to an end", "report this, with the point cloud")
+
+
+def _cells_around(plan: Plan, bricks: IntArray) -> IntArray:
+    """Return the coarse cells that some bricks lie in, empty or not."""
+    size = plan.cell_size * 2.0**plan.coarse
+    edge = BRICK * plan.step
+    low = plan.grid_origin + edge * unpack_keys(bricks) - plan.origin
+    first = np.floor(low / size).astype(np.int64)
+    span = int(np.ceil(edge / size)) + 1
+    steps = np.stack(np.meshgrid(*[np.arange(span)] * 3), axis=-1).reshape(-1, 1, 3)
+    return unique_keys(pack_places(first + steps).reshape(-1))

@@ -1,0 +1,287 @@
+"""The default method: hierarchical Hermite quadrics, blended by a partition of unity.
+
+::
+
+    scale ─> tiles ─> coarse sums of each tile ─> coarse quadrics, far field ─> surface in each tile
+                      (workers)                   (master)         (a worker)   (workers)   ─> weld
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.hierarchical.coarse import Coarse, far_level, fit_coarse
+from hpcapp.applications.surface.hierarchical.estimates import Scale, choose_scale
+from hpcapp.applications.surface.hierarchical.growth import mesh_regions
+from hpcapp.applications.surface.hierarchical.slabs import mesh_slabs
+from hpcapp.applications.surface.hierarchical.tiles import Tiling
+from hpcapp.applications.surface.method import Advance
+from hpcapp.applications.surface.sizes import LARGE_TILE, MARGIN, TILE_POINTS, TILES_EACH
+from hpcapp.applications.surface.surface import PartSurface
+from hpcapp.workforce import Workforce, stream_batches
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.cloud.arranged import ArrangedCloud, arrange_cloud
+from hpccomponent.surface.cloud.arrangement import choose_arrangement
+from hpccomponent.surface.cloud.disk import DiskCloud
+from hpccomponent.surface.fitting.field import BRICK, Grid
+from hpccomponent.surface.fitting.pyramid import count_levels
+from hpccomponent.surface.tasks.tiles import sum_tile
+from hpccomponent.surface.tiles.plan import Plan, Values
+from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+
+__all__ = [
+    "HierarchicalMethod",
+    "HierarchicalPartition",
+    "plan_grid",
+]
+
+_LEAST_GRID = 16
+_ROBUST_LEVELS = 2  # whose fits ask the points themselves, where these are weighed
+
+
+@dataclass(slots=True, eq=False)
+class HierarchicalPartition:
+    """A cloud cut into tiles.
+
+    Parameters
+    ----------
+    cloud : PointCloud or ArrangedCloud
+    scale : Scale
+    plan : Plan
+    tiling : Tiling or None
+        None where the cloud is one tile, and made into a mesh here.
+    patches : int
+        Finest cells with points, once they are counted.
+    """
+
+    cloud: PointCloud | ArrangedCloud
+    scale: Scale
+    plan: Plan
+    tiling: Tiling | None
+    patches: int = 0
+
+
+class HierarchicalMethod:
+    """Reconstruct with hierarchical Hermite quadrics.
+
+    Parameters
+    ----------
+    grid : int
+        Cells of the evaluation grid along its longest side, 16 or more.
+    smoothness : float
+        Above 1, noise is taken for larger than it is estimated: smoother. Dimensionless.
+    detail : float
+        Above 1, cells are smaller: more detail, less averaging. Dimensionless.
+    threads : int
+        How many threads the far field and the extraction take; the mesh does not depend on it.
+    tile_points : int, optional
+        Of a tile at most, about; the mesh does not depend on it. By default a cloud in memory is
+        one tile where tasks run in this process.
+    keeping : Keeping, optional
+        Where finished tiles are kept; by default they come back to this process.
+
+    Raises
+    ------
+    UsageError
+        The grid is too small, or a factor is not positive.
+    """
+
+    name = "hierarchical"
+
+    def __init__(
+        self,
+        grid: int = 256,
+        smoothness: float = 1.0,
+        detail: float = 1.0,
+        threads: int = 1,
+        tile_points: int | None = None,
+        keeping: Keeping | None = None,
+    ) -> None:
+        if grid < _LEAST_GRID:
+            raise UsageError(
+                f"a grid of {grid} cells is too coarse", f"ask for {_LEAST_GRID} or more"
+            )
+        for word, factor in (("smoothness", smoothness), ("detail", detail)):
+            if not (factor > 0.0 and np.isfinite(factor)):
+                raise UsageError(f"{word} is {factor}", "give a positive number; 1 is the default")
+        self.grid = grid
+        self.smoothness = smoothness
+        self.detail = detail
+        self.threads = threads
+        self.tile_points = tile_points
+        self.keeping = keeping
+
+    def partition(
+        self, cloud: PointCloud | ArrangedCloud, workforce: Workforce
+    ) -> HierarchicalPartition:
+        """Find spacing, noise and cell size, and cut the cloud into tiles.
+
+        Parameters
+        ----------
+        cloud : PointCloud or ArrangedCloud
+            With normals; in memory arranged, too (see `cleaning.arrange_points`).
+        workforce : Workforce
+
+        Returns
+        -------
+        HierarchicalPartition
+
+        Raises
+        ------
+        InputError
+            There are no normals, or all points are the same.
+        """
+        if not len(cloud) or (isinstance(cloud, PointCloud) and cloud.normals is None):
+            raise InputError("the cloud has no points with normals", "give oriented points")
+        if isinstance(cloud, PointCloud):
+            low, high = bounding_box(cloud.positions)
+        else:
+            low, high = cloud.low, cloud.high
+        grid = plan_grid(low, high, self.grid)
+        scale = choose_scale(cloud, grid.step, self.smoothness, self.detail, self.threads)
+        height = count_levels(float((high - low).max()), scale.cell_size)
+        far = far_level(grid, scale.cell_size, height)
+        count = self._count_tiles(cloud, height, workforce)
+        tolerance = scale.tolerance if height > _ROBUST_LEVELS else np.inf
+        least = 1 if np.isinf(tolerance) else _ROBUST_LEVELS
+        coarse = max(least, min(far, height - 1)) if count else height
+        blocks = choose_arrangement(low, high)
+        plan = Plan(
+            low, scale.cell_size, height, coarse, scale.noise * self.smoothness,
+            grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far, tolerance,
+        )  # fmt: skip
+        if not count:
+            return HierarchicalPartition(cloud, scale, plan, None)
+        arranged = arrange_cloud(cloud) if isinstance(cloud, PointCloud) else cloud
+        are_read = workforce.in_process or self._find_shared(cloud) is not None
+        tiling = Tiling(arranged, plan, count, workforce, are_read, self.tile_points is not None)
+        return HierarchicalPartition(cloud, scale, plan, tiling)
+
+    def fit(
+        self, partition: HierarchicalPartition, workforce: Workforce, advance: Advance
+    ) -> Coarse | None:
+        """Fit the coarse quadrics; nothing where the cloud is one tile."""
+        tiling, plan = partition.tiling, partition.plan
+        if tiling is None:
+            return None
+        values = plan.to_values()
+        keeping = None if workforce.in_process else self._find_shared(partition.cloud)
+        run = secrets.token_hex(8)  # nothing that an earlier one has left is taken
+
+        def batches() -> Iterator[tuple[Any, ...]]:
+            for index, ticket in enumerate(tiling.tickets):
+                keep = None if keeping is None else (keeping.place, keeping.name_sums(run, index))
+                yield values, tiling.core(index), ticket, keep
+
+        lattices: list[Values] = []
+        samples: list[Values] = []
+        for index, found in stream_batches(workforce, sum_tile, batches(), 2 * workforce.workers):
+            lattice, sampled, patches = found
+            if keeping is not None:
+                lattice = keeping.store.get(keeping.name_sums(run, index))
+            assert lattice is not None  # noqa: S101 - it comes back where it is not kept
+            lattices.append(lattice)
+            samples.append(sampled)
+            partition.patches += patches
+            advance(len(lattices), len(tiling))
+        return fit_coarse(plan, lattices, samples, workforce, self.threads)
+
+    def extract(
+        self,
+        partition: HierarchicalPartition,
+        quadrics: Coarse | None,
+        workforce: Workforce,
+        advance: Advance,
+    ) -> PartSurface:
+        """Fit the fine quadrics and extract the surface, tile by tile on the workers.
+
+        Raises
+        ------
+        InputError
+            No node lies inside: the normals contradict one another.
+        """
+        origin = partition.cloud.origin
+        if partition.tiling is None:
+            cloud = partition.cloud
+            assert isinstance(cloud, PointCloud)  # noqa: S101 - others have tiles
+            surface, partition.patches = mesh_slabs(cloud, partition.plan, self.threads, advance)
+        else:
+            assert quadrics is not None  # noqa: S101 - tiles have coarse quadrics
+            surface = mesh_regions(
+                partition.tiling, quadrics, workforce, advance, origin, self.keeping
+            )
+        if not surface.plan.face_count:
+            raise InputError(
+                "no part of the cloud encloses a volume",
+                "check that the normals point out of the object, and try a finer --grid",
+            )
+        return surface
+
+    def _find_shared(self, cloud: PointCloud | ArrangedCloud) -> Keeping | None:
+        """Return the folder that workers read the points from, if they do."""
+        if isinstance(cloud, DiskCloud) and self.keeping is not None and self.keeping.holds_files:
+            return self.keeping
+        return None
+
+    def _count_tiles(
+        self, cloud: PointCloud | ArrangedCloud, height: int, workforce: Workforce
+    ) -> int:
+        """Return into how many tiles a cloud is cut; 0 where it is made into a mesh right here."""
+        needed = -(-len(cloud) // (self.tile_points or TILE_POINTS))
+        is_one = self.keeping is None and (needed == 1 or self.tile_points is None)
+        if isinstance(cloud, PointCloud) and (height == 1 or (workforce.in_process and is_one)):
+            return 0
+        if workforce.in_process:
+            return needed
+        workers = workforce.workers
+        each = min(TILES_EACH, workforce.batches_per_worker, len(cloud) // (workers * LARGE_TILE))
+        return workers * max(1, each, -(-needed // workers))  # all of them, equally often
+
+    def facts(self, partition: HierarchicalPartition) -> dict[str, Any]:
+        """Return the estimates, and how many cells of the finest level hold points."""
+        plan = partition.plan
+        return {
+            "patches": partition.patches,
+            "spacing": partition.scale.spacing,
+            "noise": partition.scale.noise,
+            "cell_size": plan.cell_size,
+            "lam": plan.weights[0].lam,
+            "levels": plan.height,
+            "tiles": 1 if partition.tiling is None else len(partition.tiling),
+        }
+
+
+def plan_grid(low: FloatArray, high: FloatArray, cells: int) -> Grid:
+    """Lay the evaluation grid around a cloud, with four cells to spare on each side.
+
+    Parameters
+    ----------
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around all points, in length units of the input.
+    cells : int
+        Along the longest side, margins included.
+
+    Returns
+    -------
+    Grid
+        Centred on the cloud, each side a whole number of bricks.
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+    """
+    longest = float((high - low).max())
+    if longest <= 0.0:
+        raise InputError("all points lie at one place", "scan something with an extent")
+    step = longest / (cells - 2 * MARGIN)
+    sides = np.ceil((high - low) / step + 2 * MARGIN - 1e-9)
+    x, y, z = (int(bricks) for bricks in np.ceil(sides / BRICK))
+    half = 0.5 * BRICK * step * np.array([x, y, z])
+    return Grid(0.5 * (low + high) - half, step, (x, y, z))

@@ -1,0 +1,60 @@
+"""The surface of a cloud in memory, made right here: its finest level in slabs, one at a time.
+
+::
+
+    points ─> coarser levels, far field ─> slabs, one after the other ─> MeshParts
+"""
+
+from __future__ import annotations
+
+from hpcapp.applications.surface.method import Advance
+from hpcapp.applications.surface.surface import PartSurface
+from hpccomponent.surface.extraction.summary import summarize_part
+from hpccomponent.surface.fitting.levels import SlabFields, fit_above
+from hpccomponent.surface.fitting.pyramid import build_pyramid
+from hpccomponent.surface.tasks.tiles import find_far, sample_cells
+from hpccomponent.surface.tiles.halo import plan_whole
+from hpccomponent.surface.tiles.plan import Plan
+from hpccomponent.surface.tiles.slabs import cut_slabs, grow_slabs
+from hpccomponent.surface.types.points import PointCloud
+
+__all__ = ["mesh_slabs"]
+
+
+def mesh_slabs(
+    cloud: PointCloud, plan: Plan, threads: int, advance: Advance
+) -> tuple[PartSurface, int]:
+    """Reconstruct the surface of a cloud.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        With normals.
+    plan : Plan
+    threads : int
+        The result does not depend on it.
+    advance : callable
+        Told (slabs done, slabs in all).
+
+    Returns
+    -------
+    surface : PartSurface
+        It holds every brick that the surface reaches, each in one part.
+    patches : int
+        Finest cells with points.
+    """
+    pyramid = build_pyramid(cloud, plan.origin, plan.cell_size, plan.height, threads)
+    kinds = plan_whole(plan.grid, cloud.positions)
+    patches = len(pyramid.levels[0].cells)
+    far = find_far(plan, *sample_cells(pyramid.levels[plan.far]), threads)
+    above, parents = fit_above(pyramid, plan.weights, None, far, threads)
+    fields = SlabFields(pyramid, plan.weights, parents, above, far, plan.grid, threads)
+    surface = PartSurface([], [], cloud.origin)
+    bounds = cut_slabs(fields, kinds)
+    slabs = len(bounds) - 1
+    for part, _ in grow_slabs(fields, kinds, bounds):
+        surface.parts.append(part)
+        surface.summaries.append(summarize_part(part))
+        advance(min(len(surface.parts), slabs), slabs)  # one without points has no part
+    advance(slabs, slabs)
+    return surface, patches

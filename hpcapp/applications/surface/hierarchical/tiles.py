@@ -1,0 +1,236 @@
+"""Tiles: compact sets of coarse cells, equal in estimated work.
+
+The paper's equal batches, by work instead of by count. Who may import it: the default method.
+"""
+
+from __future__ import annotations
+
+import secrets
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.applications.surface.scans import Passes
+from hpcapp.workforce import Workforce
+from hpccomponent.surface.cloud.arranged import ArrangedCloud
+from hpccomponent.surface.cloud.disk import DiskCloud
+from hpccomponent.surface.fitting.field import BRICK
+from hpccomponent.surface.tasks.blocks import count_cells, merge_cells
+from hpccomponent.surface.tasks.tiles import KEPT_TILES
+from hpccomponent.surface.tiles.halo import mark_near
+from hpccomponent.surface.tiles.plan import Plan
+from hpccomponent.surface.tiles.points import CellPoints, pack_cloud, read_cells
+from hpccomponent.surface.types.lattice import unpack_keys
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+__all__ = ["Tiling", "cut_tiles", "halo_cells", "weigh_cells"]
+
+_POINTS_AT_ONCE = 2_000_000
+# What a finest cell on the surface, and a cell of the grid there, take beside the points, in what a
+# point takes: from scans of bunny, table and rocker arm, whose finest cells were 1 to 6.5 cells of
+# the grid wide.
+_CELL_WORK, _STEP_WORK = 2.0, 0.4
+
+
+class Tiling:
+    """A cloud cut into tiles.
+
+    Parameters
+    ----------
+    cloud : ArrangedCloud
+    plan : Plan
+    count : int
+        How many tiles there shall be; fewer where there are fewer coarse cells.
+    workforce : Workforce
+    are_read : bool
+        Whether tasks read their points where the cloud lies; else these are sent.
+    is_short : bool
+        Whether memory is: of tiles, which then have about as many points each instead of as much
+        work, a worker keeps one prepared until it is meshed, and else `region.KEPT_TILES`.
+
+    Attributes
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the coarse cells that hold points.
+    tickets : list of str or None
+        Of the tiles, where workers may keep them: each prepares its points once then (see
+        `region.sum_tile`). Not where they are sent from a disk, which is done twice.
+    """
+
+    def __init__(
+        self,
+        cloud: ArrangedCloud,
+        plan: Plan,
+        count: int,
+        workforce: Workforce,
+        are_read: bool,
+        is_short: bool,
+    ) -> None:
+        passes = Passes(workforce, are_read, _POINTS_AT_ONCE)
+        self.cells, counts = _count_cells(cloud, plan, passes)
+        self._cloud = cloud
+        self._plan = plan
+        work = counts if is_short else weigh_cells(plan, counts)
+        self._tile_of = cut_tiles(self.cells, work, count)
+        order = np.argsort(self._tile_of, kind="stable")
+        ends = np.cumsum(np.bincount(self._tile_of))
+        self._own: list[IntArray] = np.split(self.cells[order], ends[:-1])
+        self._share = workforce.share
+        self._are_read = are_read
+        self._shared: dict[int, Any] = {}
+        self._groups: dict[int, list[IntArray]] = {}
+        is_once = are_read or not isinstance(cloud, DiskCloud)
+        kept = 1 if is_short else KEPT_TILES
+        most = 0 if workforce.in_process else kept * workforce.workers
+        is_kept = is_once and len(self) <= most
+        self.tickets = [secrets.token_hex(8) if is_kept else None for _ in range(len(self))]
+
+    def __len__(self) -> int:
+        return len(self._own)
+
+    def own(self, index: int) -> IntArray:
+        """Return the coarse cells of a tile."""
+        return self._own[index]
+
+    def core(self, index: int) -> CellPoints:
+        """Return the points of a tile, as `sum_tile` is given them."""
+        if self.tickets[index] is not None:
+            return self.tile(index)
+        return self._give([self.own(index)], index)
+
+    def groups(self, index: int) -> list[IntArray]:
+        """Return the cells of a tile, and of its halo: those of tiles before and after it."""
+        if index not in self._groups:
+            own = self.own(index)
+            around = self.near(own)
+            before, after = around & (self._tile_of < index), around & (self._tile_of > index)
+            self._groups[index] = [own, self.cells[before], self.cells[after]]
+        return self._groups[index]
+
+    def tile(self, index: int) -> CellPoints:
+        """Return the points in the `groups` of a tile, as a task is given them."""
+        if self.tickets[index] is None:
+            return self._give(self.groups(index), index)
+        if index not in self._shared:  # whoever has summed it is the first to be asked again
+            self._shared[index] = self._share(self._give(self.groups(index), None))
+        shared: CellPoints = self._shared[index]
+        return shared
+
+    def around(self, cells: IntArray) -> CellPoints:
+        """Return the points in some coarse cells."""
+        return self._give([cells], None)
+
+    def near(self, cells: IntArray) -> NDArray[np.bool_]:
+        """Tell which coarse cells with points lie around some cells, near enough to matter."""
+        return mark_near(self.cells, cells, *halo_cells(self._plan, cells))
+
+    def _give(self, groups: list[IntArray], index: int | None) -> CellPoints:
+        if self._are_read:
+            there = self._cloud
+            return ("there", str(there.folder) if isinstance(there, DiskCloud) else there, *groups)
+        plan = self._plan
+        cloud, group_of = read_cells(self._cloud, plan.origin, plan.coarse_size, groups)
+        packed = [
+            pack_cloud(plan.arrangement, cloud.take(np.flatnonzero(group_of == number)))
+            for number in range(len(groups))
+        ]
+        if index is not None and not isinstance(self._cloud, DiskCloud):
+            if index not in self._shared:
+                self._shared[index] = self._share(packed[0])
+            packed[0] = self._shared[index]
+        return ("sent", *packed)
+
+
+def _count_cells(cloud: ArrangedCloud, plan: Plan, passes: Passes) -> tuple[IntArray, IntArray]:
+    """Return the coarse cells that hold points, and how many."""
+    if isinstance(cloud, DiskCloud):
+        return passes.count_cells(cloud, plan.origin, plan.coarse_size)
+    points = cloud.groups(_POINTS_AT_ONCE)
+    return merge_cells([count_cells(some, plan.origin, plan.coarse_size) for some, _ in points])
+
+
+def weigh_cells(plan: Plan, counts: IntArray) -> FloatArray:
+    """Estimate the work of coarse cells.
+
+    Parameters
+    ----------
+    plan : Plan
+    counts : ndarray of int64, shape (c,)
+        Points in each.
+
+    Returns
+    -------
+    ndarray of float64, shape (c,)
+        In what a point takes. The surface crosses a coarse cell as if it were one side of it:
+        where points are few it asks for as many quadrics and nodes as where they are many.
+    """
+    each = _CELL_WORK + _STEP_WORK * (plan.cell_size / plan.step) ** 2
+    return counts.astype(np.float64) + 4.0**plan.coarse * each
+
+
+def cut_tiles(cells: IntArray, work: IntArray | FloatArray, count: int) -> IntArray:
+    """Cut cells into compact tiles of equal work, by halving across the longest side.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Keys of coarse cells.
+    work : ndarray of int64 or float64, shape (c,)
+        Of each, in any unit.
+    count : int
+        Of tiles, one or more.
+
+    Returns
+    -------
+    ndarray of int64, shape (c,)
+        The tile of each cell: numbers from 0 on, none left out.
+
+    Notes
+    -----
+    The halos of runs along a Morton curve hold a half more (`docs/tiles.md`).
+    """
+    places = unpack_keys(cells)
+    tiles = np.zeros(len(cells), np.int64)
+    pending = [(np.arange(len(cells)), 0, min(count, len(cells)))]
+    while pending:
+        rows, first, parts = pending.pop()
+        tiles[rows] = first
+        if parts == 1:
+            continue
+        near = places[rows]
+        axis = int(np.argmax(near.max(axis=0) - near.min(axis=0)))
+        rows = rows[np.argsort(near[:, axis], kind="stable")]
+        own, lower = work[rows], parts // 2
+        middles = np.cumsum(own) - 0.5 * own
+        cut = int(np.searchsorted(middles, own.sum() * (lower / parts)))
+        cut = min(max(cut, lower), len(rows) - (parts - lower))  # a cell for each tile
+        pending += [(rows[:cut], first, lower), (rows[cut:], first + lower, parts - lower)]
+    return tiles
+
+
+def halo_cells(plan: Plan, cells: IntArray) -> tuple[IntArray, IntArray]:
+    """Return how many coarse cells below and above a tile's its quadrics depend on.
+
+    Its own bricks are among those that its cells overlap, and what it evaluates lies two bricks
+    further at most; from there its quadrics reach as far as `Plan.reach` says.
+
+    Parameters
+    ----------
+    plan : Plan
+    cells : ndarray of int64, shape (c,)
+        Keys of the tile's cells.
+
+    Returns
+    -------
+    low, high : ndarray of int64, shape (3,)
+        Along each axis.
+    """
+    size, edge, far = plan.coarse_size, BRICK * plan.step, plan.reach
+    places = unpack_keys(cells)
+    corners = (plan.origin - plan.grid_origin) + size * places
+    first = edge * (np.floor(corners / edge) - 2.0) - far
+    last = edge * (np.floor((corners + size) / edge) + 3.0) + far
+    low = places - np.floor((first + plan.grid_origin - plan.origin) / size).astype(np.int64)
+    high = np.floor((last + plan.grid_origin - plan.origin) / size).astype(np.int64) - places
+    return low.max(axis=0), high.max(axis=0)

@@ -1,0 +1,1 @@
+"""From a file to a clean cloud, in memory or in a folder."""

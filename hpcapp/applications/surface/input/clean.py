@@ -1,0 +1,191 @@
+"""What is done to every cloud before it is fitted: sorted, outliers out, normals turned round.
+
+Who may import it: the job and the methods of this package.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpccomponent.surface.cloud.arranged import arrange_cloud
+from hpccomponent.surface.cloud.outliers import find_outliers
+from hpccomponent.surface.cloud.spacing import estimate_spacing
+from hpccomponent.surface.cloud.validity import Reach
+from hpccomponent.surface.normals.consistency import mend_normals
+from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+
+__all__ = [
+    "Cleaned",
+    "EvenSample",
+    "arrange_points",
+    "clean_cloud",
+    "drop_far",
+    "even_step",
+    "find_reach",
+]
+
+_SAMPLE = 20_000
+_CORE = (0.02, 0.98)  # quantiles of each coordinate
+_CORES = 100.0  # longest sides of the core: beyond them lie markers, not measurements
+
+
+@dataclass(frozen=True, slots=True)
+class Cleaned:
+    """What was found wrong with a cloud.
+
+    Parameters
+    ----------
+    outliers : int
+        Points that were dropped.
+    flipped : int
+        Normals that were turned round.
+    """
+
+    outliers: int
+    flipped: int
+
+
+def arrange_points(cloud: PointCloud) -> PointCloud:
+    """Bring points that are near each other in space near each other in memory.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Finite positions; markers far away must have been dropped (see `drop_far`), for the
+        longest side decides how the rest is rounded.
+
+    Returns
+    -------
+    PointCloud
+        The same points, rounded and sorted as `arrangement` says; within a block in their order.
+
+    Notes
+    -----
+    All that follows goes through the cloud by cells. In the order of a file, which may be any,
+    each point would have to come from the far end of memory, again and again. Rounded to a
+    billionth of the longest side, points are the same in memory, on disk and on the wire.
+    """
+    low, high = bounding_box(cloud.positions)
+    return cloud if (low == high).all() else arrange_cloud(cloud).cloud
+
+
+def drop_far(cloud: PointCloud) -> PointCloud:
+    """Drop points farther from the middle of a cloud than a hundred times its core.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Finite positions.
+
+    Returns
+    -------
+    PointCloud
+        In their order; the input itself where none lies so far.
+
+    Notes
+    -----
+    A scanner's marker for "no echo" may lie where no lattice of the cloud's spacing reaches.
+    """
+    if not len(cloud):
+        return cloud
+    sample = EvenSample()
+    sample.add(cloud.positions)
+    reach = find_reach(sample.positions)
+    if reach.holds(*bounding_box(cloud.positions)):
+        return cloud
+    return cloud.take(reach.find_near(cloud.positions))
+
+
+def even_step(points: int) -> int:
+    """Return the power of two of which every so many-th point of a cloud is in an even sample."""
+    step = 1
+    while points > _SAMPLE * step:
+        step *= 2
+    return step
+
+
+class EvenSample:
+    """Every so many-th point of a cloud, of which there may be more to come.
+
+    The step is the power of two that leaves at most `_SAMPLE` points, so that it is the same
+    whether the cloud comes as a whole or in parts.
+    """
+
+    def __init__(self) -> None:
+        self._positions = np.zeros((0, 3))
+        self._step = 1
+        self._seen = 0
+
+    @property
+    def positions(self) -> FloatArray:
+        """Shape (s, 3), in length units of the input; at most `_SAMPLE`."""
+        return self._positions
+
+    def add(self, positions: FloatArray) -> None:
+        """Take the next points of the cloud, of shape (n, 3)."""
+        step = even_step(self._seen + len(positions))
+        self._positions, self._step = self._positions[:: step // self._step], step
+        taken = positions[-self._seen % self._step :: self._step]
+        self._positions = np.concatenate([self._positions, taken])
+        self._seen += len(positions)
+
+
+def find_reach(sample: FloatArray) -> Reach:
+    """Find how far from the middle of a cloud points may lie: a hundred times its core.
+
+    Parameters
+    ----------
+    sample : ndarray of float64, shape (s, 3)
+        See `EvenSample`; at least one point.
+
+    Returns
+    -------
+    Reach
+    """
+    low, high = np.sort(sample, axis=0)[np.rint(np.multiply(_CORE, len(sample) - 1)).astype(int)]
+    distance = _CORES * float((high - low).max())
+    return Reach(0.5 * (low + high), distance if distance > 0.0 else np.inf)
+
+
+def clean_cloud(cloud: PointCloud, threads: int = 1) -> tuple[PointCloud, Cleaned]:
+    """Drop the points that belong to no surface and turn round the normals that point inwards.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Finite positions; unit normals, or none.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    cloud : PointCloud
+        The points that remain, in their order; the input itself where nothing is wrong.
+    cleaned : Cleaned
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+
+    Notes
+    -----
+    Far points must have been dropped (see `drop_far`). See `find_outliers` and `mend_normals`
+    for the rest; `region_cleaning` does the same to a cloud that is not in memory.
+    """
+    if not len(cloud):
+        return cloud, Cleaned(0, 0)
+    kept = cloud
+    spacing = estimate_spacing(kept.positions)
+    strays = find_outliers(kept.positions, spacing)
+    if strays.any():
+        kept = kept.take(~strays)
+        spacing = estimate_spacing(kept.positions)
+    flipped = 0
+    if kept.normals is not None:
+        normals, flipped = mend_normals(kept.positions, kept.normals, spacing, threads)
+        if flipped:
+            kept = PointCloud(kept.positions, normals, kept.colors, kept.origin)
+    return kept, Cleaned(len(cloud) - len(kept), flipped)

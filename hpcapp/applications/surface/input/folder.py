@@ -1,0 +1,88 @@
+"""Whether a cloud goes through a folder, who works there, and on how much at once.
+
+Who may import it: the job and its steps.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+from hpcapp.applications.surface.memory import count_most_points, fitting_tile
+from hpcapp.applications.surface.scans import Passes
+from hpcapp.applications.surface.settings import Settings, choose_steps, name_backend
+from hpcapp.backends.selection import BACKENDS, Backend
+from hpcapp.io import open_points
+from hpcapp.shared_files import workers_see
+from hpccomponent.files.private_files import make_private_folder
+from hpccomponent.limits import available_cores
+
+__all__ = ["all_see_folder", "choose_tile", "may_pay_in_folder", "plan_passes"]
+
+FOLDER_FROM_POINTS = 200_000
+"""With fewer, what is saved by workers that read for themselves is less than what files cost."""
+_BYTES_PER_POINT = 200  # of room in the folder: two copies of the points, and finished tiles
+
+
+def may_pay_in_folder(settings: Settings) -> bool:
+    """Tell whether points that fit into memory should lie where other processes read them.
+
+    That is where workers may be processes that will see the folder: those of this machine see any,
+    others one that was named, and where they can read the input from the middle.
+
+    Parameters
+    ----------
+    settings : Settings
+    """
+    points = count_most_points(settings.points)
+    name, place = name_backend(settings), settings.temp_dir
+    is_here = settings.cluster is None and (name or "zmq") in BACKENDS
+    if name is None and is_here:
+        name = "zmq" if (settings.workers or available_cores()) > 1 else "serial"
+    if points < FOLDER_FROM_POINTS or name in ("serial", "threads") or choose_steps(settings):
+        return False
+    if place is None or "://" in place:
+        free = shutil.disk_usage(tempfile.gettempdir()).free
+        if not is_here or free < _BYTES_PER_POINT * points:
+            return False
+    is_ply = settings.points.suffix.lower() == ".ply"
+    return is_ply and open_points(settings.points).records is not None
+
+
+def choose_tile(settings: Settings, backend: Backend) -> int | None:
+    """Return how many points a tile may have so that a process keeps to its memory."""
+    if settings.max_memory is None:
+        return None
+    workforce = backend.workforce
+    return fitting_tile(settings.max_memory, workforce.workers if workforce.in_process else 1)
+
+
+def all_see_folder(folder: Path, backend: Backend) -> bool:
+    """Find out whether every worker sees a folder, and what is in it."""
+    if backend.name in BACKENDS:  # on this machine
+        return True
+    with tempfile.NamedTemporaryFile(dir=folder) as sign:
+        return workers_see(backend.workforce, Path(sign.name))
+
+
+def plan_passes(path: Path, folder: Path, backend: Backend, points: int) -> Passes:
+    """Find out who can go through a cloud in a folder.
+
+    Parameters
+    ----------
+    path : Path
+        Of the input.
+    folder : Path
+        Need not exist; the folder around it is made.
+    backend : Backend
+    points : int
+        How many a task may hold at most, about.
+    """
+    if backend.name in BACKENDS:  # on this machine
+        return Passes(backend.workforce, True, points)
+    make_private_folder(folder.parent)
+    with tempfile.NamedTemporaryFile(dir=folder.parent) as sign:
+        sees_both = workers_see(backend.workforce, Path(sign.name), path)
+    sees = sees_both or all_see_folder(folder.parent, backend)
+    return Passes(backend.workforce, sees, points, sees_both)

@@ -1,0 +1,220 @@
+"""A cloud from its file to what the methods take: in memory, or in a folder.
+
+Who may import it: the job.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import secrets
+import shutil
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+
+from hpcapp.applications.surface.checkpoint import POINTS_NOTE
+from hpcapp.applications.surface.input.clean import Cleaned, arrange_points, clean_cloud, drop_far
+from hpcapp.applications.surface.input.ingest import ingest_file
+from hpcapp.applications.surface.scans import Passes, measure_spacing
+from hpcapp.applications.surface.settings import Settings
+from hpcapp.io import drop_unusable, open_points, read_points
+from hpcapp.io.usable import Dropped
+from hpcapp.progress import StageClock
+from hpccomponent.errors import JobError
+from hpccomponent.files.private_files import make_private_folder, remove_path
+from hpccomponent.store.base import FolderStore
+from hpccomponent.store.value import DamagedError
+from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
+from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+
+__all__ = ["Loaded", "arrange_usable", "clean_points", "load_folder", "load_memory"]
+
+log = logging.getLogger("hpcapp")
+
+_NOTE = POINTS_NOTE[-1]
+# What a job needs once its points are there: half of what it imports.
+_LATER = (
+    "hpcapp.applications.surface.input.clean_regions",
+    "hpcapp.applications.surface.steps",
+    "hpcapp.applications.surface.hierarchical.method",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loaded:
+    """A cloud, and what was left out of it.
+
+    Parameters
+    ----------
+    cloud : PointCloud or DiskCloud
+    dropped : Dropped
+    cleaned : Cleaned
+    """
+
+    cloud: PointCloud | DiskCloud
+    dropped: Dropped
+    cleaned: Cleaned
+
+    @property
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Corners of the box around all points."""
+        if isinstance(self.cloud, PointCloud):
+            return bounding_box(self.cloud.positions)
+        return self.cloud.low, self.cloud.high
+
+    def report(self, path: Path) -> None:
+        """Log what was left out of a file."""
+        dropped, cleaned = self.dropped, self.cleaned
+        for count, what in (
+            (dropped.non_finite_points, "dropped %d points that are NaN or Inf"),
+            (dropped.bad_normals, "dropped %d points whose normal is zero, NaN or Inf"),
+            (cleaned.outliers, "dropped %d outliers"),
+            (cleaned.flipped, "turned %d wrong normals round"),
+        ):
+            if count:
+                log.warning(f"%s: {what}", path, count)
+
+
+def load_memory(settings: Settings, clock: StageClock) -> Loaded:
+    """Read a file and clean its points.
+
+    Parameters
+    ----------
+    settings : Settings
+    clock : StageClock
+
+    Returns
+    -------
+    Loaded
+    """
+    with clock.stage("read"):
+        cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
+    cloud, far = arrange_usable(settings, cloud, clock)
+    cloud, cleaned = clean_points(settings, cloud, far, clock)
+    return Loaded(cloud, dropped, cleaned)
+
+
+def arrange_usable(
+    settings: Settings, cloud: PointCloud, clock: StageClock
+) -> tuple[PointCloud, int]:
+    """Drop points that lie far away, and arrange the rest; the paper's method takes all as it is.
+
+    Parameters
+    ----------
+    settings : Settings
+    cloud : PointCloud
+        Usable points.
+    clock : StageClock
+
+    Returns
+    -------
+    cloud : PointCloud
+        A copy: the caller may let go of its own.
+    far : int
+        Points that were dropped.
+    """
+    if settings.method == "paper":  # which cuts the cloud up by itself
+        return cloud, 0
+    with clock.stage("arrange"):
+        arranged = arrange_points(drop_far(cloud) if settings.clean else cloud)
+    return arranged, len(cloud) - len(arranged)
+
+
+def clean_points(
+    settings: Settings, cloud: PointCloud, far: int, clock: StageClock
+) -> tuple[PointCloud, Cleaned]:
+    """Drop outliers and turn wrong normals round, if that is wanted; the paper's method takes all.
+
+    Parameters
+    ----------
+    settings : Settings
+    cloud : PointCloud
+        Arranged.
+    far : int
+        Points that were dropped because they lie far away.
+    clock : StageClock
+
+    Returns
+    -------
+    cloud : PointCloud
+    cleaned : Cleaned
+    """
+    if settings.method == "paper" or not settings.clean:
+        return cloud, Cleaned(0, 0)
+    with clock.stage("clean"):
+        cloud, cleaned = clean_cloud(cloud)
+    return cloud, replace(cleaned, outliers=far + cleaned.outliers)
+
+
+def load_folder(settings: Settings, folder: Path, passes: Passes, clock: StageClock) -> Loaded:
+    """Put a file's points into a folder, and clean them there.
+
+    Parameters
+    ----------
+    settings : Settings
+        With `resume`, what is in the folder is taken, if it is whole.
+    folder : Path
+        Is made where there is none; 24 bytes a point are written, and those of regions that change
+        again.
+    passes : Passes
+        Who goes through the points; so many may be in memory at once, here and on each worker.
+    clock : StageClock
+
+    Returns
+    -------
+    Loaded
+        The same points as `load_memory` gives, bit for bit; measured.
+    """
+    if settings.resume and (found := _find_loaded(folder)) is not None:
+        return found
+    remove_path(folder)
+    run = secrets.token_hex(4)  # a worker that is late must not write into a later run's points
+    arranged, cleaned_folder = folder / f"arranged-{run}", folder / f"cleaned-{run}"
+    make_private_folder(arranged)
+    for module in _LATER:
+        passes.workforce.later(partial(import_module, module))
+    with clock.stage("read"):
+        read = ingest_file(open_points(settings.points), arranged, passes, drop_far=settings.clean)
+    from hpcapp.applications.surface.input.clean_regions import clean_regions, measure_cloud
+
+    cloud, cleaned = read.cloud, Cleaned(0, 0)
+    if settings.clean:
+        make_private_folder(cleaned_folder)
+        with clock.stage("clean"):
+            cloud, cleaned = clean_regions(cloud, cleaned_folder, passes, read.boxes)
+        if not cloud.uses(arranged):
+            shutil.rmtree(arranged, ignore_errors=True)  # one may write there still
+    else:
+        box = len(cloud), cloud.low, cloud.high
+        spacing = measure_spacing(cloud, passes, box, (), read.boxes)
+        cloud = measure_cloud(cloud, passes, spacing)
+    loaded = Loaded(cloud, read.dropped, replace(cleaned, outliers=read.far + cleaned.outliers))
+    told = {
+        "cloud": cloud.folder.name,
+        "dropped": asdict(loaded.dropped),
+        "cleaned": asdict(loaded.cleaned),
+    }
+    FolderStore(folder).put(_NOTE, told)
+    return loaded
+
+
+def _find_loaded(folder: Path) -> Loaded | None:
+    """Return the points that another run has put into a folder; None if they are not whole."""
+    try:
+        os.lstat(folder / _NOTE)
+    except FileNotFoundError:  # it did not come so far
+        return None
+    except OSError as error:
+        log.warning("warning: %s: %s: the points are read again", folder, error.strerror)
+        return None
+    try:
+        told = FolderStore(folder).get(_NOTE)
+        cloud = open_disk_cloud(folder / told["cloud"])
+        cloud.check()
+    except (JobError, DamagedError) as error:
+        problem = error.problem if isinstance(error, JobError) else str(error)
+        log.warning("warning: %s: the points are read again", problem)
+        return None
+    return Loaded(cloud, Dropped(**told["dropped"]), Cleaned(**told["cleaned"]))

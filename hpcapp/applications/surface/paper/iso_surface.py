@@ -1,0 +1,65 @@
+"""Marching cubes over a whole grid of nodes.
+
+Who may import it: the method ``paper``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.applications.surface.paper.indicator_blend import NodeGrid
+from hpccomponent.errors import JobError
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray
+
+__all__ = ["extract_iso_surface"]
+
+
+def extract_iso_surface(
+    values: NDArray[np.float32], nodes: NodeGrid, origin: FloatArray | None = None
+) -> Mesh:
+    """Extract the 0-level iso-surface.
+
+    Parameters
+    ----------
+    values : ndarray of float32, of the grid's shape
+        Samples of an implicit function, negative inside; none of them exactly 0, or the surface
+        has open edges.
+    nodes : NodeGrid
+        Where the samples lie.
+    origin : ndarray of float64, shape (3,), optional
+        The mesh's origin; zero if left out.
+
+    Returns
+    -------
+    Mesh
+        In length units of the input, its faces anticlockwise as seen from outside.
+
+    Raises
+    ------
+    JobError
+        Samples of one sign only, hence no surface, or NaN among them.
+    """
+    # skimage meshes NaN without a word.
+    if not np.isfinite(values).all():
+        raise JobError(
+            "the implicit function is not finite everywhere", "look for a degenerate patch"
+        )
+    if not values.min() < 0.0 < values.max():
+        raise JobError(
+            "the implicit function has one sign on the whole grid, so the surface is empty",
+            "use a finer grid, and make sure that the normals point out of the object",
+        )
+    from skimage import measure  # heavy, and this method's alone
+
+    marching_cubes: Any = measure.marching_cubes  # without type hints
+    # Of its two windings "descent" is the one that shows its front to the positive side.
+    vertices, faces, _, _ = marching_cubes(values, level=0.0, gradient_direction="descent")
+    return Mesh(
+        nodes.low + nodes.step * vertices.astype(np.float64),
+        faces.astype(np.int64),
+        np.zeros(3) if origin is None else origin,
+    )

@@ -1,0 +1,239 @@
+"""``--method paper``: the paper's algorithm in full, as a strategy object.
+
+::
+
+    partition ─── kd-tree, by the normal cone and max_points, or by count     kdtree.py
+    fit ───────── one quadric for each patch, in equal batches, on workers    patch_quadrics.py
+    extract ───── indicator blend on a grid of nodes, marching cubes          indicator_blend.py
+                                                                              iso_surface.py
+
+The preprocessing (outliers, noise, density) is the pipeline's, by the steps of `preprocess.py`.
+
+What it can reproduce of the paper's figures, and what not: ``docs/paper.md``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.surface.method import Advance
+from hpcapp.applications.surface.paper.indicator_blend import (
+    plan_grid,
+    sample_indicator_blend,
+    settle_zeros,
+)
+from hpcapp.applications.surface.paper.iso_surface import extract_iso_surface
+from hpcapp.applications.surface.paper.kdtree import (
+    Patches,
+    partition_by_count,
+    partition_by_rule,
+)
+from hpcapp.applications.surface.paper.split_rule import SplitRule
+from hpcapp.applications.surface.surface import WholeSurface
+from hpcapp.workforce import Workforce, map_batches
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.tasks.patch_quadrics import (
+    evaluate_quadrics,
+    fit_patches,
+    gradient_quadrics,
+)
+from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+
+__all__ = ["PaperMethod", "PaperPartition", "measure_residuals"]
+
+#: Residuals are measured on no more points than these: three digits need no more.
+MOST_MEASURED = 200_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PaperPartition:
+    """The points patch after patch, and their boxes.
+
+    Parameters
+    ----------
+    points : PointCloud
+        In the order of the patches, so that a batch is a slice.
+    patches : Patches
+        The boxes and where each one's points begin.
+    fitted : list of ndarray of float64, shape (p, 10)
+        The quadrics, once the fit has found them: the job's report measures their residuals, so
+        that the time of the fit is that of the fit alone.
+    """
+
+    points: PointCloud
+    patches: Patches
+    fitted: list[FloatArray] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class PaperMethod:
+    """The paper's algorithm.
+
+    Parameters
+    ----------
+    delta : float
+        Threshold on the normal cone, in [-1, 1].
+    max_points : int, optional
+        The most points a patch may hold.
+    cone : {"paper", "complement", "none"}
+        How `delta` is read; see `SplitRule`.
+    root : {"cube", "box", "tight"}
+        The root of the tree; see `partition_by_rule`.
+    patches : int, optional
+        Split the box with the most points until there are so many; takes the place of the cone
+        and of `max_points`.
+    norm : {"consistent", "printed"}
+        Which constraint the fit obeys; see `fit_patches`.
+    grid : int
+        Cells along the longest side.
+
+    Raises
+    ------
+    UsageError
+        A value outside its range, or `patches` together with `max_points`.
+    """
+
+    delta: float = 0.1
+    max_points: int | None = None
+    cone: str = "paper"
+    root: str = "cube"
+    patches: int | None = None
+    norm: str = "consistent"
+    grid: int = 64
+    name: str = field(default="paper", init=False)
+
+    def __post_init__(self) -> None:
+        SplitRule(self.delta, self.cone, self.max_points)
+        if self.patches is not None and self.max_points is not None:
+            raise UsageError("patches and max_points exclude each other", "give one of them")
+        if self.patches is not None and self.patches < 1:
+            raise UsageError(f"patches is {self.patches}", "give 1 or more")
+        if self.grid < 1:
+            raise UsageError(f"grid is {self.grid}", "give 1 cell or more, such as 64")
+        for option, value, allowed in (
+            ("root", self.root, ("cube", "box", "tight")),
+            ("norm", self.norm, ("consistent", "printed")),
+        ):
+            if value not in allowed:
+                raise UsageError(
+                    f"{option} is {value!r}", f"choose {', '.join(allowed[:-1])} or {allowed[-1]}"
+                )
+
+    def partition(self, cloud: PointCloud, workforce: Workforce) -> PaperPartition:  # noqa: ARG002 - the protocol's; the tree grows on the master
+        """Cut the cloud into patches.
+
+        Raises
+        ------
+        InputError
+            A cloud without points or without normals.
+        UsageError
+            More patches asked for than the cloud has distinct points.
+        """
+        if cloud.normals is None:
+            raise InputError("the cloud has no normals", "give an oriented cloud")
+        if self.patches is not None:
+            patches = partition_by_count(cloud.positions, self.patches, self.root)
+        else:
+            rule = SplitRule(self.delta, self.cone, self.max_points)
+            patches = partition_by_rule(cloud.positions, cloud.normals, rule, self.root)
+        return PaperPartition(cloud.take(patches.order), patches)
+
+    def fit(self, partition: PaperPartition, workforce: Workforce, advance: Advance) -> FloatArray:
+        """Fit the patches on the workers, as many patches to each batch.
+
+        Returns
+        -------
+        ndarray of float64, shape (p, 10)
+            Coefficients in patch coordinates.
+        """
+        batches = [self._batch(partition, rows) for rows in workforce.cut(len(partition.patches))]
+        fitted = np.concatenate(map_batches(workforce, fit_patches, batches, advance))
+        partition.fitted[:] = [fitted]
+        return fitted
+
+    def extract(
+        self,
+        partition: PaperPartition,
+        quadrics: FloatArray,
+        workforce: Workforce,
+        advance: Advance,
+    ) -> WholeSurface:
+        """Sample the indicator blend on the grid, and extract its 0-level: here, as the paper."""
+        del workforce
+        nodes = plan_grid(partition.patches, self.grid)
+        values = sample_indicator_blend(partition.patches, quadrics, nodes, advance)
+        settle_zeros(values)
+        return WholeSurface(extract_iso_surface(values, nodes, partition.points.origin))
+
+    def facts(self, partition: PaperPartition) -> dict[str, Any]:
+        """Return the number of patches, the rule that made them, and the fit's residuals."""
+        rule: dict[str, Any] = {"root": self.root, "norm": self.norm}
+        if self.patches is None:
+            rule |= {"delta": self.delta, "cone": self.cone, "max_points": self.max_points}
+        return {
+            "patches": len(partition.patches),
+            "points_fitted": len(partition.points),
+            "largest_patch": int(np.diff(partition.patches.offsets).max()),
+            **rule,
+            **(measure_residuals(partition, partition.fitted[0]) if partition.fitted else {}),
+        }
+
+    def _batch(self, partition: PaperPartition, rows: slice) -> tuple[Any, ...]:
+        offsets = partition.patches.offsets[rows.start : rows.stop + 1]
+        points = slice(offsets[0], offsets[-1])
+        return (
+            partition.points.positions[points],
+            _normals(partition)[points],
+            offsets - offsets[0],
+            partition.patches.centers[rows],
+            partition.patches.scales[rows],
+            self.norm,
+        )
+
+
+def measure_residuals(partition: PaperPartition, quadrics: FloatArray) -> dict[str, float]:
+    """Return how well the quadrics hold their own points (every k-th of a large cloud).
+
+    Parameters
+    ----------
+    partition : PaperPartition
+        Points and patches.
+    quadrics : ndarray of float64, shape (p, 10)
+        Coefficients in patch coordinates.
+
+    Returns
+    -------
+    dict of float
+        ``residual_rms``: root mean square of the algebraic values, dimensionless.
+        ``residual_median_percent``: median first-order distance |f| / |grad f|, in per cent of
+        the diagonal of the points' bounding box. ``normals_agreeing``: the share of the points
+        whose normal looks along the gradient.
+    """
+    patches = partition.patches
+    every = slice(None, None, -(-len(partition.points) // MOST_MEASURED))
+    positions, normals = partition.points.positions[every], _normals(partition)[every]
+    owner = np.repeat(np.arange(len(patches)), np.diff(patches.offsets))[every]
+    scales = patches.scales[owner]
+    local = (positions - patches.centers[owner]) / scales[:, None]
+    values = evaluate_quadrics(quadrics[owner], local)
+    gradients = gradient_quadrics(quadrics[owner], local)
+    steepness = np.linalg.norm(gradients, axis=1)
+    distances = scales * np.abs(values) / np.maximum(steepness, np.finfo(float).tiny)
+    low, high = bounding_box(partition.points.positions)
+    diagonal = float(np.linalg.norm(high - low)) or 1.0
+    agreeing = (gradients * normals).sum(axis=1) > 0.0
+    return {
+        "residual_rms": float(np.sqrt(np.mean(values**2))),
+        "residual_median_percent": 100.0 * float(np.median(distances)) / diagonal,
+        "normals_agreeing": float(agreeing.mean()),
+    }
+
+
+def _normals(partition: PaperPartition) -> FloatArray:
+    normals = partition.points.normals
+    if normals is None:
+        raise InputError("the cloud has no normals", "give an oriented cloud")
+    return normals

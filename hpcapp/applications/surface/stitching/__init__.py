@@ -1,0 +1,1 @@
+"""The parts of all tiles, stitched into one mesh."""

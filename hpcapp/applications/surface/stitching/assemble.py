@@ -1,0 +1,194 @@
+"""The mesh that parts are: in memory, in blocks for a file, or tile by tile.
+
+Parts come from a callable, one at a time and more than once: they may be in memory, or arrays on
+disk that are mapped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from hpcapp.applications.surface.stitching.plan import WeldPlan
+from hpcapp.io import MeshStream
+from hpccomponent.surface.extraction.part_places import PartPlaces, place_faces, place_vertices
+from hpccomponent.surface.extraction.parts import Int32Array, MeshPart
+from hpccomponent.surface.tasks.tile_ply import cut_tile
+from hpccomponent.surface.types.lattice import unique_keys
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+__all__ = ["LoadPart", "assemble_mesh", "stream_mesh", "stream_tiles", "take_tile"]
+
+LoadPart = Callable[[int], MeshPart]
+
+_ROWS_AT_ONCE = 1 << 17
+
+
+def assemble_mesh(plan: WeldPlan, load: LoadPart, origin: FloatArray) -> Mesh:
+    """Put the whole mesh together in memory.
+
+    Parameters
+    ----------
+    plan : WeldPlan
+    load : callable
+        Returns the part of an index.
+    origin : ndarray of float64, shape (3,)
+        Of the local frame that the parts' vertices are in.
+
+    Returns
+    -------
+    Mesh
+    """
+    vertices = np.empty((plan.vertex_count, 3))
+    faces = np.empty((plan.face_count, 3), np.int64)
+    for index in range(len(plan.summaries)):
+        part, places = load(index), plan.places(index)
+        bricks = np.flatnonzero(places.face_starts >= 0)
+        found, runs = place_vertices(part, places, bricks)
+        runs.put(found, vertices)
+        _, corners, runs = place_faces(part, places, bricks)
+        runs.put(corners, faces)
+    return Mesh(vertices, faces, origin)
+
+
+def stream_mesh(plan: WeldPlan, load: LoadPart, origin: FloatArray) -> MeshStream:
+    """Return the mesh as blocks in the order of the bricks.
+
+    Parameters
+    ----------
+    plan : WeldPlan
+    load : callable
+        Returns the part of an index; is called again for every block.
+    origin : ndarray of float64, shape (3,)
+        Of the local frame that the parts' vertices are in.
+
+    Returns
+    -------
+    MeshStream
+        Holds a block at a time in memory, and what the plan knows of the bricks.
+    """
+    blocks = _Blocks(plan, load)
+    return MeshStream(
+        plan.vertex_count,
+        plan.face_count,
+        origin,
+        plan.box,
+        blocks.vertices,
+        blocks.faces,
+        blocks.corners,
+    )
+
+
+def stream_tiles(
+    plan: WeldPlan, load: LoadPart, origin: FloatArray
+) -> Iterator[tuple[int, MeshStream]]:
+    """Return the mesh tile by tile: what each part gives to it, as a mesh of its own.
+
+    Parameters
+    ----------
+    plan : WeldPlan
+    load : callable
+        Returns the part of an index.
+    origin : ndarray of float64, shape (3,)
+        Of the local frame that the parts' vertices are in.
+
+    Yields
+    ------
+    index : int
+        Of the part; parts without faces are left out.
+    tile : MeshStream
+        Vertices on a seam are in each of its tiles, at the very same place.
+    """
+    for index in range(len(plan.summaries)):
+        tile = take_tile(plan, load, origin, index)
+        if tile.face_count:
+            yield index, tile
+
+
+def take_tile(plan: WeldPlan, load: LoadPart, origin: FloatArray, index: int) -> MeshStream:
+    """Return one of the tiles of `stream_tiles`, which may have no faces."""
+    vertices, faces = cut_tile(
+        load(index),
+        plan.places(index),
+        lambda foreign: _positions(plan, load, index, ~foreign),
+    )
+    return _whole(Mesh(vertices, faces, origin), plan.box)
+
+
+def _whole(mesh: Mesh, box: FloatArray) -> MeshStream:
+    """Return a mesh as one block, to be written as precisely as all that lies in a box."""
+    return MeshStream(
+        len(mesh.vertices),
+        len(mesh.faces),
+        mesh.origin,
+        box,
+        lambda: iter([mesh.vertices]),
+        lambda: iter([mesh.faces]),
+        lambda: iter([mesh.vertices[mesh.faces]]),
+    )
+
+
+def _positions(
+    plan: WeldPlan, load: LoadPart, index: int, vertices: IntArray | Int32Array
+) -> FloatArray:
+    """Return where vertices of a part are, as `MeshPart.faces` names them; foreign ones, too."""
+    positions = np.empty((len(vertices), 3))
+    own = vertices >= 0
+    positions[own] = load(index).vertices[vertices[own]]
+    owners, rows = plan.locate_foreign(index, ~vertices[~own])
+    foreign = np.flatnonzero(~own)
+    for owner in unique_keys(owners).tolist():
+        there = owners == owner
+        positions[foreign[there]] = load(owner).vertices[rows[there]]
+    return positions
+
+
+class _Blocks:
+    """Walks through the bricks of all parts in the order of their keys."""
+
+    def __init__(self, plan: WeldPlan, load: LoadPart) -> None:
+        self._plan = plan
+        self._load = load
+        self._places: dict[int, PartPlaces] = {}  # grows with the bricks, like the plan
+
+    def vertices(self) -> Iterator[FloatArray]:
+        for first, last in _cut(self._plan.vertex_starts):
+            start = int(self._plan.vertex_starts[first])
+            block = np.empty((int(self._plan.vertex_starts[last] - start), 3))
+            for index, bricks in self._plan.givers(first, last):
+                found, runs = place_vertices(self._load(index), self._places_of(index), bricks)
+                runs.put(found, block, start)
+            yield block
+
+    def faces(self) -> Iterator[IntArray]:
+        for first, last in _cut(self._plan.face_starts):
+            start = int(self._plan.face_starts[first])
+            block = np.empty((int(self._plan.face_starts[last] - start), 3), np.int64)
+            for index, bricks in self._plan.givers(first, last):
+                _, found, runs = place_faces(self._load(index), self._places_of(index), bricks)
+                runs.put(found, block, start)
+            yield block
+
+    def corners(self) -> Iterator[FloatArray]:
+        for first, last in _cut(self._plan.face_starts):
+            start = int(self._plan.face_starts[first])
+            block = np.empty((int(self._plan.face_starts[last] - start), 3, 3))
+            for index, bricks in self._plan.givers(first, last):
+                faces, _, runs = place_faces(self._load(index), self._places_of(index), bricks)
+                found = _positions(self._plan, self._load, index, faces.reshape(-1))
+                runs.put(found.reshape(-1, 3, 3), block, start)
+            yield block
+
+    def _places_of(self, index: int) -> PartPlaces:
+        if index not in self._places:
+            self._places[index] = self._plan.places(index)
+        return self._places[index]
+
+
+def _cut(starts: IntArray) -> Iterator[tuple[int, int]]:
+    """Cut bricks into runs of so many rows, one brick more or less, without empty ones."""
+    marks = np.searchsorted(starts, np.arange(0, starts[-1], _ROWS_AT_ONCE))
+    edges = unique_keys(np.append(marks, np.searchsorted(starts, starts[-1])))
+    return zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)

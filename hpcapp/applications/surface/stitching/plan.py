@@ -1,0 +1,204 @@
+"""The plan of the weld: which part gives which brick, what is dropped, where everything goes.
+
+Made from the parts' summaries alone; its size grows with the bricks and the seams, not with the
+vertices. Vertices are known by their brick and their number in it, never by where they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.applications.surface.stitching.bricks import (
+    PartBricks,
+    check_foreign,
+    collect_bricks,
+    join_labels,
+    missing_bricks,
+)
+from hpcapp.applications.surface.stitching.part_topology import Components, judge_parts
+from hpcapp.applications.surface.stitching.topology import Topology
+from hpccomponent.surface.extraction.marching_cubes import find_large
+from hpccomponent.surface.extraction.part_places import PartPlaces, starts_of
+from hpccomponent.surface.extraction.summary import PartSummary
+from hpccomponent.surface.types.lattice import unique_keys
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+__all__ = ["WeldPlan", "missing_bricks", "plan_weld"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeldPlan:
+    """How parts become one mesh; B bricks in all.
+
+    Parameters
+    ----------
+    summaries : tuple of PartSummary
+        In the order of the parts.
+    bricks : PartBricks
+    kept : ndarray of bool
+        Which of the parts' components stay, part after part.
+    vertex_starts, face_starts : ndarray of int64, shape (B + 1,)
+        Where the vertices and faces of each brick begin in the mesh, in the order of the keys.
+    box : ndarray of float64, shape (2, 3)
+        The lowest and highest coordinates of the vertices; zeros where there are none. In length
+        units of the input, in the local frame.
+    component : ndarray of int64
+        Of each of the parts' components, the one of the mesh that it belongs to.
+    entries : Components
+        What each brick has of the mesh's components that stay.
+    """
+
+    summaries: tuple[PartSummary, ...]
+    bricks: PartBricks
+    kept: NDArray[np.bool_]
+    vertex_starts: IntArray
+    face_starts: IntArray
+    box: FloatArray
+    component: IntArray
+    entries: Components
+
+    def givers(self, first: int, last: int) -> Iterator[tuple[int, IntArray]]:
+        """Return which part gives which of some bricks.
+
+        Parameters
+        ----------
+        first, last : int
+            The bricks, in the order of the keys.
+
+        Yields
+        ------
+        index : int
+            Of the part.
+        bricks : ndarray of int64, shape (k,)
+            Rows of the bricks in the part, sorted.
+        """
+        taken = self.bricks.taken[first:last]
+        owners = self.bricks.part_of(taken)
+        for index in unique_keys(owners).tolist():
+            yield index, taken[owners == index] - self.bricks.parts[index]
+
+    def locate_foreign(
+        self, index: int, foreign: IntArray | NDArray[np.int32]
+    ) -> tuple[IntArray, IntArray]:
+        """Return where foreign vertices of a part are: the index of the part, and the row in it.
+
+        Parameters
+        ----------
+        index : int
+            Of the part that refers to them.
+        foreign : ndarray of int, shape (m,)
+        """
+        summary = self.summaries[index]
+        wanted, numbers = summary.foreign_bricks[foreign], summary.foreign_numbers[foreign]
+        copies = self.bricks.taken[np.searchsorted(self.bricks.keys, wanted)]
+        starts = starts_of(self.bricks.vertex_counts)
+        owners = self.bricks.part_of(copies)
+        return owners, starts[copies] - starts[self.bricks.parts[owners]] + numbers
+
+    @property
+    def vertex_count(self) -> int:
+        """Vertices of the mesh."""
+        return int(self.vertex_starts[-1])
+
+    @property
+    def face_count(self) -> int:
+        """Faces of the mesh."""
+        return int(self.face_starts[-1])
+
+    def judge(self) -> Topology:
+        """Return what `check_mesh` would find on the mesh."""
+        return judge_parts(self.summaries, self.bricks, self.component, self.kept, self.entries)
+
+    def places(self, index: int) -> PartPlaces:
+        """Return where the vertices and faces of a part go.
+
+        Parameters
+        ----------
+        index : int
+            Of the part.
+        """
+        bricks, summary = self.bricks, self.summaries[index]
+        mine = bricks.of_part(index)
+        place = bricks.place[mine]
+        there = np.searchsorted(bricks.keys, summary.foreign_bricks)
+        copies, foreign = bricks.taken[there], summary.foreign_numbers
+        is_kept = self.kept[bricks.labels_at(copies, foreign)]
+        numbers = self.vertex_starts[there] + bricks.ranks_at(self.kept, copies, foreign)
+        return PartPlaces(
+            self.vertex_starts[place],
+            np.where(bricks.is_taken[mine], self.face_starts[place], -1),
+            self._dropped(index),
+            np.where(is_kept, numbers, -1),
+        )
+
+    def _dropped(self, index: int) -> NDArray[np.int32]:
+        starts = self.bricks.label_starts
+        if self.kept[starts[index] : starts[index + 1]].all():
+            return np.empty(0, np.int32)
+        return np.flatnonzero(~self.kept[self.bricks.labels_in(index)]).astype(np.int32)
+
+
+def plan_weld(summaries: Sequence[PartSummary]) -> WeldPlan:
+    """Plan the weld of all the parts of a mesh.
+
+    Parameters
+    ----------
+    summaries : sequence of PartSummary
+        At least one; of guests that no part owns the first part's copy is taken.
+
+    Returns
+    -------
+    WeldPlan
+
+    Raises
+    ------
+    JobError
+        The parts contradict one another, or a part refers to a brick that none has.
+    """
+    bricks = collect_bricks(summaries)
+    check_foreign(summaries, bricks)
+    component = join_labels(summaries, bricks)
+    entries = _collect_entries(summaries, bricks, component)
+    faces = np.bincount(entries.component, entries.faces, int(component.max(initial=-1)) + 1)
+    large = find_large(faces.astype(np.int64))
+    kept = large[component]
+    components = entries.only(large[entries.component])
+    vertex_starts, face_starts = (
+        starts_of(np.bincount(components.place, counts, len(bricks.keys)).astype(np.int32))
+        for counts in (components.vertices, components.faces)
+    )
+    box = _bound(np.concatenate([s.bounds for s in summaries])[kept])
+    return WeldPlan(
+        tuple(summaries), bricks, kept, vertex_starts, face_starts, box, component, components
+    )
+
+
+def _collect_entries(
+    summaries: Sequence[PartSummary], bricks: PartBricks, component: IntArray
+) -> Components:
+    """Put the entries of the bricks that are taken into the order of the mesh."""
+    starts = [s.entry_starts for s in summaries]
+    brick = np.repeat(np.arange(len(bricks.place)), np.concatenate([np.diff(s) for s in starts]))
+    counts = np.array([len(s.entry_labels) for s in summaries])
+    labels = np.concatenate([s.entry_labels for s in summaries])
+    labels = labels + np.repeat(bricks.label_starts[:-1], counts)
+    order = np.argsort(bricks.place[brick], kind="stable")
+    order = order[bricks.is_taken[brick[order]]]
+    return Components(
+        bricks.place[brick[order]],
+        component[labels[order]],
+        np.concatenate([s.entry_vertices for s in summaries])[order],
+        np.concatenate([s.entry_faces for s in summaries])[order],
+        np.concatenate([s.entry_sums for s in summaries])[order],
+    )
+
+
+def _bound(bounds: FloatArray) -> FloatArray:
+    """Return the box around some boxes."""
+    if not len(bounds) or np.isinf(bounds[:, 0].min()):
+        return np.zeros((2, 3))
+    return np.stack([bounds[:, :3].min(axis=0), bounds[:, 3:].max(axis=0)])

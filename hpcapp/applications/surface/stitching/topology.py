@@ -1,0 +1,151 @@
+"""The topology of a mesh: closed, manifold, oriented, of how many pieces and of what genus.
+
+What is counted comes from `kernels.survey_mesh`; here it becomes a judgement.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface import kernels
+from hpccomponent.surface.kernels.portable.connectivity import Survey
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import IntArray
+
+__all__ = ["Topology", "check_mesh", "signed_volume"]
+
+
+@dataclass(frozen=True, slots=True)
+class Topology:
+    """What `check_mesh` found.
+
+    Parameters
+    ----------
+    watertight : bool
+        Closed and manifold: no boundary edge, edge-manifold, vertex-manifold.
+    edge_manifold : bool
+        No edge has more than two faces, and no face uses a vertex twice.
+    vertex_manifold : bool
+        Around every vertex the faces form one fan.
+    oriented : bool
+        No edge is run through twice in one direction: on a closed mesh, once in each.
+    outward : bool
+        The signed volume is positive: faces are anticlockwise as seen from outside.
+    components : int
+        Pieces that share no vertex.
+    genus : int or None
+        Handles of all the components together; None unless the mesh is watertight.
+    component_genus : tuple of int
+        Handles of each component, the one with the most faces first; empty unless watertight.
+    boundary_edges : int
+        Edges with one face.
+    vertices : int
+        Vertices that some face uses.
+    faces : int
+    """
+
+    watertight: bool
+    edge_manifold: bool
+    vertex_manifold: bool
+    oriented: bool
+    outward: bool
+    components: int
+    genus: int | None
+    component_genus: tuple[int, ...]
+    boundary_edges: int
+    vertices: int
+    faces: int
+
+
+def check_mesh(mesh: Mesh) -> Topology:
+    """Judge the connectivity of a triangle mesh.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        v vertices and f faces; vertices that no face uses are left out of every count.
+
+    Returns
+    -------
+    Topology
+        Without faces nothing is watertight and there are no components.
+
+    Notes
+    -----
+    Sorting the 3 f sides dominates: about a second for a million faces. A vertex is manifold
+    where the corners of the faces around it, joined across shared edges, are one piece; so the
+    mesh is vertex-manifold where there are as many pieces of corners as vertices.
+    The genus follows from Euler's formula, V - E + F = 2 - 2 g for each closed component.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    >>> faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    >>> check_mesh(Mesh(corners, faces)).watertight
+    True
+    """
+    faces, used = _renumber(mesh.faces)
+    if not len(faces):
+        return Topology(False, True, True, True, False, 0, None, (), 0, 0, 0)
+    survey = kernels.survey_mesh(faces, used)
+    edge_manifold = not survey.overfull and not survey.degenerate
+    vertex_manifold = survey.fans == used
+    watertight = edge_manifold and vertex_manifold and not survey.boundary
+    components, label = kernels.label_components(faces, used)
+    genera = _component_genera(faces, survey, label, components) if watertight else ()
+    return Topology(
+        watertight,
+        edge_manifold,
+        vertex_manifold,
+        not survey.misoriented,
+        signed_volume(mesh) > 0.0,
+        components,
+        sum(genera) if watertight else None,
+        genera,
+        survey.boundary,
+        used,
+        len(faces),
+    )
+
+
+def signed_volume(mesh: Mesh) -> float:
+    """Return the volume inside a closed mesh, negative if its faces look inwards.
+
+    Parameters
+    ----------
+    mesh : Mesh
+
+    Returns
+    -------
+    float
+        In cubed length units of the input; of no meaning for an open mesh.
+    """
+    if not len(mesh.faces):
+        return 0.0
+    return kernels.signed_volume(mesh.vertices, mesh.faces, mesh.vertices.mean(axis=0))
+
+
+def _renumber(faces: IntArray) -> tuple[IntArray, int]:
+    """Return the faces over used vertices only, and how many these are."""
+    if not len(faces):
+        return faces, 0
+    is_used = np.zeros(int(faces.max()) + 1, dtype=bool)
+    is_used[faces.ravel()] = True
+    if is_used.all():
+        return faces, len(is_used)
+    return (np.cumsum(is_used) - 1)[faces], int(is_used.sum())
+
+
+def _component_genera(
+    faces: IntArray, survey: Survey, label: NDArray[np.int32], components: int
+) -> tuple[int, ...]:
+    """Return the genus of each closed component, the one with the most faces first."""
+    per_vertex = np.bincount(label, minlength=components)
+    per_edge = np.bincount(label, survey.edges_of, components).astype(np.int64)
+    per_face = np.bincount(label[faces[:, 0]], minlength=components)
+    genus = (2 - (per_vertex - per_edge + per_face)) // 2
+    return tuple(int(g) for g in genus[np.argsort(-per_face, kind="stable")])

@@ -1,0 +1,1 @@
+"""Where tasks run: every backend is an Executor."""

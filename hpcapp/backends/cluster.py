@@ -1,0 +1,186 @@
+"""The workers of a cluster, as its inventory lists them, behind the communicator's Executor.
+
+::
+
+    inventory.json ── bind, keys, workers ──> CommunicatorExecutor <── CURVE ── components
+          │                                          ^  allow, revoke
+          └── written anew when machines come and go ┘
+
+The loaders of a cluster run always, and their components look for a master again and again: this
+master only has to listen, and to let in whom the inventory names.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from hpcapp.communicator.executor import CommunicatorExecutor
+from hpcapp.communicator.listener import Door
+from hpcapp.communicator.policy import POLICIES
+from hpccomponent.errors import ConfigError, NoWorkersError, UsageError
+from hpccomponent.inventory import Inventory, hold_cluster, read_inventory
+from hpccomponent.limits import raise_descriptor_limit
+from hpccomponent.protocol.keys import KeyPair
+from hpccomponent.runtime.numerics import numerics_id
+
+__all__ = ["Listening", "listen_inventory", "open_inventory"]
+
+log = logging.getLogger("hpcapp")
+
+FIRST_WAIT_S = 60.0  # a loader that was told farewell starts its component within 2 s
+OTHERS_WAIT_S = 5.0  # then a machine that has died must not hold the job up
+WATCH_S = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Listening:
+    """A master that the workers of a cluster may come to.
+
+    Parameters
+    ----------
+    executor : CommunicatorExecutor
+    inventory : Inventory
+    """
+
+    executor: CommunicatorExecutor
+    inventory: Inventory
+
+    @property
+    def most(self) -> int:
+        """How many workers may come."""
+        return len(self.inventory.workers)
+
+    def gather(self, first_s: float | None = None, others_s: float | None = None) -> int:
+        """Wait for workers, and return how many came.
+
+        Parameters
+        ----------
+        first_s, others_s : float, optional
+            How long to wait for the first one, and then for the others, in seconds.
+
+        Raises
+        ------
+        NoWorkersError
+            None came.
+        """
+        executor, name = self.executor, self.inventory.cluster
+        executor.wait_for_workers(1, FIRST_WAIT_S if first_s is None else first_s)
+        with suppress(NoWorkersError):
+            executor.wait_for_workers(self.most, OTHERS_WAIT_S if others_s is None else others_s)
+        workers = executor.workers
+        say = log.info if workers == self.most else log.warning
+        say("cluster %s: %d of %d workers", name, workers, self.most)
+        return max(1, workers)
+
+
+@contextmanager
+def open_inventory(
+    path: Path,
+    *,
+    policy: str = "adaptive",
+    extra_tasks: Sequence[str] = (),
+    lead: Callable[[str], AbstractContextManager[None]] | None = None,
+) -> Iterator[tuple[CommunicatorExecutor, int]]:
+    """Be the master of a cluster, once its other masters have ended.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The inventory.
+    policy : str
+        How batches are handed out: a name in `POLICIES` of ``communicator/policy.py``.
+    extra_tasks : sequence of str
+        ``NAME=module:function`` of tasks that are not installed here.
+    lead : callable, optional
+        Where this is not the head: listen on loopback, and enter what this makes of the endpoint
+        there; it leads the cluster's workers to it.
+
+    Yields
+    ------
+    executor : CommunicatorExecutor
+    workers : int
+        How many have come; those that come later join in.
+
+    Raises
+    ------
+    ConfigError
+        The inventory is not as it should be.
+    NoWorkersError
+        No worker came.
+    """
+    with listen_inventory(path, policy=policy, extra_tasks=extra_tasks, lead=lead) as cluster:
+        yield cluster.executor, cluster.gather()
+
+
+@contextmanager
+def listen_inventory(
+    path: Path,
+    *,
+    policy: str = "adaptive",
+    extra_tasks: Sequence[str] = (),
+    lead: Callable[[str], AbstractContextManager[None]] | None = None,
+) -> Iterator[Listening]:
+    """Be the master of a cluster, and do not wait for its workers; see `open_inventory`.
+
+    Yields
+    ------
+    Listening
+    """
+    if not read_inventory(path).workers:
+        raise UsageError(f"{path} lists no worker", "give the cluster one with 'hpcapp scale'")
+    with hold_cluster(path, lambda: log.info("waiting for the cluster's present job to end")):
+        inventory = read_inventory(path)  # machines may have changed while this waited
+        with (
+            _open_door(inventory, is_led=lead is not None) as door,
+            CommunicatorExecutor(
+                door,
+                policy=POLICIES[policy](),
+                extra_tasks=extra_tasks,
+                numerics=numerics_id(),  # the master computes too
+            ) as executor,
+            lead(executor.endpoint) if lead else nullcontext(),
+            _follow_inventory(path, inventory, executor),
+        ):
+            yield Listening(executor, inventory)
+
+
+def _open_door(inventory: Inventory, *, is_led: bool) -> Door:
+    """Listen where the inventory says, or on loopback where something leads there."""
+    return Door(
+        "tcp://127.0.0.1:0" if is_led else inventory.bind,
+        allowed_keys=[worker.public_key for worker in inventory.workers],
+        keys=KeyPair(inventory.server_public_key, inventory.server_secret_key),
+    )
+
+
+@contextmanager
+def _follow_inventory(
+    path: Path, inventory: Inventory, executor: CommunicatorExecutor
+) -> Iterator[None]:
+    """Admit machines that join the inventory while the job runs, and expel those that leave it."""
+    is_over = threading.Event()
+
+    def watch() -> None:
+        known = {worker.public_key for worker in inventory.workers}
+        while not is_over.wait(WATCH_S):
+            with suppress(ConfigError):  # it is gone with its cluster; the job ends by itself
+                listed = {worker.public_key for worker in read_inventory(path).workers}
+                raise_descriptor_limit(len(listed - known))
+                for key in listed - known:
+                    executor.allow(key)
+                for key in known - listed:
+                    executor.revoke(key)
+                known = listed
+
+    watcher = threading.Thread(target=watch, name="inventory watcher", daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        watcher.join(WATCH_S)  # a folder of a machine that hangs may hold it up

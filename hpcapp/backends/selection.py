@@ -1,0 +1,346 @@
+"""Where tasks run: one context manager opens any backend as an Executor.
+
+===========  =========================================================================
+name         what stands behind it
+===========  =========================================================================
+serial       the calling thread
+threads      a thread pool of this process
+processes    a process pool of the standard library, spawned
+zmq          loaders, components and workers as real processes on this machine
+FILE.json    the workers of a cluster, by its inventory, on the head
+FILE.yaml    the workers of a cluster that is up, by its cluster file, from anywhere
+dask=ADDR    a Dask cluster, by its scheduler's address
+ray          a Ray of this machine, started for the job
+ray=ADDR     a Ray that runs, by its head's address
+mpi          the other ranks of the MPI job whose rank 0 this process is
+module:func  the Executor that a function makes
+===========  =========================================================================
+
+``docs/backends.md`` says which to choose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
+
+from hpcapp.backends.capacity import check_address_space, check_workers
+from hpcapp.workforce import Workforce
+from hpccomponent.errors import UsageError
+from hpccomponent.limits import available_cores
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from hpcapp.backends.local_machines import LocalMachines
+    from hpcapp.communicator.executor import CommunicatorExecutor
+
+__all__ = [
+    "BACKENDS",
+    "POLICIES",
+    "Backend",
+    "SerialExecutor",
+    "Traffic",
+    "check_backend",
+    "open_backend",
+    "open_executor",
+    "start_early",
+    "wrap_communicator",
+]
+
+BACKENDS = ("serial", "threads", "processes", "zmq")
+POLICIES = ("adaptive", "pull", "equal")
+BATCHES_PER_WORKER = {"adaptive": 4, "pull": 4, "equal": 1}
+CLUSTER_FILES = (".json", ".yaml", ".yml")
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """What went over the wire.
+
+    Parameters
+    ----------
+    bytes_sent, bytes_received : int
+        In bytes, as the master sees them; zero where there is no wire.
+    """
+
+    bytes_sent: int = 0
+    bytes_received: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Backend:
+    """An open backend.
+
+    Parameters
+    ----------
+    name : str
+        One of `BACKENDS`, ``cluster``, ``dask``, ``ray``, ``mpi``, ``module:function``, or the type
+        of an Executor that was handed in.
+    workforce : Workforce
+        The Executor, with what is needed to cut work for it.
+    traffic : callable
+        Returns the `Traffic` so far.
+    """
+
+    name: str
+    workforce: Workforce
+    traffic: Callable[[], Traffic] = Traffic
+
+    @property
+    def executor(self) -> Executor:
+        """The Executor that tasks are submitted to."""
+        return self.workforce.executor
+
+
+class SerialExecutor(Executor):
+    """Runs each task within `submit`, in the calling thread."""
+
+    workers = 1
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Run `fn` now and return its finished future."""
+        future: Future[T] = Future()
+        future.set_running_or_notify_cancel()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def check_backend(name: str) -> None:
+    """Find out whether a backend's name can be right, before any work is done for it.
+
+    Parameters
+    ----------
+    name : str
+        What `open_executor` takes.
+
+    Raises
+    ------
+    UsageError
+        No backend has such a name, or what it needs is not installed or not running.
+    """
+    if name not in BACKENDS and not name.endswith(CLUSTER_FILES):
+        from hpcapp.backends.names import check_engine
+
+        check_engine(name)
+
+
+@contextmanager
+def open_executor(
+    name: str,
+    *,
+    workers: int | None = None,
+    policy: str = "adaptive",
+    extra_tasks: Sequence[str] = (),
+    machines: LocalMachines | None = None,
+) -> Iterator[Backend]:
+    """Open a backend; on exit nothing of it is left running.
+
+    Parameters
+    ----------
+    name : str
+        One of `BACKENDS`; the file of a cluster, its inventory (``.json``) or the cluster file
+        (``.yaml``); ``dask=ADDRESS``, ``ray``, ``ray=ADDRESS``, ``mpi``, or ``module:function``.
+    workers : int, optional
+        How many tasks run at once; as many as there are cores by default, 1 for `serial`. The
+        workers of a cluster, of Dask, of MPI and of a Ray that runs are those that there are.
+    policy : str
+        ``adaptive`` hands out batches by how fast each worker has shown to be, and runs those of
+        one that lags again elsewhere (with other Executors than the communicator it is
+        ``pull``); ``pull`` hands the next batch to whoever is free; ``equal`` hands every
+        worker the same number of batches.
+    extra_tasks : sequence of str
+        Tasks beside the installed ones, each ``NAME=module:function``.
+    machines : LocalMachines, optional
+        What `start_early` has started for `zmq`.
+
+    Yields
+    ------
+    Backend
+
+    Raises
+    ------
+    UsageError
+        An unknown name, or a number of workers that the backend cannot have.
+    NoWorkersError
+        The workers did not come up.
+    """
+    check_backend(name)
+    if policy not in POLICIES:
+        raise UsageError(f"unknown policy {policy!r}", f"choose one of {', '.join(POLICIES)}")
+    per_worker = BATCHES_PER_WORKER[policy]
+    if name.endswith(CLUSTER_FILES):
+        if workers is not None:
+            raise UsageError(
+                f"the workers of {name} are those that there are", "leave --workers out"
+            )
+        with _open_cluster(name, policy, extra_tasks) as (executor, count):
+            yield wrap_communicator("cluster", executor, count, policy)
+        return
+    if name not in BACKENDS:
+        from hpcapp.backends.names import open_engine
+
+        with open_engine(name, workers) as engine:
+            kind = name.partition("=")[0]
+            yield Backend(kind, Workforce(engine, engine.workers, per_worker))
+        return
+    if workers is not None and (workers < 1 or (name == "serial" and workers > 1)):
+        raise UsageError(
+            f"backend {name!r} cannot have {workers} workers",
+            "leave --workers out, or choose another --backend",
+        )
+    if name == "zmq":
+        from hpcapp.backends.local_cluster import LocalCluster
+
+        here = machines or check_workers(name, workers, available_cores())
+        with LocalCluster(here, policy=policy, extra_tasks=extra_tasks) as cluster:
+            yield wrap_communicator(name, cluster.executor, cluster.workers, policy)
+        return
+    count = check_workers(name, workers, 1 if name == "serial" else available_cores())
+    with _open_pool(name, count) as pool:
+        yield Backend(name, Workforce(pool, count, per_worker, name in ("serial", "threads")))
+
+
+@contextmanager
+def start_early(name: str, workers: int | None) -> Iterator[LocalMachines | None]:
+    """Check that this machine carries a backend, and start at once what takes a while.
+
+    Parameters
+    ----------
+    name : str
+        What `open_executor` takes.
+    workers : int, optional
+        Likewise.
+
+    Yields
+    ------
+    LocalMachines or None
+        For `open_executor`: loaders start while this process imports what it computes with.
+
+    Raises
+    ------
+    UsageError
+        This machine does not carry so many workers, or lets no process compute.
+    """
+    check_address_space()
+    count = check_workers(name, workers, available_cores())
+    if name != "zmq":
+        yield None
+        return
+    from hpcapp.backends.local_machines import LocalMachines
+
+    with LocalMachines(count) as machines:
+        yield machines
+
+
+@contextmanager
+def open_backend(
+    executor: str | Executor | Client, *, workers: int | None = None
+) -> Iterator[Backend]:
+    """Open a backend by its name, or use an Executor or a Dask Client that is open and stays so.
+
+    Parameters
+    ----------
+    executor : str, concurrent.futures.Executor or distributed.Client
+    workers : int, optional
+        As for `open_executor`; how many an Executor has that does not tell.
+
+    Yields
+    ------
+    Backend
+    """
+    if isinstance(executor, str):
+        with open_executor(executor, workers=workers) as backend:
+            yield backend
+        return
+    from hpcapp.backends.borrowed import borrow_executor
+
+    per_worker = BATCHES_PER_WORKER["adaptive"]
+    in_process = isinstance(executor, SerialExecutor | ThreadPoolExecutor)
+    with borrow_executor(executor, workers) as borrowed:
+        workforce = Workforce(borrowed, borrowed.workers, per_worker, in_process)
+        yield Backend(type(executor).__name__, workforce)
+
+
+@contextmanager
+def _open_pool(name: str, count: int) -> Iterator[Executor]:
+    """Open an Executor of the standard library, or the serial one."""
+    if name == "processes":
+        with _open_processes(count) as processes:
+            yield processes
+        return
+    pool: Executor = SerialExecutor()
+    if name == "threads":
+        pool = ThreadPoolExecutor(count, thread_name_prefix="worker")
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _open_processes(count: int) -> Iterator[Executor]:
+    """Open a pool of processes; after an error nobody waits for what they do."""
+    from hpcapp.backends.processes import kill_processes, open_processes
+    from hpcapp.backends.retrying import RetryingExecutor
+
+    pool = RetryingExecutor(lambda: open_processes(count), count)
+    try:
+        yield pool
+    except BaseException:
+        pool.abandon(kill_processes)
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _open_cluster(
+    name: str, policy: str, extra_tasks: Sequence[str]
+) -> Iterator[tuple[CommunicatorExecutor, int]]:
+    """Open a cluster by its inventory, or by the cluster file through the package that knows it."""
+    from hpcapp.backends.cluster import open_inventory
+    from hpcapp.backends.cluster_jobs import load_cluster_function
+
+    path = Path(name)
+    if path.suffix == ".json":
+        with open_inventory(path, policy=policy, extra_tasks=extra_tasks) as opened:
+            yield opened
+        return
+    with (
+        load_cluster_function("open")(path) as (inventory, lead),
+        open_inventory(inventory, policy=policy, extra_tasks=extra_tasks, lead=lead) as opened,
+    ):
+        yield opened
+
+
+def wrap_communicator(
+    name: str, executor: CommunicatorExecutor, workers: int, policy: str
+) -> Backend:
+    """Return a communicator with so many workers as a backend.
+
+    Parameters
+    ----------
+    name : str
+        Of the backend.
+    executor : CommunicatorExecutor
+    workers : int
+    policy : str
+        One of `POLICIES`.
+    """
+
+    def traffic() -> Traffic:
+        counted = executor.statistics()
+        return Traffic(counted["bytes_sent"], counted["bytes_received"])
+
+    return Backend(name, Workforce(executor, workers, BATCHES_PER_WORKER[policy]), traffic)

@@ -1,0 +1,102 @@
+"""Where a communicator listens, and who may come in.
+
+Nothing heavy is imported here: workers can be invited, and start, while the master still imports
+what it will compute with. What comes early waits at the door.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from types import TracebackType
+
+from hpcapp.backends.capacity import make_room
+from hpcapp.communicator.transport import RouterTransport
+from hpccomponent.errors import UsageError
+from hpccomponent.protocol.connection import Connection
+from hpccomponent.protocol.keys import KeyPair, is_key, make_key_pair
+
+__all__ = ["Door"]
+
+
+class Door:
+    """A listening socket with a list of keys that may connect.
+
+    Parameters
+    ----------
+    bind : str
+        ZeroMQ endpoint to listen on: loopback and any free port by default.
+    allowed_keys : iterable of str
+        Public keys (Z85) of workers that may connect; `allow` and `invite` add more.
+    keys : KeyPair, optional
+        The master's own keys; fresh ones by default.
+
+    Raises
+    ------
+    UsageError
+        If nothing can listen at `bind`, a key is malformed, or this process cannot open as many
+        files as there are keys.
+    """
+
+    def __init__(
+        self,
+        bind: str = "tcp://127.0.0.1:0",
+        *,
+        allowed_keys: Iterable[str] = (),
+        keys: KeyPair | None = None,
+    ) -> None:
+        self._allowed: set[str] = set()
+        for key in allowed_keys:
+            self.allow(key)
+        make_room(len(self._allowed))
+        self._keys = keys or make_key_pair()
+        self._transport = RouterTransport(bind, self._keys, self._allowed.__contains__)
+        self._is_answered = False
+
+    def __enter__(self) -> Door:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if not self._is_answered:
+            self._transport.close()
+
+    @property
+    def endpoint(self) -> str:
+        """Return where workers connect to."""
+        return self._transport.endpoint
+
+    @property
+    def server_key(self) -> str:
+        """Return the master's public key."""
+        return self._keys.public
+
+    def answer(self) -> RouterTransport:
+        """Hand the socket over to who answers at it from now on, and closes it."""
+        self._is_answered = True
+        return self._transport
+
+    def allow(self, public_key: str) -> None:
+        """Let the owner of `public_key` connect.
+
+        Raises
+        ------
+        UsageError
+            If it is not a key.
+        """
+        if not is_key(public_key):
+            raise UsageError(f"{public_key!r} is not a Z85 CURVE key of 40 characters")
+        self._allowed.add(public_key)
+
+    def forbid(self, public_key: str) -> None:
+        """Keep the owner of `public_key` out from now on."""
+        self._allowed.discard(public_key)
+
+    def invite(self, worker: str) -> Connection:
+        """Make keys for one worker, allow them, and return what its component must know."""
+        keys = make_key_pair()
+        self.allow(keys.public)
+        return Connection(self.endpoint, self.server_key, keys.public, keys.secret, worker)

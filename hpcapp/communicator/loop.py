@@ -1,0 +1,363 @@
+"""The communicator's thread: feeds the scheduler, and carries out what it decides.
+
+::
+
+    submit, cancel (any thread) ──> inbox ──┐
+    RouterTransport ── messages ────────────┼──> scheduler ──> actions ──> transport, futures
+    clock ── ticks, probes ─────────────────┘
+"""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from hpcapp.communicator.pending import Ledger
+from hpcapp.communicator.results import open_results
+from hpcapp.communicator.scheduler import Scheduler
+from hpcapp.communicator.state import (
+    Action,
+    AskRegister,
+    Assign,
+    Deliver,
+    Dismiss,
+    Fail,
+    Forgotten,
+    Refuse,
+    Retire,
+    Welcome,
+)
+from hpcapp.communicator.submission import Entry
+from hpcapp.communicator.transport import Received, RouterTransport
+from hpccomponent.clock import Clock
+from hpccomponent.errors import JobError, ProtocolError, UsageError
+from hpccomponent.protocol.frames import LARGEST_FRAME, split_buffers
+from hpccomponent.protocol.messages import (
+    Batch,
+    ComponentMessage,
+    Drain,
+    Farewell,
+    Forget,
+    Goodbye,
+    Heartbeat,
+    Lost,
+    MasterMessage,
+    Need,
+    Ping,
+    Refused,
+    Register,
+    RegisterAgain,
+    Registered,
+    Results,
+    Share,
+    decode_component_message,
+    encode_message,
+)
+
+__all__ = ["Engine", "Timing"]
+
+_BROKEN = "its connection broke"
+
+_log = logging.getLogger(__name__)
+
+CLOSE_S = 5.0  # what closes is given half a second; whatever holds it up longer is left behind
+MOST_REASON = 1000  # characters of what a worker is told, and others of it
+MESSAGES_PER_ROUND = 200  # then the inbox and the clock have their turn
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """How often the parties speak, and how long they listen; all in seconds.
+
+    Parameters
+    ----------
+    heartbeat_s : float
+        Between two heartbeats of a component.
+    liveness_s : float
+        After so long without a message a worker is lost.
+    silence_s : float
+        After so long without a message from the master a component leaves.
+    worker_wait_s : float
+        After so long without any worker the tasks fail.
+    probe_s : float
+        Between two probes of every connection.
+    """
+
+    heartbeat_s: float = 1.0
+    liveness_s: float = 15.0
+    silence_s: float = 60.0
+    worker_wait_s: float = 60.0
+    probe_s: float = 0.5
+
+
+class Engine:
+    """One thread that owns the sockets, the scheduler, and the results of futures.
+
+    Parameters
+    ----------
+    make_scheduler : callable
+        Makes the scheduler around the engine's ledger.
+    transport : RouterTransport
+        Likewise; the engine closes it.
+    clock : Clock
+        The scheduler's.
+    timing : Timing
+        How often to speak.
+    """
+
+    def __init__(
+        self,
+        make_scheduler: Callable[[Ledger], Scheduler],
+        transport: RouterTransport,
+        clock: Clock,
+        timing: Timing,
+    ) -> None:
+        self.session = secrets.token_hex(8)
+        self.counts: Counter[str] = Counter()
+        self.roster = threading.Condition()
+        self.ledger = Ledger()
+        self.scheduler = make_scheduler(self.ledger)
+        self._transport = transport
+        self._clock = clock
+        self._timing = timing
+        self._inbox: deque[Callable[[], list[Action]]] = deque()
+        self._is_asleep = False
+        self._is_closing = False
+        self._is_abandoned = False
+        self._probe_at = clock.now()
+        self._end: JobError | None = None
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="communicator", daemon=True)
+        self._thread.start()
+
+    # -- from any thread -----------------------------------------------------------------------
+
+    def post(self, event: Callable[[], list[Action]]) -> None:
+        """Have `event` called on the engine's thread, and the actions it returns carried out."""
+        self._inbox.append(event)
+        if self._is_asleep:
+            self._is_asleep = False  # one waker is enough
+            self._transport.wake()
+
+    def submit(self, number: int, entry: Entry) -> None:
+        """Take a task."""
+        self.ledger.add(number, entry)
+        can_split = entry.traits.split is not None
+        self.post(
+            lambda: self.scheduler.submit(
+                number,
+                entry.name,
+                entry.size_bytes,
+                entry.blobs,
+                entry.work,
+                can_split,
+                entry.limit_bytes,
+            )
+        )
+        if self._end is not None:  # nobody would ever answer
+            self.ledger.fail_all(self._end)
+
+    def cancel(self, number: int) -> None:
+        """Forget a task whose future was cancelled."""
+
+        def event() -> list[Action]:
+            return self.scheduler.cancel(number) if self.ledger.is_cancelled(number) else []
+
+        self.post(event)
+
+    def close(self, abandon: bool = False) -> None:
+        """End the thread once all tasks are done, or at once, failing those that are not."""
+
+        def event() -> list[Action]:
+            self._is_closing = True
+            self._is_abandoned = self._is_abandoned or abandon
+            return []
+
+        self.post(event)
+
+    def join(self, timeout_s: float | None = None) -> None:
+        """Wait until every future is done, and then a little for the sockets to close."""
+        if self._is_over.wait(timeout_s):
+            self._thread.join(CLOSE_S)
+
+    # -- on the engine's thread ----------------------------------------------------------------
+
+    def _run(self) -> None:
+        reason = "the communicator was shut down"
+        try:
+            while not (self._is_closing and (self._is_abandoned or not len(self.ledger))):
+                self._is_asleep = True
+                patience_s = max(0.0, self._probe_at - self._clock.now())
+                # The flag first, then the look: a post in between sees the flag, and wakes.
+                self._transport.wait(0.0 if self._inbox else min(patience_s, 0.5))
+                self._is_asleep = False
+                self._take_inbox()
+                self._take_messages()
+                self._keep_time()
+            for identity in self.scheduler.workers:
+                self._say(identity, Farewell(self.session))
+        except BaseException as error:
+            # Whatever it is, nobody may wait for ever for a future of ours.
+            _log.exception("the communicator broke")
+            reason = f"the communicator broke: {error!r}"
+        finally:
+            self._end = JobError(reason, "submit the work anew")
+            self.ledger.fail_all(self._end)
+            self._is_over.set()
+            self._transport.close()
+
+    def _take_inbox(self) -> None:
+        if not self._inbox:
+            return
+        while self._inbox:
+            self._carry_out(self._inbox.popleft()())
+        self._carry_out(self.scheduler.dispatch())
+
+    def _take_messages(self) -> None:
+        for _ in range(MESSAGES_PER_ROUND):
+            received = self._transport.receive()
+            if received is None:
+                return
+            known = self.scheduler.workers.get(received.identity)
+            try:
+                if known is not None and known.key != received.key:
+                    raise ProtocolError("it came under another key than its sender registered with")
+                self._take_message(received, decode_component_message(received.head))
+            except ProtocolError as error:
+                self.counts["dropped"] += 1
+                reason = error.problem[:MOST_REASON]
+                _log.warning("a message of %r was dropped: %s", received.identity[:100], reason)
+                if known is not None and known.key == received.key:
+                    self._carry_out(self.scheduler.expose(received.identity, reason))
+
+    def _take_message(self, received: Received, message: ComponentMessage) -> None:
+        worker, scheduler = received.identity, self.scheduler
+        if isinstance(message, Register):
+            self._carry_out(scheduler.register(worker, message, received.key))
+            self._announce()
+            return
+        if message.session != self.session and worker in scheduler.workers:
+            self.counts["dropped"] += 1
+            return
+        match message:
+            case Results():
+                self._take_results(worker, message)
+            case Heartbeat():
+                self._carry_out(
+                    scheduler.heartbeat(worker, message.progress, message.last_batch, message.held)
+                )
+            case Lost():
+                self._carry_out(
+                    scheduler.batch_lost(worker, message.batch, message.reason, message.is_blamed)
+                )
+            case Need():
+                self._take_need(worker, message)
+            case Goodbye():
+                self._carry_out(scheduler.goodbye(worker, message.reason))
+
+    def _take_results(self, identity: bytes, message: Results) -> None:
+        """Take results once all of them are what they must be; of a liar, none."""
+        worker, opened = self.scheduler.workers.get(identity), []
+        if worker is not None:
+            limits = self.scheduler.assignments.most_bytes(
+                worker,
+                message.batch,
+                [result.task for result in message.results],
+                self.scheduler.tasks,
+            )
+            largest = min(LARGEST_FRAME, worker.register.largest_frame)
+            opened = open_results(
+                message.results, limits, largest, self._transport.take_frames, self.ledger.find
+            )
+        actions = self.scheduler.results(
+            identity, message.batch, message.results, message.is_finished
+        )
+        # The next batch leaves first: whoever waits for a result may take its time with it.
+        self._carry_out([action for action in actions if not isinstance(action, Deliver)])
+        for action in actions:
+            if isinstance(action, Deliver):
+                self.ledger.deliver(action.task, action.result, opened[action.index])
+
+    def _take_need(self, worker: bytes, message: Need) -> None:
+        # A value that was changed after it was shared is refused by every worker, for ever.
+        for number in self.ledger.find_changed(message.keys):
+            error = UsageError(
+                "a shared value was changed while tasks use it",
+                "change a copy, or share it once it is complete",
+            )
+            self.ledger.fail(number, error)
+            self._carry_out(self.scheduler.cancel(number))
+        self._carry_out(self.scheduler.need(worker, message.batch, message.keys))
+
+    def _keep_time(self) -> None:
+        now = self._clock.now()
+        if not self._transport.take_disconnected() and now < self._probe_at:
+            return
+        self._probe_at = now + self._timing.probe_s
+        ping = Ping(self.session, self.scheduler.assignments.last)
+        broken = [identity for identity in self.scheduler.workers if not self._say(identity, ping)]
+        if broken:
+            self._carry_out(self.scheduler.disconnected(broken, _BROKEN))
+        self._carry_out(self.scheduler.tick())
+        self._announce()
+
+    def _announce(self) -> None:
+        with self.roster:
+            self.roster.notify_all()
+
+    def _carry_out(self, actions: Iterable[Action]) -> None:
+        pending = deque(actions)
+        while pending:
+            action = pending.popleft()
+            match action:
+                case Assign():
+                    if not self._assign(action):
+                        pending.extend(
+                            self.scheduler.undelivered(action.worker, action.batch, _BROKEN)
+                        )
+                case Retire():
+                    _log.warning("%s gets no more of this job: %s", action.machine, action.reason)
+                case Fail():
+                    self.ledger.fail(action.task, action.error)
+                case Welcome():
+                    timing = self._timing
+                    self._say(
+                        action.worker,
+                        Registered(
+                            self.session, timing.heartbeat_s, timing.silence_s, action.largest_frame
+                        ),
+                    )
+                case Refuse():
+                    _log.warning("a worker was refused: %s", action.reason)
+                    self._say(action.worker, Refused(action.reason))
+                case AskRegister():
+                    self._say(action.worker, RegisterAgain())
+                case Forgotten():
+                    self._say(action.worker, Forget(self.session, [action.key]))
+                case Dismiss():
+                    self._say(action.worker, Drain(self.session))
+
+    def _say(self, identity: bytes, message: MasterMessage) -> bool:
+        return self._transport.send(identity, [encode_message(message)])
+
+    def _assign(self, action: Assign) -> bool:
+        worker = self.scheduler.workers.get(action.worker)
+        if worker is None:
+            return True  # an earlier action found it lost; its tasks have been placed anew
+        largest = min(LARGEST_FRAME, worker.register.largest_frame)
+        for blob in action.blobs:
+            sizes = [len(buffer) for buffer in blob.buffers]
+            share = encode_message(Share(self.session, blob.key, blob.header, sizes))
+            self.counts["blobs"] += 1
+            if not self._transport.send(
+                action.worker, [share, *split_buffers(blob.buffers, largest)]
+            ):
+                return False
+        calls, buffers = self.ledger.calls(action.tasks)
+        self.counts["batches"] += 1
+        message = encode_message(Batch(self.session, action.batch, calls))
+        return self._transport.send(action.worker, [message, *split_buffers(buffers, largest)])

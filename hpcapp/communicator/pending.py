@@ -1,0 +1,149 @@
+"""The communicator's open futures, with what has to be sent for them, until each is done."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+from collections.abc import Iterable
+from typing import Any
+
+from hpcapp.communicator.state import Task
+from hpcapp.communicator.submission import Entry, split_entry
+from hpccomponent import errors
+from hpccomponent.errors import HpcError, TaskError
+from hpccomponent.protocol.frames import Buffer
+from hpccomponent.protocol.messages import Call, Failure, Result
+
+__all__ = ["Ledger"]
+
+_log = logging.getLogger(__name__)
+
+
+class Ledger:
+    """Entries by task number; each leaves exactly once, with its future done.
+
+    `number`, `add` and `cancel_all` are for any thread, the rest for that of the engine.
+    """
+
+    def __init__(self) -> None:
+        self._entries: dict[int, Entry] = {}
+        self._numbers = itertools.count(1)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def number(self) -> int:
+        """Return a number that no task has."""
+        return next(self._numbers)
+
+    def add(self, number: int, entry: Entry) -> None:
+        """Take a new entry."""
+        self._entries[number] = entry
+
+    def cancel_all(self) -> None:
+        """Cancel every future whose task has not left for a worker."""
+        for entry in list(self._entries.values()):
+            entry.future.cancel()
+
+    def calls(self, numbers: Iterable[int]) -> tuple[list[Call], list[Buffer]]:
+        """Return what has to be sent for these tasks, and all their buffers in order."""
+        calls: list[Call] = []
+        buffers: list[Buffer] = []
+        for number in numbers:
+            entry = self._entries[number]
+            sizes = [len(buffer) for buffer in entry.buffers]
+            keys = [blob.key for blob in entry.blobs]
+            calls.append(Call(number, entry.name, entry.header, sizes, keys, entry.limit_bytes))
+            buffers += entry.buffers
+        return calls, buffers
+
+    def find_changed(self, keys: Iterable[bytes]) -> list[int]:
+        """Return the tasks that name one of these blobs, where its value has been changed."""
+        sought = set(keys)
+        changed: dict[bytes, bool] = {}
+        found = []
+        for number, entry in self._entries.items():
+            for blob in entry.blobs:
+                if blob.key in sought and blob.key not in changed:
+                    changed[blob.key] = not blob.is_unchanged()
+                if changed.get(blob.key):
+                    found.append(number)
+                    break
+        return found
+
+    def claim(self, number: int) -> bool:
+        """Mark a task as running, or let it go if its future was cancelled."""
+        if self._entries[number].claim():
+            return True
+        del self._entries[number]
+        return False
+
+    def split(self, number: int) -> list[Task]:
+        """Replace a task by others that together do the same; none if it cannot be split."""
+        entry = self._entries[number]
+        try:
+            parts = split_entry(entry)
+        except HpcError as error:
+            _log.warning("%s", error)
+            return []
+        if not parts or not entry.claim():
+            return []
+        del self._entries[number]
+        tasks = []
+        for part in parts:
+            own = self.number()
+            self._entries[own] = part
+            tasks.append(
+                Task(
+                    own,
+                    part.name,
+                    part.size_bytes,
+                    part.blobs,
+                    part.work,
+                    can_split=True,
+                    limit_bytes=part.limit_bytes,
+                )
+            )
+        return tasks
+
+    def is_cancelled(self, number: int) -> bool:
+        """Tell whether a task can be forgotten because its future was cancelled in time."""
+        return number in self._entries and not self.claim(number)
+
+    def find(self, number: int) -> Entry | None:
+        """Return an entry that is still here."""
+        return self._entries.get(number)
+
+    def deliver(self, number: int, result: Result, value: Any) -> None:
+        """Set a future's result, which has been checked, or what its task raised."""
+        entry = self._entries[number]
+        if result.failure is not None:
+            self.fail(number, _rebuild(result.failure, entry.name))
+            return
+        del self._entries[number]
+        entry.future.set_result(value)
+
+    def fail(self, number: int, error: HpcError) -> None:
+        """Set a future's exception, unless it was cancelled in time."""
+        entry = self._entries.pop(number, None)  # at the end, two threads may come here
+        if entry is not None and entry.claim():
+            # One exception raised in two places would mix their tracebacks.
+            own = type(error)(error.problem, error.advice)
+            for note in getattr(error, "__notes__", []):
+                own.add_note(note)
+            entry.future.set_exception(own)
+
+    def fail_all(self, error: HpcError) -> None:
+        """Set the exception of every future that is left."""
+        for number in list(self._entries):
+            self.fail(number, error)
+
+
+def _rebuild(failure: Failure, task: str) -> HpcError:
+    """Make an error of what a task raised; one of our own tree keeps its class and exit code."""
+    if failure.kind in errors.__all__:
+        error: HpcError = getattr(errors, failure.kind)(failure.problem, failure.advice)
+    else:
+        error = TaskError(f"task {task!r} failed: {failure.problem}", failure.advice)
+    error.add_note(f"On the worker:\n{failure.traceback}")
+    return error

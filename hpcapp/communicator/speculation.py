@@ -1,0 +1,87 @@
+"""The end of a job: what idle workers do when too little waits, or nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+
+from hpcapp.communicator.forecast import Forecast
+from hpcapp.communicator.state import Task, Worker
+
+__all__ = ["choose_to_run_again", "choose_to_split"]
+
+SPLIT_S = 0.5  # longer tasks may be split, where more workers than tasks are (soon) idle
+LAG = 1.5  # what is to take so many times as long as an idle worker, with its way, runs there too,
+LAG_S = 0.25  # if that is more than so many seconds
+
+
+def choose_to_split(
+    queue: Collection[Task], workers: Sequence[Worker], forecast: Forecast, now: float
+) -> Task | None:
+    """Choose the longest waiting task that can be split, if too few wait for idle workers.
+
+    Parameters
+    ----------
+    queue : collection of Task
+        What waits.
+    workers : sequence of Worker
+        Who may get it.
+    forecast : Forecast
+        How long tasks take.
+    now : float
+        The present moment of the scheduler's clock, in seconds.
+    """
+    candidates = [task for task in queue if task.can_split and not task.is_claimed]
+    if not candidates or len(queue) >= len(workers):
+        return None
+    idle = [worker for worker in workers if forecast.remaining_s(worker, now) <= SPLIT_S]
+    if len(queue) >= len(idle):
+        return None
+
+    def expected_s(task: Task) -> float:
+        return min(forecast.expect(worker.identity, task) for worker in idle)
+
+    task = max(candidates, key=expected_s)
+    return task if SPLIT_S <= expected_s(task) < math.inf else None
+
+
+def choose_to_run_again(
+    workers: Collection[Worker], idle: Sequence[Worker], forecast: Forecast, now: float
+) -> list[tuple[Worker, Task]]:
+    """Choose for idle workers the tasks that will be done last, if they are there much sooner.
+
+    Parameters
+    ----------
+    workers : collection of Worker
+        Everyone at work.
+    idle : sequence of Worker
+        Who has nothing to do; each gets one task at most.
+    forecast, now
+        As for `choose_to_split`.
+    """
+    if not idle:
+        return []
+
+    def lags(task: Task, left_s: float, unit_s: float) -> bool:
+        return left_s > LAG * (unit_s * task.work + forecast.way_s(task.name)) + LAG_S
+
+    least_s: dict[str, float] = {}  # a unit of work on whoever of the idle is fastest
+    lagging = []
+    for worker in workers:
+        for task, left_s in forecast.ends(worker, now):
+            name = task.name
+            if name not in least_s:
+                least_s[name] = min(forecast.unit_s(w.identity, name) for w in idle)
+            # A task that was lost with a worker may be what kills them: one at a time.
+            is_apart = task.is_done or task.losses or len(task.places) > 1
+            if not is_apart and lags(task, left_s, least_s[name]):
+                lagging.append((left_s, task))
+    lagging.sort(key=lambda pair: -pair[0])
+    chosen = []
+    for worker in idle:
+        for place, (left_s, task) in enumerate(lagging):
+            if lags(task, left_s, forecast.unit_s(worker.identity, task.name)):
+                chosen.append((worker, task))
+                del lagging[place]
+                break
+    return chosen

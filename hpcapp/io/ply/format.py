@@ -1,0 +1,212 @@
+"""PLY files: strict in what is accepted, double precision where it is needed.
+
+The parts: `ply_header` (what the body holds), `ply_binary` and `ply_ascii` (the body), and what
+the elements mean: ``vertex`` is a point cloud (`ply_points`), ``vertex`` and ``face`` are a mesh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.frame import needs_double
+from hpcapp.io.mesh_stream import MeshStream, as_stream
+from hpcapp.io.ply.ascii import read_ascii
+from hpcapp.io.ply.binary import read_binary
+from hpcapp.io.ply.header import read_header
+from hpcapp.io.ply.points import AXES, COLORS, NORMALS, stack, vertex_of
+from hpcapp.io.polygons import mesh_of_polygons
+from hpcapp.io.staging import replacing
+from hpccomponent.errors import InputError, OutputError
+from hpccomponent.surface.tasks.shared_ply import (
+    FACE_SIZE,
+    SharedPly,
+    face_rows,
+    mesh_header,
+    ply_header,
+    vertex_rows,
+    vertex_size,
+)
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, PointCloud
+
+__all__ = ["read_ply_mesh", "shared_ply", "write_ply_mesh", "write_ply_points"]
+
+_FACE_LISTS = ("vertex_indices", "vertex_index")
+_ROWS_AT_ONCE = 1 << 16
+_MOST_VERTICES = 2**31 - 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Column:
+    """One property of the vertices, as it is to be written."""
+
+    name: str
+    dtype: str
+    values: NDArray[np.float64] | NDArray[np.uint8]
+    shift: float = 0.0
+
+
+def read_ply_mesh(path: Path) -> Mesh:
+    """Read a PLY file as a triangle mesh; polygons become triangle fans.
+
+    Parameters
+    ----------
+    path : Path
+        ascii or binary in either byte order.
+
+    Returns
+    -------
+    Mesh
+
+    Raises
+    ------
+    InputError
+        The file is damaged, has no faces, or a face names a vertex that is not there.
+    OSError
+        The file cannot be read.
+    """
+    header = read_header(path)
+    vertex_of(header, path)
+    read = read_binary if header.byte_order else read_ascii
+    elements = read(path, header, {"vertex", "face"})
+    lists = elements["face"].lists if "face" in elements else {}
+    polygons = next((lists[name] for name in _FACE_LISTS if name in lists), None)
+    if polygons is None or polygons.values.dtype.kind not in "iu":
+        raise InputError(
+            f"{path}: no element 'face' with a list vertex_indices of integers: not a mesh",
+            "a point cloud can be meshed with 'hpcapp reconstruct'",
+        )
+    return mesh_of_polygons(stack(elements["vertex"], AXES), polygons, path)
+
+
+def write_ply_points(path: Path, cloud: PointCloud) -> None:
+    """Write a point cloud as binary little-endian PLY.
+
+    Coordinates are written in the input's frame, as ``double`` if an origin was subtracted or
+    ``float`` would round by more than a millionth of the extent; otherwise as ``float``.
+
+    Parameters
+    ----------
+    path : Path
+        Appears whole or not at all.
+    cloud : PointCloud
+        Its normals are written as ``float``.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    columns = _coordinate_columns(cloud.positions, cloud.origin)
+    if cloud.normals is not None:
+        columns += _plain_columns(NORMALS, "<f4", cloud.normals)
+    if cloud.colors is not None:
+        columns += _plain_columns(COLORS, "u1", cloud.colors)
+    with replacing(path) as file:
+        file.write(ply_header(_vertex_lines(columns)))
+        _write_columns(file, columns)
+
+
+def write_ply_mesh(path: Path, mesh: Mesh | MeshStream) -> None:
+    """Write a triangle mesh as binary little-endian PLY.
+
+    Parameters
+    ----------
+    path : Path
+        Appears whole or not at all.
+    mesh : Mesh or MeshStream
+        Vertices are written like the points of `write_ply_points`.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    stream = as_stream(mesh)
+    is_double = needs_double(stream.box, stream.origin)
+    with replacing(path) as file:
+        file.write(_mesh_header((stream.vertex_count, stream.face_count), is_double))
+        for vertices in stream.vertices():
+            file.write(vertex_rows(vertices, stream.origin, is_double).data)
+        for faces in stream.faces():
+            file.write(face_rows(faces).data)
+
+
+@contextmanager
+def shared_ply(
+    path: Path, counts: tuple[int, int], origin: FloatArray, box: FloatArray
+) -> Iterator[SharedPly]:
+    """Open a mesh's PLY file for many to write: the file that `write_ply_mesh` would write.
+
+    Parameters
+    ----------
+    path : Path
+        Appears when the block ends well; else nothing is left of it.
+    counts : tuple of int
+        Vertices and faces.
+    origin, box : ndarray of float64, shape (3,) and (2, 3)
+        See `MeshStream`.
+
+    Yields
+    ------
+    SharedPly
+        Where `write_part` and `write_kept` of `hpccomponent.surface.tasks.shared_ply` are to write,
+        until the block ends.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    is_double = needs_double(box, origin)
+    header = _mesh_header(counts, is_double)
+    face_start = len(header) + counts[0] * vertex_size(is_double)
+    with replacing(path) as file:
+        file.write(header)
+        file.truncate(face_start + counts[1] * FACE_SIZE)
+        file.flush()
+        yield SharedPly(str(file.name), str(path), len(header), face_start, is_double, origin)
+
+
+def _mesh_header(counts: tuple[int, int], is_double: bool) -> bytes:
+    if counts[0] > _MOST_VERTICES:
+        raise OutputError(
+            f"{counts[0]} vertices are more than the faces of a PLY file can name",
+            "choose an output that ends in .tiles",
+        )
+    return mesh_header(*counts, is_double)
+
+
+def _plain_columns(
+    names: tuple[str, ...], dtype: str, values: FloatArray | NDArray[np.uint8]
+) -> list[_Column]:
+    return [_Column(name, dtype, column) for name, column in zip(names, values.T, strict=True)]
+
+
+def _coordinate_columns(local: FloatArray, origin: FloatArray) -> list[_Column]:
+    dtype = "<f8" if needs_double(local, origin) else "<f4"
+    return [_Column(*column) for column in zip(AXES, [dtype] * 3, local.T, origin, strict=True)]
+
+
+def _vertex_lines(columns: list[_Column]) -> list[str]:
+    spelled = {"<f8": "double", "<f4": "float", "u1": "uchar"}
+    properties = [f"property {spelled[c.dtype]} {c.name}" for c in columns]
+    return [f"element vertex {len(columns[0].values)}", *properties]
+
+
+def _write_columns(file: BinaryIO, columns: list[_Column]) -> None:
+    rows = len(columns[0].values)
+    with np.errstate(over="ignore"):  # what float cannot hold becomes infinite
+        for start in range(0, rows, _ROWS_AT_ONCE):
+            block = slice(start, min(start + _ROWS_AT_ONCE, rows))
+            part = np.empty(block.stop - start, [(c.name, c.dtype) for c in columns])
+            for c in columns:
+                part[c.name] = c.values[block] + c.shift if c.shift else c.values[block]
+            file.write(part.data)

@@ -1,0 +1,1 @@
+"""A strict reader of YAML files: every mistake at once, each with its file, line and column."""

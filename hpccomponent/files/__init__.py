@@ -1,0 +1,1 @@
+"""Files and folders: held by locks, private, shared between processes, named by users."""

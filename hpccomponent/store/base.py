@@ -1,0 +1,226 @@
+"""Where values lie between the parts of a job: a folder that its machines share, or a bucket.
+
+::
+
+    open_store("/shared/job")  ──> FolderStore     a file each, mapped into memory
+    open_store("s3://lab/job") ──> S3Store         an object each (see `s3_store`)
+
+A name holds nothing or a whole value: who reads while it is written sees what was there before.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+from hpccomponent.errors import CloudError, JobError, OutputError, UsageError
+from hpccomponent.files.private_files import make_private_folder, open_at_once, remove_path
+from hpccomponent.files.shared_files import write_whole
+from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
+
+__all__ = ["FolderStore", "Store", "check_name", "hold_store", "open_store"]
+
+_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*")
+
+
+class Store(Protocol):
+    """Values by name.
+
+    A name is made of letters, digits, ``.``, ``_`` and ``-``, in parts that ``/`` separates, none
+    of which begins with a dot.
+    """
+
+    def put(self, name: str, value: Any) -> None:
+        """Store a value, in place of what has that name.
+
+        Parameters
+        ----------
+        name : str
+        value : ndarray, int, float, bool, str, bytes, None, or tuple, list, dict of these
+
+        Raises
+        ------
+        UsageError
+            The name is none, or the value is of another type.
+        OutputError, CloudError
+            It cannot be written.
+        """
+
+    def get(self, name: str) -> Any:
+        """Return a value; its large arrays are read-only.
+
+        Raises
+        ------
+        JobError
+            It is not there, or not as it was stored.
+        CloudError
+            The bucket does not give it.
+        """
+
+    def has(self, name: str) -> bool:
+        """Tell whether there is a value of a name."""
+
+    def list(self, prefix: str = "") -> list[str]:
+        """Return the names that begin so, sorted."""
+
+    def delete(self, name: str) -> None:
+        """Take a value away, if it is there."""
+
+
+def open_store(place: str, *, makes_folders: bool = True) -> Store:
+    """Open a store.
+
+    Parameters
+    ----------
+    place : str
+        A folder, ``folder:PATH``, or ``s3://BUCKET/PREFIX``. A folder is made where there is none;
+        a bucket is found by the usual variables (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL``, ...).
+    makes_folders : bool
+        Of a folder: see `FolderStore`.
+
+    Returns
+    -------
+    Store
+
+    Raises
+    ------
+    UsageError
+        The place is of another kind.
+    OutputError
+        The folder cannot be made.
+    CloudError
+        The bucket is not there, or there are no credentials for it.
+    """
+    scheme, colon, rest = place.partition(":")
+    if scheme == "s3" and colon:
+        try:
+            from hpccomponent.store.s3 import open_s3_store  # it imports boto3
+        except ImportError as error:
+            raise CloudError(
+                f"{place}: boto3 is not installed on this machine",
+                "install it on every worker, or name a folder that all of them share",
+            ) from error
+        return open_s3_store(place)
+    if scheme == "folder" and rest:
+        return FolderStore(Path(rest), makes_folders=makes_folders)
+    if "://" in place or not place:
+        raise UsageError(f"no store is known at {place!r}", "name a folder, or s3://BUCKET/PREFIX")
+    return FolderStore(Path(place), makes_folders=makes_folders)
+
+
+@cache
+def hold_store(place: str) -> Store:
+    """Open a store that this process keeps open: for tasks, which come one after the other.
+
+    A client of a bucket takes longer to make than a tile takes to be put there. Of a folder none is
+    made: a task that is late must not bring back what its job has taken away.
+
+    Parameters
+    ----------
+    place : str
+        As for `open_store`, which raises the same.
+    """
+    return open_store(place, makes_folders=False)
+
+
+def check_name(name: str) -> None:
+    """Raise UsageError where a name is none; see `Store`."""
+    if not _NAME.fullmatch(name):
+        raise UsageError(
+            f"{name!r} cannot be the name of a value",
+            "use letters, digits, '.', '_' and '-', in parts separated by '/'",
+        )
+
+
+class FolderStore:
+    """Values as files, which only their owner can read; see `Store`.
+
+    Parameters
+    ----------
+    folder : Path
+        Is made where there is none, for its owner alone.
+    makes_folders : bool
+        Whether it and those in it are made; else what is put where there is none is refused.
+
+    Raises
+    ------
+    OutputError
+        It cannot be made.
+    """
+
+    def __init__(self, folder: Path, *, makes_folders: bool = True) -> None:
+        self._folder = folder
+        self._checked: set[tuple[int, ...]] = set()  # files that were found whole
+        self._makes_folders = makes_folders
+        if makes_folders:
+            with self._translated(folder):
+                make_private_folder(folder)
+
+    def put(self, name: str, value: Any) -> None:
+        """See `Store.put`; a value appears when all of it is written."""
+        check_name(name)
+        path = self._folder / name
+        buffers = to_buffers(value, name)
+        with self._translated(path):
+            if self._makes_folders:
+                make_private_folder(path.parent)
+            write_whole(path, buffers)
+
+    def get(self, name: str) -> Any:
+        """See `Store.get`; arrays stay in the mapped file until they are used.
+
+        A file is checked when it is first read: parts of a mesh are asked for again and again.
+        """
+        check_name(name)
+        path = self._folder / name
+        try:
+            with open(path, "rb", opener=open_at_once) as file:
+                found = os.fstat(file.fileno())
+                mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except FileNotFoundError:
+            raise JobError(f"{path} is not there", "run the job again") from None
+        except (OSError, ValueError) as error:  # an empty file cannot be mapped
+            why = getattr(error, "strerror", None) or error
+            raise JobError(f"{path} cannot be read: {why}", "run the job again") from error
+        file_id = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+        try:
+            value = from_bytes(memoryview(mapped), name, is_checked=file_id in self._checked)
+        except DamagedError as error:
+            raise JobError(f"{path} {error}", "delete it, and run the job again") from error
+        self._checked.add(file_id)
+        return value
+
+    def has(self, name: str) -> bool:
+        """See `Store.has`."""
+        check_name(name)
+        return (self._folder / name).is_file()
+
+    def list(self, prefix: str = "") -> list[str]:
+        """See `Store.list`."""
+        base = self._folder / prefix.rpartition("/")[0]
+        files = (path for path in base.rglob("*") if path.is_file())
+        names = (path.relative_to(self._folder).as_posix() for path in files)
+        return sorted(n for n in names if n.startswith(prefix) and _NAME.fullmatch(n))
+
+    def delete(self, name: str) -> None:
+        """See `Store.delete`."""
+        check_name(name)
+        path = self._folder / name
+        with self._translated(path):
+            remove_path(path)
+
+    @contextmanager
+    def _translated(self, path: Path) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise OutputError(
+                f"{path}: cannot be written: {error.strerror or error}",
+                f"check that {self._folder} has room and lets you write, or name another store",
+            ) from error

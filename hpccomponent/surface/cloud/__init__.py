@@ -1,0 +1,1 @@
+"""Point clouds in their canonical order: blocks in memory or in a folder, outliers, spacing."""

@@ -1,0 +1,343 @@
+"""The canonical order and rounding of a cloud: the same points in memory, on disk and on the wire.
+
+::
+
+    positions ── snapped to multiples of a quantum ── sorted stably by blocks of 2^24 quanta
+
+All steps are powers of two, so that every number here is exact: a position is its block's place
+and an offset that float32 holds without rounding, 24 bytes with its normal instead of 48.
+
+The functions with `records` are kernels. Who may import it: applications, and tasks that are sent
+points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import frexp
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.errors import InputError
+from hpccomponent.surface import kernels
+from hpccomponent.surface.build import load_native
+from hpccomponent.surface.types.lattice import unpack_keys
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+__all__ = [
+    "Arrangement",
+    "PackedPoints",
+    "choose_arrangement",
+    "pack_points",
+    "pack_records",
+    "pack_snapped",
+    "snap_points",
+    "unpack_near",
+    "unpack_points",
+    "unpack_records",
+    "unpack_within",
+    "unpacking_arguments",
+]
+
+Float32Array = NDArray[np.float32]
+
+QUANTA_BITS = 24
+"""Of an offset within a block: the significand of float32."""
+
+_native: Any = load_native()
+
+_BLOCKS_BITS = 6  # at most 2^6 blocks along the longest side, and more than half of that
+_ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrangement:
+    """The lattice of blocks that a cloud is sorted by.
+
+    Parameters
+    ----------
+    origin : ndarray of float64, shape (3,)
+        Corner of block (0, 0, 0): a multiple of `edge`.
+    edge : float
+        Of a block, in length units of the input: a power of two.
+    """
+
+    origin: FloatArray
+    edge: float
+
+    @property
+    def quantum(self) -> float:
+        """What all positions are multiples of, in length units of the input."""
+        return self.edge * 2.0**-QUANTA_BITS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedPoints:
+    """Arranged points in half the bytes, without loss.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (b,)
+        Sorted keys of the occupied blocks (see `lattice.pack_places`).
+    counts : ndarray of int64, shape (b,)
+        Points in each block.
+    offsets : ndarray of float32, shape (n, 3)
+        Block after block, from the block's corner, in blocks: 0 or more, below 1.
+    normals : ndarray of float32, shape (n, 3)
+    """
+
+    keys: IntArray
+    counts: IntArray
+    offsets: Float32Array
+    normals: Float32Array
+
+    def __len__(self) -> int:
+        return len(self.offsets)
+
+    @classmethod
+    def from_records(cls, keys: IntArray, counts: IntArray, records: Float32Array) -> PackedPoints:
+        """Return points whose offsets and normals lie side by side, as they do on disk (n, 6)."""
+        return cls(keys, counts, records[:, :3], records[:, 3:])
+
+    def to_records(self) -> Float32Array:
+        """Return offsets and normals side by side; without a copy where they lie so already."""
+        base: Any = self.offsets.base
+        is_shared = isinstance(base, np.ndarray) and base is self.normals.base
+        if is_shared and base.shape == (len(self), 6):
+            records: Float32Array = base
+            return records
+        return np.concatenate([self.offsets, self.normals], axis=1)
+
+    def to_values(self) -> tuple[NDArray[Any], ...]:
+        """Return the arrays, in the order of the parameters: what a task may be given."""
+        return self.keys, self.counts, self.offsets, self.normals
+
+
+def choose_arrangement(low: FloatArray, high: FloatArray) -> Arrangement:
+    """Choose the blocks of a cloud.
+
+    Parameters
+    ----------
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around all points, in length units of the input.
+
+    Returns
+    -------
+    Arrangement
+        Its edge is the power of two in [longest side / 64, longest side / 32).
+
+    Raises
+    ------
+    InputError
+        All points are the same.
+
+    Examples
+    --------
+    >>> choose_arrangement(np.zeros(3), np.array([1.0, 0.5, 0.2])).edge
+    0.015625
+    """
+    longest = float((high - low).max())
+    if not longest > 0.0:
+        raise InputError("all points lie at one place", "scan something with an extent")
+    fraction, exponent = frexp(longest)
+    edge = 2.0 ** (exponent - _BLOCKS_BITS - (fraction == 0.5))
+    return Arrangement(np.floor(low / edge) * edge, edge)
+
+
+def snap_points(arrangement: Arrangement, positions: FloatArray) -> FloatArray:
+    """Round positions to multiples of the quantum.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 3)
+        A copy; each coordinate moves by less than 1e-9 of the longest side.
+    """
+    snapped = np.empty_like(positions)
+    quantum = arrangement.quantum
+    for start in range(0, len(positions), _ROWS_AT_ONCE):
+        rows = slice(start, start + _ROWS_AT_ONCE)
+        part = np.divide(positions[rows], quantum, out=snapped[rows])
+        np.rint(part, out=part)
+        part *= quantum
+    snapped += 0.0  # no negative zeros: equal positions have equal bytes
+    return snapped
+
+
+def pack_points(
+    arrangement: Arrangement, positions: FloatArray, normals: FloatArray
+) -> PackedPoints:
+    """Snap points, sort them by blocks and pack them.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    positions, normals : ndarray of float64, shape (n, 3)
+        At least one point; the positions in length units of the input.
+
+    Returns
+    -------
+    PackedPoints
+        Within a block the points keep their order.
+
+    Raises
+    ------
+    InputError, ValueError
+        A point lies more than 2^20 blocks away.
+    """
+    return pack_snapped(arrangement, snap_points(arrangement, positions), normals)
+
+
+def pack_snapped(
+    arrangement: Arrangement, snapped: FloatArray, normals: FloatArray
+) -> PackedPoints:
+    """Pack points that have been snapped; see `pack_points`."""
+    pack = pack_records if _native is None else _native.pack_records
+    points = np.ascontiguousarray(snapped, np.float64), np.ascontiguousarray(normals, np.float64)
+    return PackedPoints.from_records(*pack(*points, arrangement.origin, arrangement.edge))
+
+
+def unpack_points(arrangement: Arrangement, packed: PackedPoints) -> tuple[FloatArray, FloatArray]:
+    """Return the points that were packed, bit for bit as `snap_points` rounded them.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    packed : PackedPoints
+
+    Returns
+    -------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input.
+    normals : ndarray of float64, shape (n, 3)
+        Those of float32.
+    """
+    unpack = unpack_records if _native is None else _native.unpack_records
+    points: tuple[FloatArray, FloatArray] = unpack(*unpacking_arguments(arrangement, packed))
+    return points
+
+
+def unpack_near(
+    arrangement: Arrangement, packed: PackedPoints, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Return those of the positions that were packed that lie in a box; see `unpack_points`.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    packed : PackedPoints
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box, in length units of the input.
+
+    Returns
+    -------
+    positions : ndarray of float64, shape (m, 3)
+    rows : ndarray of int64, shape (m,)
+        Which ones they are.
+    """
+    unpack: Any = unpack_within if _native is None else _native.unpack_within
+    found: tuple[FloatArray, IntArray] = unpack(
+        *unpacking_arguments(arrangement, packed), low, high
+    )
+    return found
+
+
+def unpacking_arguments(
+    arrangement: Arrangement, packed: PackedPoints
+) -> tuple[Float32Array, IntArray, FloatArray, float]:
+    """Return what the kernels take that unpack points.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    packed : PackedPoints
+
+    Returns
+    -------
+    records, counts, corners, edge
+        See `unpack_records`.
+    """
+    corners = unpack_keys(packed.keys) * arrangement.edge + arrangement.origin
+    counts = np.ascontiguousarray(packed.counts, np.int64)
+    return packed.to_records(), counts, corners, arrangement.edge
+
+
+def pack_records(
+    positions: FloatArray, normals: FloatArray, origin: FloatArray, edge: float
+) -> tuple[IntArray, IntArray, Float32Array]:
+    """Sort points by blocks and pack them, in numpy.
+
+    Parameters
+    ----------
+    positions, normals : ndarray of float64, shape (n, 3)
+        Snapped.
+    origin : ndarray of float64, shape (3,)
+    edge : float
+        See `Arrangement`.
+
+    Returns
+    -------
+    keys, counts : ndarray of int64, shape (b,)
+        Of the blocks, sorted.
+    records : ndarray of float32, shape (n, 6)
+        Offset and normal of each point; within a block the points keep their order.
+    """
+    keys, offsets, rows = kernels.sort_points(positions, origin, edge)
+    records = np.empty((len(rows), 6), np.float32)
+    for start in range(0, len(rows), _ROWS_AT_ONCE):
+        some = slice(start, start + _ROWS_AT_ONCE)
+        places = (positions[some] - origin) / edge
+        records[some, :3] = places - np.floor(places)
+        records[some, 3:] = normals[some]
+    return keys, np.diff(offsets), records.take(rows, axis=0)
+
+
+def unpack_records(
+    records: Float32Array, counts: IntArray, corners: FloatArray, edge: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the positions and normals of points that were packed, in numpy.
+
+    Parameters
+    ----------
+    records : ndarray of float32, shape (n, 6)
+        Offset and normal of each point, block after block.
+    counts : ndarray of int64, shape (b,)
+        Points in each block.
+    corners : ndarray of float64, shape (b, 3)
+        Of the blocks, in length units of the input.
+    edge : float
+        Of a block, likewise.
+
+    Returns
+    -------
+    positions, normals : ndarray of float64, shape (n, 3)
+    """
+    block_of = np.repeat(np.arange(len(corners)), counts)
+    positions = np.empty((len(block_of), 3))
+    for start in range(0, len(block_of), _ROWS_AT_ONCE):
+        some = slice(start, start + _ROWS_AT_ONCE)
+        part = positions[some]
+        np.multiply(records[some, :3], edge, out=part, dtype=np.float64)
+        part += corners.take(block_of[some], axis=0)
+    return positions, records[:, 3:].astype(np.float64)
+
+
+def unpack_within(
+    records: Float32Array,
+    counts: IntArray,
+    corners: FloatArray,
+    edge: float,
+    low: FloatArray,
+    high: FloatArray,
+) -> tuple[FloatArray, IntArray]:
+    """Return the packed positions in a box, and which they are, in numpy; see `unpack_records`."""
+    positions, _ = unpack_records(records, counts, corners, edge)
+    rows = np.flatnonzero(((positions >= low) & (positions <= high)).all(axis=1))
+    return positions[rows], rows

@@ -1,0 +1,197 @@
+"""Outliers of a cloud that is looked at region by region, and found just as in one piece.
+
+::
+
+    region + margin ── rank_region ──> points by rank, coarse cells, sparse cells ──┐
+         │                                                     all of these ── judge_sparse
+         │                                                           │ base, stray cells
+    region + margin ── judge_region ──> stray cells <────────────────┘
+
+What decides over a point of rank `LOCAL_RANK` or less lies within `MARGIN` spacings of it, so
+that a region knows it; cells of higher ranks are few, and the master judges them with all coarse
+cells. Cells are those of one lattice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface import kernels
+from hpccomponent.surface.cloud.outliers import (
+    EDGE,
+    ISLAND_LEVEL,
+    Level,
+    coarsen,
+    find_base,
+    find_islands,
+    find_strays,
+    rank_cells,
+)
+from hpccomponent.surface.types.lattice import (
+    find_keys,
+    merge_counts,
+    number_keys,
+    pack_places,
+    unpack_keys,
+)
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+__all__ = [
+    "LOCAL_RANK",
+    "MARGIN",
+    "Judgement",
+    "RegionRanks",
+    "has_sparse",
+    "judge_region",
+    "judge_sparse",
+    "rank_region",
+]
+
+BoolArray = NDArray[np.bool_]
+RegionRanks = tuple[IntArray, IntArray, IntArray, IntArray, IntArray, IntArray]
+
+LOCAL_RANK = ISLAND_LEVEL
+"""Up to which a region judges by itself."""
+
+MARGIN = EDGE * (4 * 2.0**LOCAL_RANK + 1)
+"""Spacings: two cells to a neighbour's end, twice, for it is judged by its own neighbours."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """What the master finds.
+
+    Parameters
+    ----------
+    base : int
+        The rank of most points.
+    stray_cells : ndarray of int64, shape (s,)
+        Sorted keys of the finest cells that it judged to be stray.
+    island_cells : ndarray of int64, shape (i,)
+        Sorted keys of the cells of `ISLAND_LEVEL` on islands.
+    """
+
+    base: int
+    stray_cells: IntArray
+    island_cells: IntArray
+
+
+def rank_region(
+    positions: FloatArray, own: BoolArray, low: FloatArray, spacing: float
+) -> RegionRanks:
+    """Rank the points of a region.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        All points of the cloud in a region and within `MARGIN` spacings of it.
+    own : ndarray of bool, shape (n,)
+        Which of them lie in the region.
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
+    spacing : float
+        Of the cloud, in length units of the input.
+
+    Returns
+    -------
+    points_by_rank : ndarray of int64, shape (LOCAL_RANK + 2,)
+        Own points of each rank; the last are those of all higher ranks.
+    coarse_keys, coarse_counts : ndarray of int64, shape (c,)
+        Cells of `ISLAND_LEVEL`, and the own points in each.
+    sparse_keys, sparse_ranks, sparse_counts : ndarray of int64, shape (s,)
+        Finest cells of rank `LOCAL_RANK` or more, and the own points in each.
+    """
+    levels, rank, cell_of = _rank(positions, low, spacing)
+    counts = np.bincount(cell_of[own], minlength=len(rank)).astype(np.int64)
+    by_rank = np.bincount(rank, counts, LOCAL_RANK + 2).astype(np.int64)
+    level = levels[ISLAND_LEVEL]
+    coarse = np.bincount(level.row_of, counts, len(level.keys)).astype(np.int64)
+    some = np.flatnonzero((rank >= LOCAL_RANK) & (counts > 0))
+    held = coarse > 0
+    keys = levels[0].keys[some]
+    return by_rank, level.keys[held], coarse[held], keys, rank[some], counts[some]
+
+
+def has_sparse(ranks: RegionRanks) -> bool:
+    """Tell whether some of a region's own points lie in cells of higher ranks than most do."""
+    by_rank = ranks[0]
+    return bool(by_rank[find_base(by_rank) + 1 :].any())
+
+
+def judge_sparse(regions: list[RegionRanks]) -> Judgement:
+    """Judge the cells of high ranks, and the islands.
+
+    Parameters
+    ----------
+    regions : list
+        What `rank_region` returned for each.
+
+    Returns
+    -------
+    Judgement
+    """
+    columns = list(zip(*regions, strict=True))
+    coarse = merge_counts(np.concatenate(columns[1]), np.concatenate(columns[2]))
+    coarse_levels = coarsen(*coarse)
+    island = find_islands(coarse_levels)
+    keys, rows = number_keys(np.concatenate(columns[3]))
+    counts = np.bincount(rows, np.concatenate(columns[5]), len(keys)).astype(np.int64)
+    rank = np.empty(len(keys), np.int64)
+    rank[rows] = np.concatenate(columns[4])
+    by_rank = np.sum(columns[0], axis=0)
+    stray = np.zeros(len(keys), np.bool_)
+    base = find_base(by_rank)
+    if by_rank[-1]:
+        levels = _levels_of(keys, counts, coarse_levels)
+        rank = rank_cells(levels, rank)
+        high = np.bincount(rank, np.where(rank > LOCAL_RANK, counts, 0)).astype(np.int64)
+        by_rank = np.concatenate([by_rank[:-1], high[LOCAL_RANK + 1 :]])
+        base = find_base(by_rank)
+        numbers = range(max(base, LOCAL_RANK) + 1, len(levels))
+        stray = find_strays(levels, rank, base, numbers)
+    return Judgement(base, keys[stray], coarse[0][island])
+
+
+def judge_region(
+    positions: FloatArray, own: BoolArray, low: FloatArray, spacing: float, base: int
+) -> IntArray:
+    """Find the stray cells of low ranks in a region.
+
+    Parameters
+    ----------
+    positions, own, low, spacing
+        As for `rank_region`.
+    base : int
+        The rank of most points of the cloud.
+
+    Returns
+    -------
+    ndarray of int64, shape (s,)
+        Sorted keys of finest cells, with own points in them.
+    """
+    levels, rank, cell_of = _rank(positions, low, spacing)
+    stray = find_strays(levels, rank, base, range(base + 1, LOCAL_RANK + 1))
+    stray &= np.bincount(cell_of[own], minlength=len(rank)) > 0
+    return levels[0].keys[stray]
+
+
+def _rank(
+    positions: FloatArray, low: FloatArray, spacing: float
+) -> tuple[list[Level], IntArray, IntArray]:
+    """Return the levels of a region, the ranks of its finest cells, and each point's cell."""
+    keys, counts, cell_of = kernels.count_cells(positions, low, EDGE * spacing)
+    levels = coarsen(keys, counts, LOCAL_RANK + 1)
+    return levels, rank_cells(levels, np.zeros(len(keys), np.int64)), cell_of
+
+
+def _levels_of(keys: IntArray, counts: IntArray, coarse: list[Level]) -> list[Level]:
+    """Return the levels above some finest cells; those below `ISLAND_LEVEL` know only these."""
+    levels = coarsen(keys, counts, ISLAND_LEVEL)
+    places = unpack_keys(keys)
+    for number, level in enumerate(coarse, start=ISLAND_LEVEL):
+        rows = find_keys(level.keys, pack_places(places >> number))
+        levels.append(Level(level.keys, level.counts, rows))
+    return levels

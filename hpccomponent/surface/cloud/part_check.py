@@ -1,0 +1,74 @@
+"""The last record of a file of packed points, by which it is found out whether all are there.
+
+It has the size of a point's record, so that whoever reads points by their number need not know of
+it. Who may import it: `disk_cloud`.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from hpccomponent.files.private_files import open_at_once
+from hpccomponent.store.value import DamagedError, checksum
+
+__all__ = ["check_part", "with_check"]
+
+_LAST = struct.Struct("<8sQII")  # magic, bytes of the points, their checksum, that of the name
+_MAGIC = b"hpcpart1"
+_BYTES_AT_ONCE = 1 << 22  # whole pages
+
+
+def with_check(pieces: Iterable[memoryview], path: Path) -> Iterator[memoryview | bytes]:
+    """Yield the records of a part, and behind them the last one.
+
+    Parameters
+    ----------
+    pieces : iterable of memoryview of bytes
+        Of whole pages each (see `stored_value.PAGE`), but for the last.
+    path : Path
+        Of the file.
+    """
+    length = check = 0
+    for piece in pieces:
+        check = checksum([piece], check)
+        length += len(piece)
+        yield piece
+    yield _LAST.pack(_MAGIC, length, check, _name(path))
+
+
+def check_part(path: Path, least: int) -> None:
+    """Find out whether a file is as it was written.
+
+    Parameters
+    ----------
+    path : Path
+    least : int
+        Bytes of points that are asked of it.
+
+    Raises
+    ------
+    DamagedError
+        It is not; the message names it.
+    """
+    try:
+        with open(path, "rb", opener=open_at_once) as file:
+            length = os.fstat(file.fileno()).st_size - _LAST.size
+            check, left = 0, max(length, 0)
+            while left and (piece := file.read(min(left, _BYTES_AT_ONCE))):
+                check, left = checksum([piece], check), left - len(piece)
+            last = file.read(_LAST.size)
+    except OSError as error:
+        raise DamagedError(f"{path} cannot be read: {error.strerror or error}") from error
+    if left or last != _LAST.pack(_MAGIC, max(length, 0), check, _name(path)):
+        raise DamagedError(f"{path} is cut or changed: its checksum is wrong")
+    if length < least:
+        raise DamagedError(f"{path} holds other points")
+
+
+def _name(path: Path) -> int:
+    """Return a number for a file's name and that of its folder: another part has another."""
+    return zlib.crc32(f"{path.parent.name}/{path.name}".encode())

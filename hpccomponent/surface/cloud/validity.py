@@ -1,0 +1,141 @@
+"""What of a cloud can be used: points with a finite position, near enough, and with a normal.
+
+Who may import it: readers of points, and tasks that read them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.errors import InputError
+from hpccomponent.surface.types.points import FloatArray, PointCloud
+
+__all__ = ["Dropped", "Reach", "are_usable", "refuse_without_normals", "select_usable"]
+
+_TINY = 1e-200  # square of a length: far from where squares are lost
+_CHUNK = 1 << 14  # normals at once: what is made of them stays in the cache
+
+
+@dataclass(frozen=True, slots=True)
+class Dropped:
+    """How many points were dropped, each counted once.
+
+    Parameters
+    ----------
+    non_finite_points : int
+        Points with NaN or infinity in their position.
+    bad_normals : int
+        Other points whose normal is zero, NaN or infinite.
+    """
+
+    non_finite_points: int = 0
+    bad_normals: int = 0
+
+    def __add__(self, other: Dropped) -> Dropped:
+        return Dropped(
+            self.non_finite_points + other.non_finite_points, self.bad_normals + other.bad_normals
+        )
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.non_finite_points + self.bad_normals
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reach:
+    """How far from the middle of a cloud points may lie.
+
+    Parameters
+    ----------
+    middle : ndarray of float64, shape (3,)
+    distance : float
+        Along each axis, in length units of the input; infinite where the core has no extent.
+    """
+
+    middle: FloatArray
+    distance: float
+
+    def holds(self, low: FloatArray, high: FloatArray) -> bool:
+        """Tell whether all of a box lies within."""
+        return bool((np.abs(np.stack([low, high]) - self.middle) <= self.distance).all())
+
+    def find_near(self, positions: FloatArray) -> NDArray[np.bool_]:
+        """Tell which points (n, 3) lie within."""
+        away: FloatArray = np.abs(positions - self.middle)
+        near: NDArray[np.bool_] = np.all(away <= self.distance, axis=1)
+        return near
+
+
+def select_usable(cloud: PointCloud, source: str) -> tuple[PointCloud, Dropped]:
+    """Drop points without a finite position and a normal; give normals unit length.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        As it was read, or a part of it.
+    source : str
+        The file it came from, for messages.
+
+    Returns
+    -------
+    usable : PointCloud
+        In the order of `cloud`; its colours and origin are kept. There may be none left.
+    dropped : Dropped
+
+    Raises
+    ------
+    InputError
+        There are no normals.
+    """
+    if cloud.normals is None:
+        refuse_without_normals(source)
+    # Column by column here and below: reductions along rows of three are several times slower.
+    finite = np.logical_and.reduce([np.isfinite(column) for column in cloud.positions.T])
+    units, directed = _normalized(cloud.normals)
+    dropped = Dropped(int((~finite).sum()), int((finite & ~directed).sum()))
+    usable = PointCloud(cloud.positions, units, cloud.colors, cloud.origin)
+    return usable.take(finite & directed) if dropped.total else usable, dropped
+
+
+def _normalized(normals: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return vectors of unit length, and which of them had a length at all."""
+    units, directed = np.empty_like(normals), np.empty(len(normals), np.bool_)
+    for start in range(0, len(normals), _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        units[rows], directed[rows] = _normalize_rows(normals[rows])
+    return units, directed
+
+
+def _normalize_rows(normals: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    columns = [np.ascontiguousarray(column) for column in normals.T]
+    largest = np.maximum.reduce([np.abs(column) for column in columns])
+    directed = np.isfinite(largest) & (largest > 0)
+    # By the largest component first: squares of very long or short vectors leave the range.
+    if not directed.all():
+        largest = np.where(directed, largest, 1.0)
+        columns = [np.where(directed, column, 0.0) for column in columns]
+    x, y, z = (column / largest for column in columns)
+    lengths = np.sqrt(x * x + y * y + z * z)
+    lengths[~directed] = 1.0
+    return np.stack([x / lengths, y / lengths, z / lengths], axis=1), directed
+
+
+def refuse_without_normals(source: str) -> NoReturn:
+    """Raise the `InputError` of a cloud that has no normals."""
+    raise InputError(
+        f"{source} has no normals (nx, ny, nz)",
+        "estimate them first, e.g. in CloudCompare or MeshLab",
+    )
+
+
+def are_usable(cloud: PointCloud) -> bool:
+    """Tell whether all points are surely usable; where it does not, `select_usable` finds out."""
+    if cloud.normals is None or not np.isfinite(cloud.positions.sum()):
+        return False
+    squares = np.einsum("ij,ij->i", cloud.normals, cloud.normals)
+    return bool(squares.min(initial=1.0) > _TINY and squares.max(initial=1.0) < 1.0 / _TINY)

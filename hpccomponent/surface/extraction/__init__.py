@@ -1,0 +1,1 @@
+"""From a field to triangles: bricks, marching cubes, and parts of a mesh."""

@@ -1,0 +1,197 @@
+"""What a master must know of a part of a mesh to weld it to the others, and no more.
+
+A part consists of units: the bricks that are its own, together, and each guest brick by itself,
+because a guest counts only where no other part has the brick.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface import kernels
+from hpccomponent.surface.extraction.parts import Int32Array, MeshPart
+from hpccomponent.surface.types.lattice import number_keys, unique_keys
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+__all__ = ["PartSummary", "summarize_part"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartSummary:
+    """A part without its vertices and faces; b bricks, g foreign vertices, c components.
+
+    Vertices are named as in `MeshPart.faces`: i >= 0 is a row, i < 0 the foreign vertex ~i.
+
+    Parameters
+    ----------
+    bricks, guests, vertex_counts, face_counts, foreign_bricks, foreign_numbers : ndarray
+        As in `MeshPart`.
+    foreign_labels : ndarray of int32, shape (g,)
+        The component of each foreign vertex.
+    entry_starts : ndarray of int32, shape (b + 1,)
+        Where the entries of each brick begin: the components that it has vertices or faces of.
+    entry_labels, entry_vertices, entry_faces, entry_sums
+        See `seams.BrickSums`.
+    mixed_labels : ndarray of int32
+        The component of every vertex of bricks with vertices of more than one.
+    bounds : ndarray of float64, shape (c, 6)
+        Lowest and highest coordinates of the vertices of each component.
+    piece_vertices : ndarray of int32, shape (p,)
+        The open vertex of each piece of corners (see `seams.Seams`).
+    piece_units : ndarray of int32, shape (p,)
+        Which guest brick the piece lies in; -1 in the part's own bricks.
+    sides : ndarray of int32, shape (q, 3)
+        Sides between open vertices, and the pieces at their ends.
+    bare : ndarray of int32, shape (m,)
+        Vertices that no face of their own unit uses.
+    seam_faces : ndarray of int32, shape (s, 4)
+        Faces with foreign vertices: the row and the three vertices.
+    rim : ndarray of int32, shape (r,)
+        Open and bare vertices of the part, and those of its seam faces.
+    rim_places : ndarray of float64, shape (r, 3)
+        Where they are.
+    """
+
+    bricks: IntArray
+    guests: NDArray[np.bool_]
+    vertex_counts: Int32Array
+    face_counts: Int32Array
+    foreign_bricks: IntArray
+    foreign_numbers: Int32Array
+    foreign_labels: Int32Array
+    entry_starts: Int32Array
+    entry_labels: Int32Array
+    entry_vertices: Int32Array
+    entry_faces: Int32Array
+    entry_sums: FloatArray
+    mixed_labels: Int32Array
+    bounds: FloatArray
+    piece_vertices: Int32Array
+    piece_units: Int32Array
+    sides: Int32Array
+    bare: Int32Array
+    seam_faces: Int32Array
+    rim: Int32Array
+    rim_places: FloatArray
+
+    def to_values(self) -> tuple[Any, ...]:
+        """Return the arrays, in the order of the parameters: what a task may return."""
+        return tuple(getattr(self, field.name) for field in fields(self))
+
+    @classmethod
+    def from_values(cls, values: tuple[Any, ...]) -> PartSummary:
+        """Return the summary that `to_values` took apart."""
+        return cls(*values)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Nodes:
+    """The vertices as the units of a part see them; first the part's vertices, then the foreign.
+
+    Those come once more for each guest brick that uses them: all bricks' own unit sees them as
+    the first v + g nodes.
+    """
+
+    faces: Int32Array
+    vertex_of: Int32Array
+    unit_of: Int32Array
+    is_open: NDArray[np.bool_]
+
+
+def summarize_part(part: MeshPart) -> PartSummary:
+    """Sum up a part for `plan_weld`.
+
+    Parameters
+    ----------
+    part : MeshPart
+
+    Returns
+    -------
+    PartSummary
+        A few per cent of the part's size: it grows with the bricks and along the seams.
+    """
+    own = len(part.vertices)
+    nodes = _name_nodes(part)
+    all_vertices = (own, len(part.foreign_bricks))
+    seams = kernels.find_seams(nodes.faces, all_vertices, nodes.vertex_of, nodes.is_open)
+    counts = (part.vertex_counts, part.face_counts)
+    sums = kernels.sum_bricks(part.vertices, part.faces, counts, seams.labels, seams.components)
+    pieces, bare = nodes.vertex_of[seams.pieces], nodes.vertex_of[seams.bare]
+    at_seam = unique_keys(np.flatnonzero(part.faces.reshape(-1) < 0) // 3)
+    rim = unique_keys(np.concatenate([pieces, bare, part.faces[at_seam].reshape(-1)]))
+    rim = rim[np.searchsorted(rim, 0) : np.searchsorted(rim, own)]
+    return PartSummary(
+        part.bricks,
+        part.guests,
+        *counts,
+        part.foreign_bricks,
+        part.foreign_numbers,
+        seams.labels[own:],
+        sums.starts,
+        sums.labels,
+        sums.vertices,
+        sums.faces,
+        sums.sums,
+        _mixed_labels(part.vertex_counts, sums.starts, sums.vertices, seams.labels),
+        sums.bounds,
+        _as_in_faces(pieces, own),
+        nodes.unit_of[seams.pieces],
+        seams.sides,
+        bare,
+        np.concatenate([at_seam[:, None].astype(np.int32), part.faces[at_seam]], axis=1),
+        rim,
+        part.vertices[rim],
+    )
+
+
+def _name_nodes(part: MeshPart) -> _Nodes:
+    """Give the vertices of each guest brick's faces nodes of their own."""
+    own, all_vertices = len(part.vertices), len(part.vertices) + len(part.foreign_bricks)
+    is_open = np.zeros(all_vertices, np.bool_)
+    is_open[own:] = True
+    vertex_of = np.arange(all_vertices, dtype=np.int32)
+    unit_of = np.full(all_vertices, -1, np.int32)
+    if not part.guests.any():
+        return _Nodes(part.faces, vertex_of, unit_of, is_open)
+    brick_of = np.repeat(np.arange(len(part.bricks)), part.vertex_counts)
+    in_guest = np.repeat(part.guests, part.vertex_counts)
+    of_guest = np.repeat(part.guests, part.face_counts)
+    units = np.repeat(np.arange(len(part.bricks)), part.face_counts)[of_guest]
+    is_open[:own] = in_guest
+    corners = part.faces[of_guest]
+    corners = np.where(corners < 0, own + ~corners, corners)
+    named = np.concatenate(
+        [
+            (units[:, None] * all_vertices + corners).reshape(-1),
+            brick_of[in_guest] * all_vertices + np.flatnonzero(in_guest),
+        ]
+    )
+    found, nodes = number_keys(named)
+    unit, vertex = np.divmod(found, all_vertices)
+    faces = part.faces.copy()
+    faces[of_guest] = all_vertices + nodes[: 3 * len(units)].reshape(-1, 3)
+    is_own = (vertex < own) & (np.append(brick_of, -1)[np.minimum(vertex, own)] == unit)
+    return _Nodes(
+        faces,
+        np.concatenate([vertex_of, vertex.astype(np.int32)]),
+        np.concatenate([unit_of, unit.astype(np.int32)]),
+        np.concatenate([is_open, ~is_own]),
+    )
+
+
+def _mixed_labels(
+    vertex_counts: Int32Array, starts: Int32Array, vertices: Int32Array, labels: Int32Array
+) -> Int32Array:
+    """Return the labels of the vertices in bricks with vertices of more than one component."""
+    brick_of_entry = np.repeat(np.arange(len(vertex_counts)), np.diff(starts))
+    kinds = np.bincount(brick_of_entry[vertices > 0], minlength=len(vertex_counts))
+    return labels[: int(vertex_counts.sum())][np.repeat(kinds > 1, vertex_counts)]
+
+
+def _as_in_faces(vertices: Int32Array, own: int) -> Int32Array:
+    named: Int32Array = np.where(vertices < own, vertices, ~(vertices - own))
+    return named

@@ -1,0 +1,112 @@
+"""What the finest cells of a tile lay on coarser levels, without the levels between.
+
+Who may import it: the tasks of a tile.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface import kernels
+from hpccomponent.surface.build import load_native
+from hpccomponent.surface.types.lattice import (
+    find_keys,
+    pack_places,
+    step_keys,
+    unpack_keys,
+)
+from hpccomponent.surface.types.points import IntArray
+
+__all__ = ["corners_at", "mark_ancestors"]
+
+Marks = NDArray[np.uint32]
+
+_native: Any = load_native()
+
+_STEPS: IntArray = np.array(list(np.ndindex(4, 4, 4))) - 1
+"""The corners around a cell, from its own lowest one."""
+
+
+def _boxes() -> NDArray[np.uint64]:
+    """Return, for each way to lie in an ancestor, which of these a cell lays, a bit each."""
+    ways = np.array([[shape % 3, shape // 3 % 3, shape // 9] for shape in range(27)])[:, None]
+    low, high = np.where(ways == 0, -1, 0), np.where(ways == 2, 2, 1)
+    is_laid = (np.clip(_STEPS, low, high) == _STEPS).all(axis=2)
+    boxes: NDArray[np.uint64] = is_laid @ (np.uint64(1) << np.arange(64, dtype=np.uint64))
+    return boxes
+
+
+_BOXES = _boxes()
+
+
+def mark_ancestors(cells: IntArray, depth: int, ancestors: IntArray) -> Marks:
+    """Tell which cells of a level are ancestors of some of the finest, and where in them these lie.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of finest cells.
+    depth : int
+        The level.
+    ancestors : ndarray of int64, shape (a,)
+        Sorted keys of cells of that level.
+
+    Returns
+    -------
+    ndarray of uint32, shape (a,)
+        Bit x + 3 y + 9 z is set where one of the cells lies, along each axis, first (0), between
+        (1) or last (2) among the finest in the ancestor; 0 for what is the ancestor of none.
+    """
+    mark = _mark_ancestors if _native is None else _native.mark_ancestors
+    marks: Marks = mark(np.ascontiguousarray(cells), depth, np.ascontiguousarray(ancestors))
+    return marks
+
+
+def _mark_ancestors(cells: IntArray, depth: int, ancestors: IntArray) -> Marks:
+    places = unpack_keys(cells)
+    within, last = places & ((1 << depth) - 1), (1 << depth) - 1
+    ways = np.where(within == 0, 0, np.where(within == last, 2, 1))
+    bits = np.uint32(1) << (ways @ np.array([1, 3, 9])).astype(np.uint32)
+    rows = find_keys(ancestors, pack_places(places >> depth))
+    marks = np.zeros(len(ancestors) + 1, np.uint32)
+    np.bitwise_or.at(marks, rows, bits)
+    return marks[:-1]
+
+
+def corners_at(ancestors: IntArray, marks: Marks) -> IntArray:
+    """Return the corners of a level that carry quadrics because of some of the finest cells.
+
+    They are the ancestors of the corners of these cells and of their neighbours.
+
+    Parameters
+    ----------
+    ancestors : ndarray of int64, shape (a,)
+        Sorted keys of cells of the level, which is not the finest.
+    marks : ndarray of uint32, shape (a,)
+        See `mark_ancestors`.
+
+    Returns
+    -------
+    ndarray of int64, shape (v,)
+        Sorted.
+
+    Notes
+    -----
+    Cell i lays corners i - 1 to i + 2; their ancestors are those from floor((i - 1) / 2^depth)
+    to ceil((i + 2) / 2^depth), along each axis by itself: one more below its own ancestor's where
+    it lies first in this, one more above where it lies last.
+    """
+    boxes = np.zeros(len(ancestors), np.uint64)  # of each, the corners around it that are laid
+    for shape in range(27):
+        is_laid = marks >> np.uint32(shape) & np.uint32(1)
+        boxes |= is_laid * _BOXES[shape]
+    laid = [
+        step_keys(ancestors[(boxes >> np.uint64(bit) & np.uint64(1)).astype(np.bool_)], step)
+        for bit, step in enumerate(_STEPS)
+    ]
+    while len(laid) > 1:  # sorted sets, of which those that are side by side have most in common
+        laid = [kernels.unite_keys(*pair) for pair in zip(laid[::2], laid[1::2], strict=True)]
+    return laid[0]

@@ -1,0 +1,1 @@
+"""The kernels in numpy: the specification of the native ones."""

@@ -1,0 +1,289 @@
+"""From points to cells with moments, and from cells to quadrics at their corners, in numpy.
+
+These are the readable versions of what the native build does in C++ (see `kernels`): one level
+of the pyramid at a time, all its rows at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface.fitting.hermite import (
+    BASIS,
+    fit_vertices,
+    inherit_quadrics,
+    residual_variances,
+    weigh_priors,
+)
+from hpccomponent.surface.fitting.moments import COLUMNS, scale_moments, shift_moments
+from hpccomponent.surface.types.lattice import (
+    OCTANTS,
+    cells_of,
+    corner_parents,
+    find_keys,
+    pack_places,
+    step_keys,
+    unique_keys,
+    unpack_keys,
+)
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+__all__ = [
+    "corner_moments",
+    "fit_corners",
+    "gather_points",
+    "inherit_level",
+    "merge_cells",
+    "parent_keys",
+    "sort_points",
+    "take_cells",
+]
+
+Float32Array = NDArray[np.float32]
+
+_CHUNK_VERTICES = 1 << 14
+
+
+def sort_points(
+    positions: FloatArray, origin: FloatArray, cell_size: float
+) -> tuple[IntArray, IntArray, NDArray[np.uint32]]:
+    """Sort points by the cell that they lie in.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        In length units of the input; at least one.
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of the lattice lies.
+    cell_size : float
+        In length units of the input.
+
+    Returns
+    -------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the occupied cells.
+    offsets : ndarray of int64, shape (c + 1,)
+        Cell i holds the points rows[offsets[i]] to rows[offsets[i + 1]].
+    rows : ndarray of uint32, shape (n,)
+        Within a cell the points keep their order.
+
+    Raises
+    ------
+    InputError
+        A point lies too many cells away.
+    """
+    keys = pack_places(np.floor(cells_of(positions, origin, cell_size)).astype(np.int64))
+    rows = np.argsort(keys, kind="stable")
+    cells = unique_keys(keys)
+    offsets = np.append(np.searchsorted(keys[rows], cells), len(keys)).astype(np.int64)
+    return cells, offsets, rows.astype(np.uint32)
+
+
+def take_cells(
+    positions: FloatArray,
+    normals: FloatArray,
+    origin: FloatArray,
+    cell_size: float,
+    wanted: IntArray,
+    groups: NDArray[np.uint8],
+) -> tuple[FloatArray, FloatArray, NDArray[np.uint8]]:
+    """Return the points in some cells.
+
+    Parameters
+    ----------
+    positions, normals : ndarray of float64, shape (n, 3)
+    origin, cell_size
+        See `sort_points`; there may be no points.
+    wanted : ndarray of int64, shape (c,)
+        Sorted keys of cells.
+    groups : ndarray of uint8, shape (c,)
+        A number of each.
+
+    Returns
+    -------
+    positions, normals : ndarray of float64, shape (m, 3)
+        In their order.
+    groups : ndarray of uint8, shape (m,)
+        The number of each point's cell.
+    """
+    places = np.floor(cells_of(positions, origin, cell_size)).astype(np.int64)
+    found = find_keys(wanted, pack_places(places))
+    rows = np.flatnonzero(found < len(wanted))
+    return positions[rows], normals[rows], groups[found[rows]]
+
+
+def gather_points(
+    positions: FloatArray,
+    normals: FloatArray,
+    rows: NDArray[np.uint32],
+    origin: FloatArray,
+    cell_size: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return some points, each relative to the centre of the cell that it lies in.
+
+    Parameters
+    ----------
+    positions, normals : ndarray of float64, shape (n, 3)
+    rows : ndarray of uint32, shape (r,)
+    origin : ndarray of float64, shape (3,)
+    cell_size : float
+        See `sort_points`.
+
+    Returns
+    -------
+    local_positions : ndarray of float64, shape (r, 3)
+        In cells.
+    normals : ndarray of float64, shape (r, 3)
+    """
+    places = cells_of(positions[rows], origin, cell_size)
+    return places - np.floor(places) - 0.5, normals[rows]
+
+
+def merge_cells(cells: IntArray, moments: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Sum the moments of each eight children about the centre of their parent.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys.
+    moments : ndarray of float64, shape (c, 44)
+
+    Returns
+    -------
+    parents : ndarray of int64, shape (p,)
+        Sorted keys of the next coarser level.
+    moments : ndarray of float64, shape (p, 44)
+        In units of the parents.
+    """
+    places = unpack_keys(cells)
+    keys = pack_places(places >> 1)
+    parents = unique_keys(keys)
+    owners = find_keys(parents, keys)
+    which = (places & 1) @ np.array([1, 2, 4])
+    merged = np.zeros((len(parents), COLUMNS))
+    for child, octant in enumerate(OCTANTS):
+        chosen = which == child
+        merged[owners[chosen]] += shift_moments(moments[chosen], octant - 0.5)
+    return parents, scale_moments(merged)
+
+
+def parent_keys(vertices: IntArray) -> IntArray:
+    """Return every parent of some corners.
+
+    Parameters
+    ----------
+    vertices : ndarray of int64, shape (v,)
+
+    Returns
+    -------
+    ndarray of int64, shape (p,)
+        Sorted, unique keys of the next coarser level.
+    """
+    places = unpack_keys(vertices)
+    parents = [unique_keys(corner_parents(places, octant)[0]) for octant in OCTANTS]
+    return unique_keys(np.concatenate(parents))
+
+
+def corner_moments(touched: IntArray, cells: IntArray, moments: FloatArray) -> FloatArray:
+    """Sum the moments of the eight cells around each corner, about it.
+
+    Parameters
+    ----------
+    touched : ndarray of int64, shape (t,)
+        Sorted keys of corners.
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of cells, at least one; those that touch none of the corners do not count.
+    moments : ndarray of float64, shape (c, 44)
+
+    Returns
+    -------
+    ndarray of float64, shape (t, 44)
+    """
+    total = np.zeros((len(touched), COLUMNS))
+    for octant in OCTANTS:
+        rows = find_keys(cells, step_keys(touched, -octant))
+        present = rows < len(cells)
+        total[present] += shift_moments(moments[rows[present]], 0.5 - octant)
+    return total
+
+
+def fit_corners(
+    touched: IntArray,
+    cells: IntArray,
+    moments: FloatArray,
+    prior: Float32Array,
+    noise: Float32Array,
+    lam: float,
+    least_mu: float,
+    most_mu: float,
+) -> tuple[Float32Array, Float32Array, Float32Array]:
+    """Fit one quadric to the points in the eight cells around each corner.
+
+    Parameters
+    ----------
+    touched : ndarray of int64, shape (t,)
+        Sorted keys of corners; each has a point around it.
+    cells : ndarray of int64, shape (c,)
+    moments : ndarray of float64, shape (c, 44)
+        See `corner_moments`.
+    prior : ndarray of float32, shape (t, 10)
+    noise : ndarray of float32, shape (t,)
+        Variance of the positions around each corner, in cells squared.
+    lam : float
+        Weight of the normals, see `hermite.fit_vertices`.
+    least_mu, most_mu : float
+        Between which the weights of the priors lie, see `hermite.weigh_priors`.
+
+    Returns
+    -------
+    coefficients : ndarray of float32, shape (t, 10)
+        Rounded once, here, by the only one who computes them.
+    counts : ndarray of float32, shape (t,)
+        Points around each corner.
+    variances : ndarray of float32, shape (t,)
+        What the fits leave over, NaN where points are few: see `hermite.residual_variances`.
+    """
+    coefficients = np.empty((len(touched), BASIS), np.float32)
+    counts, variances = np.empty((2, len(touched)), np.float32)
+    for start in range(0, len(touched), _CHUNK_VERTICES):
+        rows = slice(start, start + _CHUNK_VERTICES)
+        around = corner_moments(touched[rows], cells, moments)
+        priors = prior[rows].astype(np.float64)
+        mu = weigh_priors(around, priors, noise[rows].astype(np.float64), least_mu, most_mu)
+        fitted = fit_vertices(around, priors, lam, mu)
+        coefficients[rows] = fitted
+        counts[rows] = around[:, 0]
+        variances[rows] = residual_variances(around, fitted)
+    return coefficients, counts, variances
+
+
+def inherit_level(
+    vertices: IntArray, parents: IntArray, coefficients: Float32Array, values: Float32Array
+) -> tuple[Float32Array, Float32Array]:
+    """Return the means of the parents' quadrics, about their children, and of other values.
+
+    Parameters
+    ----------
+    vertices : ndarray of int64, shape (v,)
+        Sorted keys of corners.
+    parents : ndarray of int64, shape (p,)
+        Sorted keys of corners of the next coarser level, all parents among them.
+    coefficients : ndarray of float32, shape (p, 10)
+    values : ndarray of float32, shape (p, k)
+        Whatever else is to be averaged.
+
+    Returns
+    -------
+    coefficients : ndarray of float32, shape (v, 10)
+    values : ndarray of float32, shape (v, k)
+    """
+    means = np.zeros((len(vertices), BASIS))
+    inherited = np.zeros((len(vertices), values.shape[1]))
+    places = unpack_keys(vertices)
+    for octant in OCTANTS:
+        keys, steps = corner_parents(places, octant)
+        rows = find_keys(parents, keys)
+        means += 0.125 * inherit_quadrics(coefficients[rows].astype(np.float64), steps)
+        inherited += 0.125 * values[rows]
+    return means.astype(np.float32), inherited.astype(np.float32)

@@ -1,0 +1,1 @@
+"""Normals: whether they agree with their neighbours."""

@@ -1,0 +1,1 @@
+"""Every task of surface reconstruction (entry points ``hpc.tasks``)."""

@@ -1,0 +1,154 @@
+"""The tasks that clean a cloud region by region; each is a pure function of a region's points.
+
+::
+
+    region ── clean_blocks ── no sparse cells ── mended ──────────────────────> folder
+                   │ sparse cells                                                 ^
+                   └──> master ── judge_blocks ──> stray cells ── mend_blocks ────┘
+
+Who may import it: the master that cuts the regions.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hpccomponent.protocol.declared import Either, Fixed, Nothing
+from hpccomponent.runtime.tasks import declare
+from hpccomponent.surface import kernels
+from hpccomponent.surface.cloud import outlier_regions
+from hpccomponent.surface.cloud.disk import write_part
+from hpccomponent.surface.cloud.outlier_regions import (
+    RegionRanks,
+    has_sparse,
+    judge_region,
+    rank_region,
+)
+from hpccomponent.surface.cloud.regions import Region, RegionPoints, take_region
+from hpccomponent.surface.normals import consistency as normals
+from hpccomponent.surface.tasks.result_patterns import MENDED, RANKS, STRAY_CELLS
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+__all__ = ["MARGIN", "clean_blocks", "judge_blocks", "mend_blocks"]
+
+MARGIN = max(outlier_regions.MARGIN, normals.MARGIN)
+"""Spacings: as far as what decides over a point or over its normal lies."""
+
+
+@declare(result=Fixed(RANKS, Either(Nothing(), MENDED)))
+def clean_blocks(
+    points: RegionPoints,
+    low: FloatArray,
+    spacing: float,
+    target: tuple[str, int] | None,
+    sampled: tuple[float, int],
+) -> tuple[RegionRanks, tuple[Any, ...] | None]:
+    """Rank the points of a region, and mend it if none of them are sparse (a task).
+
+    Parameters
+    ----------
+    points : tuple
+        `RegionPoints`, with a margin of `MARGIN` spacings.
+    low, spacing, target, sampled
+        As for `mend_blocks`.
+
+    Returns
+    -------
+    ranks : tuple
+        As `outlier_regions.rank_region` returns them.
+    mended : tuple or None
+        As `mend_blocks` returns it, if no point of the cloud is dropped; None where some of this
+        region's may be.
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    region = take_region(points)
+    ranks = rank_region(region.positions, region.own, low, spacing)
+    return ranks, None if has_sparse(ranks) else _mend(region, low, spacing, target, sampled)
+
+
+@declare(result=STRAY_CELLS)
+def judge_blocks(points: RegionPoints, low: FloatArray, spacing: float, base: int) -> IntArray:
+    """Find the stray cells of low ranks in a region (a task); see `outlier_regions.judge_region`.
+
+    Parameters
+    ----------
+    points : tuple
+        `RegionPoints`, with a margin of `outlier_regions.MARGIN` spacings.
+    low, spacing, base
+        As for `judge_region`, whose result this is.
+    """
+    region = take_region(points)
+    return judge_region(region.positions, region.own, low, spacing, base)
+
+
+@declare(result=MENDED)
+def mend_blocks(
+    points: RegionPoints,
+    low: FloatArray,
+    spacing: float,
+    target: tuple[str, int] | None,
+    sampled: tuple[float, int],
+) -> tuple[Any, ...]:
+    """Turn round the wrong normals of a region, and write its points if any change (a task).
+
+    Parameters
+    ----------
+    points : tuple
+        `RegionPoints`, with a margin of `normals.MARGIN` spacings.
+    low, spacing
+        As for `normals.find_turned`.
+    target : tuple of (str, int), or None
+        The folder, and the number of the part: see `disk_cloud.write_part`. None where the worker
+        does not see it.
+    sampled : tuple of (float, int)
+        The edge of boxes, and how many of them make one sampled: see `kernels.sample_boxes`.
+
+    Returns
+    -------
+    packed : tuple or None
+        Of a `PackedPoints`: the points in its blocks, or if they were written only their keys and
+        counts. None where they are what they were: nothing is written then.
+    flipped : int
+        Normals that were turned round.
+    sample : ndarray of float64, shape (2, s, 3)
+        Positions and normals of the points in the sample of boxes.
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    return _mend(take_region(points), low, spacing, target, sampled)
+
+
+def _mend(
+    region: Region,
+    low: FloatArray,
+    spacing: float,
+    target: tuple[str, int] | None,
+    sampled: tuple[float, int],
+) -> tuple[Any, ...]:
+    """Turn round the wrong normals of a region; see `mend_blocks`."""
+    turned = normals.find_turned(region.positions, region.normals, low, spacing) & region.own
+    rows = np.zeros(0, np.int64)
+    if len(region.positions):
+        rows = kernels.sample_boxes(region.positions, low, *sampled)
+        rows = rows[region.own[rows]]
+    signs = np.where(turned[rows], -1.0, 1.0)[:, None]
+    mended = signs * region.packed.normals[region.rows[rows]]
+    sample = np.stack([region.positions[rows], mended])
+    flipped = int(np.count_nonzero(turned))
+    if not (flipped or region.has_lost_own):
+        return None, flipped, sample
+    packed = region.pack_own(turned)
+    values = packed.to_values()
+    if target is not None:
+        values = write_part(Path(target[0]), target[1], [packed])
+    return values, flipped, sample

@@ -1,0 +1,377 @@
+"""The tasks of a tile: what its points add to the coarse lattices, and the surface inside it.
+
+::
+
+    sum_tile    points ──> moments of its coarse cells                      ──> master
+    solve_far   what all tiles have sampled ──> far field                   ──> master
+    master      coarse lattices of all tiles ──> coarse quadrics            ──> tiles
+    mesh_tile   points, halo, coarse quadrics, far field ──> fine quadrics ──> bricks ──> MeshPart
+
+A tile is a set of whole cells of one coarse level. Its halo is what surrounds it, so that every
+quadric that its bricks ask for is the one that the whole cloud would give, bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from hpccomponent.runtime.idle import idle_work
+from hpccomponent.runtime.tasks import declare
+from hpccomponent.store.base import hold_store
+from hpccomponent.surface.extraction.bricks import BrickKinds
+from hpccomponent.surface.extraction.parts import MeshPart
+from hpccomponent.surface.extraction.summary import summarize_part
+from hpccomponent.surface.fitting.ancestors import corners_at, mark_ancestors
+from hpccomponent.surface.fitting.far_field import (
+    NODES,
+    FarField,
+    crop_far_field,
+    restore_far_field,
+    solve_far_field,
+)
+from hpccomponent.surface.fitting.field import FieldLevel
+from hpccomponent.surface.fitting.hermite import BASIS
+from hpccomponent.surface.fitting.levels import SlabFields, fit_above
+from hpccomponent.surface.fitting.pyramid import (
+    Level,
+    Pyramid,
+    raise_levels,
+)
+from hpccomponent.surface.fitting.weights import FIELD_LEVELS
+from hpccomponent.surface.kernels.freed_memory import leave_for_files
+from hpccomponent.surface.tasks.result_patterns import (
+    SMALL_BYTES,
+    far_field,
+    summed_tile,
+    surface_bytes,
+    tile_surface,
+)
+from hpccomponent.surface.tiles.halo import HALO_STEPS, plan_gap
+from hpccomponent.surface.tiles.plan import CoarseLevels, Plan, Values
+from hpccomponent.surface.tiles.points import CellPoints, estimate_work, take_points
+from hpccomponent.surface.tiles.prepared import PreparedTile, finish, lay_corners
+from hpccomponent.surface.tiles.slabs import grow_tile
+from hpccomponent.surface.types.lattice import unpack_keys
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+__all__ = [
+    "KEPT_TILES",
+    "find_far",
+    "mesh_gap",
+    "mesh_tile",
+    "sample_cells",
+    "solve_far",
+    "sum_tile",
+]
+
+_NO_LEVEL = FieldLevel(
+    np.empty(0, np.int64), np.empty((0, BASIS), np.float32), np.empty(0, np.float32)
+)
+
+
+KEPT_TILES = 3
+"""So many tiles that a process has summed wait there to be meshed, some 100 bytes a point
+where it reads them from a folder, and 130 where it is sent them."""
+
+_waiting: dict[str, PreparedTile] = {}
+"""By their tickets, the one that was summed first before the others."""
+
+
+@declare(
+    cost=lambda _plan, points, *_: estimate_work(points),
+    result=summed_tile,
+    limit=lambda _plan, points, *_: surface_bytes(estimate_work(points)),
+)
+def sum_tile(
+    plan: Values,
+    points: CellPoints,
+    ticket: str | None = None,
+    keep: tuple[str, str] | None = None,
+    threads: int = 1,
+) -> tuple[Values | None, Values, int]:
+    """Sum the moments of a tile's points in the cells of the coarse level (a task).
+
+    Parameters
+    ----------
+    plan : tuple
+        Of a `Plan`.
+    points : tuple
+        `CellPoints` of the tile alone; with a ticket, those that `mesh_tile` will be given.
+    ticket : str, optional
+        A name that nothing else has: what is prepared of the points waits for `mesh_tile` with
+        this ticket, until the process has summed `KEPT_TILES` more. What either task returns
+        does not depend on it.
+    keep : tuple of str, optional
+        A store (see `store.base`) and a name, under which the lattice is put there, and
+        the samples beside it, if nothing has that name: a tile that is summed twice must not
+        replace what is being read.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    lattice : tuple or None
+        The cells, moments and squares of the `pyramid.Level`, and the vertices that its points
+        lay there (see `ancestors.corners_at`); None where they are kept.
+    samples : tuple
+        What `sample_cells` gives of the level that the far field is made of; the store and the
+        name where it is kept.
+    patches : int
+        The finest cells with points.
+    """
+    common = Plan(*plan)
+    prepared = PreparedTile(common, points, threads)
+    if ticket is not None:
+        while len(_waiting) >= KEPT_TILES:
+            _waiting.pop(next(iter(_waiting), ""), None)
+        _waiting[ticket] = prepared
+        idle_work.add(partial(_lay_ahead, ticket))
+    finest, coarse = prepared.levels[0], prepared.levels[-1]
+    own = finest.cells[prepared.groups == 0]
+    marks = mark_ancestors(own, common.coarse, coarse.cells)
+    at, vertices = np.flatnonzero(marks), corners_at(coarse.cells, marks)
+    moments = coarse.points.sum(slice(0, len(coarse.cells)))[at]
+    sampled = prepared.levels[common.far]
+    samples = sample_cells(sampled, np.flatnonzero(mark_ancestors(own, common.far, sampled.cells)))
+    lattice = coarse.cells[at], moments, coarse.squares[at], vertices
+    del prepared.levels[common.coarse :]  # `mesh_tile` is told what all tiles make of them
+    if keep is None:
+        return lattice, samples, len(own)
+    place, name = keep
+    beside, store = f"{name}-far", hold_store(place)
+    for one, value in ((name, lattice), (beside, samples)):
+        if not store.has(one):
+            store.put(one, value)
+    return None, (place, beside), len(own)
+
+
+def sample_cells(level: Level, rows: IntArray | None = None) -> tuple[IntArray, FloatArray]:
+    """Return what the far field is made of.
+
+    Parameters
+    ----------
+    level : Level
+    rows : ndarray of int64, optional
+        Of the level's cells; by default all.
+
+    Returns
+    -------
+    cells : ndarray of int64, shape (c,)
+    sums : ndarray of float64, shape (c, 7)
+        Of 1, the positions and the normals of the points in each (see `moments`).
+    """
+    moments = level.points.sum(slice(0, len(level.cells)))
+    sums = np.concatenate([moments[:, :4], moments[:, 35:38]], axis=1)
+    return (level.cells, sums) if rows is None else (level.cells[rows], sums[rows])
+
+
+def find_far(plan: Plan, cells: IntArray, sums: FloatArray, threads: int) -> FarField:
+    """Solve for the far field.
+
+    Parameters
+    ----------
+    plan : Plan
+    cells, sums
+        See `sample_cells`; of the whole cloud, sorted by key.
+    threads : int
+        The result does not depend on it.
+    """
+    size = plan.cell_size * 2.0**plan.far
+    places = unpack_keys(cells) + 0.5 + sums[:, 1:4] / sums[:, :1]
+    centroids, normals = plan.origin + size * places, sums[:, 4:] / sums[:, :1]
+    return solve_far_field(centroids, normals, plan.grid.box, size, threads)
+
+
+@declare(result=far_field(NODES), limit=SMALL_BYTES + 4 * NODES**3)
+def solve_far(plan: Values, samples: Sequence[Values], threads: int = 1) -> Values:
+    """Solve for the far field, as far as anything asks for it (a task).
+
+    Parameters
+    ----------
+    plan : tuple
+        Of a `Plan`.
+    samples : sequence of tuple
+        Of all tiles, as `sum_tile` has returned them.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    tuple
+        Of a `FarFieldPart`: the grid, its halo, and beyond it the corners of every level that the
+        field is made of, which lie up to two of their cells from a point.
+    """
+    common = Plan(*plan)
+    coarsest = max(common.coarse, FIELD_LEVELS - 1)
+    margin = HALO_STEPS * common.step + 4.0 * common.cell_size * 2.0**coarsest
+    low, high = common.grid.box
+    found = [
+        hold_store(first).get(second) if isinstance(first, str) else (first, second)
+        for first, second in samples
+    ]
+    cells, sums = (np.concatenate(column) for column in zip(*found, strict=True))
+    order = np.argsort(cells, kind="stable")  # which merges sorted runs
+    far = find_far(common, cells[order], sums[order], threads)
+    return crop_far_field(far, low - margin, high + margin).to_values()
+
+
+@declare(
+    cost=lambda _plan, points, *_: estimate_work(points),
+    result=lambda _plan, _points, _ticket, _coarse, keep=None, *_: tile_surface(keep),
+    limit=lambda _plan, points, *_: surface_bytes(estimate_work(points)),
+)
+def mesh_tile(
+    plan: Values,
+    points: CellPoints,
+    ticket: str | None,
+    coarse: Values,
+    keep: tuple[str, str] | None = None,
+    threads: int = 1,
+) -> tuple[Values | None, Values, IntArray]:
+    """Reconstruct the surface inside a tile (a task).
+
+    Parameters
+    ----------
+    plan : tuple
+        Of a `Plan`.
+    points : tuple
+        `CellPoints` of the tile, and of its halo those that belong to tiles before and after it.
+    ticket : str or None
+        See `sum_tile`.
+    coarse : tuple
+        Of the `CoarseLevels` around it.
+    keep : tuple of str, optional
+        A store (see `store.base`) and a name, under which the result is put there.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    part : tuple or None
+        Of a `MeshPart`; None where it is kept.
+    summary : tuple
+        Of its `PartSummary`.
+    exits : ndarray of int64
+        Bricks where the surface leaves the tile and there are no points (see `bricks`).
+    """
+    common = Plan(*plan)
+    prepared = _waiting.pop(ticket, None) if ticket is not None else None
+    is_last = ticket is not None and not _waiting
+    if prepared is None:
+        prepared = PreparedTile(common, points, threads)
+    kinds, corners = prepared.laid()
+    if kinds is None:
+        return _give(MeshPart.empty(), np.empty(0, np.int64), keep)
+    levels = prepared.levels[: common.coarse]
+    del prepared
+    return _give(*_mesh_region(common, levels, corners, kinds, coarse, threads), keep, is_last)
+
+
+@declare(
+    cost=lambda _plan, exits, points, *_: len(exits) + estimate_work(points),
+    result=lambda _plan, _exits, _points, _missing, _coarse, keep=None, *_: tile_surface(keep),
+    limit=lambda _plan, _exits, points, *_: surface_bytes(estimate_work(points)),
+)
+def mesh_gap(
+    plan: Values,
+    exits: IntArray,
+    points: CellPoints,
+    missing: IntArray,
+    coarse: Values,
+    keep: tuple[str, str] | None = None,
+    threads: int = 1,
+) -> tuple[Values | None, Values, IntArray]:
+    """Follow the surface from where it left all tiles, as over a hole (a task).
+
+    Parameters
+    ----------
+    plan : tuple
+        Of a `Plan`.
+    exits : ndarray of int64
+        Keys of the bricks to begin with.
+    points : tuple
+        `CellPoints` of all that lie around them.
+    missing : ndarray of int64
+        Keys of the coarse cells of all other points.
+    coarse : tuple
+        Of all `CoarseLevels`.
+    keep : tuple of str, optional
+        As of `mesh_tile`.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    part, summary, exits
+        As those of `mesh_tile`.
+    """
+    common = Plan(*plan)
+    taken = take_points(points, common)
+    seeds = taken.seed_bricks(common.grid, 0)
+    low = common.origin + common.coarse_size * unpack_keys(missing)
+    kinds = plan_gap(common.grid, exits, seeds, low, common.coarse_size, common.reach)
+    levels, corners = [], [_NO_LEVEL.keys]
+    if len(taken.finest.cells):
+        levels = raise_levels(taken.finest, common.coarse, threads)
+        corners = finish(lay_corners(common, taken.finest.cells, kinds))
+    del taken  # the points leave memory with their level
+    return _give(*_mesh_region(common, levels, corners, kinds, coarse, threads), keep)
+
+
+def _mesh_region(
+    plan: Plan,
+    levels: list[Level],
+    corners: list[IntArray],
+    kinds: BrickKinds,
+    coarse: Values,
+    threads: int,
+) -> tuple[MeshPart, IntArray]:
+    """Fit the fine levels where bricks may be evaluated, and extract the surface there."""
+    return grow_tile(_fit_fields(plan, levels, corners, coarse, threads), kinds)
+
+
+def _fit_fields(
+    plan: Plan, levels: list[Level], corners: list[IntArray], coarse: Values, threads: int
+) -> SlabFields:
+    """Fit the fine levels but the finest one, which is fitted slab by slab.
+
+    A function of its own, so that nobody else holds what is made here: see `grow_tile`.
+    """
+    coarser = CoarseLevels.from_values(coarse)
+    far = restore_far_field(coarser.far)
+    fine = tuple(_NO_LEVEL for _ in range(1, min(plan.coarse, FIELD_LEVELS)))
+    parents = None
+    pyramid = Pyramid(plan.origin, plan.cell_size, levels, corners, 0, plan.height)
+    if levels:
+        fine, parents = fit_above(pyramid, plan.weights, coarser.parents, far, threads)
+    above = fine + coarser.levels
+    return SlabFields(pyramid, plan.weights, parents, above, far, plan.grid, threads)
+
+
+def _give(
+    part: MeshPart, exits: IntArray, keep: tuple[str, str] | None, is_last: bool = False
+) -> tuple[Values | None, Values, IntArray]:
+    """Return a part with its summary, or put it where it is kept.
+
+    Of the last tile that was prepared here, what it has left goes before that.
+    """
+    values, summary = part.to_values(), summarize_part(part).to_values()
+    if keep is None:
+        return values, summary, exits
+    place, name = keep
+    if is_last:
+        leave_for_files()
+    hold_store(place).put(name, (values, summary, exits))
+    return None, summary, exits
+
+
+def _lay_ahead(ticket: str) -> bool:
+    """Do a step of a tile that waits to be meshed; return whether there are more."""
+    try:
+        return ticket in _waiting and _waiting[ticket].lay_some()
+    except BaseException:
+        del _waiting[ticket]  # `mesh_tile` prepares it anew, and meets the error if it stays
+        raise

@@ -1,0 +1,1 @@
+"""One tile of a job: its plan, its points and halo, and its finest level in slabs."""

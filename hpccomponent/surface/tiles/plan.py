@@ -1,0 +1,149 @@
+"""What the tasks of a tile are told of the whole cloud.
+
+Arguments and results of tasks are values that travel; the classes here give them names on both
+ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface.cloud.arrangement import Arrangement
+from hpccomponent.surface.fitting.far_field import FarFieldPart
+from hpccomponent.surface.fitting.field import FieldLevel, Grid
+from hpccomponent.surface.fitting.pyramid import Parents
+from hpccomponent.surface.fitting.weights import Weights, weigh_levels
+from hpccomponent.surface.types.points import FloatArray
+
+__all__ = ["CoarseLevels", "Plan", "Values"]
+
+Values = tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """What all tiles of a cloud have in common.
+
+    Parameters
+    ----------
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of every lattice lies.
+    cell_size : float
+        Edge of the finest cells, in length units of the input.
+    height : int
+        How many levels the cloud has.
+    coarse : int
+        The level of whose cells tiles are made; `height` where there is but one tile.
+    noise : float
+        Standard deviation of the positions along the normals, in length units of the input.
+    grid_origin : ndarray of float64, shape (3,)
+    step : float
+    bricks : tuple of int
+        See `field.Grid`.
+    block_origin : ndarray of float64, shape (3,)
+    block_edge : float
+        See `arrangement.Arrangement`.
+    far : int
+        The level whose cells the far field is made of; of tiles, no coarser than theirs.
+    tolerance : float
+        How far off a point may lie until it counts half (see `weights.Weights`); not infinite only
+        where `coarse` is 2 or more.
+    """
+
+    origin: FloatArray
+    cell_size: float
+    height: int
+    coarse: int
+    noise: float
+    grid_origin: FloatArray
+    step: float
+    bricks: tuple[int, int, int]
+    block_origin: FloatArray
+    block_edge: float
+    far: int
+    tolerance: float = np.inf
+
+    def to_values(self) -> Values:
+        """Return what a task may be given."""
+        return tuple(getattr(self, field.name) for field in fields(self))
+
+    @property
+    def coarse_size(self) -> float:
+        """Edge of the coarse cells, in length units of the input."""
+        return self.cell_size * 2.0**self.coarse
+
+    @property
+    def reach(self) -> float:
+        """How far from a node the points may lie that its quadrics depend on.
+
+        Vertices and parents lie up to half a coarse cell away, their points half a coarse cell
+        further on, and cells whose corners exist because of points two finest cells beyond. Where
+        points are weighed, by quadrics of the second level, these add two of its cells.
+        """
+        steps = 2.0 if np.isinf(self.tolerance) else 6.0
+        return self.coarse_size + steps * self.cell_size
+
+    @property
+    def weights(self) -> list[Weights]:
+        """The weights of every level's fits."""
+        return weigh_levels(self.cell_size, self.height, self.noise, self.tolerance)
+
+    @property
+    def grid(self) -> Grid:
+        """The evaluation grid."""
+        return Grid(self.grid_origin, self.step, self.bricks)
+
+    @property
+    def arrangement(self) -> Arrangement:
+        """The blocks that points are packed by."""
+        return Arrangement(self.block_origin, self.block_edge)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseLevels:
+    """What a tile must know of the levels that the master has fitted.
+
+    Parameters
+    ----------
+    parents : Parents
+        What the finest of them offers to the next finer level.
+    trust : ndarray of float32, shape (v,), or None
+        See `field.FieldLevel`: the parents' own; None where they are too coarse for the field.
+    coarser : tuple of FieldLevel
+        What else of them the field is made of, finest first.
+    far : FarFieldPart
+        The far field.
+    """
+
+    parents: Parents
+    trust: NDArray[np.float32] | None
+    coarser: tuple[FieldLevel, ...]
+    far: FarFieldPart
+
+    @property
+    def levels(self) -> tuple[FieldLevel, ...]:
+        """All that the field is made of, finest first."""
+        if self.trust is None:
+            return self.coarser
+        return FieldLevel(self.parents.keys, self.parents.coefficients, self.trust), *self.coarser
+
+    def to_values(self) -> Values:
+        """Return what a task may be given."""
+        above = self.parents
+        return (
+            (above.keys, above.coefficients, above.support, above.variances),
+            self.trust,
+            tuple((level.keys, level.coefficients, level.trust) for level in self.coarser),
+            self.far.to_values(),
+        )
+
+    @classmethod
+    def from_values(cls, values: Values) -> CoarseLevels:
+        """Return what `to_values` took apart."""
+        parents, trust, coarser, far = values
+        levels = tuple(FieldLevel(*level) for level in coarser)
+        return cls(Parents(*parents), trust, levels, FarFieldPart(*far))

@@ -1,0 +1,211 @@
+"""The points of a tile, wherever they lie: sent with the task, or read where the cloud is.
+
+Who may import it: the tasks of `region`, and the master that cuts the tiles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface import kernels
+from hpccomponent.surface.build import load_native
+from hpccomponent.surface.cloud.arranged import ArrangedCloud
+from hpccomponent.surface.cloud.arrangement import (
+    Arrangement,
+    PackedPoints,
+    pack_points,
+    unpack_points,
+)
+from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
+from hpccomponent.surface.fitting.cell_points import CloudRows, SortedPoints
+from hpccomponent.surface.fitting.field import Grid
+from hpccomponent.surface.fitting.pyramid import Level
+from hpccomponent.surface.kernels.portable.cells import take_cells
+from hpccomponent.surface.tiles.packed_cells import sort_tile
+from hpccomponent.surface.tiles.plan import Plan
+from hpccomponent.surface.types.lattice import find_keys, pack_places, unique_keys, unpack_keys
+from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
+
+__all__ = ["CellPoints", "TilePoints", "estimate_work", "pack_cloud", "read_cells", "take_points"]
+
+_BYTES_PER_POINT = 24.0
+
+_native: Any = load_native()
+
+CellPoints = tuple[Any, ...]
+"""Points in some groups of coarse cells, as a task is given them: ``("sent", packed, ...)`` with
+the arrays of a `PackedPoints` for each group; or ``("there", cloud, cells, ...)`` with the keys of
+each group's cells, and a folder that the worker sees, or in this process the cloud itself."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TilePoints:
+    """Points in some groups of coarse cells, sorted by the finest ones.
+
+    Parameters
+    ----------
+    finest : Level
+        The finest cells, and their points; within a cell in the order of the whole cloud.
+    groups : ndarray of uint8, shape (c,)
+        The group of each cell.
+    """
+
+    finest: Level
+    groups: NDArray[np.uint8]
+
+    def seed_bricks(self, grid: Grid, group: int) -> IntArray:
+        """Return the sorted keys of the bricks that hold a point of a group."""
+        points = self.finest.points
+        assert isinstance(points, SortedPoints)  # noqa: S101 - the finest level has points
+        return points.held.seed_bricks(grid, points.offsets, self.groups == group)
+
+
+def estimate_work(points: CellPoints) -> float:
+    """Return how much work the points that a task is given are, for the master.
+
+    Parameters
+    ----------
+    points : CellPoints
+        It, or parts of it, may be what stands for a shared value.
+
+    Returns
+    -------
+    float
+        Their number where they are sent; else, since nobody has looked at them, that of their
+        coarse cells, which have as much surface each. One job's tasks are given one form.
+
+    Examples
+    --------
+    >>> estimate_work(("there", "/folder", np.arange(5), np.arange(2)))
+    8.0
+    """
+    if not isinstance(points, tuple):  # all of it is shared
+        return 1.0 + _count_bytes(points) / _BYTES_PER_POINT
+    form, *groups = points
+    if form == "there":
+        return 1.0 + sum(map(len, groups[1:]))
+    sent = (part for group in groups for part in (group if isinstance(group, tuple) else (group,)))
+    return 1.0 + sum(_count_bytes(part) for part in sent) / _BYTES_PER_POINT
+
+
+def _count_bytes(value: Any) -> int:
+    """Return the bytes of an array, or of what stands for a shared value."""
+    size: int = value.nbytes if isinstance(value, np.ndarray) else value.size_bytes
+    return size
+
+
+def take_points(points: CellPoints, plan: Plan) -> TilePoints:
+    """Return the points that a task has been given.
+
+    Parameters
+    ----------
+    points : CellPoints
+        There may be none.
+    plan : Plan
+        Of the whole cloud.
+    """
+    form, *groups = points
+    if form == "there":
+        where, *cells = groups
+        cloud = open_disk_cloud(Path(where)) if isinstance(where, str) else where
+        if isinstance(cloud, DiskCloud):
+            return _read_packed(cloud, plan, cells)
+        return _sort_groups(*read_cells(cloud, plan.origin, plan.coarse_size, cells), plan)
+    taken = [unpack_points(plan.arrangement, PackedPoints(*group)) for group in groups]
+    positions, normals = (np.concatenate(some) for some in zip(*taken, strict=True))
+    numbers = np.repeat(np.arange(len(taken), dtype=np.uint8), [len(some) for some, _ in taken])
+    return _sort_groups(PointCloud(positions, normals), numbers, plan)
+
+
+def _read_packed(cloud: DiskCloud, plan: Plan, asked: list[IntArray]) -> TilePoints:
+    """Return the points in some groups of coarse cells, as they are packed in a folder."""
+    wanted, numbers = _number_cells(asked)
+    blocks = _find_blocks(cloud.arrangement, wanted, plan.origin, plan.coarse_size)
+    lattice = plan.origin, plan.cell_size, plan.coarse
+    packed = cloud.take_packed(blocks)
+    cells, offsets, held, groups = sort_tile(cloud.arrangement, packed, *lattice, wanted, numbers)
+    points = SortedPoints(held, plan.origin, plan.cell_size, offsets)
+    return TilePoints(Level(cells, points, np.empty(0)), groups)
+
+
+def _sort_groups(cloud: PointCloud, numbers: NDArray[np.uint8], plan: Plan) -> TilePoints:
+    """Return the points of a cloud, each with the number of its group."""
+    cells, offsets, rows = np.empty(0, np.int64), np.zeros(1, np.int64), np.empty(0, np.uint32)
+    if len(cloud):
+        cells, offsets, rows = kernels.sort_points(cloud.positions, plan.origin, plan.cell_size)
+    points = SortedPoints(CloudRows(cloud, rows), plan.origin, plan.cell_size, offsets)
+    return TilePoints(Level(cells, points, np.empty(0)), numbers[rows[offsets[:-1]]])
+
+
+def read_cells(
+    cloud: ArrangedCloud, origin: FloatArray, size: float, cells: list[IntArray]
+) -> tuple[PointCloud, NDArray[np.uint8]]:
+    """Return the points in some groups of coarse cells.
+
+    Parameters
+    ----------
+    cloud : ArrangedCloud
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of the cells lies.
+    size : float
+        Of a cell, in length units of the input.
+    cells : list of ndarray of int64
+        Sorted keys of the cells of each group.
+
+    Returns
+    -------
+    cloud : PointCloud
+        With normals, in the cloud's order.
+    groups : ndarray of uint8, shape (n,)
+        The group of each point.
+    """
+    wanted, numbers = _number_cells(cells)
+    blocks = _find_blocks(cloud.arrangement, wanted, origin, size)
+    take: Any = take_cells if _native is None else _native.take_cells
+    found = take(*cloud.take_blocks(blocks), origin, size, wanted, numbers)
+    positions, normals, groups = found
+    return PointCloud(positions, normals), groups
+
+
+def _number_cells(cells: list[IntArray]) -> tuple[IntArray, NDArray[np.uint8]]:
+    """Return the cells of some groups, sorted, and the number of each one's group."""
+    wanted = unique_keys(np.concatenate(cells))
+    numbers = np.empty(len(wanted), np.uint8)
+    for number, group in enumerate(cells):
+        numbers[find_keys(wanted, group)] = number
+    return wanted, numbers
+
+
+def pack_cloud(arrangement: Arrangement, cloud: PointCloud) -> tuple[Any, ...]:
+    """Return points as they travel: the arrays of a `PackedPoints`.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    cloud : PointCloud
+        Arranged, with normals.
+    """
+    if not len(cloud):
+        none = np.empty(0, np.int64)
+        return none, none, *np.empty((2, 0, 3), np.float32)
+    assert cloud.normals is not None  # noqa: S101 - an arranged cloud has normals
+    return pack_points(arrangement, cloud.positions, cloud.normals).to_values()
+
+
+def _find_blocks(
+    arrangement: Arrangement, cells: IntArray, origin: FloatArray, size: float
+) -> IntArray:
+    """Return the blocks that overlap some cells."""
+    corner = origin + size * unpack_keys(cells) - arrangement.origin
+    first = np.floor(corner / arrangement.edge).astype(np.int64)
+    last = np.floor((corner + size) / arrangement.edge).astype(np.int64)
+    blocks = []
+    for step in np.ndindex(*((last - first).max(axis=0, initial=0) + 1)):
+        places = first + np.array(step)
+        blocks.append(pack_places(places[(places <= last).all(axis=1)]))
+    return unique_keys(np.concatenate(blocks))

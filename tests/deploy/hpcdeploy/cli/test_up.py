@@ -1,0 +1,156 @@
+"""The verbs up, down, scale, status, ls and reap, as they are typed, on a cloud in memory."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from simulated import FILE, START, SetUp
+
+from hpcapp.cli import hpcapp
+from hpccomponent.errors import CloudError, UsageError
+from hpcdeploy.machine.provider import Launch, Observed, State
+from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.spec.names import NOBODY, NodeName
+from hpcdeploy.spec.polling import utc_now
+
+
+@pytest.fixture
+def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MemoryProvider:
+    cloud = MemoryProvider(utc_now)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", SetUp())
+    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!")
+    for module in ("hpcdeploy.providers", "hpcdeploy.providers.clouds"):
+        monkeypatch.setattr(f"{module}.open_provider", lambda spec, base: cloud)
+    return cloud
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> str:
+    path = tmp_path / "cluster.yaml"
+    path.write_text(FILE.format(cluster="bunny", count=2, least=2, market="on_demand"))
+    return str(path)
+
+
+def run(*arguments: str, typed: str | None = None) -> Result:
+    return CliRunner().invoke(hpcapp, arguments, input=typed, standalone_mode=False)
+
+
+def alive(cloud: MemoryProvider) -> list[str]:
+    machines = cloud.observe(None).machines
+    return sorted(m.name.node for m in machines if m.state is State.RUNNING)
+
+
+def test_up_shows_what_it_will_do_and_asks(cloud: MemoryProvider, file: str) -> None:
+    refused = run("up", file, typed="n\n")
+    assert "will launch head as m6i.large (on_demand)" in refused.output
+    assert "cost: " in refused.output
+    assert alive(cloud) == []
+    agreed = run("up", file, typed="y\n")
+    assert "cluster bunny is up: 3 machines" in agreed.output
+    assert alive(cloud) == ["head", "worker-1", "worker-2"]
+
+
+def test_up_launches_nothing_where_wheels_are_missing(cloud: MemoryProvider, file: str) -> None:
+    wheels = Path(file).with_name("wheels")
+    wheels.mkdir()
+    text = Path(file).read_text() + "env: {wheelhouse: wheels}\n"
+    Path(file).write_text(text)
+    refused = run("up", "-y", file)
+    assert isinstance(refused.exception, CloudError)
+    assert "nothing is launched: " in str(refused.exception)
+    assert "no compiled wheel for Linux in it" in str(refused.exception)
+    assert "missing: " in refused.output
+    assert cloud.observe(None).groups == ()
+    run("up", "-y", "--skip-checks", file)
+    assert alive(cloud) == ["head", "worker-1", "worker-2"]
+
+
+def test_up_without_a_terminal_says_how_to_go_on(cloud: MemoryProvider, file: str) -> None:
+    for typed in ("", "n\n"):
+        refused = run("up", file, typed=typed)
+        assert isinstance(refused.exception, UsageError)
+        assert refused.exception.advice == "run it with -y"
+    assert alive(cloud) == []
+
+
+def test_up_again_asks_nothing_where_nothing_is_to_be_done(
+    cloud: MemoryProvider, file: str
+) -> None:
+    run("up", "-y", file)
+    again = run("up", file)
+    assert again.exception is None
+    assert "Go on?" not in again.output
+
+
+def test_scale_leaves_the_file_and_says_so(cloud: MemoryProvider, file: str) -> None:
+    run("up", "-y", file)
+    result = run("scale", "-y", file, "1")
+    assert alive(cloud) == ["head", "worker-1"]
+    assert "the next hpcapp up goes back to 2: see workers.count" in result.output
+
+
+def test_down_says_that_nothing_is_left(cloud: MemoryProvider, file: str) -> None:
+    run("up", "-y", file)
+    result = run("down", file)
+    assert result.output.splitlines()[-1] == "cluster bunny: nothing is left"
+    assert alive(cloud) == []
+    assert cloud.observe(None).groups == ()
+
+
+def test_ls_lists_the_clouds_that_answer_and_names_the_others(
+    cloud: MemoryProvider, file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run("up", "-y", file)
+    silent = Path(file).with_name("silent.yaml")
+    silent.write_text(Path(file).read_text().replace("type: aws", "type: aws\n  region: eu-west-1"))
+    other = MemoryProvider(utc_now)
+
+    def refuse(cluster: str | None) -> Observed:
+        raise CloudError("no network", "plug it in")
+
+    monkeypatch.setattr(other, "observe", refuse)
+    monkeypatch.setattr(
+        "hpcdeploy.providers.clouds.open_provider",
+        lambda spec, base: other if spec.provider.region == "eu-west-1" else cloud,
+    )
+    result = run("ls", "--all", str(silent), file)
+    assert "bunny" in result.stdout
+    assert str(result.exception) == "no network; plug it in"
+    alone = run("ls", "--all", str(silent))
+    assert (alone.stdout, type(alone.exception)) == ("", CloudError)
+
+
+def test_status_for_programs(cloud: MemoryProvider, file: str) -> None:
+    run("up", "-y", file)
+    found = json.loads(run("status", "--json", "--offline", file).stdout)
+    assert [machine["node"] for machine in found["machines"]] == ["head", "worker-1", "worker-2"]
+
+
+def test_ls_lists_the_files_clusters_or_all(cloud: MemoryProvider, file: str) -> None:
+    run("up", "-y", file)
+    cloud.create_group("other", "life", NOBODY)
+    assert [row["cluster"] for row in json.loads(run("ls", "--json", file).stdout)] == ["bunny"]
+    rows = json.loads(run("ls", "--all", "--json").stdout)
+    assert [row["cluster"] for row in rows] == ["bunny", "other"]
+    assert isinstance(run("ls").exception, UsageError)
+
+
+def test_reap_says_first_and_does_then(cloud: MemoryProvider, file: str) -> None:
+    run("up", "-y", file)
+    lease_until = START.replace(year=2020)
+    old = cloud.launch(Launch("old", "life", NodeName("head"), lease_until=lease_until))
+    cloud.create_group("old", "life", NOBODY)
+    cloud.create_key_pair("older", "life", "k")
+    dry = run("reap", "--dry-run", file)
+    found = f"head {old.id} (running), security group hpcapp-old, key pair hpcapp-older-life"
+    assert f"would remove {found}" in dry.output
+    assert run("reap", "--dry-run", file).output == dry.output
+    run("reap", file)
+    left = cloud.observe(None)
+    assert {m.cluster for m in left.machines if m.state is State.RUNNING} == {"bunny"}
+    assert [pair.cluster for pair in left.key_pairs] == ["bunny"]
+    assert "nothing to remove" in run("reap", "--dry-run").output

@@ -1,0 +1,272 @@
+"""`up` and `down` on a cloud in memory, with everything that clouds do to them."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from simulated import SetUp, SimulatedTime, make_cluster, make_spec
+
+from hpccomponent.errors import CloudError, LeftoverError, UsageError
+from hpcdeploy.machine.provider import Launch, Observed, State
+from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.reconcile.converge import bring_up, replace_lost, take_down
+from hpcdeploy.spec.cluster import Limits
+from hpcdeploy.spec.names import NodeName
+
+CHANGES = {
+    "create_group", "create_key_pair", "allow", "launch", "extend", "terminate",
+    "delete_group", "delete_key_pair",
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def state_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+
+
+@pytest.fixture
+def set_up(monkeypatch: pytest.MonkeyPatch) -> SetUp:
+    stub = SetUp()
+    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", stub)
+    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: f"#!{about}")
+    return stub
+
+
+class Simulation:
+    """A cloud, its time, the calls that it got and the lines that the user read."""
+
+    def __init__(self) -> None:
+        self.time = SimulatedTime()
+        self.cloud = MemoryProvider(self.time.now, boot_s=30, end_s=20, unseen_s=3)
+        self.cloud.hook = self.note
+        self.calls: Counter[str] = Counter()
+        self.lines: list[str] = []
+
+    def note(self, moment: str, call: str) -> None:
+        self.calls[call] += moment == "before"
+
+    def up(self, count: int = 3, least: int | None = None, market: str = "on_demand") -> None:
+        spec = make_spec(count, count if least is None else least, market)
+        self.calls.clear()
+        bring_up(make_cluster(spec, self.cloud), self.lines.append, pace=self.time.pace())
+
+    def down(self) -> None:
+        cluster = make_cluster(make_spec(), self.cloud)
+        take_down(cluster, self.lines.append, pace=self.time.pace())
+
+    def alive(self) -> list[str]:
+        machines = self.cloud.observe(None).machines
+        return sorted(m.name.node for m in machines if m.state in (State.PENDING, State.RUNNING))
+
+    def left(self) -> Observed:
+        seen = self.cloud.observe(None)
+        alive = tuple(m for m in seen.machines if m.state is not State.GONE)
+        return Observed(alive, seen.key_pairs, seen.groups)
+
+
+@pytest.fixture
+def simulation(set_up: SetUp) -> Simulation:
+    return Simulation()
+
+
+def test_up_makes_what_the_file_says_and_down_takes_it_away(
+    simulation: Simulation, set_up: SetUp
+) -> None:
+    simulation.up(3)
+    assert simulation.alive() == ["head", "worker-1", "worker-2", "worker-3"]
+    assert set_up.calls == [("head", "worker-1", "worker-2", "worker-3")]
+    simulation.down()
+    assert simulation.left() == Observed()
+
+
+def test_up_refuses_what_may_cost_too_much(simulation: Simulation) -> None:
+    spec = make_spec(3)
+    frugal = spec.model_copy(update={"limits": Limits(max_hourly_cost=0.1)})
+    with pytest.raises(UsageError, match="max_hourly_cost"):
+        bring_up(make_cluster(frugal, simulation.cloud), simulation.lines.append)
+    assert not simulation.calls
+
+
+def test_up_again_makes_no_call_that_changes_anything(simulation: Simulation) -> None:
+    simulation.up(3)
+    simulation.up(3)
+    assert not CHANGES & simulation.calls.keys()
+
+
+def test_up_again_after_a_while_only_extends_the_lease(simulation: Simulation) -> None:
+    simulation.up(3)
+    simulation.time.sleep(1800)
+    simulation.up(3)
+    assert CHANGES & simulation.calls.keys() == {"extend"}
+
+
+def test_up_follows_the_file(simulation: Simulation) -> None:
+    simulation.up(3)
+    simulation.up(1)
+    assert simulation.alive() == ["head", "worker-1"]
+    simulation.time.sleep(60)
+    simulation.up(2)
+    assert simulation.alive() == ["head", "worker-1", "worker-2"]
+
+
+def test_up_again_after_down_is_a_new_life(simulation: Simulation) -> None:
+    simulation.up(1)
+    simulation.down()
+    simulation.up(1)
+    machines = simulation.cloud.observe(None).machines
+    assert len({m.incarnation for m in machines}) == 2
+    assert simulation.alive() == ["head", "worker-1"]
+
+
+def test_down_of_nothing_is_done_at_once(simulation: Simulation) -> None:
+    simulation.down()
+    assert set(simulation.calls) == {"observe"}
+
+
+def test_another_type_is_taken_where_the_first_is_not_to_be_had(simulation: Simulation) -> None:
+    simulation.cloud.unavailable.add(("c6i.xlarge", "on_demand"))
+    simulation.up(2)
+    kinds = Counter(m.instance_type for m in simulation.cloud.observe(None).machines)
+    assert kinds == {"m6i.large": 1, "c6a.xlarge": 2}
+
+
+def test_machines_on_demand_where_no_spot_machine_is_to_be_had(simulation: Simulation) -> None:
+    simulation.cloud.unavailable |= {("c6i.xlarge", "spot"), ("c6a.xlarge", "spot")}
+    simulation.up(2, market="spot_with_fallback")
+    markets = Counter(m.market for m in simulation.cloud.observe(None).machines)
+    assert markets == {"on_demand": 3}
+
+
+def test_capacity_that_comes_back_is_waited_for(simulation: Simulation) -> None:
+    none = {("c6i.xlarge", "on_demand"), ("c6a.xlarge", "on_demand")}
+    simulation.cloud.unavailable |= none
+
+    def note(moment: str, call: str) -> None:
+        if simulation.time.passed >= 5:
+            simulation.cloud.unavailable.clear()
+
+    simulation.cloud.hook = note
+    simulation.up(2)
+    assert simulation.alive() == ["head", "worker-1", "worker-2"]
+    assert any("trying again in 5 s" in line for line in simulation.lines)
+
+
+def test_without_enough_machines_up_fails_and_leaves_nothing(simulation: Simulation) -> None:
+    simulation.cloud.unavailable |= {("c6i.xlarge", "on_demand"), ("c6a.xlarge", "on_demand")}
+    with pytest.raises(
+        CloudError, match=r"worker-1 \(and 1 more\) cannot be had: worker-1: no c6a"
+    ):
+        simulation.up(2)
+    assert simulation.left() == Observed()
+
+
+def test_a_failed_growth_leaves_what_was_there(simulation: Simulation, set_up: SetUp) -> None:
+    simulation.up(1)
+    set_up.broken_nodes = {"worker-2"}
+    with pytest.raises(CloudError, match="worker-2 cannot be had: pip is missing"):
+        simulation.up(2)
+    simulation.time.sleep(60)
+    assert simulation.alive() == ["head", "worker-1"]
+
+
+def test_kept_machines_stay(simulation: Simulation, set_up: SetUp) -> None:
+    set_up.broken_nodes = {"worker-1"}
+    cluster = make_cluster(make_spec(1, 1), simulation.cloud)
+    with pytest.raises(CloudError, match="worker-1 cannot be had"):
+        bring_up(cluster, simulation.lines.append, keep=True, pace=simulation.time.pace())
+    assert "head" in simulation.alive()
+    assert "hpcapp down cluster.yaml ends it" in simulation.lines[-1]
+
+
+def test_a_machine_that_cannot_be_set_up_is_replaced(simulation: Simulation, set_up: SetUp) -> None:
+    set_up.broken_once = {"worker-2"}
+    simulation.up(3)
+    assert simulation.alive() == ["head", "worker-1", "worker-2", "worker-3"]
+    assert set_up.calls == [("head", "worker-1", "worker-2", "worker-3")] * 2
+    assert any("worker-2: pip is missing; replacing it" in line for line in simulation.lines)
+
+
+def test_a_smaller_cluster_will_do_where_min_allows_it(
+    simulation: Simulation, set_up: SetUp
+) -> None:
+    set_up.broken_nodes = {"worker-2"}
+    simulation.up(3, least=2)
+    simulation.time.sleep(60)
+    assert simulation.alive() == ["head", "worker-1", "worker-3"]
+    assert set_up.calls[-1] == ("head", "worker-1", "worker-3")
+    assert simulation.lines[-1] == "going without worker-2: pip is missing"
+
+
+def test_a_machine_that_never_boots_is_replaced_then_done_without(
+    simulation: Simulation, set_up: SetUp
+) -> None:
+    simulation.cloud.never_boot = {"worker-1"}
+    simulation.up(2, least=1)
+    simulation.time.sleep(60)
+    assert simulation.alive() == ["head", "worker-2"]
+    said = "\n".join(simulation.lines)
+    assert "not running after 300 s" in said
+    assert re.search(r"worker-1: its console ends so:\n\s*worker-1: booting", said), said
+
+
+def test_preemptions_do_not_eat_the_budget(simulation: Simulation, set_up: SetUp) -> None:
+    def interrupt(moment: str, call: str) -> None:
+        simulation.calls[call] += moment == "before"
+        if (moment, call) == ("before", "observe") and simulation.calls["launch"] in range(3, 9):
+            simulation.cloud.interrupt("worker-1")
+
+    simulation.cloud.hook = interrupt
+    simulation.up(2, market="spot")
+    assert simulation.alive() == ["head", "worker-1", "worker-2"]
+    assert simulation.calls["launch"] == 9
+
+
+def test_down_also_ends_machines_of_an_earlier_life_and_those_the_cloud_does_not_list_yet(
+    simulation: Simulation,
+) -> None:
+    simulation.up(1)
+    cluster = make_cluster(make_spec(1), simulation.cloud)
+    owner = cluster.access.owner()
+    simulation.cloud.launch(Launch("bunny", "earlier", NodeName("worker-7"), owner=owner))
+    take_down(cluster, simulation.lines.append, pace=simulation.time.pace())
+    assert simulation.left() == Observed()
+
+
+def test_down_names_what_it_cannot_take_away(simulation: Simulation) -> None:
+    simulation.up(1)
+
+    def refuse(moment: str, call: str) -> None:
+        if call == "delete_group":
+            raise CloudError("not authorized to delete the group")
+
+    simulation.cloud.hook = refuse
+    said = r"security group hpcapp-bunny \(not authorized to delete the group\); it may cost"
+    with pytest.raises(LeftoverError, match=said):
+        simulation.down()
+
+
+def test_lost_workers_are_replaced_and_nothing_else_is_changed(
+    simulation: Simulation, set_up: SetUp
+) -> None:
+    simulation.up(2, market="spot")
+    cluster = make_cluster(make_spec(2, market="spot"), simulation.cloud)
+    replace_lost(cluster, simulation.lines.append, pace=simulation.time.pace())
+    assert len(set_up.calls) == 1
+    simulation.cloud.interrupt("worker-2")
+    simulation.time.sleep(3600)
+    simulation.calls.clear()
+    replace_lost(cluster, simulation.lines.append, pace=simulation.time.pace())
+    assert simulation.alive() == ["head", "worker-1", "worker-2"]
+    assert CHANGES & simulation.calls.keys() == {"launch"}
+    assert set_up.calls[-1] == ("head", "worker-1", "worker-2")
+
+
+def test_a_lost_head_is_not_replaced_during_a_job(simulation: Simulation) -> None:
+    simulation.up(2)
+    simulation.cloud.interrupt("head")
+    cluster = make_cluster(make_spec(2), simulation.cloud)
+    with pytest.raises(CloudError, match=r"the head of cluster bunny does not run; run hpcapp up"):
+        replace_lost(cluster, simulation.lines.append, pace=simulation.time.pace())

@@ -1,0 +1,194 @@
+"""A master that is not on the head: real workers, a real relay, a real SSH connection."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import shlex
+import socket
+import struct
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import paramiko
+import pytest
+import zmq
+from machines.servers import USER, Machines, Server
+
+from hpcapp.backends.cluster import open_inventory
+from hpccomponent.errors import CloudError
+from hpccomponent.inventory import hold_cluster
+from hpcdeploy.machine.local_shell import LocalShell
+from hpcdeploy.machine.ssh.connect import connect
+from hpcdeploy.machine.ssh.shell import SshShell
+from hpcdeploy.machine.ssh.target import Target
+from hpcdeploy.tunnel.relay import WANTED
+from hpcdeploy.tunnel.tunnel import lead_workers
+
+FOLDER = "hpcapp/standing"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _keep_the_thread_of_zero_copy_sends() -> None:
+    """Make pyzmq start the one thread that it keeps for the process, before leaks are counted."""
+    with zmq.Context() as context, context.socket(zmq.PAIR) as one, context.socket(zmq.PAIR) as two:
+        one.bind("inproc://warm-up")
+        two.connect("inproc://warm-up")
+        one.send(bytes(1 << 20), copy=False)
+        two.recv()
+
+
+@pytest.fixture
+def machines(tmp_path: Path) -> Iterator[Machines]:
+    with Machines.open(tmp_path) as machines:
+        yield machines
+
+
+def install(home: Path, script: str = f'exec {sys.executable} "$@"') -> None:
+    """Make the environment of a machine."""
+    python = home / FOLDER / "venv/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text(f"#!/bin/sh\n{script}\n")
+    python.chmod(0o755)
+
+
+@pytest.fixture
+def head(machines: Machines) -> Server:
+    server = machines.add()
+    install(server.home)
+    return server
+
+
+@pytest.fixture
+def shell(head: Server, tmp_path: Path) -> Iterator[SshShell]:
+    key = paramiko.RSAKey.generate(2048)
+    key.write_private_key_file(str(tmp_path / "id"))
+    head.keys.append(f"ssh-rsa {key.get_base64()}")
+    entry = paramiko.hostkeys.HostKeyEntry.from_line(f"x {head.host_line}")
+    assert entry is not None
+    assert entry.key is not None
+    target = Target(head.address, head.port, USER, (str(tmp_path / "id"),), (entry.key,))
+    with ExitStack() as closer:
+        connection = connect(target, closer)
+        with SshShell("head", connection, closer.pop_all()) as shell:
+            yield shell
+
+
+def submit(executor: Any, right: float) -> Any:
+    return executor.submit("quadrature.estimate", "wave", np.zeros(1), np.array([right]))
+
+
+def test_workers_reach_a_master_elsewhere(
+    shell: SshShell, head: Server, tmp_path: Path, standing_cluster: Callable[..., Any]
+) -> None:
+    cluster = standing_cluster(head.home / FOLDER)
+    copy = tmp_path / "copy.json"
+    shell.get(f"{FOLDER}/inventory.json", copy)
+    copy.chmod(0o600)
+    lead = partial(lead_workers, shell, FOLDER)
+    results = []
+    for _ in range(2):  # one master after the other, over one connection
+        with open_inventory(copy, lead=lead) as (executor, workers):
+            assert workers == 2
+            assert executor.endpoint != cluster.endpoint
+            futures = [submit(executor, right) for right in range(20)]
+            results.append([future.result(60).tolist() for future in futures])
+            large = np.random.default_rng(7).random(300_000)
+            sums = executor.submit("quadrature.estimate", "wave", large, large + 1.0).result(60)
+            assert len(sums) >= 2
+    assert results[0] == results[1]
+    assert not any("secret" in command for command in head.commands)
+
+
+def test_a_master_elsewhere_waits_for_its_turn(
+    shell: SshShell,
+    head: Server,
+    standing_cluster: Callable[..., Any],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    cluster = standing_cluster(head.home / FOLDER, running=0)
+    with ExitStack() as held, caplog.at_level("INFO", "hpcapp"):
+        held.enter_context(hold_cluster(cluster.inventory, pytest.fail))
+
+        def free(record: logging.LogRecord) -> bool:
+            if "in use by another program" in record.getMessage():
+                held.close()
+            return True
+
+        caplog.handler.addFilter(free)
+        with lead_workers(shell, FOLDER, "tcp://127.0.0.1:9"):
+            assert "in use by another program" in caplog.text
+        caplog.handler.removeFilter(free)
+
+
+@pytest.fixture
+def relay(tmp_path: Path) -> Iterator[socket.socket]:
+    """Yield what stands where a relay listens, of a head that is ``tmp_path``."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(60)
+        os.mkfifo(tmp_path / "ended")
+        said = json.dumps({"port": server.getsockname()[1]})
+        install(tmp_path, f"echo {shlex.quote(said)}\nexec cat {tmp_path}/ended")
+        yield server
+
+
+@contextmanager
+def lead_from(relay: socket.socket, home: Path, endpoint: str) -> Iterator[socket.socket]:
+    """Lead workers to a master; yield the control connection."""
+    with (
+        lead_workers(LocalShell("head", home), FOLDER, endpoint),
+        relay.accept()[0] as control,
+        (home / "ended").open("w"),
+    ):
+        control.settimeout(60)
+        yield control
+
+
+def test_a_way_to_no_master_is_closed(relay: socket.socket, tmp_path: Path) -> None:
+    with lead_from(relay, tmp_path, "tcp://127.0.0.1:9") as control:
+        control.send(WANTED)
+        with relay.accept()[0] as way:
+            way.settimeout(60)
+            assert way.recv(1) == b""
+
+
+def test_a_way_that_is_cut_is_said(
+    relay: socket.socket, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    said = threading.Event()
+
+    def hear(record: logging.LogRecord) -> bool:
+        if "its workers are lost" in record.getMessage():
+            said.set()
+        return True
+
+    with lead_from(relay, tmp_path, "tcp://127.0.0.1:9") as control:
+        caplog.handler.addFilter(hear)
+        control.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        control.close()  # it is reset
+        assert said.wait(60)
+        caplog.handler.removeFilter(hear)
+
+
+def test_a_head_without_a_relay_is_one_line(tmp_path: Path) -> None:
+    with (
+        pytest.raises(CloudError, match=r"the relay ended \(127\).*not found.*hpcapp doctor"),
+        lead_workers(LocalShell("head", tmp_path), FOLDER, "tcp://127.0.0.1:9"),
+    ):
+        pass
+
+
+def test_a_cluster_that_was_not_set_up_is_one_line(tmp_path: Path) -> None:
+    install(tmp_path)
+    with (
+        pytest.raises(CloudError, match=r"inventory\.json: cannot be read"),
+        lead_workers(LocalShell("head", tmp_path), FOLDER, "tcp://127.0.0.1:9"),
+    ):
+        pass

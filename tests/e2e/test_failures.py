@@ -1,0 +1,181 @@
+"""What goes wrong ends in a smaller cluster that works, or in one clear line; nothing is left."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+
+import pytest
+from cloud import FOREVER, Instance
+from testbed.chaos import announce_interruption, fill_disk, interrupt
+from testbed.cloud import Boot
+from testbed.machine import Machine
+from testbed.sites import OPTIONS, POINTS, Site
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+CLOUD_FAILED = 4
+
+
+def boots_of(node: str, how: Boot) -> Callable[[Instance], Boot]:
+    """Let every machine that plays a node boot in some manner."""
+    return lambda instance: how if f"-{node}-" in instance.token else Boot.WELL
+
+
+def assert_works(site: Site, mesh: bytes, machines: int) -> None:
+    assert len(site.bed.cloud.living) == machines
+    site.succeed("submit", POINTS, "-o", "mesh.ply", "--", *OPTIONS)
+    assert (site.bed.home / "mesh.ply").read_bytes() == mesh
+
+
+def assert_one_clear_line(done: subprocess.CompletedProcess[str], *words: str) -> None:
+    assert done.returncode == CLOUD_FAILED, done.stderr
+    assert "Traceback" not in done.stderr
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("hpcapp: "), done.stderr
+    assert all(word in last for word in words), last
+
+
+@pytest.mark.parametrize("how", [Boot.NEVER, Boot.WITHOUT_SSHD, Boot.WITH_FULL_DISK])
+def test_worker_that_never_works_is_done_without(site: Site, mesh: bytes, how: Boot) -> None:
+    site.bed.boots = boots_of("worker-1", how)
+    site.write(workers={"count": 2, "min": 1}, limits={"boot": "15s"})
+    done = site.succeed("up", "-y")
+    assert "going without worker-1" in done.stderr
+    assert_works(site, mesh, machines=2)
+    site.end()
+
+
+def test_too_few_machines_is_one_line(idle_site: Site) -> None:
+    idle_site.bed.boots = boots_of("worker-1", Boot.WITHOUT_SSHD)
+    idle_site.write(workers={"count": 1}, limits={"boot": "5s"})
+    assert_one_clear_line(idle_site.hpcapp("up", "-y"), "worker-1", "refused")
+    assert idle_site.bed.left() == []
+
+
+def test_machine_that_dies_while_it_is_set_up_is_replaced(site: Site, mesh: bytes) -> None:
+    died: list[str] = []
+
+    def die_at_first_command(machine: Machine, line: str) -> None:
+        plays = next(i.token for i in site.bed.cloud.instances if i.id == machine.name)
+        if line.startswith("Starting session") and "-worker-1-" in plays and not died:
+            died.append(machine.name)
+            machine.power_off()
+            instance = next(i for i in site.bed.cloud.instances if i.id == machine.name)
+            instance.die("Server.InternalError")
+
+    site.bed.on_line = die_at_first_command
+    site.write(workers={"count": 1}, limits={"boot": "30s"})
+    site.succeed("up", "-y")
+    assert died
+    assert_works(site, mesh, machines=2)
+    site.end()
+
+
+def test_spot_interruption_in_mid_job(site: Site, mesh: bytes) -> None:
+    block = site.bed.cloud.provider_block(small={}, fast={"market": "spot"})
+    site.write(block, head={"profile": "small"}, workers={"profile": "fast", "count": 2})
+    site.succeed("up", "-y")
+    job = site.start("submit", POINTS, "-o", "mesh.ply", "--", *OPTIONS)
+    head = site.bed.machine("head")
+    worker = site.bed.machine("worker-1")
+    wait_for_job(head)
+    interrupt(site.bed, announce_interruption(site.bed, "worker-1"))
+    _, errors = job.communicate()
+    assert job.returncode == 0, errors
+    assert not worker.is_on
+    assert (site.bed.home / "mesh.ply").read_bytes() == mesh
+    site.succeed("up", "-y")
+    assert_works(site, mesh, machines=3)
+    site.end()
+
+
+def wait_for_job(head: Machine) -> None:
+    """Wait until the head's job has spoken of its first stage."""
+    head.run(
+        "n=0; until cat /home/admin/hpcapp/*/jobs/*/events.jsonl 2>/dev/null | grep -q .; do "
+        "n=$((n + 1)); [ $n -lt 1200 ] || exit 1; sleep 0.05; done"
+    )
+
+
+def test_disk_that_fills_in_mid_life_costs_a_worker_not_the_job(site: Site, mesh: bytes) -> None:
+    site.write(workers={"count": 1})
+    site.succeed("up", "-y")
+    fill_disk(site.bed, "worker-1")
+    assert_works(site, mesh, machines=2)
+    site.end()
+
+
+def test_group_in_use_for_a_while(idle_site: Site) -> None:
+    idle_site.write(workers={"count": 0})
+    idle_site.succeed("up", "-y")
+    idle_site.bed.cloud.fail("DeleteSecurityGroup", "DependencyViolation", times=3)
+    idle_site.end()
+
+
+def test_exhausted_subnet_makes_a_smaller_cluster(site: Site, mesh: bytes) -> None:
+    block = site.bed.cloud.provider_block(small={}, fast={"instance_type": "c5.large"})
+    workers = {"profile": "fast", "count": 1, "min": 0}
+    site.write(block, head={"profile": "small"}, workers=workers)
+    full = "InsufficientFreeAddressesInSubnet"
+    site.bed.cloud.fail("RunInstances", full, match={"InstanceType": "c5.large"}, times=FOREVER)
+    site.succeed("up", "-y")
+    assert_works(site, mesh, machines=1)
+    site.end()
+
+
+def test_exhausted_subnet_for_all(idle_site: Site) -> None:
+    idle_site.write()
+    idle_site.bed.cloud.fail("RunInstances", "InsufficientFreeAddressesInSubnet", times=FOREVER)
+    assert_one_clear_line(idle_site.hpcapp("up", "-y"), "a larger provider.subnet")
+    assert idle_site.bed.left() == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"AWS_SECRET_ACCESS_KEY": "0" * 40}, ["secret"]),
+        ({"AWS_ACCESS_KEY_ID": "AKIANOBODY"}, ["key"]),
+        ({"AWS_ACCESS_KEY_ID": "", "AWS_SECRET_ACCESS_KEY": ""}, ["credentials"]),
+    ],
+)
+def test_wrong_credentials(idle_site: Site, wrong: dict[str, str], words: list[str]) -> None:
+    idle_site.write()
+    assert_one_clear_line(idle_site.hpcapp("up", "-y", env=wrong), *words)
+    assert idle_site.bed.left() == []
+
+
+def test_expired_credentials(idle_site: Site) -> None:
+    idle_site.write()
+    idle_site.bed.cloud.fail("*", "ExpiredToken", 400, times=FOREVER)
+    assert_one_clear_line(idle_site.hpcapp("up", "-y"), "ExpiredToken", "get new credentials")
+    assert idle_site.bed.left() == []
+
+
+@pytest.mark.parametrize("right", ["RunInstances", "ImportKeyPair", "CreateSecurityGroup"])
+def test_missing_right(idle_site: Site, right: str) -> None:
+    idle_site.write()
+    idle_site.bed.cloud.no_rights = {right}
+    assert_one_clear_line(idle_site.hpcapp("up", "-y"), right)
+    assert idle_site.bed.left() == []
+
+
+def test_another_home_without_the_key_is_told_and_changes_nothing(idle_site: Site) -> None:
+    idle_site.write(workers={"count": 1})
+    idle_site.succeed("up", "-y")
+    before = [instance.id for instance in idle_site.bed.cloud.living]
+    calls = len(idle_site.bed.cloud.calls)
+    elsewhere = {"XDG_STATE_HOME": str(idle_site.bed.home / "ben")}
+    for verb, *more in (
+        ("plan",),
+        ("up", "-y"),
+        ("scale", "0", "-y"),
+        ("submit", str(POINTS), "-o", "mesh.ply"),
+        ("down", "-y"),
+    ):
+        done = idle_site.hpcapp(verb, *more, env=elsewhere)
+        assert_one_clear_line(done, "cluster bunny was made elsewhere: by ")
+    assert not [call.action for call in idle_site.bed.cloud.calls[calls:] if call.changes]
+    assert [instance.id for instance in idle_site.bed.cloud.living] == before
+    idle_site.succeed("up", "-y")
+    idle_site.end()

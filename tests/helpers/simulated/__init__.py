@@ -1,0 +1,129 @@
+"""What simulated clusters are made of: a clock that only sleeping moves, files, stubs of set-up."""
+
+from __future__ import annotations
+
+import secrets
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from hpccomponent.config.reader import parse_config
+from hpcdeploy.machine.provider import MachineSeen
+from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.reconcile.cluster import Cluster
+from hpcdeploy.reconcile.journal import begun_lives
+from hpcdeploy.reconcile.ownership import Held, fingerprint
+from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.layout import state_folder
+from hpcdeploy.spec.names import Owner
+from hpcdeploy.spec.polling import Pace
+
+START = datetime(2026, 11, 1, 12, 0, tzinfo=UTC)
+
+FILE = """
+version: 1
+cluster: {cluster}
+provider:
+  type: aws
+  profiles:
+    small: {{image: {{id: ami-1}}, instance_type: m6i.large}}
+    fast: {{image: {{id: ami-1}}, instance_type: [c6i.xlarge, c6a.xlarge], market: {market}}}
+head: {{profile: small}}
+workers: {{profile: fast, count: {count}, min: {least}}}
+auth: {{allow_from: [192.0.2.0/24]}}
+limits: {{lease: 2h}}
+"""
+
+
+def make_spec(
+    count: int = 3, least: int = 0, market: str = "on_demand", cluster: str = "bunny"
+) -> ClusterSpec:
+    text = FILE.format(cluster=cluster, count=count, least=least, market=market)
+    return parse_config(text, "cluster.yaml", ClusterSpec)
+
+
+@dataclass
+class SimulatedTime:
+    """A clock that stands still until somebody sleeps."""
+
+    passed: float = 0.0
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def now(self) -> datetime:
+        return START + timedelta(seconds=self.passed)
+
+    def sleep(self, seconds: float) -> None:
+        with self.lock:
+            self.passed += seconds
+
+    def pace(self, **changes: Any) -> Pace:
+        return Pace(now=self.now, sleep=self.sleep, **changes)
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Like bootstrap.Failure."""
+
+    machine: MachineSeen
+    reason: str
+
+
+@dataclass
+class SetUp:
+    """Stands for the bootstrap: remembers what it was given, fails where it is told to."""
+
+    broken_nodes: set[str] = field(default_factory=set)
+    broken_once: set[str] = field(default_factory=set)
+    during: Callable[[], None] = lambda: None
+    calls: list[tuple[str, ...]] = field(default_factory=list)
+
+    def __call__(
+        self, spec: ClusterSpec, machines: Sequence[MachineSeen], access: Any, report: Any
+    ) -> list[Failure]:
+        self.calls.append(tuple(machine.name.node for machine in machines))
+        self.during()
+        failures = [
+            Failure(machine, "pip is missing")
+            for machine in machines
+            if machine.name.node in self.broken_nodes | self.broken_once
+        ]
+        self.broken_once -= {failure.machine.name.node for failure in failures}
+        return failures
+
+
+@dataclass
+class Keyring:
+    """Stands for the access to machines: one user's key of a cluster, and who that user is.
+
+    The key lies where the real one does, so that `down` forgets it and another home has another.
+    """
+
+    cluster: str
+    user: str = "anna@lab"
+    public: str | None = None
+
+    def public_key(self) -> str:
+        path = state_folder(self.cluster) / "id"
+        if self.public is None and not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(f"ssh-rsa {secrets.token_hex(8)}")
+        return self.public or path.read_text()
+
+    def owner(self) -> Owner:
+        return Owner(self.user, fingerprint(self.public_key()))
+
+    def held(self) -> Held:
+        lives = begun_lives(self.cluster)
+        if self.public is None and not (state_folder(self.cluster) / "id").exists():
+            return Held(Owner(self.user), lives=lives)
+        return Held(self.owner(), frozenset({self.public_key()}), lives)
+
+
+def make_cluster(
+    spec: ClusterSpec, provider: MemoryProvider, user: str = "anna@lab", key: str | None = None
+) -> Cluster:
+    access: Any = Keyring(spec.cluster, user, key)
+    return Cluster(Path("cluster.yaml"), spec, provider, access)

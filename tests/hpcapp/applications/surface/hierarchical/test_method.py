@@ -1,0 +1,295 @@
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorder import Recorder
+
+from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.hierarchical import estimates, slabs
+from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod, plan_grid
+from hpcapp.applications.surface.input.clean import arrange_points
+from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.workforce import Workforce
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.cloud.arranged import arrange_cloud
+from hpccomponent.surface.cloud.disk import DiskCloudWriter
+from hpccomponent.surface.fitting import levels as field_levels
+from hpccomponent.surface.fitting.field import BRICK
+from hpccomponent.surface.tiles import slabs as slab_growth
+from hpccomponent.surface.tiles.slabs import grow_slabs
+from hpccomponent.surface.types.lattice import unpack_keys
+from hpccomponent.surface.types.points import PointCloud
+
+
+def ignore(done, total):
+    """Show no progress."""
+
+
+def reconstruct(cloud, method, tiles=None):
+    """Run the method as one tile in this process, or in so many tiles on threads."""
+    cloud = arrange_points(cloud)
+    with ThreadPoolExecutor(2) as executor:
+        workforce = Workforce(executor, tiles or 1, in_process=tiles is None)
+        partition = method.partition(cloud, workforce)
+        quadrics = method.fit(partition, workforce, ignore)
+        surface = method.extract(partition, quadrics, workforce, ignore)
+        return surface.mesh(), method.facts(partition)
+
+
+def sphere(count, noise=0.0):
+    rng = np.random.default_rng(1)
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return PointCloud((1 + noise * rng.normal(size=(count, 1))) * normals, normals)
+
+
+def torus(count, major=1.0, minor=0.4):
+    rng = np.random.default_rng(2)
+    angles = rng.uniform(0, 2 * np.pi, (3 * count, 2))
+    even = rng.uniform(0, major + minor, 3 * count) < major + minor * np.cos(angles[:, 1])
+    u, v = angles[even][:count].T
+    normals = np.stack([np.cos(u) * np.cos(v), np.sin(u) * np.cos(v), np.sin(v)], axis=1)
+    ring = np.stack([np.cos(u), np.sin(u), np.zeros_like(u)], axis=1)
+    return PointCloud(major * ring + minor * normals, normals)
+
+
+def torus_distance(points, major=1.0, minor=0.4):
+    return np.hypot(np.hypot(points[:, 0], points[:, 1]) - major, points[:, 2]) - minor
+
+
+def assert_closed(mesh, genus):
+    found = check_mesh(mesh)
+    assert found.watertight
+    assert found.outward
+    assert (found.components, found.genus) == (1, genus)
+
+
+def test_a_clean_sphere_comes_out_within_a_fraction_of_the_grid_step():
+    method = HierarchicalMethod(64)
+    mesh, facts = reconstruct(sphere(10_000), method)
+    assert_closed(mesh, genus=0)
+    errors = np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1.0)
+    step = 2.0 / 56
+    assert errors.max() < 0.1 * step
+    assert errors.mean() < 0.01 * step
+    assert facts["patches"] > 1000
+    assert facts["noise"] < 0.1 * facts["spacing"] < facts["cell_size"]
+
+
+def test_a_clean_torus_keeps_its_handle():
+    mesh, _ = reconstruct(torus(10_000), HierarchicalMethod(64))
+    assert_closed(mesh, genus=1)
+    errors = np.abs(torus_distance(mesh.vertices))
+    assert errors.mean() < 0.02 * 2.8 / 56
+
+
+def test_noise_is_averaged_away():
+    noise = 0.01
+    mesh, facts = reconstruct(sphere(20_000, noise), HierarchicalMethod(64))
+    assert_closed(mesh, genus=0)
+    errors = np.linalg.norm(mesh.vertices, axis=1) - 1.0
+    assert np.sqrt((errors**2).mean()) < 0.3 * noise
+    assert facts["noise"] == pytest.approx(noise, rel=0.1)
+
+
+def test_noise_with_heavy_tails_is_not_just_averaged(monkeypatch):
+    cloud = tailed_torus(20_000)
+    errors = []
+    for tolerance in (estimates.find_tolerance, lambda kurtosis: np.inf):
+        monkeypatch.setattr(estimates, "find_tolerance", tolerance)
+        mesh, _ = reconstruct(cloud, HierarchicalMethod(64))
+        assert_closed(mesh, genus=1)
+        errors.append(np.abs(torus_distance(mesh.vertices)).mean())
+    assert errors[0] < 0.9 * errors[1]
+
+
+def test_normals_of_the_mesh_follow_the_surface():
+    mesh, _ = reconstruct(sphere(10_000), HierarchicalMethod(64))
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    cosines = (normals * (a + b + c)).sum(axis=1)
+    cosines /= np.linalg.norm(normals, axis=1) * np.linalg.norm(a + b + c, axis=1)
+    assert np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean() < 1.0
+
+
+def test_a_hole_is_closed():
+    cloud = sphere(20_000)
+    mesh, _ = reconstruct(cloud.take(cloud.positions[:, 2] < 0.85), HierarchicalMethod(64))
+    assert_closed(mesh, genus=0)
+    assert np.linalg.norm(mesh.vertices, axis=1).min() > 0.75
+
+
+def test_an_open_sheet_still_gives_a_closed_mesh():
+    rng = np.random.default_rng(3)
+    flat = np.concatenate([rng.uniform(-1, 1, (4000, 2)), np.zeros((4000, 1))], axis=1)
+    mesh, _ = reconstruct(
+        PointCloud(flat, np.tile([0.0, 0.0, 1.0], (4000, 1))), HierarchicalMethod(48)
+    )
+    assert check_mesh(mesh).watertight
+
+
+@pytest.mark.parametrize("count", [200, 400])
+def test_a_sparse_thin_tube_ends_soon_after_its_points(count):
+    radius = 0.05
+    rng = np.random.default_rng(3)
+    heights, angles = rng.uniform(-1, 1, count), rng.uniform(0, 2 * np.pi, count)
+    normals = np.stack([np.cos(angles), np.sin(angles), np.zeros(count)], axis=1)
+    positions = radius * normals + heights[:, None] * [0.0, 0.0, 1.0]
+    mesh, _ = reconstruct(PointCloud(positions, normals), HierarchicalMethod(64))
+    assert_closed(mesh, genus=0)
+    assert np.abs(mesh.vertices[:, 2]).max() < 1.0 + 2.0 * radius
+
+
+def sheet(count):
+    places = np.random.default_rng(3).uniform(-1, 1, (count, 3)) * [1.0, 1.0, 0.0]
+    return PointCloud(places, np.tile([0.0, 0.0, 1.0], (count, 1)))
+
+
+def half_torus(count):
+    cloud = torus(count)
+    return cloud.take(cloud.positions[:, 0] > -0.2)
+
+
+def rough_torus(count):
+    cloud = torus(count)
+    shifts = 0.01 * np.random.default_rng(1).normal(size=(count, 1))
+    return PointCloud(cloud.positions + shifts * cloud.normals, cloud.normals)
+
+
+def tailed_torus(count):
+    cloud = torus(count)
+    shifts = 0.005 * np.random.default_rng(1).standard_t(3, size=(count, 1))
+    return PointCloud(cloud.positions + shifts * cloud.normals, cloud.normals)
+
+
+@pytest.mark.parametrize("grid", [40, 96])
+@pytest.mark.parametrize("shape", [torus, rough_torus, tailed_torus, half_torus, sheet])
+def test_any_tiling_gives_the_same_bits(shape, grid):
+    """Closed, noisy, and open clouds, whose holes are closed far from every point."""
+    cloud = shape(6000)
+    whole, facts = reconstruct(cloud, HierarchicalMethod(grid, threads=2))
+    assert facts["tiles"] == 1
+    for tiles in (1, 2, 5, 16):
+        mesh, found = reconstruct(cloud, HierarchicalMethod(grid), tiles)
+        assert found == facts | {"tiles": tiles}
+        assert mesh.vertices.tobytes() == whole.vertices.tobytes()
+        assert mesh.faces.tobytes() == whole.faces.tobytes()
+
+
+@pytest.mark.parametrize("tiles", [None, 3])
+@pytest.mark.parametrize("grid", [40, 96])
+@pytest.mark.parametrize("shape", [torus, rough_torus, tailed_torus, half_torus, sheet])
+def test_any_slabs_give_the_same_bits(shape, grid, tiles, monkeypatch):
+    """Of the whole cloud, and of each tile."""
+    cloud = shape(6000)
+    whole, facts = reconstruct(cloud, HierarchicalMethod(grid), tiles)
+    monkeypatch.setattr(field_levels, "_LEAST_LAYERS", 1)
+    for quadrics in (facts["patches"], facts["patches"] // 10):
+        monkeypatch.setattr(slab_growth, "SLAB_QUADRICS", quadrics)
+        mesh, again = reconstruct(cloud, HierarchicalMethod(grid), tiles)
+        assert np.array_equal(mesh.vertices, whole.vertices)
+        assert np.array_equal(mesh.faces, whole.faces)
+        assert again == facts
+
+
+def test_the_surface_is_followed_into_slabs_without_points(monkeypatch):
+    cloud = half_torus(20_000)  # the surface over its holes bulges out
+    whole, _ = reconstruct(cloud, HierarchicalMethod(64))
+    entered = []
+
+    def grow(fields, kinds, bounds):
+        done = set()
+        for part, exits in grow_slabs(fields, kinds, bounds):
+            layer = int(unpack_keys(part.bricks[:1])[0, 0])
+            slab = np.searchsorted(bounds, layer, side="right")
+            entered.append(slab in done)
+            done.add(slab)
+            yield part, exits
+
+    monkeypatch.setattr(slabs, "grow_slabs", grow)
+    monkeypatch.setattr(field_levels, "_LEAST_LAYERS", 1)
+    monkeypatch.setattr(slab_growth, "SLAB_QUADRICS", 1)
+    mesh, _ = reconstruct(cloud, HierarchicalMethod(64))
+    assert any(entered)
+    assert np.array_equal(mesh.vertices, whole.vertices)
+    assert np.array_equal(mesh.faces, whole.faces)
+
+
+def test_the_origin_of_the_cloud_stays_with_the_mesh():
+    cloud = sphere(2000)
+    moved = PointCloud(cloud.positions, cloud.normals, origin=np.array([5e5, 4e6, 100.0]))
+    mesh, _ = reconstruct(moved, HierarchicalMethod(32))
+    assert np.array_equal(mesh.origin, moved.origin)
+
+
+@pytest.mark.parametrize("count", [10, 60, 500])
+def test_a_sparse_cloud_gives_one_closed_ball(count):
+    mesh, _ = reconstruct(sphere(count), HierarchicalMethod(48))
+    assert_closed(mesh, genus=0)
+
+
+def test_the_grid_covers_the_cloud_with_cells_to_spare():
+    cloud = sphere(500)
+    positions = cloud.positions * [3.0, 1.0, 0.2] + [100.0, 0.0, 0.0]
+    grid = plan_grid(positions.min(axis=0), positions.max(axis=0), 128)
+    sides = BRICK * np.array(grid.bricks)
+    assert sides[0] == 128
+    assert sides.max() == sides[0]
+    low, high = grid.origin, grid.origin + grid.step * sides
+    assert (positions.min(axis=0) - low > 3.9 * grid.step).all()
+    assert (high - positions.max(axis=0) > 3.9 * grid.step).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [((8,), "too coarse"), ((64, 0.0), "smoothness"), ((64, 1.0, float("nan")), "detail")],
+)
+def test_impossible_settings_are_refused(arguments, message):
+    with pytest.raises(UsageError, match=message):
+        HierarchicalMethod(*arguments)
+
+
+def test_a_cloud_that_says_nothing_is_refused():
+    with pytest.raises(InputError, match="no points with normals"):
+        reconstruct(PointCloud(np.zeros((5, 3))), HierarchicalMethod(32))
+    with pytest.raises(InputError, match="at one place"):
+        reconstruct(PointCloud(np.ones((5, 3)), np.ones((5, 3))), HierarchicalMethod(32))
+
+
+def test_the_bunny_is_closed_in_one_piece():
+    folder = os.environ.get("HPCAPP_DATA")
+    if not folder:
+        pytest.skip("HPCAPP_DATA names no folder with bunny_35947.ply")
+    from hpcapp.io import read_points
+
+    cloud = read_points(Path(folder) / "bunny_35947.ply")
+    mesh, _ = reconstruct(cloud, HierarchicalMethod(128))
+    assert_closed(mesh, genus=0)
+
+
+@pytest.mark.parametrize("is_shared", [True, False])
+def test_moments_of_tiles_go_through_the_folder_that_points_are_read_from(tmp_path, is_shared):
+    cloud = arrange_cloud(sphere(20_000))
+    points = tmp_path / "points"
+    points.mkdir()
+    writer = DiskCloudWriter(points, cloud.arrangement, cloud.origin)
+    writer.add(cloud.cloud.positions, cloud.cloud.normals)
+    keeping = Keeping(str(tmp_path / "kept"), "job", is_shared=is_shared)
+    keeping.make_folders()
+    method = HierarchicalMethod(48, keeping=keeping)
+    fitted, sums = [], []
+    for given in (writer.finish(), cloud.cloud):
+        with Recorder(2) as executor:
+            workforce = Workforce(executor, 3)
+            partition = method.partition(given, workforce)
+            fitted.append(method.fit(partition, workforce, ignore))
+        sums.append([future.result() for name, future in executor.tasks if name == "sum_tile"])
+    assert [len(of_cloud) for of_cloud in sums] == [3, 3]
+    assert all((lattice is None) == is_shared for lattice, *_ in sums[0])
+    assert all(lattice is not None for lattice, *_ in sums[1])
+    assert bool(keeping.store.list("job/sums/")) == is_shared
+    np.testing.assert_array_equal(*(coarse.parents.coefficients for coarse in fitted))
+    keeping.clear()
+    assert keeping.store.list() == []

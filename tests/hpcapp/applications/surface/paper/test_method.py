@@ -1,0 +1,155 @@
+import json
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from hpcapp.applications.surface.paper.method import PaperMethod, measure_residuals
+from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.workforce import Workforce
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.types.points import PointCloud
+
+RADIUS = 2.0
+
+
+def ignore(done, total):
+    pass
+
+
+def sphere(n=4000):
+    normals = np.random.default_rng(13).normal(size=(n, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return PointCloud(RADIUS * normals, normals, None, np.array([1e6, 2e6, 0.0]))
+
+
+@pytest.fixture
+def workforce():
+    with ThreadPoolExecutor(2) as executor:
+        yield Workforce(executor, 2)
+
+
+def run(method, cloud, workforce):
+    partition = method.partition(cloud, workforce)
+    quadrics = method.fit(partition, workforce, ignore)
+    surface = method.extract(partition, quadrics, workforce, ignore)
+    return partition, quadrics, surface.mesh()
+
+
+def test_one_patch_on_a_sphere_gives_the_sphere(workforce):
+    _, _, mesh = run(PaperMethod(patches=1, grid=32), sphere(), workforce)
+    radii = np.linalg.norm(mesh.vertices, axis=1)
+    cell, errors = 2.0 * RADIUS / 32, np.abs(radii - RADIUS)
+    # Linear interpolation of a quadratic function over one cell; where the sphere touches its
+    # box, and the blend ends, up to one cell.
+    assert np.mean(errors < cell**2 / RADIUS) > 0.95
+    assert errors.max() < cell
+    topology = check_mesh(mesh)
+    assert topology.watertight
+    assert topology.outward
+    assert topology.components == 1
+    assert mesh.origin.tolist() == [1e6, 2e6, 0.0]
+
+
+@pytest.mark.parametrize("norm", ["consistent", "printed"])
+def test_every_patch_of_a_sphere_is_fitted_exactly(workforce, norm):
+    # Patches of a sphere have one quadric through them, the sphere, if they are not too small.
+    method = PaperMethod(max_points=1000, cone="none", norm=norm)
+    partition, quadrics, _ = run(method, sphere(), workforce)
+    residuals = measure_residuals(partition, quadrics)
+    assert len(partition.patches) > 4
+    assert residuals["residual_rms"] < 1e-9
+    assert residuals["residual_median_percent"] < 1e-7
+    assert residuals["normals_agreeing"] == 1.0
+
+
+def test_the_surface_of_several_patches_holds_all_points(workforce):
+    cloud = sphere()
+    _, _, mesh = run(PaperMethod(max_points=1000, cone="none", grid=32), cloud, workforce)
+    # The blend adds walls at box faces; it takes nothing away.
+    radii = np.linalg.norm(mesh.vertices, axis=1)
+    near = mesh.vertices[np.abs(radii - RADIUS) < 0.05]
+    distances = np.linalg.norm(cloud.positions[:200, None] - near[None], axis=2).min(axis=1)
+    assert distances.max() < 2.0 * RADIUS / 32
+
+
+@pytest.mark.parametrize("options", [{"delta": 0.2}, {"patches": 37}, {"max_points": 100}])
+def test_any_number_of_workers_gives_the_same_bytes(options, workforce):
+    cloud = sphere()
+    method = PaperMethod(grid=24, **options)
+    meshes = [
+        run(method, cloud, Workforce(workforce.executor, workers, per_worker))[2]
+        for workers, per_worker in ((1, 1), (3, 1), (4, 5))
+    ]
+    assert len({mesh.vertices.tobytes() for mesh in meshes}) == 1
+    assert len({mesh.faces.tobytes() for mesh in meshes}) == 1
+
+
+class RecordingExecutor(ThreadPoolExecutor):
+    """An executor that remembers how many patches each batch held."""
+
+    def __init__(self):
+        super().__init__(1)
+        self.patches = []
+
+    def submit(self, task, *batch):
+        self.patches.append(len(batch[3]))
+        return super().submit(task, *batch)
+
+
+def test_each_worker_gets_as_many_patches():
+    told = []
+    method = PaperMethod(patches=40)
+    with RecordingExecutor() as executor:
+        workforce = Workforce(executor, 4)
+        partition = method.partition(sphere(), workforce)
+        method.fit(partition, workforce, lambda *counts: told.append(counts))
+    assert executor.patches == [10, 10, 10, 10]
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+
+
+def test_points_lie_patch_after_patch_with_their_normals(workforce):
+    cloud = sphere()
+    partition = PaperMethod().partition(cloud, workforce)
+    order = partition.patches.order
+    assert np.array_equal(partition.points.positions, cloud.positions[order])
+    assert np.array_equal(partition.points.normals, cloud.normals[order])
+
+
+def test_facts_say_what_was_chosen_and_found(workforce):
+    method = PaperMethod(delta=0.3, cone="complement", max_points=500)
+    partition, _, _ = run(method, sphere(), workforce)
+    facts = json.loads(json.dumps(method.facts(partition)))
+    assert facts["patches"] == len(partition.patches)
+    assert facts["delta"] == 0.3
+    assert facts["cone"] == "complement"
+    assert facts["largest_patch"] <= facts["max_points"] == 500
+    assert facts["residual_rms"] >= 0.0
+
+
+def test_facts_of_a_given_number_of_patches_name_no_cone(workforce):
+    method = PaperMethod(patches=12)
+    facts = method.facts(method.partition(sphere(), workforce))
+    assert facts["patches"] == 12
+    assert "cone" not in facts
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"delta": 2.0}, "delta"),
+        ({"patches": 0}, "patches"),
+        ({"patches": 5, "max_points": 5}, "exclude"),
+        ({"grid": 0}, "grid"),
+        ({"root": "sphere"}, "cube, box or tight"),
+        ({"norm": "euclidean"}, "consistent or printed"),
+    ],
+)
+def test_bad_options_are_named_before_any_work(options, named):
+    with pytest.raises(UsageError, match=named):
+        PaperMethod(**options)
+
+
+def test_a_cloud_without_normals_is_refused(workforce):
+    with pytest.raises(InputError, match="no normals"):
+        PaperMethod().partition(PointCloud(sphere().positions), workforce)

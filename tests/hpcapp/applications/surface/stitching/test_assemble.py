@@ -1,0 +1,126 @@
+"""The mesh of parts in every way out: the bytes are those of the whole mesh."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from cut_mesh import SHAPES, cut_mesh, cuts, extract_shape
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hpcapp.applications.surface.stitching import assemble as welded
+from hpcapp.applications.surface.stitching.plan import plan_weld
+from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.io import read_mesh, shared_ply, write_mesh, write_tiles
+from hpccomponent.surface.extraction.marching_cubes import drop_small_components
+from hpccomponent.surface.extraction.part_places import PartPlaces
+from hpccomponent.surface.extraction.summary import summarize_part
+from hpccomponent.surface.tasks.shared_ply import SharedPly, write_part
+from hpccomponent.surface.types.mesh import Mesh
+
+extracted = cache(extract_shape)
+ORIGINS = {"near": np.zeros(3), "far": np.array([4.5e5, 0.0, -12.0])}
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch):
+    monkeypatch.setattr(welded, "_ROWS_AT_ONCE", 700)
+
+
+@st.composite
+def welds(draw):
+    mesh, of_vertex, of_face = extracted(SHAPES[draw(st.sampled_from(sorted(SHAPES)))])
+    parts = cut_mesh(mesh, of_vertex, of_face, *draw(cuts(of_vertex, of_face)))
+    origin = ORIGINS[draw(st.sampled_from(sorted(ORIGINS)))]
+    whole = drop_small_components(mesh)
+    plan = plan_weld([summarize_part(part) for part in parts])
+    return plan, parts, Mesh(whole.vertices, whole.faces, origin)
+
+
+few = settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".stl"])
+@few
+@given(drawn=welds())
+def test_every_format_is_streamed_as_the_whole_is_written(tmp_path, suffix, drawn):
+    plan, parts, whole = drawn
+    write_mesh(tmp_path / f"whole{suffix}", whole)
+    stream = welded.stream_mesh(plan, parts.__getitem__, whole.origin)
+    write_mesh(tmp_path / f"parts{suffix}", stream)
+    assert (tmp_path / f"parts{suffix}").read_bytes() == (tmp_path / f"whole{suffix}").read_bytes()
+
+
+@few
+@given(drawn=welds(), seed=st.integers(0, 99))
+def test_workers_write_their_bricks_into_one_file(tmp_path, drawn, seed):
+    plan, parts, whole = drawn
+    write_mesh(tmp_path / "whole.ply", whole)
+    counts = (plan.vertex_count, plan.face_count)
+    with shared_ply(tmp_path / "parts.ply", counts, whole.origin, plan.box) as shared:
+        for index in np.random.default_rng(seed).permutation(len(parts)).tolist():
+            places = PartPlaces.from_values(plan.places(index).to_values())
+            write_part(parts[index], places, SharedPly.from_values(shared.to_values()))
+    assert (tmp_path / "parts.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+
+
+@few
+@given(drawn=welds())
+def test_tiles_are_the_faces_of_their_parts_and_meet_exactly(drawn):
+    plan, parts, whole = drawn
+    triangles = []
+    for index, tile in welded.stream_tiles(plan, parts.__getitem__, whole.origin):
+        assert len(parts[index].faces)
+        vertices, faces = next(tile.vertices()), next(tile.faces())
+        assert len(np.unique(faces)) == len(vertices) == tile.vertex_count
+        triangles.append(vertices[faces])
+    together = np.concatenate(triangles)
+    expected = whole.vertices[whole.faces]
+    assert sorted(map(bytes, together)) == sorted(map(bytes, expected))
+
+
+def torus_in_two():
+    mesh, of_vertex, of_face = extracted(SHAPES["torus"])
+    keys = np.unique(np.concatenate([of_vertex, of_face])).tolist()
+    parts = cut_mesh(mesh, of_vertex, of_face, {k: int(k > keys[len(keys) // 2]) for k in keys})
+    return mesh, parts, plan_weld([summarize_part(part) for part in parts])
+
+
+def test_blocks_are_bounded_and_mapped_parts_do(tmp_path):
+    mesh, parts, plan = torus_in_two()
+    for index, part in enumerate(parts):
+        np.save(tmp_path / f"{index}.npy", part.vertices)
+
+    def load(index):
+        values = list(parts[index].to_values())
+        values[4] = np.load(tmp_path / f"{index}.npy", mmap_mode="r")
+        return type(parts[index]).from_values(tuple(values))
+
+    blocks = list(welded.stream_mesh(plan, load, np.zeros(3)).vertices())
+    assert max(map(len, blocks)) < 1000
+    assert np.concatenate(blocks).tobytes() == mesh.vertices.tobytes()
+
+
+def test_a_shared_file_that_is_not_finished_leaves_nothing(tmp_path):
+    _, _, plan = torus_in_two()
+    with (
+        pytest.raises(RuntimeError),
+        shared_ply(tmp_path / "mesh.ply", (5, 5), np.zeros(3), plan.box),
+    ):
+        raise RuntimeError
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_of_tiles_holds_the_mesh(tmp_path):
+    mesh, parts, plan = torus_in_two()
+    write_mesh(tmp_path / "mesh.ply", mesh)
+    tiles = welded.stream_tiles(plan, parts.__getitem__, mesh.origin)
+    write_tiles(tmp_path / "mesh.tiles", tiles)
+    names = sorted(path.name for path in (tmp_path / "mesh.tiles").iterdir())
+    assert names == ["tile-0000.ply", "tile-0001.ply"]
+    found = [read_mesh(tmp_path / "mesh.tiles" / name) for name in names]
+    corners = np.concatenate([tile.vertices[tile.faces] for tile in found]).reshape(-1, 3)
+    vertices, faces = np.unique(corners, axis=0, return_inverse=True)
+    assert check_mesh(Mesh(vertices, faces.reshape(-1, 3))) == check_mesh(
+        read_mesh(tmp_path / "mesh.ply")
+    )

@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from hpcapp.applications.surface.command import info, reconstruct, simulate
+from hpcapp.applications.surface.job import Settings
+from hpccomponent.errors import UsageError
+
+
+@pytest.mark.parametrize("command", [reconstruct, simulate, info])
+def test_every_option_is_explained(command: click.Command) -> None:
+    for parameter in command.params:
+        if isinstance(parameter, click.Option):
+            assert parameter.help, parameter.name
+
+
+def test_every_setting_can_be_typed() -> None:
+    typed = {parameter.name for parameter in reconstruct.params}
+    assert typed == {*Settings.__dataclass_fields__, "as_json", "events"}
+
+
+def test_help_imports_nothing_heavy() -> None:
+    script = (
+        "import sys; from hpcapp.cli import hpcapp\n"
+        "hpcapp.main(['reconstruct', '--help'], standalone_mode=False)\n"
+        "assert not {'numpy', 'scipy', 'zmq', 'rich', 'yaml'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
+
+
+def test_a_default_is_no_contradiction(sphere_file: Path, tmp_path: Path) -> None:
+    arguments = [str(sphere_file), "-o", str(tmp_path / "m.ply"), "--method", "paper"]
+    done = CliRunner().invoke(reconstruct, [*arguments, "--patches", "9", "--grid", "16"])
+    assert done.exception is None
+
+
+def test_two_options_of_one_meaning_contradict(sphere_file: Path) -> None:
+    arguments = [str(sphere_file), "-o", "-", "--patches", "9", "--delta", "0.1"]
+    done = CliRunner().invoke(reconstruct, [*arguments, "--method", "paper"])
+    assert isinstance(done.exception, UsageError)
+    assert "--delta" in str(done.exception)

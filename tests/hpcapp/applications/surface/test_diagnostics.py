@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import numpy as np
+
+from hpcapp.applications.surface.diagnostics import doubt_closure, doubt_normals, doubt_resolution
+from hpcapp.applications.surface.surface import WholeSurface
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+
+
+def surface_of(vertices: FloatArray) -> WholeSurface:
+    return WholeSurface(Mesh(vertices, np.zeros((0, 3), int)))
+
+
+def turned(cloud: PointCloud, signs: object) -> PointCloud:
+    assert cloud.normals is not None
+    return PointCloud(cloud.positions, cloud.normals * signs)
+
+
+def test_a_good_scan_is_not_doubted(sphere: PointCloud) -> None:
+    assert doubt_normals(sphere) == []
+    assert doubt_resolution(sphere, 2.0 / 64) == []
+    assert (
+        doubt_closure(*bounding_box(sphere.positions), surface_of(sphere.positions), 2.0 / 64) == []
+    )
+
+
+def test_normals_are_judged_alike_wherever_and_however_large(sphere: PointCloud) -> None:
+    for scale, shift in ((1e-30, 0.0), (1e30, 0.0), (1.0, 50.0)):
+        moved = PointCloud(sphere.positions * scale + shift, sphere.normals)
+        assert doubt_normals(moved) == []
+        assert "turn them around" in doubt_normals(turned(moved, -1.0))[0]
+
+
+def test_normals_of_random_sign_contradict_each_other(sphere: PointCloud) -> None:
+    signs = np.random.default_rng(3).choice([-1.0, 1.0], (len(sphere), 1))
+    assert "contradict" in doubt_normals(turned(sphere, signs))[0]
+
+
+def test_the_side_scanned_more_often_does_not_decide(sphere: PointCloud) -> None:
+    near = np.flatnonzero(sphere.positions[:, 0] > 0.9)
+    often = sphere.take(np.concatenate([np.arange(len(sphere)), np.repeat(near, 100)]))
+    assert doubt_normals(often) == []
+    assert doubt_normals(turned(often, -1.0)) != []
+
+
+def test_few_points_are_too_far_apart_to_contradict_each_other(sphere: PointCloud) -> None:
+    assert doubt_normals(sphere.take(np.arange(20))) == []
+
+
+def test_an_outlier_that_takes_up_the_grid_is_noticed(sphere: PointCloud) -> None:
+    positions = np.vstack([sphere.positions, [[1e4, 0.0, 0.0]]])
+    assert "outliers" in doubt_resolution(PointCloud(positions), 1e4 / 64)[0]
+
+
+def test_a_mesh_far_outside_its_points_is_noticed(sphere: PointCloud) -> None:
+    swollen = surface_of(1.5 * sphere.positions)
+    assert (
+        "outside the points' bounding box"
+        in doubt_closure(*bounding_box(sphere.positions), swollen, 2.0 / 64)[0]
+    )

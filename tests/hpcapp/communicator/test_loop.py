@@ -1,0 +1,81 @@
+"""The engine on a wire of the test's own."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Sequence
+from concurrent.futures import Future
+from typing import Any
+
+from hpcapp.communicator.loop import Engine, Timing
+from hpcapp.communicator.policy import PullPolicy
+from hpcapp.communicator.scheduler import Scheduler
+from hpcapp.communicator.submission import Entry
+from hpccomponent.clock import ManualClock
+from hpccomponent.protocol.frames import LARGEST_FRAME
+from hpccomponent.protocol.messages import PROTOCOL_VERSION, Batch, Register, decode_master_message
+
+
+class Wire:
+    """A transport whose way to one worker is broken."""
+
+    def __init__(self, broken: bytes) -> None:
+        self._broken = broken
+        self._woken: queue.SimpleQueue[None] = queue.SimpleQueue()
+        self.batches: queue.SimpleQueue[tuple[bytes, Batch]] = queue.SimpleQueue()
+
+    def wake(self) -> None:
+        self._woken.put(None)
+
+    def wait(self, timeout_s: float) -> None:
+        if timeout_s:
+            self._woken.get(timeout=30)
+
+    def receive(self) -> None:
+        return None
+
+    def take_disconnected(self) -> bool:
+        return False
+
+    def send(self, identity: bytes, frames: Sequence[Any]) -> bool:
+        message = decode_master_message(bytes(frames[0]))
+        if not isinstance(message, Batch):
+            return True
+        self.batches.put((identity, message))
+        return identity != self._broken
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_way_that_breaks_between_two_batches_costs_no_task() -> None:
+    wire, clock = Wire(b"first"), ManualClock()
+    engine = Engine(
+        lambda ledger: Scheduler(PullPolicy(), clock, "1", ledger.claim, None, 15.0, 60.0),
+        wire,  # type: ignore[arg-type]
+        clock,
+        Timing(),
+    )
+    futures: list[Future[Any]] = [Future(), Future()]
+
+    def begin() -> list[Any]:
+        actions = []
+        for number, future in enumerate(futures, start=1):
+            engine.ledger.add(number, Entry(future, "task", b"", []))
+            actions += engine.scheduler.submit(number, "task", 0)
+        return actions + engine.scheduler.register(b"first", introduce("first"), "key 1")
+
+    try:
+        engine.post(begin)  # two batches are decided on; the first finds the way broken
+        assert wire.batches.get(timeout=30)[0] == b"first"
+        engine.post(lambda: engine.scheduler.register(b"second", introduce("second"), "key 2"))
+        sent = [wire.batches.get(timeout=30) for _ in range(2)]
+        assert {identity for identity, _ in sent} == {b"second"}
+        assert sum(len(batch.calls) for _, batch in sent) == 2
+    finally:
+        engine.close(abandon=True)
+        engine.join()
+
+
+def introduce(name: str) -> Register:
+    return Register(PROTOCOL_VERSION, "1", name, "1", "portable", "n", 1, 1, LARGEST_FRAME)

@@ -1,0 +1,207 @@
+"""Whoever asks an arranged cloud for blocks gets the same points, wherever it lies."""
+
+from __future__ import annotations
+
+import errno
+import os
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpccomponent.errors import JobError, OutputError
+from hpccomponent.surface.cloud import disk as disk_cloud
+from hpccomponent.surface.cloud.arranged import MemoryCloud, Points, arrange_cloud, cut_blocks
+from hpccomponent.surface.cloud.arrangement import pack_points
+from hpccomponent.surface.cloud.disk import (
+    DiskCloud,
+    DiskCloudWriter,
+    Part,
+    open_disk_cloud,
+    write_index,
+    write_part,
+)
+from hpccomponent.surface.types.points import PointCloud
+
+
+def _scan(points: int = 3_000) -> PointCloud:
+    random = np.random.default_rng(points)
+    positions = random.normal(size=(points, 3)) * (1.0, 0.2, 0.5)
+    return PointCloud(positions, random.normal(size=(points, 3)), None, np.array([7.0, 8.0, 9.0]))
+
+
+@pytest.fixture
+def memory() -> MemoryCloud:
+    return arrange_cloud(_scan())
+
+
+def _write(scan: PointCloud, arranged: MemoryCloud, folder: Path, rows: int) -> DiskCloud:
+    """Write a scan in parts of so many points, in its order."""
+    writer = DiskCloudWriter(folder, arranged.arrangement, scan.origin)
+    assert scan.normals is not None
+    for start in range(0, len(scan), rows):
+        writer.add(scan.positions[start : start + rows], scan.normals[start : start + rows])
+    return writer.finish()
+
+
+def _rows(points: Points) -> set[bytes]:
+    return {row.tobytes() for row in np.concatenate(points, axis=1)}
+
+
+@pytest.mark.parametrize("rows", [1, 70, 1_000, 3_000])
+def test_disk_and_memory_hold_the_same_bytes(
+    tmp_path: Path, memory: MemoryCloud, rows: int
+) -> None:
+    disk = _write(_scan(), memory, tmp_path, rows)
+    assert len(disk) == len(memory) == 3_000
+    for name in ("origin", "keys", "counts", "low", "high"):
+        assert getattr(disk, name).tobytes() == getattr(memory, name).tobytes()
+    random = np.random.default_rng(0)
+    for share in (0.0, 0.01, 0.5, 1.0):
+        wanted = memory.keys[random.random(len(memory.keys)) < share]
+        wanted = np.unique(np.concatenate([wanted, wanted + 1]))  # some of which are empty
+        for one, other in zip(disk.take_blocks(wanted), memory.take_blocks(wanted), strict=True):
+            assert one.tobytes() == other.tobytes()
+            assert one.shape[1:] == (3,)
+
+
+@pytest.mark.parametrize("points", [1, 100, 2_999, 10_000])
+def test_groups_are_the_whole_cloud_in_its_order(
+    tmp_path: Path, memory: MemoryCloud, points: int
+) -> None:
+    for cloud in (memory, _write(_scan(), memory, tmp_path, 500)):
+        groups = list(cloud.groups(points))
+        assert np.concatenate([g[0] for g in groups]).tobytes() == memory.cloud.positions.tobytes()
+        assert memory.cloud.normals is not None
+        assert np.concatenate([g[1] for g in groups]).tobytes() == memory.cloud.normals.tobytes()
+        most = max(points, int(memory.counts.max()))
+        assert all(len(group[0]) <= most for group in groups)
+
+
+@given(st.lists(st.integers(1, 9), min_size=1), st.integers(1, 30))
+def test_runs_of_blocks_are_cut_where_they_are_full(counts: list[int], points: int) -> None:
+    runs = cut_blocks(np.array(counts), points)
+    assert [count for run in runs for count in counts[run]] == counts
+    for run, after in pairwise(runs):
+        assert sum(counts[run]) <= points or run.stop - run.start == 1
+        assert sum(counts[run]) + counts[after.start] > points
+
+
+def test_a_selection_keeps_the_blocks(memory: MemoryCloud) -> None:
+    kept = np.random.default_rng(1).random(len(memory)) < 0.1
+    some = memory.select(kept)
+    assert len(some) == kept.sum()
+    assert some.cloud.positions.tobytes() == memory.cloud.positions[kept].tobytes()
+    again = arrange_cloud(PointCloud(memory.cloud.positions[kept], np.zeros((kept.sum(), 3))))
+    if again.arrangement.edge == memory.arrangement.edge:
+        assert some.counts.tolist() == again.counts.tolist()
+    assert some.counts.min() > 0
+    assert some.counts.sum() == len(some)
+    assert some.take_blocks(memory.keys)[0].tobytes() == some.cloud.positions.tobytes()
+
+
+@pytest.mark.parametrize("step", [1, 7, 5_000])
+def test_an_index_may_leave_out_blocks_of_parts_elsewhere(
+    tmp_path: Path, memory: MemoryCloud, step: int
+) -> None:
+    """Those left out are in another part, as if they had been written again."""
+    (tmp_path / "old").mkdir()
+    (tmp_path / "new").mkdir()
+    old = _write(_scan(), memory, tmp_path / "old", 700)
+    moved = memory.keys[::3]
+    written = write_part(tmp_path / "new", 0, [old.take_packed(moved)])
+    parts = [part.without(moved, "../old") for part in old.parts]
+    parts.append(Part.whole(0, *written))
+    box = old.low, old.high
+    new = write_index(tmp_path / "new", old.arrangement, old.origin, box, parts)
+    assert new.uses(tmp_path / "old")
+    assert not old.uses(tmp_path / "new")
+    assert new.counts.tolist() == memory.counts.tolist()
+    for keys in (memory.keys, memory.keys[1:40], moved):
+        for one, other in zip(new.take_blocks(keys), memory.take_blocks(keys), strict=True):
+            assert one.tobytes() == other.tobytes()
+    some = new.take_every(step)
+    assert len(some[0]) == sum(-(-int(part.counts.sum()) // step) for part in parts)
+    assert _rows(some) <= _rows(memory.take_blocks(memory.keys))
+    assert len(_rows(some)) == len(some[0])
+
+
+@pytest.mark.parametrize("at_once", [1, 7, 1_000, 1 << 16])
+def test_a_part_is_the_same_in_pieces(
+    tmp_path: Path, memory: MemoryCloud, at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Blocks hold the points of one piece after those of another."""
+    monkeypatch.setattr("hpccomponent.surface.cloud.disk._ROWS_AT_ONCE", at_once)
+    scan = _scan()
+    assert scan.normals is not None
+    arrangement = memory.arrangement
+    packed = [
+        pack_points(arrangement, scan.positions[rows], scan.normals[rows])
+        for rows in (slice(0, 1), slice(1, 1_200), slice(1_200, None))
+    ]
+    keys, counts = write_part(tmp_path, 0, packed)
+    whole = pack_points(arrangement, scan.positions, scan.normals)
+    assert keys.tolist() == whole.keys.tolist()
+    assert counts.tolist() == whole.counts.tolist()
+    written = (tmp_path / "points.0").read_bytes()
+    assert written[:-24] == whole.to_records().tobytes()  # the last record is a checksum
+    assert [len(column) for column in write_part(tmp_path, 1, [])] == [0, 0]
+    assert not (tmp_path / "points.1").exists()
+
+
+def test_a_cloud_is_opened_again(tmp_path: Path, memory: MemoryCloud) -> None:
+    written = _write(_scan(), memory, tmp_path, 1_000)
+    opened = open_disk_cloud(tmp_path)
+    assert opened.take_blocks(memory.keys)[0].tobytes() == memory.cloud.positions.tobytes()
+    assert len(opened) == len(written)
+
+
+@pytest.mark.parametrize("most", [1, 2, 1024])
+def test_blocks_are_read_in_as_many_calls_as_it_takes(
+    tmp_path: Path, memory: MemoryCloud, monkeypatch: pytest.MonkeyPatch, most: int
+) -> None:
+    disk = _write(_scan(), memory, tmp_path, 1_000)
+    read, calls = os.preadv, []
+
+    def read_less(file: int, buffers: list[memoryview], start: int) -> int:
+        """Read so many buffers at most, and half of the last."""
+        calls.append(len(buffers))
+        *whole, last = buffers[:most]
+        return read(file, [*whole, last[: -(-len(last) // 2)]], start)
+
+    monkeypatch.setattr(disk_cloud, "_MOST_BUFFERS", most + 1)
+    monkeypatch.setattr(os, "preadv", read_less)
+    assert disk.take_blocks(memory.keys)[0].tobytes() == memory.cloud.positions.tobytes()
+    assert 1 < max(calls) <= most + 1
+
+
+def test_folders_that_were_tampered_with(tmp_path: Path, memory: MemoryCloud) -> None:
+    with pytest.raises(JobError, match="holds no arranged points"):
+        open_disk_cloud(tmp_path)
+    disk = _write(_scan(), memory, tmp_path, 1_000)
+    part = tmp_path / "points.1"
+    part.write_bytes(part.read_bytes()[:-30])
+    with pytest.raises(JobError, match=r"points\.1 has become shorter"):
+        disk.take_blocks(memory.keys)
+    with pytest.raises(JobError, match=r"points\.1: .* cannot be read: it is not whole"):
+        disk.take_every(10)
+    part.unlink()
+    with pytest.raises(JobError, match=r"points\.1: .* cannot be read"):
+        disk.take_blocks(memory.keys)
+    (tmp_path / "index").write_bytes(b"PK nonsense")
+    with pytest.raises(JobError, match="holds no arranged points"):
+        open_disk_cloud(tmp_path)
+
+
+def test_a_full_disk_is_one_clear_line(
+    tmp_path: Path, memory: MemoryCloud, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(OutputError, match="No space left on device; name a temporary folder"):
+        _write(_scan(), memory, tmp_path, 1_000)

@@ -1,0 +1,58 @@
+"""Outliers that are looked for in regions are those of the whole, whatever the rank of most."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hpccomponent.surface.cloud import outlier_regions
+from hpccomponent.surface.cloud.outlier_regions import judge_region, judge_sparse, rank_region
+from hpccomponent.surface.cloud.outliers import EDGE, ISLAND_LEVEL, find_outliers
+from hpccomponent.surface.cloud.spacing import estimate_spacing
+from hpccomponent.surface.types.lattice import cells_of, pack_places
+from hpccomponent.surface.types.points import FloatArray, bounding_box
+
+
+def _cloud(seed: int) -> FloatArray:
+    """A sphere that is dense on one side, a patch, two small pieces and points far away."""
+    random = np.random.default_rng(seed)
+    sphere = random.normal(size=(9_000, 3))
+    sphere /= np.linalg.norm(sphere, axis=1)[:, None]
+    sphere = sphere[random.random(len(sphere)) < 10.0 ** (-0.8 * (1 - sphere[:, 2]))]
+    patch = random.uniform(-0.3, 0.3, (40, 3)) * (1.0, 1.0, 0.01) - (0.0, 0.0, 1.3)
+    pieces = [place + 0.02 * random.normal(size=(8, 3)) for place in ((2, 1, 0), (0, 2, 1))]
+    return np.concatenate([sphere, patch, *pieces, random.uniform(-2, 2, (80, 3))])
+
+
+def _slabs(positions: FloatArray, count: int) -> list[np.ndarray]:
+    """Return masks of the points between planes, of which each has about as many."""
+    bounds = np.quantile(positions[:, 0], np.linspace(0, 1, count + 1)[1:-1])
+    slab = np.searchsorted(bounds, positions[:, 0])
+    return [slab == i for i in range(count)]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("factor", [0.06, 0.12, 0.25, 0.5, 1.0, 2.0])
+def test_any_rank_may_be_that_of_most_points(seed: int, factor: float) -> None:
+    positions = _cloud(seed)
+    spacing = factor * estimate_spacing(positions)
+    low, _ = bounding_box(positions)
+    margin = outlier_regions.MARGIN * spacing
+    regions = []
+    for own in _slabs(positions, 6):
+        x = positions[own, 0]
+        near = (positions[:, 0] >= x.min() - margin) & (positions[:, 0] <= x.max() + margin)
+        regions.append((positions[near], own[near], low, spacing))
+    judged = judge_sparse([rank_region(*region) for region in regions])
+    strays = np.concatenate(
+        [judged.stray_cells, *(judge_region(*region, judged.base) for region in regions)]
+    )
+    places = np.floor(cells_of(positions, low, EDGE * spacing)).astype(np.int64)
+    found = np.isin(pack_places(places), strays)
+    found |= np.isin(pack_places(places >> ISLAND_LEVEL), judged.island_cells)
+    expected = find_outliers(positions, spacing)
+    assert found.tolist() == expected.tolist()
+    if factor <= 1.0:
+        assert expected.any()
+    if factor == 0.06:
+        assert judged.base > outlier_regions.LOCAL_RANK

@@ -1,0 +1,223 @@
+import gc
+import weakref
+
+import numpy as np
+import pytest
+
+from hpcapp.applications.surface.hierarchical.coarse import fit_coarse
+from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
+from hpcapp.backends.selection import SerialExecutor
+from hpcapp.workforce import Workforce
+from hpccomponent.errors import JobError
+from hpccomponent.runtime.idle import IdleWork
+from hpccomponent.store.base import FolderStore
+from hpccomponent.surface.cloud.arranged import arrange_cloud
+from hpccomponent.surface.extraction.parts import join_parts
+from hpccomponent.surface.tasks import tiles as region
+from hpccomponent.surface.tasks.tiles import KEPT_TILES, mesh_tile, solve_far, sum_tile
+from hpccomponent.surface.tiles import prepared as prepared_tile
+from hpccomponent.surface.tiles import slabs as slab_growth
+from hpccomponent.surface.tiles.points import take_points
+from hpccomponent.surface.tiles.prepared import PreparedTile, lay_corners
+from hpccomponent.surface.types.points import PointCloud
+
+
+def ball(count):
+    points = np.random.default_rng(5).normal(size=(count, 3))
+    normals = points / np.linalg.norm(points, axis=1)[:, None]
+    return arrange_cloud(PointCloud(normals, normals)).cloud
+
+
+def assert_same(found, wanted):
+    if isinstance(wanted, tuple):
+        for one, other in zip(found, wanted, strict=True):
+            assert_same(one, other)
+    else:
+        np.testing.assert_array_equal(found, wanted)
+
+
+def fit_sums(plan, sums):
+    lattices, samples, _ = map(list, zip(*sums, strict=True))
+    return fit_coarse(plan, lattices, samples, Workforce(SerialExecutor()), 1)
+
+
+def test_a_tile_is_prepared_once_where_its_ticket_comes_back():
+    """The second task gets along without the points; with another ticket it must read them."""
+    method = HierarchicalMethod(48)
+    partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
+    plan, tiling = partition.plan.to_values(), partition.tiling
+    points = [tiling.tile(index) for index in range(2)]
+    assert None not in tiling.tickets
+    sums = [sum_tile(plan, some, ticket) for some, ticket in zip(points, "ab", strict=True)]
+    for index in range(2):
+        assert_same(sum_tile(plan, points[index][:2]), sums[index])  # without its halo
+    coarse = fit_sums(partition.plan, sums)
+    nowhere = ("there", "/nowhere", *tiling.groups(1))
+    around = coarse.around(tiling.own(1)).to_values()
+    wanted = mesh_tile(plan, points[1], None, around)
+    sum_tile(plan, points[1], "b")
+    assert_same(mesh_tile(plan, nowhere, "b", around), wanted)
+    for number in range(KEPT_TILES):
+        sum_tile(plan, points[0][:2], f"c{number}")
+    for ticket in ("a", "b", None):  # the first has made room for others, the second is used
+        with pytest.raises(JobError, match="nowhere"):
+            mesh_tile(plan, nowhere, ticket, around)
+    for number in range(KEPT_TILES):  # nothing is left in memory
+        mesh_tile(plan, points[0], f"c{number}", around)
+
+
+def test_sums_can_be_kept_in_a_folder(tmp_path):
+    """What a tile has sampled lies beside its lattice, and is read by who solves."""
+    (tmp_path / "job").mkdir()
+    method = HierarchicalMethod(48)
+    partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
+    plan, tiling = partition.plan.to_values(), partition.tiling
+    tiles = [tiling.tile(index) for index in range(len(tiling))]
+    sums = [sum_tile(plan, points) for points in tiles]
+    names = [f"job/sums-{index}" for index in range(len(tiles))]
+    kept = [
+        sum_tile(plan, points, None, (str(tmp_path), name))
+        for points, name in zip(tiles, names, strict=True)
+    ]
+    store = FolderStore(tmp_path)
+    for name, (lattice, samples, patches), found in zip(names, sums, kept, strict=True):
+        nothing, place, same = found
+        assert (nothing, same) == (None, patches)
+        assert_same(store.get(name), lattice)
+        assert_same(store.get(place[1]), samples)
+    far = [solve_far(plan, [some for _, some, _ in found]) for found in (sums, kept, sums[::-1])]
+    assert_same(far[1], far[0])
+    assert_same(far[2], far[0])
+
+
+def test_corners_are_laid_in_idle_time_and_change_nothing(monkeypatch):
+    idle = IdleWork()
+    idle.serve()
+    monkeypatch.setattr(region, "idle_work", idle)
+    done = []
+
+    def lay_aloud(*given):
+        done.append("begin")
+        corners = yield from lay_corners(*given)
+        done.append("end")
+        return corners
+
+    monkeypatch.setattr(prepared_tile, "lay_corners", lay_aloud)
+    method = HierarchicalMethod(48)
+    partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
+    plan, tiling = partition.plan.to_values(), partition.tiling
+    points = [tiling.tile(index) for index in range(2)]
+    sums = [sum_tile(plan, some, name) for some, name in zip(points, "ab", strict=True)]
+    assert not done
+    coarse = fit_sums(partition.plan, sums)
+    around = [coarse.around(tiling.own(index)).to_values() for index in range(2)]
+    wanted = mesh_tile(plan, points[1], "b", around[1])
+    assert done == ["begin", "end"]
+    while idle:  # the first tile's; the second is meshed already
+        idle.run_one()
+    assert done == ["begin", "end"] * 2
+    mesh_tile(plan, points[0], "a", around[0])
+    assert done == ["begin", "end"] * 2
+    for steps in range(1, 5):  # what is begun ahead is gone on with
+        sum_tile(plan, points[1], "c")
+        for _ in range(steps):
+            idle.run_one()
+        assert_same(mesh_tile(plan, points[1], "c", around[1]), wanted)
+        assert done == ["begin", "end"] * (2 + steps)
+        while idle:
+            idle.run_one()
+
+
+def test_what_fails_in_idle_time_is_tried_again_by_the_task(monkeypatch):
+    idle = IdleWork()
+    idle.serve()
+    monkeypatch.setattr(region, "idle_work", idle)
+    method = HierarchicalMethod(48)
+    partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
+    plan, tiling = partition.plan.to_values(), partition.tiling
+    sums = [sum_tile(plan, tiling.tile(index), None) for index in range(2)]
+    coarse = fit_sums(partition.plan, sums)
+    given = tiling.tile(1), coarse.around(tiling.own(1)).to_values()
+    wanted = mesh_tile(plan, given[0], None, given[1])
+
+    def lack(*_):
+        raise MemoryError
+
+    for steps, name in ((0, "plan_tile"), (1, "near_bricks")):
+        sum_tile(plan, given[0], "d")
+        for _ in range(steps):
+            idle.run_one()
+        with monkeypatch.context() as patch:
+            patch.setattr(prepared_tile, name, lack)
+            idle.run_one()
+        assert not idle
+        assert_same(mesh_tile(plan, given[0], "d", given[1]), wanted)
+
+
+def test_what_a_tile_is_made_of_leaves_memory_before_its_slabs_are_joined(monkeypatch):
+    method = HierarchicalMethod(48)
+    partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
+    plan, tiling = partition.plan.to_values(), partition.tiling
+    sums = [sum_tile(plan, tiling.tile(index), None) for index in range(2)]
+    coarse = fit_sums(partition.plan, sums).around(tiling.own(1)).to_values()
+    made, held = [], []
+
+    def sort(*given):
+        taken = take_points(*given)
+        made.append(weakref.ref(taken.finest.points.offsets))
+        return taken
+
+    def join(parts):
+        held.append(made[-1]() is not None)
+        return join_parts(parts)
+
+    monkeypatch.setattr(prepared_tile, "take_points", sort)
+    monkeypatch.setattr(slab_growth, "join_parts", join)
+    sum_tile(plan, tiling.tile(1), "f")
+    for ticket in ("f", None):
+        mesh_tile(plan, tiling.tile(1), ticket, coarse)
+    assert held == [False, False]
+
+
+def test_what_the_last_tile_has_left_goes_before_that_is_kept(monkeypatch, tmp_path):
+    """While another waits to be meshed, it takes the memory that this one has left."""
+    method = HierarchicalMethod(48)
+    partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
+    plan, tiling = partition.plan.to_values(), partition.tiling
+    points = [tiling.tile(index) for index in range(2)]
+    events = []
+    monkeypatch.setattr(region, "_waiting", {})
+    monkeypatch.setattr(region, "leave_for_files", lambda: events.append("left"))
+    monkeypatch.setattr(FolderStore, "put", lambda store, name, value: events.append(name))
+    sums = [sum_tile(plan, some, ticket) for some, ticket in zip(points, "gh", strict=True)]
+    coarse = fit_sums(partition.plan, sums)
+    for index, ticket in ((0, "g"), (1, "h"), (1, None)):  # without tickets more may follow
+        around = coarse.around(tiling.own(index)).to_values()
+        mesh_tile(plan, points[index], ticket, around, (str(tmp_path), f"tile-{index}"))
+    assert events == ["tile-0", "left", "tile-1", "tile-1"]
+
+
+def test_tiles_leave_memory_with_their_last_use(monkeypatch):
+    """At once: a collector of cycles counts objects, and these are few but large."""
+    found = []
+
+    class Watched(PreparedTile):
+        def __init__(self, *given):
+            super().__init__(*given)
+            found.append(weakref.ref(self))
+
+    monkeypatch.setattr(region, "PreparedTile", Watched)
+    method = HierarchicalMethod(48)
+    partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
+    plan, points = partition.plan.to_values(), partition.tiling.tile(0)
+    gc.disable()
+    try:
+        sum_tile(plan, points)
+        assert [tile() for tile in found] == [None]
+        for number in range(KEPT_TILES + 2):
+            sum_tile(plan, points, f"e{number}")
+            found[-1]().lay_some()
+        assert [tile() is None for tile in found[1:]] == [True] * 2 + [False] * KEPT_TILES
+    finally:
+        gc.enable()
+        region._waiting.clear()

@@ -1,1 +1,0 @@
-"""Machines whose first process is systemd."""
