@@ -21,8 +21,9 @@ from hpcapp.applications.simulate.scanner import sample_surface
 from hpcapp.applications.simulate.shapes import SHAPES, Shape, diagonal_of, find_shape
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.io import read_mesh
+from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["Measures", "MeshTruth", "ShapeTruth", "Truth", "measure_mesh", "sample_mesh"]
 
@@ -124,7 +125,7 @@ class MeshTruth:
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
         self._faces = NearestFace(mesh)
-        low, high = bounding_box(mesh.vertices[np.unique(mesh.faces)])
+        low, high = bound_points(mesh.vertices[np.unique(mesh.faces)])
         self.diagonal = float(np.linalg.norm(high - low))
         self.is_closed = check_mesh(mesh).boundary_edges == 0
 

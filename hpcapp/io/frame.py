@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpccomponent.surface.types.points import FloatArray, bounding_box
+from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["FAR_IN_DIAGONALS", "choose_origin", "finite_bounds", "needs_double", "to_local"]
 
@@ -93,4 +94,4 @@ def finite_bounds(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     if np.isfinite(low).all() and np.isfinite(high).all():
         return low, high
     finite = positions[np.isfinite(positions).all(axis=1)]
-    return bounding_box(finite) if len(finite) else (np.zeros(3), np.zeros(3))
+    return bound_points(finite) if len(finite) else (np.zeros(3), np.zeros(3))

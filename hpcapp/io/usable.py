@@ -8,7 +8,8 @@ import numpy as np
 
 from hpccomponent.errors import InputError
 from hpccomponent.surface.cloud.validity import Dropped, select_usable
-from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = [
     "FEWEST_POINTS",
@@ -60,7 +61,7 @@ def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[P
         raise InputError(f"{source} holds no points", "check that the right file was exported")
     usable, dropped = select_usable(cloud, source)
     refuse_too_few(len(usable), dropped, source)
-    low, high = bounding_box(usable.positions)
+    low, high = bound_points(usable.positions)
     some = usable.positions[:: -(-len(usable) // _SAMPLE)]  # in most clouds they tell enough
     refuse_degenerate(low, high, len(usable), source)
     refuse_line(lambda: [some], lambda: [usable.positions], len(usable), source)
@@ -117,7 +118,7 @@ def refuse_line(some: Parts, every: Parts, points: int, source: str) -> None:
 
 def _is_line(parts: Parts) -> bool:
     """Tell whether all points lie on one line; their squares must not leave the range."""
-    boxes = [np.stack(bounding_box(part)) for part in parts() if len(part)]
+    boxes = [np.stack(bound_points(part)) for part in parts() if len(part)]
     low, high = np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]
     scale = float(np.max(high / 2 - low / 2)) or 1.0
     count, total, squares = 0, np.zeros(3), np.zeros((3, 3))

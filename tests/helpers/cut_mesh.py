@@ -3,10 +3,10 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from hpccomponent.surface.extraction.bricks import OWN, BrickKinds, grow_bricks
-from hpccomponent.surface.extraction.marching_cubes import extract_surface
 from hpccomponent.surface.extraction.parts import MeshPart
-from hpccomponent.surface.fitting.field import BRICK, Grid
+from hpccomponent.surface.kernels.portable.bricks import grow_bricks
+from hpccomponent.surface.kernels.portable.marching_cubes import extract_surface
+from hpccomponent.surface.types.grid import BRICK, OWN, BrickKinds, Grid
 from hpccomponent.surface.types.lattice import pack_places, unpack_keys
 from hpccomponent.surface.types.mesh import Mesh
 

@@ -11,8 +11,9 @@ import numpy as np
 from hpcapp.applications.surface.surface import Surface
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.disk import DiskCloud
+from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import find_first, pack_places
-from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["doubt_closure", "doubt_normals", "doubt_resolution", "sample_cloud"]
 
@@ -56,7 +57,7 @@ def doubt_normals(cloud: PointCloud) -> list[str]:
         return []
     every = slice(None, None, -(-len(cloud) // SAMPLE))
     positions, normals = cloud.positions[every], cloud.normals[every]
-    low, high = bounding_box(positions)
+    low, high = bound_points(positions)
     size = float((high - low).max()) / min(BOXES, max(1.0, np.sqrt(len(positions) / 24.0)))
     keys = pack_places(np.floor((positions - low) / size).astype(np.int64))
     order = np.argsort(keys, kind="stable")
@@ -98,7 +99,7 @@ def doubt_resolution(cloud: PointCloud, step: float) -> list[str]:
     -------
     list of str
     """
-    low, high = bounding_box(cloud.positions)
+    low, high = bound_points(cloud.positions)
     along = float((high - low).max()) / step
     few = cloud.positions[:: -(-len(cloud) // SAMPLE)]  # in most clouds they tell enough
     if kernels.count_boxes(few, low, step, 1)[1] >= 2.0 * along:

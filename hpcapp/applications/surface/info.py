@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["describe"]
 
@@ -56,7 +57,7 @@ def describe(cloud: PointCloud) -> dict[str, Any]:
 def _measure(finite: FloatArray, origin: FloatArray) -> dict[str, Any]:
     if not len(finite):
         return {"bounds": None, "extent": None, "diagonal": None}
-    low, high = bounding_box(finite)
+    low, high = bound_points(finite)
     return {
         "bounds": [(low + origin).tolist(), (high + origin).tolist()],
         "extent": (high - low).tolist(),

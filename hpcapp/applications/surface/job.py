@@ -30,7 +30,7 @@ from hpcapp.applications.surface.sizes import TILE_POINTS
 from hpcapp.backends.selection import Backend
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.surface.build import kernel_id
-from hpccomponent.surface.kernels.freed_memory import keep_memory
+from hpccomponent.surface.freed_memory import keep_memory
 from hpccomponent.surface.types.points import PointCloud
 
 if TYPE_CHECKING:

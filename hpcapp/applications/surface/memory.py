@@ -13,7 +13,8 @@ from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_memory
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.spacing import estimate_spacing
-from hpccomponent.surface.types.points import PointCloud, bounding_box
+from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
     "check_memory",
@@ -173,7 +174,7 @@ def estimate_memory(method: str, grid: int, cloud: PointCloud) -> float:
     """
     if method == "paper":
         return BYTES_PER_NODE * float(grid) ** 3
-    low, high = bounding_box(cloud.positions)
+    low, high = bound_points(cloud.positions)
     step = float((high - low).max()) / grid
     box = max(8.0 * step, 3.0 * estimate_spacing(cloud.positions))
     one_in = len(cloud) // SAMPLED_POINTS + 1

@@ -40,7 +40,8 @@ from hpcapp.progress import StageClock
 from hpcapp.workforce import Later
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.cloud.disk import DiskCloud
-from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -102,7 +103,7 @@ def run_memory(
     """
     cloud = loaded.cloud
     assert isinstance(cloud, PointCloud)  # noqa: S101 - it is the one in memory
-    grid = choose_grid(settings, *bounding_box(cloud.positions))
+    grid = choose_grid(settings, *bound_points(cloud.positions))
     check_memory(settings.method, grid, cloud)
     is_cut = keeping is not None or settings.max_memory is not None
     with opener.open(Job(len(cloud), grid, is_cut), executor) as (backend, choice):
@@ -160,7 +161,7 @@ class _Doubts:
 
 def _doubt_points(grid: int, cloud: PointCloud | DiskCloud) -> _Doubts:
     if isinstance(cloud, PointCloud):
-        low, high = bounding_box(cloud.positions)
+        low, high = bound_points(cloud.positions)
     else:
         low, high, cloud = cloud.low, cloud.high, sample_cloud(cloud)
     step = float((high - low).max()) / grid

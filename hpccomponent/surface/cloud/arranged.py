@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.arrangement import Arrangement, choose_arrangement, snap_points
+from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import find_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud, bounding_box
+from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["ArrangedCloud", "MemoryCloud", "Points", "arrange_cloud", "cut_blocks"]
 
@@ -106,12 +107,12 @@ class MemoryCloud:
     @property
     def low(self) -> FloatArray:
         """See `ArrangedCloud`."""
-        return bounding_box(self.cloud.positions)[0]
+        return bound_points(self.cloud.positions)[0]
 
     @property
     def high(self) -> FloatArray:
         """See `ArrangedCloud`."""
-        return bounding_box(self.cloud.positions)[1]
+        return bound_points(self.cloud.positions)[1]
 
     def __len__(self) -> int:
         return len(self.cloud)
@@ -154,7 +155,7 @@ def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
     InputError
         All points are the same.
     """
-    arrangement = choose_arrangement(*bounding_box(cloud.positions))
+    arrangement = choose_arrangement(*bound_points(cloud.positions))
     snapped = snap_points(arrangement, cloud.positions)
     keys, offsets, rows = kernels.sort_points(snapped, arrangement.origin, arrangement.edge)
     positions = snapped.take(rows, axis=0)

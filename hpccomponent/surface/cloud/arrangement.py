@@ -22,34 +22,28 @@ from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
 from hpccomponent.surface import kernels
-from hpccomponent.surface.build import load_native
 from hpccomponent.surface.types.lattice import unpack_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
 __all__ = [
     "Arrangement",
     "PackedPoints",
     "choose_arrangement",
     "pack_points",
-    "pack_records",
     "pack_snapped",
     "snap_points",
     "unpack_near",
     "unpack_points",
-    "unpack_records",
-    "unpack_within",
     "unpacking_arguments",
 ]
 
-Float32Array = NDArray[np.float32]
 
 QUANTA_BITS = 24
 """Of an offset within a block: the significand of float32."""
 
-_native: Any = load_native()
 
-_BLOCKS_BITS = 6  # at most 2^6 blocks along the longest side, and more than half of that
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
+_BLOCKS_BITS = 6  # at most 2^6 blocks along the longest side, and more than half of that
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,9 +193,10 @@ def pack_snapped(
     arrangement: Arrangement, snapped: FloatArray, normals: FloatArray
 ) -> PackedPoints:
     """Pack points that have been snapped; see `pack_points`."""
-    pack = pack_records if _native is None else _native.pack_records
     points = np.ascontiguousarray(snapped, np.float64), np.ascontiguousarray(normals, np.float64)
-    return PackedPoints.from_records(*pack(*points, arrangement.origin, arrangement.edge))
+    return PackedPoints.from_records(
+        *kernels.pack_records(*points, arrangement.origin, arrangement.edge)
+    )
 
 
 def unpack_points(arrangement: Arrangement, packed: PackedPoints) -> tuple[FloatArray, FloatArray]:
@@ -219,9 +214,7 @@ def unpack_points(arrangement: Arrangement, packed: PackedPoints) -> tuple[Float
     normals : ndarray of float64, shape (n, 3)
         Those of float32.
     """
-    unpack = unpack_records if _native is None else _native.unpack_records
-    points: tuple[FloatArray, FloatArray] = unpack(*unpacking_arguments(arrangement, packed))
-    return points
+    return kernels.unpack_records(*unpacking_arguments(arrangement, packed))
 
 
 def unpack_near(
@@ -242,11 +235,7 @@ def unpack_near(
     rows : ndarray of int64, shape (m,)
         Which ones they are.
     """
-    unpack: Any = unpack_within if _native is None else _native.unpack_within
-    found: tuple[FloatArray, IntArray] = unpack(
-        *unpacking_arguments(arrangement, packed), low, high
-    )
-    return found
+    return kernels.unpack_within(*unpacking_arguments(arrangement, packed), low, high)
 
 
 def unpacking_arguments(
@@ -267,77 +256,3 @@ def unpacking_arguments(
     corners = unpack_keys(packed.keys) * arrangement.edge + arrangement.origin
     counts = np.ascontiguousarray(packed.counts, np.int64)
     return packed.to_records(), counts, corners, arrangement.edge
-
-
-def pack_records(
-    positions: FloatArray, normals: FloatArray, origin: FloatArray, edge: float
-) -> tuple[IntArray, IntArray, Float32Array]:
-    """Sort points by blocks and pack them, in numpy.
-
-    Parameters
-    ----------
-    positions, normals : ndarray of float64, shape (n, 3)
-        Snapped.
-    origin : ndarray of float64, shape (3,)
-    edge : float
-        See `Arrangement`.
-
-    Returns
-    -------
-    keys, counts : ndarray of int64, shape (b,)
-        Of the blocks, sorted.
-    records : ndarray of float32, shape (n, 6)
-        Offset and normal of each point; within a block the points keep their order.
-    """
-    keys, offsets, rows = kernels.sort_points(positions, origin, edge)
-    records = np.empty((len(rows), 6), np.float32)
-    for start in range(0, len(rows), _ROWS_AT_ONCE):
-        some = slice(start, start + _ROWS_AT_ONCE)
-        places = (positions[some] - origin) / edge
-        records[some, :3] = places - np.floor(places)
-        records[some, 3:] = normals[some]
-    return keys, np.diff(offsets), records.take(rows, axis=0)
-
-
-def unpack_records(
-    records: Float32Array, counts: IntArray, corners: FloatArray, edge: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the positions and normals of points that were packed, in numpy.
-
-    Parameters
-    ----------
-    records : ndarray of float32, shape (n, 6)
-        Offset and normal of each point, block after block.
-    counts : ndarray of int64, shape (b,)
-        Points in each block.
-    corners : ndarray of float64, shape (b, 3)
-        Of the blocks, in length units of the input.
-    edge : float
-        Of a block, likewise.
-
-    Returns
-    -------
-    positions, normals : ndarray of float64, shape (n, 3)
-    """
-    block_of = np.repeat(np.arange(len(corners)), counts)
-    positions = np.empty((len(block_of), 3))
-    for start in range(0, len(block_of), _ROWS_AT_ONCE):
-        some = slice(start, start + _ROWS_AT_ONCE)
-        part = positions[some]
-        np.multiply(records[some, :3], edge, out=part, dtype=np.float64)
-        part += corners.take(block_of[some], axis=0)
-    return positions, records[:, 3:].astype(np.float64)
-
-
-def unpack_within(
-    records: Float32Array,
-    counts: IntArray,
-    corners: FloatArray,
-    edge: float,
-    low: FloatArray,
-    high: FloatArray,
-) -> tuple[FloatArray, IntArray]:
-    """Return the packed positions in a box, and which they are, in numpy; see `unpack_records`."""
-    positions, _ = unpack_records(records, counts, corners, edge)
-    rows = np.flatnonzero(((positions >= low) & (positions <= high)).all(axis=1))
-    return positions[rows], rows

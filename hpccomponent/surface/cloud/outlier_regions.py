@@ -17,7 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.outliers import (
@@ -37,7 +36,7 @@ from hpccomponent.surface.types.lattice import (
     pack_places,
     unpack_keys,
 )
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "LOCAL_RANK",
@@ -50,7 +49,6 @@ __all__ = [
     "rank_region",
 ]
 
-BoolArray = NDArray[np.bool_]
 RegionRanks = tuple[IntArray, IntArray, IntArray, IntArray, IntArray, IntArray]
 
 LOCAL_RANK = ISLAND_LEVEL

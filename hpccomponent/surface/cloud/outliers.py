@@ -8,49 +8,32 @@ points.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hpccomponent.surface.build import load_native
-from hpccomponent.surface.kernels.portable.connectivity import label_components
+from hpccomponent.surface import kernels
+from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import (
     ancestor_keys,
-    cells_of,
-    find_keys,
     number_keys,
     pack_places,
-    step_keys,
     unpack_keys,
 )
-from hpccomponent.surface.types.points import FloatArray, IntArray, bounding_box
+from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "EDGE",
     "ISLAND_LEVEL",
-    "NEIGHBOURS",
     "Level",
     "coarsen",
-    "count_cells",
     "find_base",
     "find_islands",
     "find_outliers",
     "find_outlying_cells",
     "find_strays",
-    "label_cells",
     "rank_cells",
-    "sum_neighbours",
 ]
 
-BoolArray = NDArray[np.bool_]
-
-_native: Any = load_native()
-
-NEIGHBOURS: IntArray = np.array(
-    [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int64
-)
-"""Steps to the 27 cells of a neighbourhood, the cell itself included, in the order of the keys."""
 
 EDGE = 2.0  # of the finest cells, in spacings
 _LEAST = 10  # points that make a neighbourhood
@@ -108,9 +91,7 @@ def find_outliers(positions: FloatArray, spacing: float) -> BoolArray:
     """
     if len(positions) < _LEAST:
         return np.zeros(len(positions), np.bool_)
-    from hpccomponent.surface import kernels  # which knows this module
-
-    low, _ = bounding_box(positions)
+    low, _ = bound_points(positions)
     keys, counts, cell_of = kernels.count_cells(positions, low, EDGE * spacing)
     outside = find_outlying_cells(keys, counts)
     found: BoolArray = outside[cell_of] if outside.any() else np.zeros(len(positions), np.bool_)
@@ -135,60 +116,6 @@ def find_outlying_cells(keys: IntArray, counts: IntArray) -> BoolArray:
     strays = find_strays(levels, rank, base, range(base + 1, len(levels)))
     first = levels[min(ISLAND_LEVEL, len(levels) - 1)]
     return strays | find_islands(coarsen(first.keys, first.counts))[first.row_of]
-
-
-def count_cells(
-    positions: FloatArray, low: FloatArray, edge: float
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Count the points in each occupied cell, in numpy (see `kernels`).
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input; at least one.
-    low : ndarray of float64, shape (3,)
-        Corner of a cell.
-    edge : float
-        Of a cell, in length units of the input.
-
-    Returns
-    -------
-    keys : ndarray of int64, shape (c,)
-        Sorted.
-    counts : ndarray of int64, shape (c,)
-    cell_of : ndarray of int64, shape (n,)
-        The row of each point's cell.
-
-    Raises
-    ------
-    InputError
-        A point lies too many cells away.
-    """
-    places = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
-    keys, cell_of = number_keys(places)
-    return keys, np.bincount(cell_of, minlength=len(keys)).astype(np.int64), cell_of
-
-
-def sum_neighbours(keys: IntArray, values: IntArray, wanted: IntArray) -> IntArray:
-    """Sum values over the 27 cells around some cells, in numpy (see `kernels`).
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (c,)
-        Sorted, at least one.
-    values : ndarray of int64, shape (c, w)
-    wanted : ndarray of int64, shape (r,)
-        Rows of the cells in the middle.
-
-    Returns
-    -------
-    ndarray of int64, shape (r, w)
-    """
-    padded = np.concatenate([values, np.zeros((1, values.shape[1]), np.int64)])
-    sums = np.zeros((len(wanted), values.shape[1]), np.int64)
-    for step in NEIGHBOURS:
-        sums += padded[find_keys(keys, step_keys(keys[wanted], step))]
-    return sums
 
 
 def coarsen(keys: IntArray, counts: IntArray, wanted: int | None = None) -> list[Level]:
@@ -220,8 +147,6 @@ def rank_cells(levels: list[Level], rank: IntArray) -> IntArray:
     ndarray of int64, shape (c,)
         The number of levels where there are not enough on any.
     """
-    from hpccomponent.surface import kernels
-
     rank = rank.copy()
     first = int(rank.max(initial=0))
     poor = np.flatnonzero(rank == first)
@@ -285,8 +210,6 @@ def find_strays(levels: list[Level], rank: IntArray, base: int, numbers: range) 
 
 def _count_companions(level: Level, sparse: IntArray, cells: IntArray) -> IntArray:
     """Count the sparse points around some finest cells."""
-    from hpccomponent.surface import kernels
-
     rows = _distinct(level.row_of[cells], len(level.keys))
     own = _sum_rows(level.row_of, sparse, len(level.keys))
     around = np.zeros(len(level.keys), np.int64)
@@ -296,8 +219,6 @@ def _count_companions(level: Level, sparse: IntArray, cells: IntArray) -> IntArr
 
 def _touch_crowd(level: Level, sparse: IntArray, cells: IntArray) -> BoolArray:
     """Tell which finest cells have a cell of the base within the gap that holds crowded ones."""
-    from hpccomponent.surface import kernels
-
     crowded = level.counts > _sum_rows(level.row_of, sparse, len(level.keys))
     holds = np.append(crowded, np.False_)
     reach = np.arange(1 - _GAP, _GAP)
@@ -313,8 +234,6 @@ def _lie_on_surface(
     levels: list[Level], number: int, base: int, sparse: IntArray, cells: IntArray
 ) -> BoolArray:
     """Tell which finest cells lie with others as sparse on a plane."""
-    from hpccomponent.surface import kernels
-
     level = levels[number]
     places = unpack_keys(levels[0].keys[sparse > 0])
     weights = sparse[sparse > 0]
@@ -353,11 +272,10 @@ def find_islands(levels: list[Level]) -> BoolArray:
     ndarray of bool, shape (c,)
         Of the first level's cells.
     """
-    label_of = label_cells if _native is None else _native.label_cells
     total = int(levels[0].counts.sum())
     for number in range(len(levels)):
         level = levels[number]
-        pieces, numbers = label_of(level.keys)
+        pieces, numbers = kernels.label_cells(level.keys)
         label: IntArray = numbers.astype(np.int64)
         points = _sum_rows(label, level.counts, pieces)
         small = points < _ISLAND_SHARE * total
@@ -375,28 +293,6 @@ def find_islands(levels: list[Level]) -> BoolArray:
     return found
 
 
-def label_cells(keys: IntArray) -> tuple[int, NDArray[np.int32]]:
-    """Number the pieces of cells that touch, by faces, edges or corners.
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (c,)
-        Sorted, unique.
-
-    Returns
-    -------
-    pieces : int
-    label : ndarray of int32, shape (c,)
-        The piece of each cell, numbered in the order of their first cells.
-    """
-    links = [np.zeros((0, 3), np.int64)]
-    for step in NEIGHBOURS[len(NEIGHBOURS) // 2 + 1 :]:
-        other = find_keys(keys, step_keys(keys, step))
-        own = np.flatnonzero(other < len(keys))
-        links.append(np.stack([own, other[own], other[own]], axis=1))
-    return label_components(np.concatenate(links), len(keys))
-
-
 def _measure_extents(keys: IntArray, label: IntArray, pieces: int) -> IntArray:
     """Return the longest side of each piece, in cells."""
     places = unpack_keys(keys)
@@ -409,8 +305,6 @@ def _measure_extents(keys: IntArray, label: IntArray, pieces: int) -> IntArray:
 
 def _meet_others(level: Level, small: BoolArray, asked: BoolArray) -> IntArray:
     """Return those of the asked finest cells with cells of large pieces around them."""
-    from hpccomponent.surface import kernels
-
     large = _sum_rows(level.row_of, (~small).astype(np.int64), len(level.keys))
     cells = np.flatnonzero(asked)
     rows = _distinct(level.row_of[cells], len(level.keys))

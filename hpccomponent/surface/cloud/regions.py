@@ -16,11 +16,10 @@ from hpccomponent.surface.cloud.arrangement import Arrangement, PackedPoints, un
 from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
 from hpccomponent.surface.cloud.outliers import EDGE, ISLAND_LEVEL
 from hpccomponent.surface.types.lattice import cells_of, find_keys, pack_places, unpack_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
 __all__ = ["DroppedCells", "Region", "RegionPoints", "find_kept", "pack_region", "take_region"]
 
-BoolArray = NDArray[np.bool_]
 
 RegionPoints = tuple[Any, ...]
 """``("there", folder)`` where the worker sees the folder of a `DiskCloud`, or ``("sent",

@@ -6,23 +6,14 @@ from collections.abc import Callable
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
+from hpccomponent.surface import kernels
+from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import cells_of, pack_places, unique_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray, bounding_box
+from hpccomponent.surface.types.points import FloatArray, IntArray
 
-__all__ = [
-    "Count",
-    "bound_points",
-    "count_boxes",
-    "estimate_spacing",
-    "guess_boxes",
-    "is_sampled",
-    "sample_box_keys",
-    "sample_boxes",
-    "search_spacing",
-]
+__all__ = ["Count", "estimate_spacing", "guess_boxes", "sample_box_keys", "search_spacing"]
 
 Count = Callable[[float, int, bool], tuple[int, int]]
 """Given the edge of boxes, how many of them make one sampled, and whether points at one place count
@@ -58,9 +49,7 @@ def estimate_spacing(positions: FloatArray) -> float:
     occupied box. Large clouds are sampled by whole boxes, which leaves the counts unbiased.
     Where smaller boxes do not hold fewer points, repeated points are counted once.
     """
-    from hpccomponent.surface import kernels  # which knows this module
-
-    low, high = bounding_box(positions)
+    low, high = bound_points(positions)
     edge, occupancy, is_stalled = _search_edge(
         lambda edge, one_in: kernels.count_boxes(positions, low, edge, one_in),
         len(positions),
@@ -134,8 +123,6 @@ def sample_box_keys(
     keys : ndarray of int64, shape (b,)
         Sorted keys of the sampled boxes that hold points.
     """
-    from hpccomponent.surface import kernels
-
     if not len(positions):
         return 0, np.zeros(0, np.int64)
     chosen = positions[kernels.sample_boxes(positions, low, edge, one_in)]
@@ -176,85 +163,3 @@ def _search_edge(
         if before > _MANY and occupancy > _STALLED * before:
             return edge, occupancy, True
     return edge, occupancy, False
-
-
-def count_boxes(
-    positions: FloatArray, low: FloatArray, edge: float, one_in: int
-) -> tuple[int, int]:
-    """Count points and occupied boxes, over a sample of the boxes, in numpy (see `kernels`).
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    low : ndarray of float64, shape (3,)
-        Corner of a box.
-    edge : float
-        Of a box, in length units of the input.
-    one_in : int
-        About one box in so many is in the sample, chosen by a hash.
-
-    Returns
-    -------
-    points, boxes : int
-    """
-    keys = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
-    keys = keys[is_sampled(keys, one_in)]
-    return len(keys), len(unique_keys(keys))
-
-
-def bound_points(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the corners of the box around some points, in numpy (see `kernels`).
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        At least one point; finite.
-
-    Returns
-    -------
-    low, high : ndarray of float64, shape (3,)
-    """
-    # Column by column: numpy is slow to reduce along the first axis of narrow arrays.
-    columns = positions.T
-    low = np.array([column.min() for column in columns])
-    return low, np.array([column.max() for column in columns])
-
-
-def is_sampled(boxes: IntArray, one_in: int) -> NDArray[np.bool_]:
-    """Tell which boxes are in the sample of about one in `one_in`, chosen by a hash.
-
-    Parameters
-    ----------
-    boxes : ndarray of int64, shape (n,)
-        Packed places.
-    one_in : int
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-    """
-    if one_in == 1:
-        return np.ones(len(boxes), bool)
-    mixed = (boxes.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(33)
-    chosen: NDArray[np.bool_] = (mixed * np.uint64(one_in)) >> np.uint64(31) == 0
-    return chosen
-
-
-def sample_boxes(positions: FloatArray, low: FloatArray, edge: float, one_in: int) -> IntArray:
-    """Return the points in a sample of boxes, in numpy (see `kernels`).
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    low : ndarray of float64, shape (3,)
-    edge : float
-    one_in : int
-        See `count_boxes`.
-
-    Returns
-    -------
-    ndarray of int64, shape (m,)
-        Their rows, rising.
-    """
-    places = np.floor(cells_of(positions, low, edge)).astype(np.int64)
-    return np.flatnonzero(is_sampled(pack_places(places), one_in))

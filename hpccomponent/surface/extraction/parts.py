@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.extraction.bricks import OWN, BrickKinds
-from hpccomponent.surface.extraction.marching_cubes import BrickMesh
+from hpccomponent.surface.types.grid import OWN, BrickKinds
 from hpccomponent.surface.types.lattice import find_keys, number_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.mesh import BrickMesh
+from hpccomponent.surface.types.points import FloatArray, Int32Array, IntArray
 
 __all__ = ["Int32Array", "MeshPart", "cut_part", "join_parts"]
-
-Int32Array = NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

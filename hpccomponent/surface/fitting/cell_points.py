@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.fitting.field import Grid
-from hpccomponent.surface.fitting.moments import COLUMNS
+from hpccomponent.surface.kernels import COLUMNS
 from hpccomponent.surface.kernels.parallel import run_batches
+from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.lattice import BITS, unique_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray, PointCloud
 
 __all__ = [
     "CellMoments",
@@ -33,7 +33,6 @@ __all__ = [
     "sort_cloud",
 ]
 
-Float32Array = NDArray[np.float32]
 
 _SLAB = 1 << 11  # cells whose moments are summed at once: 0.7 MB, which stays in the cache
 _AT_ONCE = 64  # slabs whose sums wait to be put together

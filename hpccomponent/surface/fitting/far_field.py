@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.kernels import integrate_normals, sample_grid
+from hpccomponent.surface.types.field import FarField
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
 __all__ = [
     "NODES",
-    "FarField",
     "FarFieldPart",
     "crop_far_field",
     "far_step",
@@ -28,28 +28,6 @@ __all__ = [
 NODES = 128
 _PADDING = 1.5
 _REACH = 1.5
-
-Float32Array = NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FarField:
-    """Signed distances on a coarse cubic grid.
-
-    Parameters
-    ----------
-    values : ndarray of float32, shape (g, g, g)
-        In length units of the input, positive outside, at most 1.5 steps large; 0 far from the
-        box that the field was asked to cover.
-    origin : ndarray of float64, shape (3,)
-        Where node (0, 0, 0) lies.
-    step : float
-        Distance of neighbouring nodes, in length units of the input.
-    """
-
-    values: Float32Array
-    origin: FloatArray
-    step: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,8 +141,6 @@ def solve_far_field(
     -----
     The cost is that of four FFTs of 128^3 nodes; see `coarse_grid.integrate_normals`.
     """
-    from hpccomponent.surface.kernels import integrate_normals, sample_grid  # which know fields
-
     low, high = box
     step = far_step(low, high)
     origin = 0.5 * (low + high) - 0.5 * step * NODES

@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from hpccomponent.cutting import cut_equal
 from hpccomponent.surface import kernels
 from hpccomponent.surface.fitting.cell_points import SortedPoints
-from hpccomponent.surface.fitting.far_field import FarField
-from hpccomponent.surface.fitting.field import BRICK, Field, FieldLevel, Grid
-from hpccomponent.surface.fitting.hermite import BASIS
 from hpccomponent.surface.fitting.pyramid import Level, Parents, Pyramid, VertexQuadrics, fit_levels
 from hpccomponent.surface.fitting.support import crowd_vertices
 from hpccomponent.surface.fitting.weights import Weights, trust_vertices
+from hpccomponent.surface.kernels import BASIS
 from hpccomponent.surface.kernels.parallel import run_batches
+from hpccomponent.surface.types.field import FarField, Field, FieldLevel
+from hpccomponent.surface.types.grid import BRICK, Grid
 from hpccomponent.surface.types.lattice import find_layers, unique_keys, unpack_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.cutting import cut_equal
 from hpccomponent.surface import kernels
@@ -23,10 +22,10 @@ from hpccomponent.surface.fitting.cell_points import (
     merge_parents,
     sort_cloud,
 )
-from hpccomponent.surface.fitting.hermite import BASIS
 from hpccomponent.surface.fitting.robust import weigh_points
 from hpccomponent.surface.fitting.support import sum_squares, surrounded_vertices
 from hpccomponent.surface.fitting.weights import FIELD_LEVELS, Weights, localise_noise
+from hpccomponent.surface.kernels import BASIS
 from hpccomponent.surface.kernels.parallel import run_batches
 from hpccomponent.surface.types.lattice import (
     BITS,
@@ -34,7 +33,7 @@ from hpccomponent.surface.types.lattice import (
     find_layers,
     step_keys,
 )
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray, PointCloud
 
 __all__ = [
     "Level",
@@ -48,7 +47,6 @@ __all__ = [
     "raise_levels",
 ]
 
-Float32Array = NDArray[np.float32]
 
 _COARSEST_CELLS = 6
 # Corners in a batch: what it takes stays in the cache, and memory that was freed is used again.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.types.points import FloatArray
+from hpccomponent.surface.types.points import Float32Array, FloatArray
 
 __all__ = [
     "FIELD_LEVELS",
@@ -29,7 +29,6 @@ FIELD_LEVELS = 4
 LEAST_MU = 0.3
 """The least weight of a prior, in points; and its weight where there is nothing to compare."""
 
-Float32Array = NDArray[np.float32]
 
 _MOST_MU = 1000.0
 _LAM_PER_NOISE = 15.0

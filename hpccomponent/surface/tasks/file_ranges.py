@@ -28,6 +28,7 @@ from hpccomponent.surface.cloud.disk import write_part
 from hpccomponent.surface.cloud.point_records import PointRecords
 from hpccomponent.surface.cloud.spacing import sample_box_keys
 from hpccomponent.surface.cloud.validity import Dropped, Reach, are_usable, select_usable
+from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.tasks.result_patterns import (
     SMALL_BYTES,
     arranged_range,
@@ -36,7 +37,7 @@ from hpccomponent.surface.tasks.result_patterns import (
     surveyed_range,
 )
 from hpccomponent.surface.types.lattice import unique_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud, bounding_box
+from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["BoxCounts", "FilePoints", "arrange_range", "bound_range", "survey_range", "unite_boxes"]
 
@@ -209,7 +210,7 @@ def _take_near(
         usable, _ = select_usable(cloud, path)
         positions = usable.positions - origin if origin.any() else usable.positions
         local = PointCloud(positions, usable.normals)
-        if reach is None or not len(local) or Reach(*reach).holds(*bounding_box(positions)):
+        if reach is None or not len(local) or Reach(*reach).holds(*bound_points(positions)):
             yield local
         else:
             yield local.take(Reach(*reach).find_near(positions))

@@ -25,7 +25,7 @@ from hpccomponent.surface.extraction.part_places import (
     place_vertices,
 )
 from hpccomponent.surface.extraction.parts import MeshPart
-from hpccomponent.surface.kernels.freed_memory import leave_for_files
+from hpccomponent.surface.freed_memory import leave_for_files
 from hpccomponent.surface.tasks.result_patterns import SMALL_BYTES, WRITTEN
 from hpccomponent.surface.types.points import FloatArray, IntArray
 

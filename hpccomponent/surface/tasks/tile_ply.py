@@ -17,7 +17,7 @@ from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.base import hold_store
 from hpccomponent.surface.extraction.part_places import PartPlaces, place_faces
 from hpccomponent.surface.extraction.parts import MeshPart
-from hpccomponent.surface.kernels.freed_memory import leave_for_files
+from hpccomponent.surface.freed_memory import leave_for_files
 from hpccomponent.surface.tasks.result_patterns import SMALL_BYTES, WRITTEN
 from hpccomponent.surface.tasks.shared_ply import face_rows, mesh_header, vertex_rows
 from hpccomponent.surface.types.lattice import number_keys, unique_keys

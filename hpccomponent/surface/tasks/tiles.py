@@ -21,19 +21,15 @@ import numpy as np
 from hpccomponent.runtime.idle import idle_work
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.base import hold_store
-from hpccomponent.surface.extraction.bricks import BrickKinds
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import summarize_part
-from hpccomponent.surface.fitting.ancestors import corners_at, mark_ancestors
+from hpccomponent.surface.fitting.ancestors import corners_at
 from hpccomponent.surface.fitting.far_field import (
     NODES,
-    FarField,
     crop_far_field,
     restore_far_field,
     solve_far_field,
 )
-from hpccomponent.surface.fitting.field import FieldLevel
-from hpccomponent.surface.fitting.hermite import BASIS
 from hpccomponent.surface.fitting.levels import SlabFields, fit_above
 from hpccomponent.surface.fitting.pyramid import (
     Level,
@@ -41,7 +37,8 @@ from hpccomponent.surface.fitting.pyramid import (
     raise_levels,
 )
 from hpccomponent.surface.fitting.weights import FIELD_LEVELS
-from hpccomponent.surface.kernels.freed_memory import leave_for_files
+from hpccomponent.surface.freed_memory import leave_for_files
+from hpccomponent.surface.kernels import BASIS, mark_ancestors
 from hpccomponent.surface.tasks.result_patterns import (
     SMALL_BYTES,
     far_field,
@@ -54,6 +51,8 @@ from hpccomponent.surface.tiles.plan import CoarseLevels, Plan, Values
 from hpccomponent.surface.tiles.points import CellPoints, estimate_work, take_points
 from hpccomponent.surface.tiles.prepared import PreparedTile, finish, lay_corners
 from hpccomponent.surface.tiles.slabs import grow_tile
+from hpccomponent.surface.types.field import FarField, FieldLevel
+from hpccomponent.surface.types.grid import BrickKinds
 from hpccomponent.surface.types.lattice import unpack_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray
 

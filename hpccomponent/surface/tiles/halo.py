@@ -9,22 +9,16 @@ A brick that holds points belongs to the first tile that has one of them.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.build import load_native
-from hpccomponent.surface.extraction.bricks import BESIDE, FOREIGN, OPEN, OUT, OWN, BrickKinds
-from hpccomponent.surface.fitting.field import BRICK, Grid
-from hpccomponent.surface.types.lattice import find_keys, step_keys, unique_keys, unpack_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.grid import BESIDE, BRICK, FOREIGN, OPEN, OUT, OWN, BrickKinds, Grid
+from hpccomponent.surface.types.lattice import find_keys, unpack_keys
+from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "HALO_STEPS",
     "cut_slab",
-    "look_near",
     "mark_near",
     "near_bricks",
     "plan_gap",
@@ -32,9 +26,6 @@ __all__ = [
     "plan_whole",
 ]
 
-BoolArray = NDArray[np.bool_]
-
-_native: Any = load_native()
 
 HALO_STEPS = 3 * BRICK
 """Grid steps from a point of a tile to the farthest node that its bricks and their rim have."""
@@ -56,18 +47,8 @@ def mark_near(
     -------
     ndarray of bool, shape (k,)
     """
-    mark = _mark_near if _native is None else _native.mark_near
     sides = (np.ascontiguousarray(np.broadcast_to(side, 3), np.int64) for side in (low, high))
-    near: BoolArray = mark(np.ascontiguousarray(keys), np.ascontiguousarray(cells), *sides)
-    return near
-
-
-def _mark_near(keys: IntArray, cells: IntArray, low: IntArray, high: IntArray) -> BoolArray:
-    for axis, unit in enumerate(np.eye(3, dtype=np.int64)):
-        steps = [step_keys(cells, unit * step) for step in range(-low[axis], high[axis] + 1)]
-        cells = unique_keys(np.concatenate(steps))
-    near: BoolArray = find_keys(cells, keys) < len(cells)
-    return near
+    return kernels.mark_near(keys, cells, *sides)
 
 
 def plan_whole(grid: Grid, positions: FloatArray) -> BrickKinds:
@@ -213,55 +194,8 @@ def near_bricks(
     for axis in range(3):
         ahead = np.roll(pairs, -1, axis=axis)
         pairs |= (pairs | ahead) << np.uint8(1 << axis)
-    look = look_near if _native is None else _native.look_near
     corner, margin = grid.origin + edge * kinds.first, min(reach, 0.5 * edge)
-    keys = np.ascontiguousarray(cells)
-    near: BoolArray = look(keys, origin, cell_size, pairs, corner, edge, margin, far + 1)
-    return near
-
-
-def look_near(
-    cells: IntArray,
-    origin: FloatArray,
-    cell_size: float,
-    pairs: NDArray[np.uint8],
-    corner: FloatArray,
-    edge: float,
-    margin: float,
-    beyond: int,
-) -> BoolArray:
-    """Look up the middles of cells among bricks, in numpy; see `near_bricks`.
-
-    Parameters
-    ----------
-    cells, origin, cell_size
-        As of `near_bricks`.
-    pairs : ndarray of uint8, shape (x, y, z)
-        Of each brick, bit a + 2 b + 4 c: whether it, or the next a, b and c ones along x, y and z,
-        may be evaluated.
-    corner : ndarray of float64, shape (3,)
-        Where brick (`beyond`, `beyond`, `beyond`) of these begins, in length units of the input.
-    edge, margin : float
-        Of a brick, and how near a place must be to one, half an edge at most; likewise.
-    beyond : int
-
-    Returns
-    -------
-    ndarray of bool, shape (c,)
-    """
-    places = origin + cell_size * (unpack_keys(cells) + 0.5)
-    index = np.zeros(len(places), np.int64)
-    spans = np.zeros(len(places), np.uint8)
-    inside = np.ones(len(places), np.bool_)
-    for axis, length in enumerate(pairs.shape):
-        column = (places[:, axis] - corner[axis]) / edge
-        low = np.floor(column - margin / edge).astype(np.int64)
-        spans |= ((np.floor(column + margin / edge) > low).astype(np.uint8)) << np.uint8(axis)
-        low += beyond
-        inside &= (low >= 0) & (low < length - 1)
-        index = index * length + np.clip(low, 0, length - 1)
-    found: BoolArray = inside & (pairs.reshape(-1)[index] >> spans & 1).astype(np.bool_)
-    return found
+    return kernels.look_near(cells, origin, cell_size, pairs, corner, edge, margin, far + 1)
 
 
 def _dilate(mask: BoolArray) -> BoolArray:

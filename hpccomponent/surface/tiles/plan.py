@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from hpccomponent.surface.cloud.arrangement import Arrangement
 from hpccomponent.surface.fitting.far_field import FarFieldPart
-from hpccomponent.surface.fitting.field import FieldLevel, Grid
 from hpccomponent.surface.fitting.pyramid import Parents
 from hpccomponent.surface.fitting.weights import Weights, weigh_levels
+from hpccomponent.surface.types.field import FieldLevel
+from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["CoarseLevels", "Plan", "Values"]

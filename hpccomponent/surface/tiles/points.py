@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.build import load_native
 from hpccomponent.surface.cloud.arranged import ArrangedCloud
 from hpccomponent.surface.cloud.arrangement import (
     Arrangement,
@@ -23,11 +22,10 @@ from hpccomponent.surface.cloud.arrangement import (
 )
 from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
 from hpccomponent.surface.fitting.cell_points import CloudRows, SortedPoints
-from hpccomponent.surface.fitting.field import Grid
 from hpccomponent.surface.fitting.pyramid import Level
-from hpccomponent.surface.kernels.portable.cells import take_cells
 from hpccomponent.surface.tiles.packed_cells import sort_tile
 from hpccomponent.surface.tiles.plan import Plan
+from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.lattice import find_keys, pack_places, unique_keys, unpack_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
@@ -35,7 +33,6 @@ __all__ = ["CellPoints", "TilePoints", "estimate_work", "pack_cloud", "read_cell
 
 _BYTES_PER_POINT = 24.0
 
-_native: Any = load_native()
 
 CellPoints = tuple[Any, ...]
 """Points in some groups of coarse cells, as a task is given them: ``("sent", packed, ...)`` with
@@ -166,8 +163,7 @@ def read_cells(
     """
     wanted, numbers = _number_cells(cells)
     blocks = _find_blocks(cloud.arrangement, wanted, origin, size)
-    take: Any = take_cells if _native is None else _native.take_cells
-    found = take(*cloud.take_blocks(blocks), origin, size, wanted, numbers)
+    found = kernels.take_cells(*cloud.take_blocks(blocks), origin, size, wanted, numbers)
     positions, normals, groups = found
     return PointCloud(positions, normals), groups
 

@@ -17,12 +17,12 @@ from typing import TypeVar
 import numpy as np
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.extraction.bricks import BrickKinds
 from hpccomponent.surface.fitting.pyramid import lay_vertices, raise_levels
-from hpccomponent.surface.kernels.freed_memory import bound_free_memory
+from hpccomponent.surface.freed_memory import bound_free_memory
 from hpccomponent.surface.tiles.halo import near_bricks, plan_tile
 from hpccomponent.surface.tiles.plan import Plan
 from hpccomponent.surface.tiles.points import CellPoints, TilePoints, take_points
+from hpccomponent.surface.types.grid import BrickKinds
 from hpccomponent.surface.types.points import IntArray
 
 __all__ = ["PreparedTile", "finish", "lay_corners"]

@@ -19,10 +19,10 @@ from itertools import pairwise
 import numpy as np
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.extraction.bricks import FOREIGN, OPEN, OWN, BrickKinds
 from hpccomponent.surface.extraction.parts import MeshPart, cut_part, join_parts
 from hpccomponent.surface.fitting.levels import SlabFields
 from hpccomponent.surface.tiles.halo import cut_slab
+from hpccomponent.surface.types.grid import FOREIGN, OPEN, OWN, BrickKinds
 from hpccomponent.surface.types.lattice import unique_keys
 from hpccomponent.surface.types.points import IntArray
 

@@ -17,6 +17,7 @@ from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = [
     "BITS",
+    "NEIGHBOURS",
     "OCTANTS",
     "ancestor_keys",
     "cells_of",
@@ -354,3 +355,9 @@ def cells_of(positions: FloatArray, origin: FloatArray, cell_size: float) -> Flo
     ndarray of float64, shape (n, 3)
     """
     return (positions - origin) / cell_size
+
+
+NEIGHBOURS: IntArray = np.array(
+    [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int64
+)
+"""Steps to the 27 cells of a neighbourhood, the cell itself included, in the order of the keys."""

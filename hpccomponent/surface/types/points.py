@@ -8,10 +8,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FloatArray", "IntArray", "PointCloud", "bounding_box"]
+__all__ = [
+    "BoolArray",
+    "ByteArray",
+    "Float32Array",
+    "FloatArray",
+    "Int32Array",
+    "IntArray",
+    "PointCloud",
+]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Float32Array = NDArray[np.float32]
+Int32Array = NDArray[np.int32]
+BoolArray = NDArray[np.bool_]
+ByteArray = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,20 +60,3 @@ class PointCloud:
             None if self.colors is None else self.colors.take(rows, axis=0),
             self.origin,
         )
-
-
-def bounding_box(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the smallest and the largest coordinate along each axis.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        At least one point.
-
-    Returns
-    -------
-    low, high : ndarray of float64, shape (3,)
-    """
-    from hpccomponent.surface.kernels import bound_points  # which knows this module
-
-    return bound_points(positions)

@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hpccomponent.surface.fitting.blending import NODES
-from hpccomponent.surface.fitting.field import BRICK, Grid
+from hpccomponent.surface.types.grid import BRICK, NODES, Grid
 
 Function = Callable[[np.ndarray], np.ndarray]
 

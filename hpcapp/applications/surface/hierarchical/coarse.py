@@ -10,13 +10,11 @@ import numpy as np
 from hpcapp.workforce import Workforce, begin_batch
 from hpccomponent.surface.fitting.cell_points import PartMoments
 from hpccomponent.surface.fitting.far_field import (
-    FarField,
     FarFieldPart,
     crop_far_field,
     far_step,
     restore_far_field,
 )
-from hpccomponent.surface.fitting.field import FieldLevel, Grid
 from hpccomponent.surface.fitting.levels import find_trust
 from hpccomponent.surface.fitting.pyramid import (
     Level,
@@ -30,6 +28,8 @@ from hpccomponent.surface.fitting.pyramid import (
 from hpccomponent.surface.tasks.tiles import solve_far
 from hpccomponent.surface.tiles.halo import HALO_STEPS, mark_near
 from hpccomponent.surface.tiles.plan import CoarseLevels, Plan
+from hpccomponent.surface.types.field import FarField, FieldLevel
+from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.lattice import ancestor_keys, unique_keys, unpack_keys
 from hpccomponent.surface.types.points import IntArray
 

@@ -22,7 +22,8 @@ from hpccomponent.surface.fitting.pyramid import (
 )
 from hpccomponent.surface.fitting.robust import find_tolerance, measure_points, tell_kurtosis
 from hpccomponent.surface.fitting.weights import LEAST_MU, Weights, tell_noise
-from hpccomponent.surface.types.points import IntArray, PointCloud, bounding_box
+from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.types.points import IntArray, PointCloud
 
 __all__ = [
     "SAMPLED_BOX",
@@ -146,7 +147,7 @@ def _sample_cloud(cloud: PointCloud, spacing: float) -> PointCloud:
     if cloud.normals is None:
         raise InputError("the cloud has no normals", "give oriented points")
     positions, normals = cloud.positions, cloud.normals
-    low, _ = bounding_box(positions)
+    low, _ = bound_points(positions)
 
     def draw(one_in: int) -> Points:
         if one_in == 1:
@@ -189,7 +190,7 @@ def draw_sample(draw: Callable[[int], Points], points: int) -> Points:
 
 def _fit_probe(cloud: PointCloud, cell_size: float, threads: int) -> _Residuals:
     """Fit quadrics in cells of a size and of its double."""
-    low, high = bounding_box(cloud.positions)
+    low, high = bound_points(cloud.positions)
     height = count_levels(float((high - low).max()), cell_size)
     pyramid = build_pyramid(cloud, low, cell_size, height, threads)
     levels = list(pyramid.levels[:2])  # a fit drops the moments of its level

@@ -22,9 +22,9 @@ from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import JobError
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import PartSummary
-from hpccomponent.surface.fitting.field import BRICK
 from hpccomponent.surface.tasks.tiles import mesh_gap, mesh_tile
 from hpccomponent.surface.tiles.plan import Plan, Values
+from hpccomponent.surface.types.grid import BRICK
 from hpccomponent.surface.types.lattice import find_keys, pack_places, unique_keys, unpack_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray
 

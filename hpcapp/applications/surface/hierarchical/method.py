@@ -29,11 +29,12 @@ from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.cloud.arranged import ArrangedCloud, arrange_cloud
 from hpccomponent.surface.cloud.arrangement import choose_arrangement
 from hpccomponent.surface.cloud.disk import DiskCloud
-from hpccomponent.surface.fitting.field import BRICK, Grid
 from hpccomponent.surface.fitting.pyramid import count_levels
+from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.tasks.tiles import sum_tile
 from hpccomponent.surface.tiles.plan import Plan, Values
-from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.types.grid import BRICK, Grid
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = [
     "HierarchicalMethod",
@@ -140,7 +141,7 @@ class HierarchicalMethod:
         if not len(cloud) or (isinstance(cloud, PointCloud) and cloud.normals is None):
             raise InputError("the cloud has no points with normals", "give oriented points")
         if isinstance(cloud, PointCloud):
-            low, high = bounding_box(cloud.positions)
+            low, high = bound_points(cloud.positions)
         else:
             low, high = cloud.low, cloud.high
         grid = plan_grid(low, high, self.grid)

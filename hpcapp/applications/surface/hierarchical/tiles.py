@@ -15,12 +15,12 @@ from hpcapp.applications.surface.scans import Passes
 from hpcapp.workforce import Workforce
 from hpccomponent.surface.cloud.arranged import ArrangedCloud
 from hpccomponent.surface.cloud.disk import DiskCloud
-from hpccomponent.surface.fitting.field import BRICK
 from hpccomponent.surface.tasks.blocks import count_cells, merge_cells
 from hpccomponent.surface.tasks.tiles import KEPT_TILES
 from hpccomponent.surface.tiles.halo import mark_near
 from hpccomponent.surface.tiles.plan import Plan
 from hpccomponent.surface.tiles.points import CellPoints, pack_cloud, read_cells
+from hpccomponent.surface.types.grid import BRICK
 from hpccomponent.surface.types.lattice import unpack_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray
 

@@ -13,8 +13,9 @@ from hpccomponent.surface.cloud.arranged import arrange_cloud
 from hpccomponent.surface.cloud.outliers import find_outliers
 from hpccomponent.surface.cloud.spacing import estimate_spacing
 from hpccomponent.surface.cloud.validity import Reach
+from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.normals.consistency import mend_normals
-from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = [
     "Cleaned",
@@ -67,7 +68,7 @@ def arrange_points(cloud: PointCloud) -> PointCloud:
     each point would have to come from the far end of memory, again and again. Rounded to a
     billionth of the longest side, points are the same in memory, on disk and on the wire.
     """
-    low, high = bounding_box(cloud.positions)
+    low, high = bound_points(cloud.positions)
     return cloud if (low == high).all() else arrange_cloud(cloud).cloud
 
 
@@ -93,7 +94,7 @@ def drop_far(cloud: PointCloud) -> PointCloud:
     sample = EvenSample()
     sample.add(cloud.positions)
     reach = find_reach(sample.positions)
-    if reach.holds(*bounding_box(cloud.positions)):
+    if reach.holds(*bound_points(cloud.positions)):
         return cloud
     return cloud.take(reach.find_near(cloud.positions))
 

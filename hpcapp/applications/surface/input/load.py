@@ -27,7 +27,8 @@ from hpccomponent.files.private_files import make_private_folder, remove_path
 from hpccomponent.store.base import FolderStore
 from hpccomponent.store.value import DamagedError
 from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
-from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["Loaded", "arrange_usable", "clean_points", "load_folder", "load_memory"]
 
@@ -61,7 +62,7 @@ class Loaded:
     def box(self) -> tuple[FloatArray, FloatArray]:
         """Corners of the box around all points."""
         if isinstance(self.cloud, PointCloud):
-            return bounding_box(self.cloud.positions)
+            return bound_points(self.cloud.positions)
         return self.cloud.low, self.cloud.high
 
     def report(self, path: Path) -> None:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from hpcapp.applications.surface.paper.split_rule import SplitRule
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.types.points import FloatArray, IntArray, bounding_box
+from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["Patches", "partition_by_count", "partition_by_rule"]
 
@@ -217,7 +218,7 @@ def _check(positions: FloatArray, normals: FloatArray) -> None:
 def _root_box(positions: FloatArray, root: str) -> _Boxes:
     if root not in ("cube", "box", "tight"):
         raise UsageError(f"root is {root!r}", "choose cube, box or tight")
-    low, high = bounding_box(positions)
+    low, high = bound_points(positions)
     size = high - low
     if root == "cube":
         size = np.full(3, size.max())

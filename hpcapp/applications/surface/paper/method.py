@@ -35,12 +35,13 @@ from hpcapp.applications.surface.paper.split_rule import SplitRule
 from hpcapp.applications.surface.surface import WholeSurface
 from hpcapp.workforce import Workforce, map_batches
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.tasks.patch_quadrics import (
     evaluate_quadrics,
     fit_patches,
     gradient_quadrics,
 )
-from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["PaperMethod", "PaperPartition", "measure_residuals"]
 
@@ -222,7 +223,7 @@ def measure_residuals(partition: PaperPartition, quadrics: FloatArray) -> dict[s
     gradients = gradient_quadrics(quadrics[owner], local)
     steepness = np.linalg.norm(gradients, axis=1)
     distances = scales * np.abs(values) / np.maximum(steepness, np.finfo(float).tiny)
-    low, high = bounding_box(partition.points.positions)
+    low, high = bound_points(partition.points.positions)
     diagonal = float(np.linalg.norm(high - low)) or 1.0
     agreeing = (gradients * normals).sum(axis=1) > 0.0
     return {

@@ -21,13 +21,15 @@ from hpcapp.applications.surface.stitching.bricks import (
 )
 from hpcapp.applications.surface.stitching.part_topology import Components, judge_parts
 from hpcapp.applications.surface.stitching.topology import Topology
-from hpccomponent.surface.extraction.marching_cubes import find_large
 from hpccomponent.surface.extraction.part_places import PartPlaces, starts_of
 from hpccomponent.surface.extraction.summary import PartSummary
 from hpccomponent.surface.types.lattice import unique_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["WeldPlan", "missing_bricks", "plan_weld"]
+
+_SMALL_SHARE = 0.002
+"""A component with fewer faces than this share of the largest one's is dropped."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,3 +204,22 @@ def _bound(bounds: FloatArray) -> FloatArray:
     if not len(bounds) or np.isinf(bounds[:, 0].min()):
         return np.zeros((2, 3))
     return np.stack([bounds[:, :3].min(axis=0), bounds[:, 3:].max(axis=0)])
+
+
+def find_large(faces: IntArray, share: float = _SMALL_SHARE) -> NDArray[np.bool_]:
+    """Tell which components of a mesh are no mere crumbs of it.
+
+    Parameters
+    ----------
+    faces : ndarray of int64, shape (c,)
+        How many each component has; 0 for a vertex that no face uses.
+    share : float
+        Of the largest component's faces; dimensionless, 0 to 1.
+
+    Returns
+    -------
+    ndarray of bool, shape (c,)
+        All, where no component with faces is small: what no face uses then stays, too.
+    """
+    is_large: NDArray[np.bool_] = faces >= max(share * float(faces.max(initial=0)), 1.0)
+    return is_large | bool(is_large[faces > 0].all())

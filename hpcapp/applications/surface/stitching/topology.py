@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.kernels.portable.connectivity import Survey
-from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.mesh import Mesh, Survey
 from hpccomponent.surface.types.points import IntArray
 
 __all__ = ["Topology", "check_mesh", "signed_volume"]

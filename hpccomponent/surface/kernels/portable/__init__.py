@@ -1,1 +1,63 @@
-"""The kernels in numpy: the specification of the native ones."""
+"""The kernels in numpy: the specification of the native ones, and what runs without a compiler."""
+
+from hpccomponent.surface.kernels.portable.ancestors import mark_ancestors
+from hpccomponent.surface.kernels.portable.bricks import seed_bricks
+from hpccomponent.surface.kernels.portable.cells import (
+    corner_moments,
+    fit_corners,
+    gather_points,
+    inherit_level,
+    merge_cells,
+    parent_keys,
+    sort_points,
+    take_cells,
+)
+from hpccomponent.surface.kernels.portable.coarse_grid import (
+    integrate_normals,
+    sample_corners,
+    sample_grid,
+)
+from hpccomponent.surface.kernels.portable.connectivity import (
+    label_components,
+    signed_volume,
+    survey_mesh,
+)
+from hpccomponent.surface.kernels.portable.counting import (
+    bound_points,
+    count_boxes,
+    count_cells,
+    label_cells,
+    sample_boxes,
+    sum_neighbours,
+)
+from hpccomponent.surface.kernels.portable.field import evaluate_bricks
+from hpccomponent.surface.kernels.portable.halo import look_near, mark_near
+from hpccomponent.surface.kernels.portable.hermite import evaluate_residuals
+from hpccomponent.surface.kernels.portable.keys import find_keys, spread_keys, unite_keys
+from hpccomponent.surface.kernels.portable.marching_cubes import balance_vertices, grow_surface
+from hpccomponent.surface.kernels.portable.memory import bound_free_memory, keep_memory
+from hpccomponent.surface.kernels.portable.moments import accumulate_moments
+from hpccomponent.surface.kernels.portable.normals import poll_normals
+from hpccomponent.surface.kernels.portable.packing import (
+    count_packed,
+    pack_records,
+    place_packed,
+    seed_packed,
+    sort_packed,
+    unpack_records,
+    unpack_within,
+)
+from hpccomponent.surface.kernels.portable.robust import rate_points
+from hpccomponent.surface.kernels.portable.seams import find_seams, sum_bricks
+
+__all__ = [
+    "accumulate_moments", "balance_vertices", "bound_free_memory", "bound_points",
+    "corner_moments", "count_boxes", "count_cells", "count_packed", "evaluate_bricks",
+    "evaluate_residuals", "find_keys", "find_seams", "fit_corners", "gather_points",
+    "grow_surface", "inherit_level", "integrate_normals", "keep_memory", "label_cells",
+    "label_components", "look_near", "mark_ancestors", "mark_near", "merge_cells", "pack_records",
+    "parent_keys", "place_packed", "poll_normals", "rate_points", "sample_boxes",
+    "sample_corners", "sample_grid", "seed_bricks", "seed_packed", "signed_volume", "sort_packed",
+    "sort_points", "spread_keys", "sum_bricks", "sum_neighbours", "survey_mesh", "take_cells",
+    "unite_keys", "unpack_records", "unpack_within",
+]  # fmt: skip

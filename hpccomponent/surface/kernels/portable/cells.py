@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.fitting.hermite import (
+from hpccomponent.surface.kernels.portable.hermite import (
     BASIS,
     fit_vertices,
     inherit_quadrics,
     residual_variances,
     weigh_priors,
 )
-from hpccomponent.surface.fitting.moments import COLUMNS, scale_moments, shift_moments
+from hpccomponent.surface.kernels.portable.moments import COLUMNS, scale_moments, shift_moments
 from hpccomponent.surface.types.lattice import (
     OCTANTS,
     cells_of,
@@ -27,7 +27,7 @@ from hpccomponent.surface.types.lattice import (
     unique_keys,
     unpack_keys,
 )
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
 __all__ = [
     "corner_moments",
@@ -40,7 +40,6 @@ __all__ = [
     "take_cells",
 ]
 
-Float32Array = NDArray[np.float32]
 
 _CHUNK_VERTICES = 1 << 14
 
@@ -185,7 +184,9 @@ def parent_keys(vertices: IntArray) -> IntArray:
     return unique_keys(np.concatenate(parents))
 
 
-def corner_moments(touched: IntArray, cells: IntArray, moments: FloatArray) -> FloatArray:
+def corner_moments(
+    touched: IntArray, cells: IntArray, moments: FloatArray, threads: int = 1
+) -> FloatArray:
     """Sum the moments of the eight cells around each corner, about it.
 
     Parameters
@@ -200,6 +201,7 @@ def corner_moments(touched: IntArray, cells: IntArray, moments: FloatArray) -> F
     -------
     ndarray of float64, shape (t, 44)
     """
+    del threads  # numpy runs on one
     total = np.zeros((len(touched), COLUMNS))
     for octant in OCTANTS:
         rows = find_keys(cells, step_keys(touched, -octant))
@@ -217,6 +219,7 @@ def fit_corners(
     lam: float,
     least_mu: float,
     most_mu: float,
+    threads: int = 1,
 ) -> tuple[Float32Array, Float32Array, Float32Array]:
     """Fit one quadric to the points in the eight cells around each corner.
 
@@ -244,6 +247,7 @@ def fit_corners(
     variances : ndarray of float32, shape (t,)
         What the fits leave over, NaN where points are few: see `hermite.residual_variances`.
     """
+    del threads  # numpy runs on one
     coefficients = np.empty((len(touched), BASIS), np.float32)
     counts, variances = np.empty((2, len(touched)), np.float32)
     for start in range(0, len(touched), _CHUNK_VERTICES):
@@ -259,7 +263,11 @@ def fit_corners(
 
 
 def inherit_level(
-    vertices: IntArray, parents: IntArray, coefficients: Float32Array, values: Float32Array
+    vertices: IntArray,
+    parents: IntArray,
+    coefficients: Float32Array,
+    values: Float32Array,
+    threads: int = 1,
 ) -> tuple[Float32Array, Float32Array]:
     """Return the means of the parents' quadrics, about their children, and of other values.
 
@@ -278,6 +286,7 @@ def inherit_level(
     coefficients : ndarray of float32, shape (v, 10)
     values : ndarray of float32, shape (v, k)
     """
+    del threads  # numpy runs on one
     means = np.zeros((len(vertices), BASIS))
     inherited = np.zeros((len(vertices), values.shape[1]))
     places = unpack_keys(vertices)

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface.types.lattice import unpack_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
 __all__ = ["integrate_normals", "sample_corners", "sample_grid"]
 
-Float32Array = NDArray[np.float32]
 Held = tuple[slice, slice]
 
 
@@ -30,7 +29,12 @@ def _corner_weights(places: FloatArray, nodes: int) -> list[tuple[IntArray, Floa
 
 
 def integrate_normals(
-    places: FloatArray, normals: FloatArray, smoothing: float, held: IntArray, nodes: int
+    places: FloatArray,
+    normals: FloatArray,
+    smoothing: float,
+    held: IntArray,
+    nodes: int,
+    threads: int = 1,
 ) -> Float32Array:
     """Integrate normals, spread on a periodic grid and smeared by a Gaussian.
 
@@ -57,6 +61,7 @@ def integrate_normals(
     chi^ = -i k . V^ / k^2 for the vector field V. The transforms run axis by axis in single
     precision, so that rows without a sample are skipped and sums share them.
     """
+    del threads  # numpy runs on one
     kept = slice(*held[0]), slice(*held[1])
     full = (2.0 * np.pi * np.fft.fftfreq(nodes)).astype(np.float32)
     kx, ky, kz = full[:, None, None], full[None, :, None], full[None, None, : nodes // 2]

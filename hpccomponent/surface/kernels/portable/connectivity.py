@@ -11,39 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.surface.types.mesh import Labels, Survey
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
-__all__ = ["Survey", "join_nodes", "label_components", "signed_volume", "survey_mesh"]
-
-Labels = NDArray[np.int32]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Survey:
-    """What `survey_mesh` counts.
-
-    Parameters
-    ----------
-    boundary : int
-        Edges with one face.
-    overfull : int
-        Edges with more than two faces.
-    degenerate : int
-        Edges from a vertex to itself.
-    misoriented : int
-        Edges that are run through twice in one direction.
-    fans : int
-        Pieces that the corners of all faces form when joined across shared edges.
-    edges_of : ndarray of int32, shape (v,)
-        Edges of which each vertex is the lower end.
-    """
-
-    boundary: int
-    overfull: int
-    degenerate: int
-    misoriented: int
-    fans: int
-    edges_of: Labels
+__all__ = ["join_nodes", "label_components", "signed_volume", "survey_mesh"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,69 +8,14 @@ end, and the sides between open nodes are what other parts must be compared with
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface.kernels.portable.connectivity import join_nodes, label_components
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.mesh import BrickSums, Seams
+from hpccomponent.surface.types.points import FloatArray, Int32Array, IntArray
 
-__all__ = ["BrickSums", "Seams", "find_seams", "sum_bricks"]
-
-Int32Array = NDArray[np.int32]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Seams:
-    """What `find_seams` found.
-
-    Parameters
-    ----------
-    components : int
-        Pieces of the part that share no vertex.
-    labels : ndarray of int32, shape (v,)
-        The component of each vertex, numbered in the order of their first vertices.
-    pieces : ndarray of int32, shape (p,)
-        The node of each piece of corners, sorted; pieces of a node by their first corner.
-    sides : ndarray of int32, shape (q, 3)
-        Sides between open nodes (side s of face s // 3 runs from its corner s % 3 to the next),
-        sorted, with the pieces of the corners at their two ends.
-    bare : ndarray of int32, shape (m,)
-        Nodes that are not open beforehand, and have no face.
-    """
-
-    components: int
-    labels: Int32Array
-    pieces: Int32Array
-    sides: Int32Array
-    bare: Int32Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BrickSums:
-    """What `sum_bricks` found: an entry is a component in a brick.
-
-    Parameters
-    ----------
-    starts : ndarray of int32, shape (b + 1,)
-        Where each brick's entries begin; they are sorted by the first vertex in the brick, then
-        by the first face.
-    labels, vertices, faces : ndarray of int32, shape (e,)
-        The component, and how many of the brick's vertices and faces belong to it.
-    sums : ndarray of float64, shape (e, 4)
-        Over its faces: six times the signed volume, seen from the local frame's zero; over its
-        vertices: the positions (3). A face with a foreign vertex does not count.
-    bounds : ndarray of float64, shape (c, 6)
-        Lowest and highest coordinates of each component's own vertices; infinite without any.
-    """
-
-    starts: Int32Array
-    labels: Int32Array
-    vertices: Int32Array
-    faces: Int32Array
-    sums: FloatArray
-    bounds: FloatArray
+__all__ = ["find_seams", "sum_bricks"]
 
 
 def find_seams(

@@ -4,8 +4,9 @@ import numpy as np
 
 from hpcapp.applications.surface.diagnostics import doubt_closure, doubt_normals, doubt_resolution
 from hpcapp.applications.surface.surface import WholeSurface
+from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, PointCloud, bounding_box
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 
 def surface_of(vertices: FloatArray) -> WholeSurface:
@@ -21,7 +22,7 @@ def test_a_good_scan_is_not_doubted(sphere: PointCloud) -> None:
     assert doubt_normals(sphere) == []
     assert doubt_resolution(sphere, 2.0 / 64) == []
     assert (
-        doubt_closure(*bounding_box(sphere.positions), surface_of(sphere.positions), 2.0 / 64) == []
+        doubt_closure(*bound_points(sphere.positions), surface_of(sphere.positions), 2.0 / 64) == []
     )
 
 
@@ -57,5 +58,5 @@ def test_a_mesh_far_outside_its_points_is_noticed(sphere: PointCloud) -> None:
     swollen = surface_of(1.5 * sphere.positions)
     assert (
         "outside the points' bounding box"
-        in doubt_closure(*bounding_box(sphere.positions), swollen, 2.0 / 64)[0]
+        in doubt_closure(*bound_points(sphere.positions), swollen, 2.0 / 64)[0]
     )

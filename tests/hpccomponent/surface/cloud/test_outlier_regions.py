@@ -9,8 +9,9 @@ from hpccomponent.surface.cloud import outlier_regions
 from hpccomponent.surface.cloud.outlier_regions import judge_region, judge_sparse, rank_region
 from hpccomponent.surface.cloud.outliers import EDGE, ISLAND_LEVEL, find_outliers
 from hpccomponent.surface.cloud.spacing import estimate_spacing
+from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import cells_of, pack_places
-from hpccomponent.surface.types.points import FloatArray, bounding_box
+from hpccomponent.surface.types.points import FloatArray
 
 
 def _cloud(seed: int) -> FloatArray:
@@ -36,7 +37,7 @@ def _slabs(positions: FloatArray, count: int) -> list[np.ndarray]:
 def test_any_rank_may_be_that_of_most_points(seed: int, factor: float) -> None:
     positions = _cloud(seed)
     spacing = factor * estimate_spacing(positions)
-    low, _ = bounding_box(positions)
+    low, _ = bound_points(positions)
     margin = outlier_regions.MARGIN * spacing
     regions = []
     for own in _slabs(positions, 6):

@@ -1,17 +1,8 @@
 import numpy as np
 import pytest
 
-from hpccomponent.surface.extraction.bricks import (
-    BESIDE,
-    FOREIGN,
-    OPEN,
-    OUT,
-    OWN,
-    BrickKinds,
-    grow_bricks,
-    seed_bricks,
-)
-from hpccomponent.surface.fitting.field import Grid
+from hpccomponent.surface.kernels.portable.bricks import grow_bricks, seed_bricks
+from hpccomponent.surface.types.grid import BESIDE, FOREIGN, OPEN, OUT, OWN, BrickKinds, Grid
 from hpccomponent.surface.types.lattice import pack_places, unpack_keys
 
 GRID = Grid(np.zeros(3), 0.125, (6, 6, 5))  # bricks of unit edge

@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 
-from hpccomponent.surface.extraction.case_table import EDGES, case_triangles, triangle_counts
+from hpccomponent.surface.kernels.case_table import EDGES, case_triangles, triangle_counts
 from hpccomponent.surface.types.lattice import OCTANTS
 
 CASES = range(256)

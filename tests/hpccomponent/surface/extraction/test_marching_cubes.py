@@ -4,13 +4,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hpcapp.applications.surface.stitching.topology import check_mesh, signed_volume
-from hpccomponent.surface.extraction.bricks import OPEN, OWN, BrickKinds, grow_bricks, seed_bricks
-from hpccomponent.surface.extraction.marching_cubes import (
+from hpccomponent.surface.kernels.portable.bricks import grow_bricks, seed_bricks
+from hpccomponent.surface.kernels.portable.marching_cubes import (
     balance_vertices,
     drop_small_components,
     extract_surface,
 )
-from hpccomponent.surface.fitting.field import BRICK, Grid
+from hpccomponent.surface.types.grid import BRICK, OPEN, OWN, BrickKinds, Grid
 from hpccomponent.surface.types.lattice import pack_places, unpack_keys
 from hpccomponent.surface.types.mesh import Mesh
 

@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.fitting.ancestors import corners_at, mark_ancestors
+from hpccomponent.surface.fitting.ancestors import corners_at
 from hpccomponent.surface.fitting.pyramid import lay_vertices
+from hpccomponent.surface.kernels.portable.ancestors import mark_ancestors
 from hpccomponent.surface.types.lattice import pack_places, unique_keys, unpack_keys
 
 

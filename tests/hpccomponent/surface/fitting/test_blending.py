@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from hpccomponent.surface.fitting.blending import (
-    NODES,
+from hpccomponent.surface.kernels.portable.blending import (
     blend_quadrics,
     interpolate_far,
     needed_layers,
 )
+from hpccomponent.surface.types.grid import NODES
 
 RNG = np.random.default_rng(8)
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from hpccomponent.surface.fitting.blending import NODES
-from hpccomponent.surface.fitting.far_field import FarField
-from hpccomponent.surface.fitting.field import BRICK, Field, FieldLevel, Grid, evaluate_bricks
+from hpccomponent.surface.kernels.portable.field import evaluate_bricks
+from hpccomponent.surface.types.field import FarField, Field, FieldLevel
+from hpccomponent.surface.types.grid import BRICK, NODES, Grid
 from hpccomponent.surface.types.lattice import OCTANTS, pack_places, unpack_keys
 
 GRID = Grid(np.array([-0.31, 0.12, 1.07]), 0.05, (4, 3, 4))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hpccomponent.surface.fitting.hermite import (
+from hpccomponent.surface.kernels.portable.hermite import (
     evaluate_residuals,
     evaluate_slopes,
     fit_vertices,
@@ -9,7 +9,7 @@ from hpccomponent.surface.fitting.hermite import (
     residual_variances,
     weigh_priors,
 )
-from hpccomponent.surface.fitting.moments import accumulate_moments
+from hpccomponent.surface.kernels.portable.moments import accumulate_moments
 
 MU = 0.3
 

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from hpccomponent.surface.fitting import levels as field_levels
-from hpccomponent.surface.fitting.far_field import FarField
-from hpccomponent.surface.fitting.field import Grid
 from hpccomponent.surface.fitting.levels import SlabFields, find_trust, fit_above
 from hpccomponent.surface.fitting.pyramid import Pyramid, build_pyramid, count_levels, fit_levels
 from hpccomponent.surface.fitting.weights import weigh_levels
+from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.types.field import FarField
+from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.lattice import unpack_keys
-from hpccomponent.surface.types.points import PointCloud, bounding_box
+from hpccomponent.surface.types.points import PointCloud
 
 CELL_SIZE = 0.06
 
@@ -25,7 +26,7 @@ def build() -> Pyramid:
     directions = random.normal(size=(6_000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     cloud = PointCloud(random.normal(1.0, 0.005, (6_000, 1)) * directions, directions)
-    low, high = bounding_box(cloud.positions)
+    low, high = bound_points(cloud.positions)
     return build_pyramid(cloud, low, CELL_SIZE, count_levels(float((high - low).max()), CELL_SIZE))
 
 

@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
-from hpccomponent.surface.fitting.moments import (
+from hpccomponent.surface.kernels.portable.moments import (
     COLUMNS,
     EXPONENTS,
     MONOMIALS,

@@ -5,7 +5,6 @@ import pytest
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.fitting.cell_points import CellMoments, PartMoments
-from hpccomponent.surface.fitting.moments import accumulate_moments
 from hpccomponent.surface.fitting.pyramid import (
     build_pyramid,
     count_levels,
@@ -13,8 +12,10 @@ from hpccomponent.surface.fitting.pyramid import (
     raise_levels,
 )
 from hpccomponent.surface.fitting.weights import Weights, weigh_levels
+from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.kernels.portable.moments import accumulate_moments
 from hpccomponent.surface.types.lattice import find_keys, unpack_keys
-from hpccomponent.surface.types.points import PointCloud, bounding_box
+from hpccomponent.surface.types.points import PointCloud
 
 CELL_SIZE = 0.05
 CENTRE = np.array([10.0, 0.0, -3.0])
@@ -22,7 +23,7 @@ CENTRE = np.array([10.0, 0.0, -3.0])
 
 def build(cloud, cell_size, threads=1):
     """Build all levels of a cloud."""
-    low, high = bounding_box(cloud.positions)
+    low, high = bound_points(cloud.positions)
     height = count_levels((high - low).max(), cell_size)
     return build_pyramid(cloud, low, cell_size, height, threads)
 

@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 
 from hpccomponent.surface.fitting.cell_points import CloudRows, SortedPoints, sort_cloud
-from hpccomponent.surface.fitting.robust import (
-    find_tolerance,
-    rate_points,
-    tell_kurtosis,
-    weigh_points,
-)
+from hpccomponent.surface.fitting.robust import find_tolerance, tell_kurtosis, weigh_points
+from hpccomponent.surface.kernels.portable.robust import rate_points
 from hpccomponent.surface.types.lattice import pack_places, spread_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 

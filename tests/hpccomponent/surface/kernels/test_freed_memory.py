@@ -21,7 +21,7 @@ LITTLE, MEGABYTES = 100, 400
 
 PROGRAM = f"""
 import numpy as np
-from hpccomponent.surface.kernels.freed_memory import (
+from hpccomponent.surface.freed_memory import (
     bound_free_memory,
     keep_memory,
     leave_for_files,

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from hpccomponent.surface.build import load_native
-from hpccomponent.surface.fitting.far_field import FarField
-from hpccomponent.surface.fitting.field import Field, FieldLevel, Grid
-from hpccomponent.surface.fitting.moments import accumulate_moments
 from hpccomponent.surface.kernels.portable import cells as portable
+from hpccomponent.surface.kernels.portable.moments import accumulate_moments
+from hpccomponent.surface.types.field import FarField, Field, FieldLevel
+from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.lattice import spread_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray
 

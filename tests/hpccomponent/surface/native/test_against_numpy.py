@@ -12,11 +12,17 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from hpccomponent.surface.cloud import arrangement, outliers, spacing
-from hpccomponent.surface.extraction import bricks
-from hpccomponent.surface.extraction import marching_cubes as extraction
-from hpccomponent.surface.extraction.case_table import case_triangles
-from hpccomponent.surface.fitting import ancestors, field, hermite, moments, robust
-from hpccomponent.surface.kernels.portable import cells, coarse_grid, connectivity
+from hpccomponent.surface.fitting import ancestors, field, robust
+from hpccomponent.surface.kernels.case_table import case_triangles
+from hpccomponent.surface.kernels.portable import (
+    bricks,
+    cells,
+    coarse_grid,
+    connectivity,
+    hermite,
+    moments,
+)
+from hpccomponent.surface.kernels.portable import marching_cubes as extraction
 from hpccomponent.surface.tiles import halo as reach
 from hpccomponent.surface.tiles import packed_cells
 from hpccomponent.surface.types import lattice

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpccomponent.surface.extraction.bricks import OPEN, OWN
-from hpccomponent.surface.extraction.case_table import case_triangles
+from hpccomponent.surface.kernels.case_table import case_triangles
 from hpccomponent.surface.kernels.portable import cells
+from hpccomponent.surface.types.grid import OPEN, OWN
 
 THREADS = (2, 3, 16)
 WEIGHTS = (0.2, 0.3, 1000.0)

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hpccomponent.surface.extraction.case_table import case_triangles
+from hpccomponent.surface.kernels.case_table import case_triangles
 from hpccomponent.surface.types.lattice import pack_places
 
 KERNELS = (

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hpccomponent.surface.extraction.bricks import BESIDE, FOREIGN, OPEN, OUT, OWN, BrickKinds
 from hpccomponent.surface.tiles.halo import cut_slab
+from hpccomponent.surface.types.grid import BESIDE, FOREIGN, OPEN, OUT, OWN, BrickKinds
 
 LAYERS = [OUT, OPEN, OWN, FOREIGN, OWN, BESIDE]
 

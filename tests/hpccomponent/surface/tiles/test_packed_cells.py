@@ -14,10 +14,10 @@ from hpccomponent.surface.build import load_native
 from hpccomponent.surface.cloud.arranged import arrange_cloud
 from hpccomponent.surface.cloud.arrangement import PackedPoints, pack_points
 from hpccomponent.surface.fitting.cell_points import CloudRows
-from hpccomponent.surface.fitting.field import Grid
 from hpccomponent.surface.kernels.portable.cells import sort_points, take_cells
 from hpccomponent.surface.tiles import packed_cells
 from hpccomponent.surface.tiles.packed_cells import count_points, sort_tile
+from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.lattice import pack_places, unique_keys
 from hpccomponent.surface.types.points import PointCloud
 

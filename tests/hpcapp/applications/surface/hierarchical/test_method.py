@@ -16,9 +16,9 @@ from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.cloud.arranged import arrange_cloud
 from hpccomponent.surface.cloud.disk import DiskCloudWriter
 from hpccomponent.surface.fitting import levels as field_levels
-from hpccomponent.surface.fitting.field import BRICK
 from hpccomponent.surface.tiles import slabs as slab_growth
 from hpccomponent.surface.tiles.slabs import grow_slabs
+from hpccomponent.surface.types.grid import BRICK
 from hpccomponent.surface.types.lattice import unpack_keys
 from hpccomponent.surface.types.points import PointCloud
 

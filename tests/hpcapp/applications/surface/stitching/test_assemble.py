@@ -12,9 +12,9 @@ from hpcapp.applications.surface.stitching import assemble as welded
 from hpcapp.applications.surface.stitching.plan import plan_weld
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.io import read_mesh, shared_ply, write_mesh, write_tiles
-from hpccomponent.surface.extraction.marching_cubes import drop_small_components
 from hpccomponent.surface.extraction.part_places import PartPlaces
 from hpccomponent.surface.extraction.summary import summarize_part
+from hpccomponent.surface.kernels.portable.marching_cubes import drop_small_components
 from hpccomponent.surface.tasks.shared_ply import SharedPly, write_part
 from hpccomponent.surface.types.mesh import Mesh
 

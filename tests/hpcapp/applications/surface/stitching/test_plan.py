@@ -13,8 +13,8 @@ from hpcapp.applications.surface.stitching.assemble import assemble_mesh
 from hpcapp.applications.surface.stitching.plan import missing_bricks, plan_weld
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpccomponent.errors import JobError
-from hpccomponent.surface.extraction.marching_cubes import drop_small_components
 from hpccomponent.surface.extraction.summary import PartSummary, summarize_part
+from hpccomponent.surface.kernels.portable.marching_cubes import drop_small_components
 from hpccomponent.surface.types.lattice import unpack_keys
 from hpccomponent.surface.types.mesh import Mesh
 

@@ -7,120 +7,31 @@ operations, and is rounded to float32: bricks agree on what they share, and work
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
-from hpccomponent.surface.fitting.blending import (
-    NODES,
+from hpccomponent.surface.kernels.portable.blending import (
     blend_quadrics,
     cross_axes,
     interpolate_far,
     needed_layers,
 )
-from hpccomponent.surface.fitting.far_field import FarField
+from hpccomponent.surface.types.field import Field
+from hpccomponent.surface.types.grid import BRICK, NODES, Grid
 from hpccomponent.surface.types.lattice import find_keys, pack_places
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
-__all__ = [
-    "BRICK",
-    "CHANNELS",
-    "Field",
-    "FieldLevel",
-    "Grid",
-    "evaluate_bricks",
-]
-
-BRICK = NODES - 1
-"""Cells along the edge of a brick."""
-
-CHANNELS = 12
-"""Ten coefficients, presence and trust of a vertex."""
+__all__ = ["evaluate_bricks"]
 
 _CHUNK_NODES = 1 << 17
+
+
 _LEAST_REST = 1e-6  # what is left to the levels behind is 0 below this, and they are not asked
+
+
 _TINY = np.float32(1e-30)
 
-Float32Array = NDArray[np.float32]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Grid:
-    """The evaluation grid.
-
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Where node (0, 0, 0) lies.
-    step : float
-        Edge of a cell, in length units of the input.
-    bricks : tuple of int
-        Bricks along x, y and z.
-    """
-
-    origin: FloatArray
-    step: float
-    bricks: tuple[int, int, int]
-
-    @property
-    def box(self) -> tuple[FloatArray, FloatArray]:
-        """The first node and the last, in length units of the input."""
-        return self.origin, self.origin + self.step * BRICK * np.array(self.bricks)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FieldLevel:
-    """The quadrics of one lattice.
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (v,)
-        Sorted keys of the lattice's vertices.
-    coefficients : ndarray of float32, shape (v, 10)
-        The quadric of each vertex, in cells of this lattice.
-    trust : ndarray of float32, shape (v,)
-        What it counts against the levels behind and the far field, 0 to 1.
-    """
-
-    keys: IntArray
-    coefficients: Float32Array
-    trust: Float32Array
-
-    def channels(self) -> FloatArray:
-        """Return coefficients, 1 and trust, shape (12, v + 1).
-
-        The last column, all zero, stands for a vertex that is missing.
-        """
-        channels = np.zeros((CHANNELS, len(self.keys) + 1))
-        channels[:10, :-1] = self.coefficients.T
-        channels[10, :-1] = 1.0
-        channels[11, :-1] = self.trust
-        return channels
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Field:
-    """All that the implicit function is made of.
-
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of every lattice lies.
-    cell_size : float
-        Edge of a cell of the finest lattice, in length units of the input.
-    levels : tuple of FieldLevel
-        Finest first; the cells of each are twice as large as those of the one before.
-    far : FarField
-    """
-
-    origin: FloatArray
-    cell_size: float
-    levels: tuple[FieldLevel, ...]
-    far: FarField
-
-
-def evaluate_bricks(field: Field, grid: Grid, places: IntArray) -> Float32Array:
+def evaluate_bricks(field: Field, grid: Grid, places: IntArray, threads: int = 1) -> Float32Array:
     """Evaluate the implicit function at all nodes of some bricks.
 
     Parameters
@@ -142,6 +53,7 @@ def evaluate_bricks(field: Field, grid: Grid, places: IntArray) -> Float32Array:
     f_d the quadrics of level d blended, t_d their trust, and rest_d the product of 1 - t over the
     levels in front. So coarse levels fill in where the points are too far apart for fine ones.
     """
+    del threads  # numpy runs on one
     values = np.empty((len(places), NODES, NODES, NODES), np.float32)
     reach = BRICK * grid.step / field.cell_size
     layers = min(2 * NODES, int(reach) + 3)

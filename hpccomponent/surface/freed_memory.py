@@ -1,17 +1,13 @@
 """What becomes of memory that this process has freed: the system's again, or its own for later.
 
-Nothing heavy is imported here; see `docs/kernels.md` for what it saves.
+See `docs/kernels.md` for what it saves.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
-from hpccomponent.surface.build import load_native
+from hpccomponent.surface import kernels
 
 __all__ = ["bound_free_memory", "keep_memory", "leave_for_files"]
-
-_native: Any = load_native()
 
 _MOST = 1 << 28  # that waits for the next task
 _PAGES = 1 << 25  # that a file is made of, at least
@@ -19,8 +15,7 @@ _PAGES = 1 << 25  # that a file is made of, at least
 
 def keep_memory() -> None:
     """Have this process use memory that it has freed again, instead of giving it back."""
-    if _native is not None:
-        _native.keep_memory()
+    kernels.keep_memory()
 
 
 def bound_free_memory() -> None:
@@ -28,8 +23,7 @@ def bound_free_memory() -> None:
 
     To be called before a task takes most of its memory.
     """
-    if _native is not None:
-        _native.bound_free_memory(_MOST)
+    kernels.bound_free_memory(_MOST)
 
 
 def leave_for_files() -> None:
@@ -38,5 +32,4 @@ def leave_for_files() -> None:
     To be called before a large file is written by who will need little memory: the file's pages are
     made of what this process has touched, which the system has at hand.
     """
-    if _native is not None:
-        _native.bound_free_memory(_PAGES)
+    kernels.bound_free_memory(_PAGES)

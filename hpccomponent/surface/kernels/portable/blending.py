@@ -13,14 +13,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.grid import NODES
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
-__all__ = ["NODES", "blend_quadrics", "cross_axes", "interpolate_far", "needed_layers"]
+__all__ = ["blend_quadrics", "cross_axes", "interpolate_far", "needed_layers"]
 
-NODES = 9
-"""Nodes along the edge of a brick."""
 
-Float32Array = NDArray[np.float32]
 Pair = tuple[IntArray, IntArray]
 Array = TypeVar("Array", bound=NDArray[Any])
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpccomponent.surface.fitting.moments import EXPONENTS, MONOMIALS
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.kernels.portable.moments import EXPONENTS, MONOMIALS
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
 __all__ = [
     "BASIS",
@@ -182,19 +182,20 @@ def _inherit_columns(c: FloatArray, shifts: FloatArray) -> FloatArray:
     return child
 
 
-def evaluate_residuals(moments: FloatArray, coefficients: FloatArray) -> FloatArray:
+def evaluate_residuals(moments: FloatArray, coefficients: FloatArray | Float32Array) -> FloatArray:
     """Return the sum of f^2 over the points of each vertex.
 
     Parameters
     ----------
     moments : ndarray of float64, shape (v, 44)
-    coefficients : ndarray of float64, shape (v, 10)
+    coefficients : ndarray of float64 or float32, shape (v, 10)
 
     Returns
     -------
     ndarray of float64, shape (v,)
         In cells squared, never negative.
     """
+    coefficients = coefficients.astype(np.float64, copy=False)
     total = np.zeros(len(moments))
     for i, j in _PAIRS:
         double = 1.0 if i == j else 2.0

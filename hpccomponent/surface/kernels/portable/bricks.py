@@ -8,13 +8,11 @@ vertices are balanced among the faces on both sides, but belong to the other til
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.fitting.blending import NODES
-from hpccomponent.surface.fitting.field import BRICK, Grid
+from hpccomponent.surface.types.grid import BESIDE, BRICK, NODES, OPEN, OUT, OWN, BrickKinds, Grid
 from hpccomponent.surface.types.lattice import (
     cells_of,
     find_keys,
@@ -23,59 +21,11 @@ from hpccomponent.surface.types.lattice import (
     unique_keys,
     unpack_keys,
 )
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
-__all__ = [
-    "BESIDE",
-    "FOREIGN",
-    "OPEN",
-    "OUT",
-    "OWN",
-    "BrickKinds",
-    "grow_bricks",
-    "seed_bricks",
-]
+__all__ = ["grow_bricks", "seed_bricks"]
 
-Float32Array = NDArray[np.float32]
 Evaluate = Callable[[IntArray], Float32Array]
-
-OUT, BESIDE, FOREIGN, OPEN, OWN = range(5)
-"""What a brick is to a tile: out of its reach; without points, but not to be taken; another
-tile's; without points, and taken when the surface reaches it; its own."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BrickKinds:
-    """What the bricks of a box of the grid are to a tile; all others are `OUT`.
-
-    Parameters
-    ----------
-    first : ndarray of int64, shape (3,)
-        The lowest brick of the box.
-    kinds : ndarray of uint8, shape (x, y, z)
-    """
-
-    first: IntArray
-    kinds: NDArray[np.uint8]
-
-    def at(self, keys: IntArray) -> NDArray[np.uint8]:
-        """Return the kinds of some bricks."""
-        places = unpack_keys(keys) - self.first
-        inside = ((places >= 0) & (places < self.kinds.shape)).all(axis=1)
-        found = np.full(len(keys), OUT, np.uint8)
-        x, y, z = places[inside].T
-        found[inside] = self.kinds[x, y, z]
-        return found
-
-    def mark(self, keys: IntArray, kind: int) -> None:
-        """Set the kind of some bricks; of those outside the box it is `OUT`, whatever is set."""
-        places = unpack_keys(keys) - self.first
-        places = places[((places >= 0) & (places < self.kinds.shape)).all(axis=1)]
-        self.kinds[tuple(places.T)] = kind
-
-    def own(self) -> IntArray:
-        """Return the keys of the tile's own bricks, sorted."""
-        return pack_places(np.argwhere(self.kinds == OWN) + self.first)
 
 
 def seed_bricks(grid: Grid, positions: FloatArray) -> IntArray:

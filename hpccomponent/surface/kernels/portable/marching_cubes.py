@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.extraction.bricks import BrickKinds, grow_bricks
-from hpccomponent.surface.extraction.case_table import EDGES, case_triangles, triangle_counts
-from hpccomponent.surface.fitting.blending import NODES
-from hpccomponent.surface.fitting.field import BRICK, Field, Grid, evaluate_bricks
+from hpccomponent.surface.kernels.case_table import EDGES, case_triangles, triangle_counts
+from hpccomponent.surface.kernels.portable.bricks import grow_bricks
+from hpccomponent.surface.kernels.portable.field import evaluate_bricks
+from hpccomponent.surface.types.field import Field
+from hpccomponent.surface.types.grid import BRICK, NODES, BrickKinds, Grid
 from hpccomponent.surface.types.lattice import OCTANTS, find_keys, pack_places, step_keys
-from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.mesh import BrickMesh
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
-__all__ = [
-    "BrickMesh",
-    "balance_vertices",
-    "drop_small_components",
-    "extract_surface",
-    "find_large",
-    "grow_surface",
-]
+__all__ = ["balance_vertices", "extract_surface", "grow_surface"]
 
-Float32Array = NDArray[np.float32]
 
 _NEAREST = 0.002
 """Vertices keep this share of an edge from its ends, so that no triangle has zero area."""
@@ -34,38 +27,6 @@ _SLIVER = 0.16
 
 _ROUNDS = 4
 """Of holding folds: what a vertex gets depends on nothing farther away than seven faces."""
-
-_SMALL_SHARE = 0.002
-"""A component with fewer faces than this share of the largest one's is dropped."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BrickMesh:
-    """The surface in some bricks.
-
-    Parameters
-    ----------
-    bricks : ndarray of int64, shape (b,)
-        Sorted keys.
-    taken : ndarray of bool, shape (b,)
-        False for the rim: its outer faces may be missing.
-    vertex_counts, face_counts : ndarray of int32, shape (b,)
-        Of each brick.
-    vertices : ndarray of float64, shape (v, 3)
-        Brick after brick, in length units of the input.
-    faces : ndarray of int64, shape (f, 3)
-        Brick after brick, rows of `vertices`, anticlockwise as seen from outside (positive).
-    exits : ndarray of int64, shape (e,)
-        See `bricks.grow_bricks`.
-    """
-
-    bricks: IntArray
-    taken: NDArray[np.bool_]
-    vertex_counts: NDArray[np.int32]
-    face_counts: NDArray[np.int32]
-    vertices: FloatArray
-    faces: IntArray
-    exits: IntArray
 
 
 def extract_surface(
@@ -115,7 +76,7 @@ def extract_surface(
     )
 
 
-def grow_surface(field: Field, grid: Grid, kinds: BrickKinds) -> BrickMesh:
+def grow_surface(field: Field, grid: Grid, kinds: BrickKinds, threads: int = 1) -> BrickMesh:
     """Extract the surface in a tile's own bricks, and in all that it reaches from them.
 
     Parameters
@@ -129,6 +90,7 @@ def grow_surface(field: Field, grid: Grid, kinds: BrickKinds) -> BrickMesh:
     BrickMesh
         See `extract_surface`.
     """
+    del threads  # numpy runs on one
     places, values, taken, exits = grow_bricks(
         lambda bricks: evaluate_bricks(field, grid, bricks), kinds, grid.bricks
     )
@@ -238,57 +200,6 @@ def _edge_numbers(
         number = numbers[np.where(owner == missing, 0, owner), axis, x, y, z]
         found[:, edge] = np.where(owner == missing, -1, number)
     return found
-
-
-def find_large(faces: IntArray, share: float = _SMALL_SHARE) -> NDArray[np.bool_]:
-    """Tell which components of a mesh are no mere crumbs of it.
-
-    Parameters
-    ----------
-    faces : ndarray of int64, shape (c,)
-        How many each component has; 0 for a vertex that no face uses.
-    share : float
-        Of the largest component's faces; dimensionless, 0 to 1.
-
-    Returns
-    -------
-    ndarray of bool, shape (c,)
-        All, where no component with faces is small: what no face uses then stays, too.
-    """
-    is_large: NDArray[np.bool_] = faces >= max(share * float(faces.max(initial=0)), 1.0)
-    return is_large | bool(is_large[faces > 0].all())
-
-
-def drop_small_components(mesh: Mesh, share: float = _SMALL_SHARE) -> Mesh:
-    """Drop components with fewer faces than a share of the largest one's.
-
-    Parameters
-    ----------
-    mesh : Mesh
-    share : float
-        Dimensionless, 0 to 1.
-
-    Returns
-    -------
-    Mesh
-        Without vertices that no face uses, if anything was dropped.
-    """
-    from hpccomponent.surface.kernels import label_components  # which knows this module
-
-    if not len(mesh.faces):
-        return mesh
-    count = len(mesh.vertices)
-    pieces, component = label_components(mesh.faces, count)
-    if pieces == 1:
-        return mesh
-    kept = find_large(np.bincount(component[mesh.faces[:, 0]], minlength=pieces), share)
-    if kept.all():
-        return mesh
-    faces = mesh.faces[kept[component[mesh.faces[:, 0]]]]
-    used = np.zeros(count, np.bool_)
-    used[faces.reshape(-1)] = True
-    renumbered = np.cumsum(used) - 1
-    return Mesh(mesh.vertices[used], renumbered[faces], mesh.origin)
 
 
 def balance_vertices(vertices: FloatArray, faces: IntArray, step: float) -> FloatArray:

@@ -105,6 +105,7 @@ def accumulate_moments(
     normals: FloatArray,
     offsets: IntArray,
     weights: FloatArray | None = None,
+    threads: int = 1,
 ) -> FloatArray:
     """Sum the moments of the points of each cell (a task).
 
@@ -129,6 +130,7 @@ def accumulate_moments(
     A monomial is the product of an earlier one and one coordinate; each sum starts at zero and
     runs in the order of the points.
     """
+    del threads  # numpy runs on one
     cells = len(offsets) - 1
     moments = np.empty((cells, COLUMNS))
     start = 0

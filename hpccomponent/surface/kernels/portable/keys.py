@@ -1,0 +1,15 @@
+"""Sets of places on a lattice as kernels: see `types.lattice`, whose functions these are."""
+
+from __future__ import annotations
+
+from hpccomponent.surface.types import lattice
+from hpccomponent.surface.types.lattice import spread_keys, unite_keys
+from hpccomponent.surface.types.points import IntArray
+
+__all__ = ["find_keys", "spread_keys", "unite_keys"]
+
+
+def find_keys(keys: IntArray, wanted: IntArray, threads: int = 1) -> IntArray:
+    """Return where each of some keys stands among sorted keys; see `lattice.find_keys`."""
+    del threads  # numpy runs on one
+    return lattice.find_keys(keys, wanted)

@@ -1,0 +1,241 @@
+"""Packed points: sorted, counted, unpacked and placed, in numpy."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface.kernels.portable.bricks import seed_bricks
+from hpccomponent.surface.kernels.portable.cells import sort_points
+from hpccomponent.surface.types.grid import Grid
+from hpccomponent.surface.types.lattice import (
+    cells_of,
+    find_keys,
+    merge_counts,
+    pack_places,
+    unique_keys,
+)
+from hpccomponent.surface.types.points import (
+    BoolArray,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+)
+
+__all__ = [
+    "count_packed",
+    "pack_records",
+    "place_packed",
+    "seed_packed",
+    "sort_packed",
+    "unpack_records",
+    "unpack_within",
+]
+
+_ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
+
+
+def pack_records(
+    positions: FloatArray, normals: FloatArray, origin: FloatArray, edge: float
+) -> tuple[IntArray, IntArray, Float32Array]:
+    """Sort points by blocks and pack them, in numpy.
+
+    Parameters
+    ----------
+    positions, normals : ndarray of float64, shape (n, 3)
+        Snapped.
+    origin : ndarray of float64, shape (3,)
+    edge : float
+        See `Arrangement`.
+
+    Returns
+    -------
+    keys, counts : ndarray of int64, shape (b,)
+        Of the blocks, sorted.
+    records : ndarray of float32, shape (n, 6)
+        Offset and normal of each point; within a block the points keep their order.
+    """
+    keys, offsets, rows = sort_points(positions, origin, edge)
+    records = np.empty((len(rows), 6), np.float32)
+    for start in range(0, len(rows), _ROWS_AT_ONCE):
+        some = slice(start, start + _ROWS_AT_ONCE)
+        places = (positions[some] - origin) / edge
+        records[some, :3] = places - np.floor(places)
+        records[some, 3:] = normals[some]
+    return keys, np.diff(offsets), records.take(rows, axis=0)
+
+
+def unpack_records(
+    records: Float32Array, counts: IntArray, corners: FloatArray, edge: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the positions and normals of points that were packed, in numpy.
+
+    Parameters
+    ----------
+    records : ndarray of float32, shape (n, 6)
+        Offset and normal of each point, block after block.
+    counts : ndarray of int64, shape (b,)
+        Points in each block.
+    corners : ndarray of float64, shape (b, 3)
+        Of the blocks, in length units of the input.
+    edge : float
+        Of a block, likewise.
+
+    Returns
+    -------
+    positions, normals : ndarray of float64, shape (n, 3)
+    """
+    block_of = np.repeat(np.arange(len(corners)), counts)
+    positions = np.empty((len(block_of), 3))
+    for start in range(0, len(block_of), _ROWS_AT_ONCE):
+        some = slice(start, start + _ROWS_AT_ONCE)
+        part = positions[some]
+        np.multiply(records[some, :3], edge, out=part, dtype=np.float64)
+        part += corners.take(block_of[some], axis=0)
+    return positions, records[:, 3:].astype(np.float64)
+
+
+def unpack_within(
+    records: Float32Array,
+    counts: IntArray,
+    corners: FloatArray,
+    edge: float,
+    low: FloatArray,
+    high: FloatArray,
+) -> tuple[FloatArray, IntArray]:
+    """Return the packed positions in a box, and which they are, in numpy; see `unpack_records`."""
+    positions, _ = unpack_records(records, counts, corners, edge)
+    rows = np.flatnonzero(((positions >= low) & (positions <= high)).all(axis=1))
+    return positions[rows], rows
+
+
+def count_packed(
+    records: Float32Array,
+    counts: IntArray,
+    corners: FloatArray,
+    edge: float,
+    origin: FloatArray,
+    cell_size: float,
+) -> tuple[IntArray, IntArray]:
+    """Count packed points in the occupied cells of a lattice, in numpy.
+
+    Parameters
+    ----------
+    records, counts, corners, edge
+        See `arrangement.unpack_records`.
+    origin : ndarray of float64, shape (3,)
+        Corner of a cell.
+    cell_size : float
+        In length units of the input. Cells are to be few.
+
+    Returns
+    -------
+    cells, counts : ndarray of int64, shape (c,)
+        Sorted keys, and the points in each.
+    """
+    positions, _ = unpack_records(records, counts, corners, edge)
+    keys = pack_places(np.floor(cells_of(positions, origin, cell_size)).astype(np.int64))
+    return merge_counts(keys, np.ones(len(keys), np.int64))
+
+
+def sort_packed(
+    records: Float32Array,
+    counts: IntArray,
+    corners: FloatArray,
+    edge: float,
+    origin: FloatArray,
+    cell_size: float,
+    depth: int,
+    wanted: IntArray,
+    numbers: ByteArray,
+) -> tuple[IntArray, IntArray, Float32Array, NDArray[np.uint32], ByteArray]:
+    """Sort packed points by the finest cell, in numpy; see `sort_tile`, whose results these are.
+
+    Parameters
+    ----------
+    records, counts, corners, edge
+        See `arrangement.unpack_records`.
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of the lattice lies.
+    cell_size : float
+        Of the finest cells, in length units of the input.
+    depth : int
+        So many levels further up are the coarse cells.
+    wanted : ndarray of int64, shape (w,)
+        Sorted keys of coarse cells.
+    numbers : ndarray of uint8, shape (w,)
+        A number of each.
+    """
+    positions, _ = unpack_records(records, counts, corners, edge)
+    places = np.floor(cells_of(positions, origin, cell_size)).astype(np.int64)
+    found = find_keys(wanted, pack_places(places >> depth))
+    kept = np.flatnonzero(found < len(wanted))
+    keys = pack_places(places[kept])
+    order = np.argsort(keys, kind="stable")
+    cells, rows = unique_keys(keys), kept[order]
+    starts = np.searchsorted(keys[order], cells)
+    block_of = np.repeat(np.arange(len(counts), dtype=np.uint32), counts)
+    groups = numbers[found[rows[starts]]]
+    offsets = np.append(starts, len(rows)).astype(np.int64)
+    return cells, offsets, records[rows], block_of[rows], groups
+
+
+def place_packed(
+    records: Float32Array,
+    blocks: NDArray[np.uint32],
+    corners: FloatArray,
+    edge: float,
+    origin: FloatArray,
+    cell_size: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return packed points relative to the centres of their cells, in numpy.
+
+    Parameters
+    ----------
+    records, blocks, corners, edge
+        See `PackedRows`.
+    origin, cell_size
+        See `cells.gather_points`, whose results these are.
+    """
+    places = cells_of(_unpack_rows(records, blocks, corners, edge), origin, cell_size)
+    return places - np.floor(places) - 0.5, records[:, 3:].astype(np.float64)
+
+
+def seed_packed(
+    records: Float32Array,
+    blocks: NDArray[np.uint32],
+    corners: FloatArray,
+    edge: float,
+    offsets: IntArray,
+    wanted: BoolArray,
+    grid: Grid,
+) -> IntArray:
+    """Return the bricks that hold a point in some cells, in numpy.
+
+    Parameters
+    ----------
+    records, blocks, corners, edge
+        See `PackedRows`.
+    offsets : ndarray of int64, shape (c + 1,)
+        Cell i holds the points offsets[i] to offsets[i + 1].
+    wanted : ndarray of bool, shape (c,)
+        Which cells.
+    grid : Grid
+
+    Returns
+    -------
+    ndarray of int64, shape (b,)
+        Sorted, unique keys.
+    """
+    rows = np.flatnonzero(np.repeat(wanted, np.diff(offsets)))
+    return seed_bricks(grid, _unpack_rows(records[rows], blocks[rows], corners, edge))
+
+
+def _unpack_rows(
+    records: Float32Array, blocks: NDArray[np.uint32], corners: FloatArray, edge: float
+) -> FloatArray:
+    """Return the positions of packed points, which stand in any order."""
+    positions: FloatArray = np.multiply(records[:, :3], edge, dtype=np.float64)
+    positions += corners[blocks]
+    return positions

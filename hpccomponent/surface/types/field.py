@@ -1,0 +1,85 @@
+"""The implicit function as values: levels of quadrics, and the far field behind them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
+
+__all__ = ["CHANNELS", "FarField", "Field", "FieldLevel"]
+
+CHANNELS = 12
+"""Ten coefficients, presence and trust of a vertex."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldLevel:
+    """The quadrics of one lattice.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (v,)
+        Sorted keys of the lattice's vertices.
+    coefficients : ndarray of float32, shape (v, 10)
+        The quadric of each vertex, in cells of this lattice.
+    trust : ndarray of float32, shape (v,)
+        What it counts against the levels behind and the far field, 0 to 1.
+    """
+
+    keys: IntArray
+    coefficients: Float32Array
+    trust: Float32Array
+
+    def channels(self) -> FloatArray:
+        """Return coefficients, 1 and trust, shape (12, v + 1).
+
+        The last column, all zero, stands for a vertex that is missing.
+        """
+        channels = np.zeros((CHANNELS, len(self.keys) + 1))
+        channels[:10, :-1] = self.coefficients.T
+        channels[10, :-1] = 1.0
+        channels[11, :-1] = self.trust
+        return channels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Field:
+    """All that the implicit function is made of.
+
+    Parameters
+    ----------
+    origin : ndarray of float64, shape (3,)
+        Where corner (0, 0, 0) of every lattice lies.
+    cell_size : float
+        Edge of a cell of the finest lattice, in length units of the input.
+    levels : tuple of FieldLevel
+        Finest first; the cells of each are twice as large as those of the one before.
+    far : FarField
+    """
+
+    origin: FloatArray
+    cell_size: float
+    levels: tuple[FieldLevel, ...]
+    far: FarField
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FarField:
+    """Signed distances on a coarse cubic grid.
+
+    Parameters
+    ----------
+    values : ndarray of float32, shape (g, g, g)
+        In length units of the input, positive outside, at most 1.5 steps large; 0 far from the
+        box that the field was asked to cover.
+    origin : ndarray of float64, shape (3,)
+        Where node (0, 0, 0) lies.
+    step : float
+        Distance of neighbouring nodes, in length units of the input.
+    """
+
+    values: Float32Array
+    origin: FloatArray
+    step: float
