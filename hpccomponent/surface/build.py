@@ -19,7 +19,6 @@ __all__ = ["BUILD_VARIABLE", "kernel_id", "load_native"]
 BUILD_VARIABLE = "HPCAPP_BUILD"
 
 _EXTENSION = "hpccomponent.surface._native"
-_HASH_DIGITS = 12
 
 
 @cache
@@ -64,7 +63,7 @@ def load_native(build: str | None = None) -> ModuleType | None:
 
 
 def kernel_id(build: str | None = None) -> str:
-    """Return what decides the bits of the kernels: the build, and a hash of their sources.
+    """Return what decides the bits of the kernels: the build, and a hash of their code.
 
     Parameters
     ----------
@@ -84,8 +83,8 @@ def kernel_id(build: str | None = None) -> str:
     extension = load_native(build)
     if extension is not None:
         return f"native-{extension.KERNEL_HASH}"
-    import hashlib  # it loads OpenSSL, which `hpcapp --version` would feel
+    from hpccomponent.surface.digest import (
+        digest_code,  # it loads OpenSSL: `--version` would feel it
+    )
 
-    modules = sorted(Path(__file__).parent.rglob("*.py"))
-    sources = b"".join(module.read_bytes() for module in modules)
-    return f"portable-{hashlib.sha256(sources).hexdigest()[:_HASH_DIGITS]}"
+    return f"portable-{digest_code(Path(__file__).parent)}"

@@ -18,7 +18,7 @@ from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.arrangement import Arrangement, choose_arrangement, snap_points
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import find_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
+from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
 
 __all__ = ["ArrangedCloud", "MemoryCloud", "Points", "arrange_cloud", "cut_blocks"]
 
@@ -131,7 +131,7 @@ class MemoryCloud:
         for run in cut_blocks(self.counts, points):
             yield self.take_blocks(self.keys[run])
 
-    def select(self, kept: NDArray[np.bool_]) -> MemoryCloud:
+    def select(self, kept: BoolArray) -> MemoryCloud:
         """Return the points that a mask names, in the same blocks."""
         counts = np.add.reduceat(kept, self.offsets[:-1], dtype=np.int64)
         offsets = np.append(0, np.cumsum(counts[counts > 0]))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.surface.types.points import ByteArray, PointCloud
 
 __all__ = ["Column", "PointRecords"]
 
@@ -97,7 +97,7 @@ class PointRecords:
     def _sources(self) -> tuple[tuple[Column, ...], ...]:
         return self.positions, self.normals, self.colors
 
-    def _fill(self, file: Any, buffer: NDArray[np.uint8]) -> None:
+    def _fill(self, file: Any, buffer: ByteArray) -> None:
         view = buffer.data
         while len(view):
             taken = file.readinto(view)
@@ -108,9 +108,7 @@ class PointRecords:
                 )
             view = view[taken:]
 
-    def _copy(
-        self, buffer: NDArray[np.uint8], source: tuple[Column, ...], target: NDArray[Any]
-    ) -> None:
+    def _copy(self, buffer: ByteArray, source: tuple[Column, ...], target: NDArray[Any]) -> None:
         """Copy columns of the records in a buffer into those of an array."""
         for column, (offset, dtype) in zip(target.T, source, strict=True):
             column[:] = np.ndarray(len(column), dtype, buffer, offset, (self.length,))

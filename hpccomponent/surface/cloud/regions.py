@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface.cloud.arrangement import Arrangement, PackedPoints, unpack_near
 from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
 from hpccomponent.surface.cloud.outliers import EDGE, ISLAND_LEVEL
 from hpccomponent.surface.types.lattice import cells_of, find_keys, pack_places, unpack_keys
-from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
+from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
 
 __all__ = ["DroppedCells", "Region", "RegionPoints", "find_kept", "pack_region", "take_region"]
 
@@ -59,7 +58,7 @@ class Region:
     has_lost_own: bool
 
     @property
-    def normals(self) -> NDArray[np.float32]:
+    def normals(self) -> Float32Array:
         """Of the points, of shape (n, 3)."""
         normals = self.packed.normals
         return normals if len(normals) == len(self.rows) else normals[self.rows]

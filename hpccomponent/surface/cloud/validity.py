@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpccomponent.surface.types.points import BoolArray, FloatArray, PointCloud
 
 __all__ = ["Dropped", "Reach", "are_usable", "refuse_without_normals", "select_usable"]
 
@@ -64,10 +63,10 @@ class Reach:
         """Tell whether all of a box lies within."""
         return bool((np.abs(np.stack([low, high]) - self.middle) <= self.distance).all())
 
-    def find_near(self, positions: FloatArray) -> NDArray[np.bool_]:
+    def find_near(self, positions: FloatArray) -> BoolArray:
         """Tell which points (n, 3) lie within."""
         away: FloatArray = np.abs(positions - self.middle)
-        near: NDArray[np.bool_] = np.all(away <= self.distance, axis=1)
+        near: BoolArray = np.all(away <= self.distance, axis=1)
         return near
 
 
@@ -102,7 +101,7 @@ def select_usable(cloud: PointCloud, source: str) -> tuple[PointCloud, Dropped]:
     return usable.take(finite & directed) if dropped.total else usable, dropped
 
 
-def _normalized(normals: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _normalized(normals: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Return vectors of unit length, and which of them had a length at all."""
     units, directed = np.empty_like(normals), np.empty(len(normals), np.bool_)
     for start in range(0, len(normals), _CHUNK):
@@ -111,7 +110,7 @@ def _normalized(normals: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     return units, directed
 
 
-def _normalize_rows(normals: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _normalize_rows(normals: FloatArray) -> tuple[FloatArray, BoolArray]:
     columns = [np.ascontiguousarray(column) for column in normals.T]
     largest = np.maximum.reduce([np.abs(column) for column in columns])
     directed = np.isfinite(largest) & (largest > 0)

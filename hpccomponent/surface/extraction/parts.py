@@ -6,12 +6,11 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface.types.grid import OWN, BrickKinds
 from hpccomponent.surface.types.lattice import find_keys, number_keys
 from hpccomponent.surface.types.mesh import BrickMesh
-from hpccomponent.surface.types.points import FloatArray, Int32Array, IntArray
+from hpccomponent.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
 
 __all__ = ["Int32Array", "MeshPart", "cut_part", "join_parts"]
 
@@ -50,7 +49,7 @@ class MeshPart:
     """
 
     bricks: IntArray
-    guests: NDArray[np.bool_]
+    guests: BoolArray
     vertex_counts: Int32Array
     face_counts: Int32Array
     vertices: FloatArray

@@ -10,12 +10,11 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.extraction.parts import Int32Array, MeshPart
 from hpccomponent.surface.types.lattice import number_keys, unique_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
 __all__ = ["PartSummary", "summarize_part"]
 
@@ -57,7 +56,7 @@ class PartSummary:
     """
 
     bricks: IntArray
-    guests: NDArray[np.bool_]
+    guests: BoolArray
     vertex_counts: Int32Array
     face_counts: Int32Array
     foreign_bricks: IntArray
@@ -99,7 +98,7 @@ class _Nodes:
     faces: Int32Array
     vertex_of: Int32Array
     unit_of: Int32Array
-    is_open: NDArray[np.bool_]
+    is_open: BoolArray
 
 
 def summarize_part(part: MeshPart) -> PartSummary:

@@ -21,7 +21,13 @@ from hpccomponent.surface.kernels import COLUMNS
 from hpccomponent.surface.kernels.parallel import run_batches
 from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.lattice import BITS, unique_keys
-from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray, PointCloud
+from hpccomponent.surface.types.points import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    PointCloud,
+)
 
 __all__ = [
     "CellMoments",
@@ -126,7 +132,7 @@ class CellRows(Protocol):
             Of the lattice.
         """
 
-    def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: NDArray[np.bool_]) -> IntArray:
+    def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: BoolArray) -> IntArray:
         """Return the bricks that hold a point of some cells; see `bricks.seed_bricks`.
 
         Parameters
@@ -165,7 +171,7 @@ class CloudRows:
         assert normals is not None  # noqa: S101 - checked by the method, at its border
         return kernels.gather_points(positions, normals, self.rows[rows], origin, cell_size)
 
-    def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: NDArray[np.bool_]) -> IntArray:
+    def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: BoolArray) -> IntArray:
         """See `CellRows`."""
         rows = self.rows[np.repeat(wanted, np.diff(offsets))]
         return kernels.seed_bricks(grid, self.cloud.positions.take(rows, axis=0))

@@ -18,7 +18,6 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.cutting import cut_equal
 from hpccomponent.surface import kernels
@@ -31,7 +30,7 @@ from hpccomponent.surface.kernels.parallel import run_batches
 from hpccomponent.surface.types.field import FarField, Field, FieldLevel
 from hpccomponent.surface.types.grid import BRICK, Grid
 from hpccomponent.surface.types.lattice import find_layers, unique_keys, unpack_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
 __all__ = ["SlabFields", "find_trust", "fit_above"]
 
@@ -230,9 +229,9 @@ def _trust_rows(
     keys: IntArray,
     quadrics: VertexQuadrics,
     crowds: FloatArray,
-    far: tuple[NDArray[np.float32], FloatArray, float, float],
+    far: tuple[Float32Array, FloatArray, float, float],
     rows: slice,
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """Trust some vertices of a level; `far` is a grid with its origin, spacing and step."""
     values, origin, spacing, step = far
     distances = kernels.sample_corners(values, keys[rows], origin, spacing) / step

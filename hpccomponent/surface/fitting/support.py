@@ -7,11 +7,10 @@ them where the surface goes on: this tells where that is.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.types.lattice import OCTANTS, ancestor_keys, step_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
 
 __all__ = ["crowd_vertices", "sum_squares", "surrounded_vertices"]
 
@@ -39,7 +38,7 @@ def sum_squares(children: IntArray, counts: FloatArray, parents: IntArray) -> Fl
 
 
 def crowd_vertices(
-    vertices: IntArray, counts: NDArray[np.float32], cells: IntArray, squares: FloatArray
+    vertices: IntArray, counts: Float32Array, cells: IntArray, squares: FloatArray
 ) -> FloatArray:
     """Find how many other points a point around each vertex meets in its finer cell, on average.
 
@@ -68,7 +67,7 @@ def crowd_vertices(
     return crowds - 1.0
 
 
-def surrounded_vertices(vertices: IntArray, cells: IntArray) -> NDArray[np.bool_]:
+def surrounded_vertices(vertices: IntArray, cells: IntArray) -> BoolArray:
     """Tell around which vertices the surface goes on: four or more of their cells hold points.
 
     Parameters

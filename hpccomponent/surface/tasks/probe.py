@@ -10,13 +10,12 @@ import platform
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface.fitting.pyramid import build_pyramid, fit_levels
 from hpccomponent.surface.fitting.weights import weigh_levels
 from hpccomponent.surface.tasks.result_patterns import PROBE, SMALL_BYTES
-from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.surface.types.points import ByteArray, PointCloud
 
 __all__ = ["probe", "time_kernels"]
 
@@ -53,7 +52,7 @@ def time_kernels(runs: int = 3) -> float:
 
 
 @declare(result=PROBE, limit=SMALL_BYTES)
-def probe(payload: NDArray[np.uint8], runs: int) -> tuple[str, float]:
+def probe(payload: ByteArray, runs: int) -> tuple[str, float]:
     """Take some bytes, and time the kernels (a task).
 
     Parameters

@@ -10,7 +10,6 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface.cloud.arrangement import Arrangement
 from hpccomponent.surface.fitting.far_field import FarFieldPart
@@ -18,7 +17,7 @@ from hpccomponent.surface.fitting.pyramid import Parents
 from hpccomponent.surface.fitting.weights import Weights, weigh_levels
 from hpccomponent.surface.types.field import FieldLevel
 from hpccomponent.surface.types.grid import Grid
-from hpccomponent.surface.types.points import FloatArray
+from hpccomponent.surface.types.points import Float32Array, FloatArray
 
 __all__ = ["CoarseLevels", "Plan", "Values"]
 
@@ -121,7 +120,7 @@ class CoarseLevels:
     """
 
     parents: Parents
-    trust: NDArray[np.float32] | None
+    trust: Float32Array | None
     coarser: tuple[FieldLevel, ...]
     far: FarFieldPart
 

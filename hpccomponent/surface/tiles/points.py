@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.arranged import ArrangedCloud
@@ -27,7 +26,7 @@ from hpccomponent.surface.tiles.packed_cells import sort_tile
 from hpccomponent.surface.tiles.plan import Plan
 from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.lattice import find_keys, pack_places, unique_keys, unpack_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
+from hpccomponent.surface.types.points import ByteArray, FloatArray, IntArray, PointCloud
 
 __all__ = ["CellPoints", "TilePoints", "estimate_work", "pack_cloud", "read_cells", "take_points"]
 
@@ -53,7 +52,7 @@ class TilePoints:
     """
 
     finest: Level
-    groups: NDArray[np.uint8]
+    groups: ByteArray
 
     def seed_bricks(self, grid: Grid, group: int) -> IntArray:
         """Return the sorted keys of the bricks that hold a point of a group."""
@@ -130,7 +129,7 @@ def _read_packed(cloud: DiskCloud, plan: Plan, asked: list[IntArray]) -> TilePoi
     return TilePoints(Level(cells, points, np.empty(0)), groups)
 
 
-def _sort_groups(cloud: PointCloud, numbers: NDArray[np.uint8], plan: Plan) -> TilePoints:
+def _sort_groups(cloud: PointCloud, numbers: ByteArray, plan: Plan) -> TilePoints:
     """Return the points of a cloud, each with the number of its group."""
     cells, offsets, rows = np.empty(0, np.int64), np.zeros(1, np.int64), np.empty(0, np.uint32)
     if len(cloud):
@@ -141,7 +140,7 @@ def _sort_groups(cloud: PointCloud, numbers: NDArray[np.uint8], plan: Plan) -> T
 
 def read_cells(
     cloud: ArrangedCloud, origin: FloatArray, size: float, cells: list[IntArray]
-) -> tuple[PointCloud, NDArray[np.uint8]]:
+) -> tuple[PointCloud, ByteArray]:
     """Return the points in some groups of coarse cells.
 
     Parameters
@@ -168,7 +167,7 @@ def read_cells(
     return PointCloud(positions, normals), groups
 
 
-def _number_cells(cells: list[IntArray]) -> tuple[IntArray, NDArray[np.uint8]]:
+def _number_cells(cells: list[IntArray]) -> tuple[IntArray, ByteArray]:
     """Return the cells of some groups, sorted, and the number of each one's group."""
     wanted = unique_keys(np.concatenate(cells))
     numbers = np.empty(len(wanted), np.uint8)

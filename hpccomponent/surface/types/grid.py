@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface.types.lattice import pack_places, unpack_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import ByteArray, FloatArray, IntArray
 
 __all__ = ["BESIDE", "BRICK", "FOREIGN", "NODES", "OPEN", "OUT", "OWN", "BrickKinds", "Grid"]
 
@@ -61,9 +60,9 @@ class BrickKinds:
     """
 
     first: IntArray
-    kinds: NDArray[np.uint8]
+    kinds: ByteArray
 
-    def at(self, keys: IntArray) -> NDArray[np.uint8]:
+    def at(self, keys: IntArray) -> ByteArray:
         """Return the kinds of some bricks."""
         places = unpack_keys(keys) - self.first
         inside = ((places >= 0) & (places < self.kinds.shape)).all(axis=1)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "BITS",
@@ -240,14 +240,14 @@ def unique_keys(keys: NDArray[KeyT]) -> NDArray[KeyT]:
 
 def _order(
     keys: NDArray[KeyT],
-) -> tuple[IntArray, NDArray[KeyT], NDArray[np.bool_]]:
+) -> tuple[IntArray, NDArray[KeyT], BoolArray]:
     """Return how to sort keys, the same ones in place; the sorted keys; see `_begins`."""
     order = np.argsort(keys, kind="stable")
     ordered = keys[order]
     return order, ordered, _begins(ordered)
 
 
-def _begins(ordered: NDArray[KeyT]) -> NDArray[np.bool_]:
+def _begins(ordered: NDArray[KeyT]) -> BoolArray:
     """Tell which of some sorted keys are not the one before them."""
     first = np.empty(len(ordered), np.bool_)
     first[:1] = True

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.types.points import FloatArray, Int32Array, IntArray
+from hpccomponent.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
 
 __all__ = ["BrickMesh", "BrickSums", "Mesh", "Seams", "Survey"]
 
@@ -31,9 +31,6 @@ class Mesh:
     origin: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
-Labels = NDArray[np.int32]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class BrickMesh:
     """The surface in some bricks.
@@ -55,9 +52,9 @@ class BrickMesh:
     """
 
     bricks: IntArray
-    taken: NDArray[np.bool_]
-    vertex_counts: NDArray[np.int32]
-    face_counts: NDArray[np.int32]
+    taken: BoolArray
+    vertex_counts: Int32Array
+    face_counts: Int32Array
     vertices: FloatArray
     faces: IntArray
     exits: IntArray
@@ -88,7 +85,7 @@ class Survey:
     degenerate: int
     misoriented: int
     fans: int
-    edges_of: Labels
+    edges_of: Int32Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -290,9 +290,9 @@ def balance_vertices(vertices: FloatArray, faces: IntArray, step: float) -> Floa
     return result
 
 
-def label_components(faces: IntArray, vertices: int) -> tuple[int, NDArray[np.int32]]:
+def label_components(faces: IntArray, vertices: int) -> tuple[int, Int32Array]:
     """Find the pieces of a mesh."""
-    result: tuple[int, NDArray[np.int32]] = _native.label_components(_integers(faces), vertices)
+    result: tuple[int, Int32Array] = _native.label_components(_integers(faces), vertices)
     return result
 
 
@@ -307,7 +307,7 @@ def signed_volume(vertices: FloatArray, faces: IntArray, reference: FloatArray) 
 
 
 def find_seams(
-    faces: Int32Array, counts: tuple[int, int], vertex_of: Int32Array, is_open: NDArray[np.bool_]
+    faces: Int32Array, counts: tuple[int, int], vertex_of: Int32Array, is_open: BoolArray
 ) -> Seams:
     """Find the open vertices of a part."""
     return Seams(*_native.find_seams(faces, *counts, vertex_of, is_open))

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface.types.grid import BESIDE, BRICK, NODES, OPEN, OUT, OWN, BrickKinds, Grid
 from hpccomponent.surface.types.lattice import (
@@ -21,7 +20,7 @@ from hpccomponent.surface.types.lattice import (
     unique_keys,
     unpack_keys,
 )
-from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
+from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
 
 __all__ = ["grow_bricks", "seed_bricks"]
 
@@ -48,7 +47,7 @@ def seed_bricks(grid: Grid, positions: FloatArray) -> IntArray:
 
 def grow_bricks(
     evaluate: Evaluate, kinds: BrickKinds, bricks: tuple[int, int, int]
-) -> tuple[IntArray, Float32Array, NDArray[np.bool_], IntArray]:
+) -> tuple[IntArray, Float32Array, BoolArray, IntArray]:
     """Evaluate a tile's own bricks, all open ones that the surface reaches, and their rim.
 
     Parameters
@@ -120,7 +119,7 @@ class _Grown:
         return joined[order], np.concatenate(self._values)[order]
 
 
-def _touch(keys: IntArray, others: IntArray) -> NDArray[np.bool_]:
+def _touch(keys: IntArray, others: IntArray) -> BoolArray:
     """Tell which bricks have one of the others among their 26 neighbours."""
     touched = np.zeros(len(keys), np.bool_)
     for step in np.ndindex(3, 3, 3):

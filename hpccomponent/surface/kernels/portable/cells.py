@@ -27,7 +27,7 @@ from hpccomponent.surface.types.lattice import (
     unique_keys,
     unpack_keys,
 )
-from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
+from hpccomponent.surface.types.points import ByteArray, Float32Array, FloatArray, IntArray
 
 __all__ = [
     "corner_moments",
@@ -85,8 +85,8 @@ def take_cells(
     origin: FloatArray,
     cell_size: float,
     wanted: IntArray,
-    groups: NDArray[np.uint8],
-) -> tuple[FloatArray, FloatArray, NDArray[np.uint8]]:
+    groups: ByteArray,
+) -> tuple[FloatArray, FloatArray, ByteArray]:
     """Return the points in some cells.
 
     Parameters

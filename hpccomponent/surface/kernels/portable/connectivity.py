@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hpccomponent.surface.types.mesh import Labels, Survey
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.mesh import Survey
+from hpccomponent.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
 
 __all__ = ["join_nodes", "label_components", "signed_volume", "survey_mesh"]
 
@@ -30,10 +29,10 @@ class _Edges:
     starts: IntArray
     counts: IntArray
     ends: IntArray
-    backward: NDArray[np.bool_]
+    backward: BoolArray
 
 
-def label_components(faces: IntArray, vertices: int) -> tuple[int, Labels]:
+def label_components(faces: IntArray, vertices: int) -> tuple[int, Int32Array]:
     """Find the pieces of a mesh that share no vertex.
 
     Parameters

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface.kernels.portable.connectivity import label_components
 from hpccomponent.surface.types.lattice import (
@@ -15,7 +14,7 @@ from hpccomponent.surface.types.lattice import (
     step_keys,
     unique_keys,
 )
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
 
 __all__ = [
     "bound_points",
@@ -82,7 +81,7 @@ def sum_neighbours(keys: IntArray, values: IntArray, wanted: IntArray) -> IntArr
     return sums
 
 
-def label_cells(keys: IntArray) -> tuple[int, NDArray[np.int32]]:
+def label_cells(keys: IntArray) -> tuple[int, Int32Array]:
     """Number the pieces of cells that touch, by faces, edges or corners.
 
     Parameters
@@ -146,7 +145,7 @@ def bound_points(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
     return low, np.array([column.max() for column in columns])
 
 
-def is_sampled(boxes: IntArray, one_in: int) -> NDArray[np.bool_]:
+def is_sampled(boxes: IntArray, one_in: int) -> BoolArray:
     """Tell which boxes are in the sample of about one in `one_in`, chosen by a hash.
 
     Parameters
@@ -162,7 +161,7 @@ def is_sampled(boxes: IntArray, one_in: int) -> NDArray[np.bool_]:
     if one_in == 1:
         return np.ones(len(boxes), bool)
     mixed = (boxes.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(33)
-    chosen: NDArray[np.bool_] = (mixed * np.uint64(one_in)) >> np.uint64(31) == 0
+    chosen: BoolArray = (mixed * np.uint64(one_in)) >> np.uint64(31) == 0
     return chosen
 
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface.types.lattice import find_keys, step_keys, unique_keys, unpack_keys
-from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
+from hpccomponent.surface.types.points import BoolArray, ByteArray, FloatArray, IntArray
 
 __all__ = ["look_near", "mark_near"]
 
@@ -36,7 +35,7 @@ def look_near(
     cells: IntArray,
     origin: FloatArray,
     cell_size: float,
-    pairs: NDArray[np.uint8],
+    pairs: ByteArray,
     corner: FloatArray,
     edge: float,
     margin: float,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface.kernels.case_table import EDGES, case_triangles, triangle_counts
 from hpccomponent.surface.kernels.portable.bricks import grow_bricks
@@ -14,7 +13,13 @@ from hpccomponent.surface.types.field import Field
 from hpccomponent.surface.types.grid import BRICK, NODES, BrickKinds, Grid
 from hpccomponent.surface.types.lattice import OCTANTS, find_keys, pack_places, step_keys
 from hpccomponent.surface.types.mesh import BrickMesh
-from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
+from hpccomponent.surface.types.points import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    Int32Array,
+    IntArray,
+)
 
 __all__ = ["balance_vertices", "extract_surface", "grow_surface"]
 
@@ -30,7 +35,7 @@ _ROUNDS = 4
 
 
 def extract_surface(
-    grid: Grid, places: IntArray, values: Float32Array, taken: NDArray[np.bool_] | None = None
+    grid: Grid, places: IntArray, values: Float32Array, taken: BoolArray | None = None
 ) -> BrickMesh:
     """Extract the 0-level of the node values.
 
@@ -97,7 +102,7 @@ def grow_surface(field: Field, grid: Grid, kinds: BrickKinds, threads: int = 1) 
     return replace(extract_surface(grid, places, values, taken), exits=exits)
 
 
-def _count_crossed(inside: NDArray[np.bool_]) -> IntArray:
+def _count_crossed(inside: BoolArray) -> IntArray:
     """Return how many vertices each brick owns."""
     lower = (slice(None), *[slice(0, BRICK)] * 3)
     crossed = [inside[lower] != inside[_shifted(axis)] for axis in range(3)]
@@ -106,8 +111,8 @@ def _count_crossed(inside: NDArray[np.bool_]) -> IntArray:
 
 
 def _place_vertices(
-    grid: Grid, places: IntArray, values: Float32Array, inside: NDArray[np.bool_]
-) -> tuple[NDArray[np.int32], FloatArray]:
+    grid: Grid, places: IntArray, values: Float32Array, inside: BoolArray
+) -> tuple[Int32Array, FloatArray]:
     """Number the crossed edges, shape (b, 3, 8, 8, 8), and place a vertex on each."""
     lower = (slice(None), *[slice(0, BRICK)] * 3)
     crossed = np.empty((len(places), 3, BRICK, BRICK, BRICK), np.bool_)
@@ -162,7 +167,7 @@ def _shifted(axis: int) -> tuple[slice, ...]:
 
 
 def _assemble_faces(
-    places: IntArray, inside: NDArray[np.bool_], numbers: NDArray[np.int32]
+    places: IntArray, inside: BoolArray, numbers: Int32Array
 ) -> tuple[IntArray, IntArray]:
     """Look up the triangles of every cell that the surface crosses, and the brick of each."""
     cases = np.zeros((len(places), BRICK, BRICK, BRICK), np.uint8)
@@ -181,8 +186,8 @@ def _assemble_faces(
 
 
 def _edge_numbers(
-    places: IntArray, brick: IntArray, cell: IntArray, numbers: NDArray[np.int32]
-) -> NDArray[np.int32]:
+    places: IntArray, brick: IntArray, cell: IntArray, numbers: Int32Array
+) -> Int32Array:
     """Return the vertex number on each of the 12 edges of some cells, shape (m, 12).
 
     Edges that are not crossed get numbers without a meaning; no triangle asks for them. -1 stands

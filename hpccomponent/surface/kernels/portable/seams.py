@@ -9,17 +9,16 @@ end, and the sides between open nodes are what other parts must be compared with
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface.kernels.portable.connectivity import join_nodes, label_components
 from hpccomponent.surface.types.mesh import BrickSums, Seams
-from hpccomponent.surface.types.points import FloatArray, Int32Array, IntArray
+from hpccomponent.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
 
 __all__ = ["find_seams", "sum_bricks"]
 
 
 def find_seams(
-    faces: Int32Array, counts: tuple[int, int], vertex_of: Int32Array, is_open: NDArray[np.bool_]
+    faces: Int32Array, counts: tuple[int, int], vertex_of: Int32Array, is_open: BoolArray
 ) -> Seams:
     """Find the open vertices of a part and what lies between them.
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpccomponent.surface.cloud import outliers
 from hpccomponent.surface.cloud.outliers import find_outliers
 from hpccomponent.surface.cloud.spacing import estimate_spacing
+from hpccomponent.surface.kernels import portable
 from hpccomponent.surface.types.lattice import pack_places, unique_keys, unpack_keys
 from hpccomponent.surface.types.points import FloatArray
 
@@ -109,12 +109,12 @@ def test_cells_are_counted_and_summed() -> None:
     random = np.random.default_rng(8)
     points = random.uniform(-2.0, 2.0, (500, 3))
     low = points.min(axis=0)
-    keys, counts, cell_of = outliers.count_cells(points, low, 0.5)
+    keys, counts, cell_of = portable.count_cells(points, low, 0.5)
     places = np.floor((points - low) / 0.5).astype(np.int64)
     np.testing.assert_array_equal(unpack_keys(keys[cell_of]), places)
     np.testing.assert_array_equal(keys, unique_keys(pack_places(places)))
     np.testing.assert_array_equal(counts, np.bincount(cell_of))
     wanted = np.arange(0, len(keys), 3)
-    sums = outliers.sum_neighbours(keys, counts[:, None], wanted)[:, 0]
+    sums = portable.sum_neighbours(keys, counts[:, None], wanted)[:, 0]
     apart = np.abs(places[None] - unpack_keys(keys[wanted])[:, None]).max(axis=2)
     np.testing.assert_array_equal(sums, (apart <= 1).sum(axis=1))

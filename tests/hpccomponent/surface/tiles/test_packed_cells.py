@@ -14,6 +14,7 @@ from hpccomponent.surface.build import load_native
 from hpccomponent.surface.cloud.arranged import arrange_cloud
 from hpccomponent.surface.cloud.arrangement import PackedPoints, pack_points
 from hpccomponent.surface.fitting.cell_points import CloudRows
+from hpccomponent.surface.kernels import native, portable
 from hpccomponent.surface.kernels.portable.cells import sort_points, take_cells
 from hpccomponent.surface.tiles import packed_cells
 from hpccomponent.surface.tiles.packed_cells import count_points, sort_tile
@@ -21,13 +22,15 @@ from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.lattice import pack_places, unique_keys
 from hpccomponent.surface.types.points import PointCloud
 
+BUILDS = [portable] if load_native() is None else [portable, native]
 
-@pytest.fixture(params=["portable", ""])
-def build(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ModuleType | None:
-    """Run in the portable build, or in the one that loads."""
-    found = load_native(request.param)
-    monkeypatch.setattr(packed_cells, "_native", found)
-    return found
+
+@pytest.fixture(params=BUILDS, ids=[module.__name__.rsplit(".", 1)[1] for module in BUILDS])
+def build(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """Run in each build that loads."""
+    kernels: ModuleType = request.param
+    monkeypatch.setattr(packed_cells, "kernels", kernels)
+    return kernels
 
 
 def sorted_tile(points: int, size: float, depth: int, seed: int) -> tuple[Any, ...]:
@@ -69,7 +72,7 @@ def test_a_tile_holds_the_points_of_its_cells_bit_for_bit(
 
 
 @pytest.mark.parametrize("points", [2, 500])
-def test_bricks_that_hold_points_of_some_cells(build: ModuleType | None, points: int) -> None:
+def test_bricks_that_hold_points_of_some_cells(build: ModuleType, points: int) -> None:
     (positions, normals, groups), found, lattice = sorted_tile(points, 0.3, 1, 7)
     cells, offsets, rows, group_of = found
     grid = Grid(np.full(3, -8.0), 0.125, (16, 16, 16))
@@ -84,7 +87,7 @@ def test_bricks_that_hold_points_of_some_cells(build: ModuleType | None, points:
     np.testing.assert_array_equal(cells, expected)
 
 
-def test_no_cell_is_wanted(build: ModuleType | None) -> None:
+def test_no_cell_is_wanted(build: ModuleType) -> None:
     positions = np.random.default_rng(1).random((50, 3))
     arranged = arrange_cloud(PointCloud(positions, positions))
     packed = pack_points(arranged.arrangement, positions, positions)

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hpccomponent.surface.cloud import outliers
-from hpccomponent.surface.normals import consistency as normals
+from hpccomponent.surface.kernels import portable
 
 
 @given(st.integers(0, 2**32), st.integers(1, 300), st.floats(0.05, 5.0))
@@ -20,7 +19,7 @@ def test_cells_and_their_neighbours(native: ModuleType, seed: int, count: int, e
     random = np.random.default_rng(seed)
     positions = random.normal(size=(count, 3))
     low = positions.min(axis=0)
-    expected = outliers.count_cells(positions, low, edge)
+    expected = portable.count_cells(positions, low, edge)
     for one, other in zip(native.count_cells(positions, low, edge), expected, strict=True):
         np.testing.assert_array_equal(one, other)
     keys = expected[0]
@@ -28,7 +27,7 @@ def test_cells_and_their_neighbours(native: ModuleType, seed: int, count: int, e
     wanted = random.integers(0, len(keys), 20)
     np.testing.assert_array_equal(
         native.sum_neighbours(keys, values, wanted),
-        outliers.sum_neighbours(keys, values, wanted),
+        portable.sum_neighbours(keys, values, wanted),
     )
 
 
@@ -40,11 +39,11 @@ def test_polls(native: ModuleType, seed: int, reach: float, tolerance: float) ->
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     positions = directions * (1.0, 0.7, 0.2)
     given_normals = directions * np.where(random.random(600) < 0.2, -1.0, 1.0)[:, None]
-    keys, _, cell_of = outliers.count_cells(positions, positions.min(axis=0), reach)
+    keys, _, cell_of = portable.count_cells(positions, positions.min(axis=0), reach)
     asked = (random.random(600) < 0.9).astype(np.uint8)
     poll = (positions, given_normals, keys, cell_of, asked, reach, tolerance, 0.5 * tolerance)
     verdicts = native.poll_normals(*poll, 1)
-    np.testing.assert_array_equal(verdicts, normals.poll_normals(*poll))
+    np.testing.assert_array_equal(verdicts, portable.poll_normals(*poll))
     assert native.poll_normals(*poll, 3).tobytes() == verdicts.tobytes()
 
 
@@ -54,7 +53,7 @@ def test_normals_are_polled_alike_however_they_are_held(native: ModuleType, seed
     random = np.random.default_rng(seed)
     positions = random.normal(size=(600, 3)) * (1.0, 0.7, 0.02)
     singles = random.normal(size=(600, 3)).astype(np.float32)
-    keys, _, cell_of = outliers.count_cells(positions, positions.min(axis=0), 0.4)
+    keys, _, cell_of = portable.count_cells(positions, positions.min(axis=0), 0.4)
     rest = keys, cell_of, np.ones(600, np.uint8), 0.4, 0.1, 0.05
     wide = native.poll_normals(positions, singles.astype(np.float64), *rest, 1)
     assert native.poll_normals(positions, singles, *rest, 1).tobytes() == wide.tobytes()

@@ -7,7 +7,6 @@ from hpcapp.applications.surface.stitching.topology import check_mesh, signed_vo
 from hpccomponent.surface.kernels.portable.bricks import grow_bricks, seed_bricks
 from hpccomponent.surface.kernels.portable.marching_cubes import (
     balance_vertices,
-    drop_small_components,
     extract_surface,
 )
 from hpccomponent.surface.types.grid import BRICK, OPEN, OWN, BrickKinds, Grid
@@ -116,23 +115,6 @@ def test_a_field_without_inside_has_no_faces():
     mesh = extract(GRID, *cut_bricks(np.ones((33, 33, 33), np.float32)))
     assert mesh.vertices.shape == (0, 3)
     assert mesh.faces.shape == (0, 3)
-    assert drop_small_components(mesh) is mesh
-
-
-def test_components_below_the_share_are_dropped_with_their_vertices(sphere):
-    speck = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
-    tetrahedron = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    count = len(sphere.vertices)
-    mesh = Mesh(
-        np.concatenate([speck, sphere.vertices]),
-        np.concatenate([tetrahedron, sphere.faces + 4]),
-        np.array([5.0, 0.0, 0.0]),
-    )
-    kept = drop_small_components(mesh, share=0.01)
-    assert np.array_equal(kept.vertices, sphere.vertices)
-    assert np.array_equal(kept.faces, sphere.faces)
-    assert np.array_equal(kept.origin, mesh.origin)
-    assert len(drop_small_components(mesh, share=0.0).vertices) == count + 4
 
 
 def test_balanced_faces_miss_the_surface_by_half_and_keep_its_volume(sphere):

@@ -11,8 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from hpccomponent.surface.cloud import arrangement, outliers, spacing
-from hpccomponent.surface.fitting import ancestors, field, robust
+from hpccomponent.surface.kernels import portable
 from hpccomponent.surface.kernels.case_table import case_triangles
 from hpccomponent.surface.kernels.portable import (
     bricks,
@@ -23,8 +22,7 @@ from hpccomponent.surface.kernels.portable import (
     moments,
 )
 from hpccomponent.surface.kernels.portable import marching_cubes as extraction
-from hpccomponent.surface.tiles import halo as reach
-from hpccomponent.surface.tiles import packed_cells
+from hpccomponent.surface.types import grid as grid_types
 from hpccomponent.surface.types import lattice
 
 coordinates = arrays.arrays(
@@ -61,7 +59,7 @@ def test_sets_of_places(native: ModuleType, places: Any, low: int, width: int) -
 def test_cells_that_touch(native: ModuleType, places: Any) -> None:
     keys = lattice.unique_keys(lattice.pack_places(places // 4))
     pieces, label = native.label_cells(keys)
-    wanted_pieces, wanted = outliers.label_cells(keys)
+    wanted_pieces, wanted = portable.label_cells(keys)
     assert pieces == wanted_pieces
     np.testing.assert_array_equal(label, wanted)
 
@@ -72,7 +70,7 @@ def test_ancestors(native: ModuleType, places: Any, depth: int) -> None:
     keys = lattice.unique_keys(lattice.pack_places(places))
     above = lattice.unique_keys(lattice.pack_places(lattice.unpack_keys(keys) >> depth))[::2].copy()
     found = native.mark_ancestors(keys, depth, above)
-    np.testing.assert_array_equal(found, ancestors._mark_ancestors(keys, depth, above))
+    np.testing.assert_array_equal(found, portable.mark_ancestors(keys, depth, above))
 
 
 @given(st.integers(0, 2**32), st.floats(0.05, 3.0), st.floats(0.0, 0.5), st.integers(1, 3))
@@ -86,7 +84,7 @@ def test_looking_near(
     origin, corner = random.normal(size=(2, 3))
     edge = 1.25
     given = keys, origin, size, pairs, corner, edge, margin * edge, beyond
-    np.testing.assert_array_equal(native.look_near(*given), reach.look_near(*given))
+    np.testing.assert_array_equal(native.look_near(*given), portable.look_near(*given))
 
 
 sides = st.lists(st.integers(0, 5), min_size=3, max_size=3).map(np.array)
@@ -99,7 +97,7 @@ def test_boxes_around_cells(
 ) -> None:
     keys, cells = (lattice.unique_keys(lattice.pack_places(each // 2)) for each in (places, others))
     found = native.mark_near(keys, cells, low, high)
-    np.testing.assert_array_equal(found, reach._mark_near(keys, cells, low, high))
+    np.testing.assert_array_equal(found, portable.mark_near(keys, cells, low, high))
     off = lattice.unpack_keys(keys)[:, None] - lattice.unpack_keys(cells)
     boxed = ((off >= -low) & (off <= high)).all(axis=2).any(axis=1)
     np.testing.assert_array_equal(found, boxed)
@@ -126,23 +124,23 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
         np.testing.assert_array_equal(found, wanted)
     packed = native.pack_records(positions, normals, origin, size)
     for found, wanted in zip(
-        packed, arrangement.pack_records(positions, normals, origin, size), strict=True
+        packed, portable.pack_records(positions, normals, origin, size), strict=True
     ):
         np.testing.assert_array_equal(found, wanted)
     keys, counts, records = packed
     places = records, counts, lattice.unpack_keys(keys) * size + origin, size
     for found, wanted in zip(
-        native.unpack_records(*places), arrangement.unpack_records(*places), strict=True
+        native.unpack_records(*places), portable.unpack_records(*places), strict=True
     ):
         np.testing.assert_array_equal(found, wanted)
     box = np.quantile(positions, [0.2, 0.9], axis=0)
     for found, wanted in zip(
-        native.unpack_within(*places, *box), arrangement.unpack_within(*places, *box), strict=True
+        native.unpack_within(*places, *box), portable.unpack_within(*places, *box), strict=True
     ):
         np.testing.assert_array_equal(found, wanted)
     some = keys[::2].copy(), (keys[::2] % 3).astype(np.uint8)
     for lattice_of in ((origin, 0.3 * size, 0), (origin + 0.3 * size, 0.5 * size, 1)):
-        sorted_by_cell = packed_cells.sort_packed(*places, *lattice_of, *some)
+        sorted_by_cell = portable.sort_packed(*places, *lattice_of, *some)
         for found, wanted in zip(
             native.sort_packed(*places, *lattice_of, *some), sorted_by_cell, strict=True
         ):
@@ -150,22 +148,22 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
             np.testing.assert_array_equal(found, wanted)
         for found, wanted in zip(
             native.count_packed(*places, *lattice_of[:2]),
-            packed_cells.count_packed(*places, *lattice_of[:2]),
+            portable.count_packed(*places, *lattice_of[:2]),
             strict=True,
         ):
             assert found.dtype == wanted.dtype
             np.testing.assert_array_equal(found, wanted)
         scattered = sorted_by_cell[2], sorted_by_cell[3], *places[2:], *lattice_of[:2]
         for found, wanted in zip(
-            native.place_packed(*scattered), packed_cells.place_packed(*scattered), strict=True
+            native.place_packed(*scattered), portable.place_packed(*scattered), strict=True
         ):
             np.testing.assert_array_equal(found, wanted)
-    np.testing.assert_array_equal(native.bound_points(positions), spacing.bound_points(positions))
+    np.testing.assert_array_equal(native.bound_points(positions), portable.bound_points(positions))
     for one_in in (1, 3):
         counted = native.count_boxes(positions, origin, size, one_in)
-        assert counted == spacing.count_boxes(positions, origin, size, one_in)
+        assert counted == portable.count_boxes(positions, origin, size, one_in)
         sampled = native.sample_boxes(positions, origin, size, one_in)
-        wanted = spacing.sample_boxes(positions, origin, size, one_in)
+        wanted = portable.sample_boxes(positions, origin, size, one_in)
         np.testing.assert_array_equal(sampled, wanted)
 
 
@@ -198,7 +196,7 @@ def test_distances_from_a_blend(native: ModuleType, cloud: Any, depth: int) -> N
     variances = random.uniform(size=len(corners)).astype(np.float32)
     level = cloud.local, cloud.offsets, cloud.cells, depth, corners, coefficients, variances
     found = native.rate_points(*level, 1)
-    np.testing.assert_allclose(found, robust.rate_points(*level), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found, portable.rate_points(*level), rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(found, native.rate_points(*level, 3))
     assert (found == 0.0).any()
 
@@ -273,7 +271,7 @@ def test_bricks(native: ModuleType, any_ball: Any) -> None:
     places = np.ascontiguousarray(places.reshape(-1, 3))[::3]
     places = np.ascontiguousarray(places)
     found = native.evaluate_bricks(field_values(function), *grid_values(grid), places, 1)
-    expected = field.evaluate_bricks(function, grid, places)
+    expected = portable.evaluate_bricks(function, grid, places)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
     assert ((found < 0) == (expected < 0)).all()
 
@@ -289,13 +287,13 @@ def test_surface(native: ModuleType, any_ball: Any) -> None:
         places = np.ascontiguousarray(places)
         return native.evaluate_bricks(field_values(function), *grid_values(grid), places, 1)
 
-    whole = np.full(grid.bricks, bricks.OPEN, np.uint8)
-    whole[tuple(lattice.unpack_keys(seeds).T)] = bricks.OWN
+    whole = np.full(grid.bricks, grid_types.OPEN, np.uint8)
+    whole[tuple(lattice.unpack_keys(seeds).T)] = grid_types.OWN
     half = whole.copy()  # of which the other belongs to another tile
-    half[grid.bricks[0] // 2 :] = bricks.FOREIGN
-    half[-2:] = bricks.OUT
-    half[:, :1] = bricks.BESIDE
-    for kinds in (bricks.BrickKinds(np.zeros(3, np.int64), k) for k in (half, whole)):
+    half[grid.bricks[0] // 2 :] = grid_types.FOREIGN
+    half[-2:] = grid_types.OUT
+    half[:, :1] = grid_types.BESIDE
+    for kinds in (grid_types.BrickKinds(np.zeros(3, np.int64), k) for k in (half, whole)):
         places, values, taken, exits = bricks.grow_bricks(evaluate, kinds, grid.bricks)
         expected = extraction.extract_surface(grid, places, values, taken)
         arguments = (field_values(function), *grid_values(grid), kinds.first, kinds.kinds)
