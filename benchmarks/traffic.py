@@ -17,7 +17,7 @@ from typing import Any
 
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.input.load import load_memory
-from hpcapp.applications.surface.job import Settings
+from hpcapp.applications.surface.job import JobSettings
 from hpcapp.backends.selection import SerialExecutor
 from hpcapp.progress import SilentProgress, StageClock
 from hpcapp.workforce import Workforce
@@ -80,7 +80,7 @@ def count_bytes(values: Any) -> int:
 def measure(cloud: Path, tiles: int, grid: int) -> dict[str, Any]:
     """Run a job that is cut into some tiles, and count."""
     clock = StageClock(SilentProgress())
-    points = load_memory(Settings(cloud, "-"), clock).cloud
+    points = load_memory(JobSettings(cloud, "-"), clock).cloud
     executor = CountingExecutor()
     method = HierarchicalMethod(grid)
     workforce = Workforce(executor, tiles)

@@ -16,12 +16,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.api import reconstruct
+    from hpcapp.applications.surface.hierarchical.settings import Hierarchical
+    from hpcapp.applications.surface.paper.settings import Paper
     from hpcapp.backends.selection import open_executor
     from hpcapp.io import write_mesh
 
-__all__ = ["open_executor", "reconstruct", "write_mesh"]
+__all__ = ["Hierarchical", "Paper", "open_executor", "reconstruct", "write_mesh"]
 
 _HOMES = {
+    "Hierarchical": "hpcapp.applications.surface.hierarchical.settings",
+    "Paper": "hpcapp.applications.surface.paper.settings",
     "open_executor": "hpcapp.backends.selection",
     "reconstruct": "hpcapp.applications.surface.api",
     "write_mesh": "hpcapp.io",

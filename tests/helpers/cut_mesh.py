@@ -3,7 +3,9 @@
 import numpy as np
 from hypothesis import strategies as st
 
+from hpcapp.applications.surface.stitching.plan import SMALL_SHARE, find_large
 from hpccomponent.surface.extraction.parts import MeshPart
+from hpccomponent.surface.kernels import label_components
 from hpccomponent.surface.kernels.portable.bricks import grow_bricks
 from hpccomponent.surface.kernels.portable.marching_cubes import extract_surface
 from hpccomponent.surface.types.grid import BRICK, OWN, BrickKinds, Grid
@@ -132,3 +134,33 @@ def cuts(draw, of_vertex, of_face, most=6):
 
 
 __all__ = ["GRID", "SHAPES", "cut_mesh", "cuts", "extract_shape", "spread_mesh"]
+
+
+def drop_small_components(mesh: Mesh, share: float = SMALL_SHARE) -> Mesh:
+    """Drop components with fewer faces than a share of the largest one's.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    share : float
+        Dimensionless, 0 to 1.
+
+    Returns
+    -------
+    Mesh
+        Without vertices that no face uses, if anything was dropped.
+    """
+    if not len(mesh.faces):
+        return mesh
+    count = len(mesh.vertices)
+    pieces, component = label_components(mesh.faces, count)
+    if pieces == 1:
+        return mesh
+    kept = find_large(np.bincount(component[mesh.faces[:, 0]], minlength=pieces), share)
+    if kept.all():
+        return mesh
+    faces = mesh.faces[kept[component[mesh.faces[:, 0]]]]
+    used = np.zeros(count, np.bool_)
+    used[faces.reshape(-1)] = True
+    renumbered = np.cumsum(used) - 1
+    return Mesh(mesh.vertices[used], renumbered[faces], mesh.origin)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +18,9 @@ from numpy.typing import ArrayLike
 
 from hpcapp.applications.surface.backend_choice.opening import approach_workers
 from hpcapp.applications.surface.input.load import Loaded, arrange_usable, clean_points
+from hpcapp.applications.surface.method import MethodSettings
+from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
+from hpcapp.applications.surface.options import option_names
 from hpcapp.applications.surface.settings import (
     DEFAULT_GRID,
     MAX_GRID,
@@ -41,8 +43,6 @@ __all__ = ["reconstruct"]
 
 Report = Callable[[str, int, int], object]
 
-METHODS = ("hierarchical", "paper")
-
 
 def reconstruct(
     points: ArrayLike,
@@ -50,10 +50,10 @@ def reconstruct(
     grid: int = DEFAULT_GRID,
     *,
     voxel_size: float | None = None,
-    method: str = "hierarchical",
-    smoothness: float = 1.0,
-    detail: float = 1.0,
-    clean: bool = True,
+    method: str | MethodSettings = DEFAULT_METHOD,
+    smoothness: float | None = None,
+    detail: float | None = None,
+    clean: bool | None = None,
     executor: str | Executor | Client | None = None,
     workers: int | None = None,
     progress: Report | None = None,
@@ -70,14 +70,10 @@ def reconstruct(
         Cells along the longest side, 16 to 4096.
     voxel_size : float, optional
         Edge of a cell in the unit of the points; takes the place of `grid`.
-    method : str
-        ``hierarchical`` or ``paper``.
-    smoothness : float
-        Factor on the smoothing that the noise asks for, 0.1 to 10, dimensionless.
-    detail : float
-        Factor on the finest detail that the spacing allows, 0.1 to 10, dimensionless.
-    clean : bool
-        Drop outliers and turn wrong normals round first; not with ``paper``.
+    method : str, Hierarchical or Paper
+        ``hierarchical``, ``paper``, or a method with its options: ``hpcapp.Paper(delta=0.2)``.
+    smoothness, detail, clean : float, float and bool, optional
+        Options of the default method, where `method` is a name; see `hpcapp.Hierarchical`.
     executor : str, concurrent.futures.Executor or distributed.Client, optional
         Where batches run: a name that ``--backend`` takes or the file of a cluster, or what is
         open already and stays so; by default what pays for so many points.
@@ -110,17 +106,13 @@ def reconstruct(
     >>> float(np.abs(np.linalg.norm(mesh.vertices - 7.0, axis=1) - 2.0).max()) < 0.1
     True
     """
+    options = {"smoothness": smoothness, "detail": detail, "clean": clean}
     settings = Settings(
-        Path("points"),  # what messages call it
-        "",
-        method,
-        grid,
+        method=_choose_method(method, options),
+        grid=grid,
         voxel_size=voxel_size,
         backend=executor if isinstance(executor, str) else "auto",
         workers=workers,
-        clean=clean,
-        smoothness=smoothness,
-        detail=detail,
     )
     _check_settings(settings)
     cloud = _check_cloud(points, normals)
@@ -159,10 +151,24 @@ class _Calls(Progress):
             self._report(stage, self._total, self._total)
 
 
+def _choose_method(method: str | MethodSettings, options: dict[str, Any]) -> MethodSettings:
+    """Return the method with the options that were given beside it."""
+    given = {name: value for name, value in options.items() if value is not None}
+    if isinstance(method, str):
+        kind = find_method(method)
+        for name in given.keys() - set(option_names(kind)):
+            raise UsageError(f"{name} means nothing to the method {method!r}", "leave it out")
+        return kind(**given)
+    if given:
+        raise UsageError(
+            f"method and {', '.join(given)} exclude each other",
+            f"give {next(iter(given))} to {type(method).__name__}",
+        )
+    return method
+
+
 def _check_settings(settings: Settings) -> None:
     """Refuse what the command would refuse."""
-    if settings.method not in METHODS:
-        raise UsageError(f"unknown method {settings.method!r}", f"choose {' or '.join(METHODS)}")
     if not isinstance(settings.grid, int | np.integer):
         raise UsageError(f"grid is {settings.grid!r}", "give a whole number of cells")
     if settings.voxel_size is None:
@@ -171,8 +177,6 @@ def _check_settings(settings: Settings) -> None:
         raise UsageError("grid and voxel_size exclude each other", "give one of them")
     elif not settings.voxel_size > 0.0:
         raise UsageError(f"voxel_size is {settings.voxel_size!r}", "give an edge longer than zero")
-    _check_range("smoothness", settings.smoothness, 0.1, 10)
-    _check_range("detail", settings.detail, 0.1, 10)
 
 
 def _check_range(name: str, value: Any, low: float, high: float) -> None:

@@ -9,14 +9,13 @@ import json
 import logging
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from hpcapp.applications.surface.methods import DEFAULT_METHOD, METHODS, find_method
+from hpcapp.applications.surface.options import check_exclusive, make_click_options, option_names
 from hpccomponent.errors import UsageError
-
-if TYPE_CHECKING:
-    from hpcapp.applications.surface.settings import Settings
 
 __all__ = ["check_flags", "info", "reconstruct", "simulate"]
 
@@ -25,26 +24,32 @@ log = logging.getLogger("hpcapp")
 POINTS = click.Path(dir_okay=False, path_type=Path)
 
 
-def _only_for(ctx: click.Context, method: str, names: tuple[str, ...]) -> None:
-    """Raise UsageError where an option of another method was typed."""
-    for name in names:
-        if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
-            flag = "--" + name.replace("_", "-")
+def _check_method_options(ctx: click.Context) -> None:
+    """Raise UsageError where an option was typed that means nothing to the method."""
+    method = ctx.params["method"]
+    for name, owner in METHOD_OPTIONS.items():
+        if owner != method and _is_typed(ctx, name):
             raise UsageError(
-                f"{flag} means nothing to --method {ctx.params['method']}",
-                f"leave it out, or choose --method {method}",
+                f"{_flag(name)} means nothing to --method {method}",
+                f"leave it out, or choose --method {owner}",
             )
+    check_exclusive(find_method(method), {name for name in METHOD_OPTIONS if _is_typed(ctx, name)})
+    if find_method(method).needs_whole_cloud:
+        for name in ("max_memory", "temp_dir", "resume"):
+            if _is_typed(ctx, name):
+                raise UsageError(
+                    f"{_flag(name)} means nothing to --method {method}, which needs all points in "
+                    "memory",
+                    f"leave it out, or choose --method {DEFAULT_METHOD}",
+                )
 
 
-def _only_without_patches(ctx: click.Context) -> None:
-    """Raise UsageError where a rule was typed that --patches takes the place of."""
-    for name in ("delta", "cone", "max_points"):
-        if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
-            flag = "--" + name.replace("_", "-")
-            raise UsageError(
-                f"--patches takes the place of {flag}, so they exclude each other",
-                "give one of them",
-            )
+def _is_typed(ctx: click.Context, name: str) -> bool:
+    return ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+
+
+def _flag(name: str) -> str:
+    return "--" + name.replace("_", "-")
 
 
 def _only_without_cluster(ctx: click.Context) -> None:
@@ -62,8 +67,8 @@ def _only_without_cluster(ctx: click.Context) -> None:
         )
 
 
-PAPER_OPTIONS = ("delta", "max_points", "cone", "patches", "norm")
-HIERARCHICAL_OPTIONS = ("clean", "smoothness", "detail", "max_memory", "temp_dir", "resume")
+METHOD_OPTIONS = {name: method for method in METHODS for name in option_names(find_method(method))}
+"""The method of each of the methods' own options."""
 
 
 def check_flags(ctx: click.Context) -> None:
@@ -76,10 +81,8 @@ def check_flags(ctx: click.Context) -> None:
     """
     chosen = [name for name in ("grid", "depth", "voxel_size") if ctx.params[name] is not None]
     if len(chosen) > 1:
-        flags = " and ".join("--" + name.replace("_", "-") for name in chosen)
+        flags = " and ".join(map(_flag, chosen))
         raise UsageError(f"{flags} exclude each other", "give one of them")
-    if ctx.params["patches"] is not None:
-        _only_without_patches(ctx)
     if sys.stdout is None and (ctx.params["output"] == "-" or ctx.params["as_json"]):
         raise UsageError("the standard output is closed", "give -o a file and leave --json out")
     if ctx.params["output"] == "-" and ctx.params["as_json"]:
@@ -90,12 +93,17 @@ def check_flags(ctx: click.Context) -> None:
         from hpcapp.backends.selection import check_backend
 
         check_backend(ctx.params["backend"])
-    if ctx.params["method"] == "paper":
-        _only_for(ctx, "hierarchical", HIERARCHICAL_OPTIONS)
-    else:
-        _only_for(ctx, "paper", PAPER_OPTIONS)
+    _check_method_options(ctx)
 
 
+def _add_method_options(command: click.Command) -> click.Command:
+    """Give a command the options of all methods, each once."""
+    for method in METHODS:
+        command.params += make_click_options(find_method(method), f"{method}: ")
+    return command
+
+
+@_add_method_options
 @click.command()
 @click.argument("points", type=POINTS)
 @click.option(
@@ -108,10 +116,10 @@ def check_flags(ctx: click.Context) -> None:
 )
 @click.option(
     "--method",
-    type=click.Choice(["hierarchical", "paper"]),
-    default="hierarchical",
+    type=click.Choice(list(METHODS)),
+    default=DEFAULT_METHOD,
     show_default=True,
-    help="Hermite quadrics on a pyramid, or the paper's algorithm.",
+    help=", or ".join(find_method(method).summary for method in METHODS) + ".",
 )
 @click.option(
     "--grid",
@@ -170,59 +178,6 @@ def check_flags(ctx: click.Context) -> None:
     "finished if this one fails.",
 )
 @click.option(
-    "--smoothness",
-    type=click.FloatRange(0.1, 10),
-    default=1.0,
-    show_default=True,
-    help="Factor on the smoothing that the noise asks for.",
-)
-@click.option(
-    "--detail",
-    type=click.FloatRange(0.1, 10),
-    default=1.0,
-    show_default=True,
-    help="Factor on the finest detail that the spacing allows.",
-)
-@click.option(
-    "--clean/--no-clean",
-    default=True,
-    show_default=True,
-    help="hierarchical: drop outliers and turn wrong normals round first.",
-)
-@click.option(
-    "--delta",
-    type=click.FloatRange(-1, 1),
-    default=0.1,
-    show_default=True,
-    help="paper: the normal cone's condition.",
-)
-@click.option(
-    "--max-points",
-    type=click.IntRange(1),
-    metavar="N",
-    help="paper: most points of a patch.  [default: no limit]",
-)
-@click.option(
-    "--cone",
-    type=click.Choice(["paper", "complement"]),
-    default="paper",
-    show_default=True,
-    help="paper: n.m > delta as printed, or n.m > 1 - delta.",
-)
-@click.option(
-    "--patches",
-    type=click.IntRange(1),
-    metavar="N",
-    help="paper: split the fullest box until there are N patches, in place of the cone.",
-)
-@click.option(
-    "--norm",
-    type=click.Choice(["consistent", "printed"]),
-    default="consistent",
-    show_default=True,
-    help="paper: columns of D with the factor sqrt(2), or as printed.",
-)
-@click.option(
     "--outliers/--no-outliers",
     default=False,
     show_default=True,
@@ -276,12 +231,15 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
     with start_early(name, options["workers"]) as machines:
         from hpcapp.applications.surface.job import run_job  # while the machines start
         from hpcapp.applications.surface.memory import parse_size
-        from hpcapp.applications.surface.settings import Settings
+        from hpcapp.applications.surface.settings import JobSettings
         from hpcapp.progress_display import open_events, open_progress
 
         if options["max_memory"] is not None:
             options["max_memory"] = parse_size(options["max_memory"])
-        settings: Settings = Settings(**options)
+        own = {name: options.pop(name) for name in METHOD_OPTIONS}
+        method = find_method(options.pop("method"))
+        chosen = {name: own[name] for name in option_names(method)}
+        settings = JobSettings(method=method(**chosen), **options)
         with open_progress(sys.stderr) as display, open_events(events, display) as progress:
             return run_job(settings, progress, machines)
 

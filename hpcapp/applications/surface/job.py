@@ -23,7 +23,7 @@ from hpcapp.applications.surface.output import open_output
 from hpcapp.applications.surface.room import Room, open_room
 from hpcapp.applications.surface.settings import (
     DEFAULT_GRID,
-    Settings,
+    JobSettings,
     choose_grid,
 )
 from hpcapp.applications.surface.sizes import TILE_POINTS
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.stitching.topology import Topology
     from hpcapp.backends.local_machines import LocalMachines
 
-__all__ = ["Settings", "run_job"]
+__all__ = ["JobSettings", "run_job"]
 
 log = logging.getLogger("hpcapp")
 
@@ -47,13 +47,13 @@ LARGE_CLOUD = 2_500_000
 
 
 def run_job(
-    settings: Settings, progress: Progress, machines: LocalMachines | None = None
+    settings: JobSettings, progress: Progress, machines: LocalMachines | None = None
 ) -> dict[str, Any]:
     """Reconstruct a mesh from file to file.
 
     Parameters
     ----------
-    settings : Settings
+    settings : JobSettings
         What the user asked for.
     progress : Progress
         Where stages are announced.
@@ -81,7 +81,7 @@ def run_job(
 
 
 def _run_in_memory(
-    settings: Settings,
+    settings: JobSettings,
     room: Room,
     target: Path,
     clock: StageClock,
@@ -98,7 +98,7 @@ def _run_in_memory(
 
 
 def _run_in_folder(
-    settings: Settings,
+    settings: JobSettings,
     room: Room,
     target: Path,
     clock: StageClock,
@@ -126,7 +126,7 @@ def _run_in_folder(
 
 
 def _load_there(
-    settings: Settings, room: Room, backend: Backend, clock: StageClock
+    settings: JobSettings, room: Room, backend: Backend, clock: StageClock
 ) -> tuple[Loaded, Keeping | None]:
     """Put the points into the folder; return how tiles are kept where workers may not see it."""
     assert room.folder is not None  # noqa: S101 - or this would not be called
@@ -138,7 +138,7 @@ def _load_there(
     return load_folder(settings, room.folder, passes, clock), keeping
 
 
-def _guess_job(settings: Settings, room: Room) -> Job:
+def _guess_job(settings: JobSettings, room: Room) -> Job:
     """Return what can be known of a job before its points are read: as much as it may be."""
     points = count_most_points(settings.points)
     grid = DEFAULT_GRID if settings.depth is None else 2**settings.depth
@@ -149,7 +149,7 @@ def _guess_job(settings: Settings, room: Room) -> Job:
 
 
 def _write(
-    settings: Settings, loaded: Loaded, outcome: Outcome, target: Path, clock: StageClock
+    settings: JobSettings, loaded: Loaded, outcome: Outcome, target: Path, clock: StageClock
 ) -> dict[str, Any]:
     """Write the mesh, and describe what came of the job."""
     with clock.stage("write"):
@@ -176,12 +176,12 @@ def _summarize(topology: Topology) -> str:
     )
 
 
-def _describe(settings: Settings, outcome: Outcome, topology: Topology) -> dict[str, Any]:
+def _describe(settings: JobSettings, outcome: Outcome, topology: Topology) -> dict[str, Any]:
     result, backend = outcome.result, outcome.backend
     traffic = backend.traffic()
     return {
         "summary": _summarize(topology),
-        "method": settings.method,
+        "method": settings.method.name,
         "kernels": kernel_id(),
         "points": result.points,
         **result.facts,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.sizes import TILE_POINTS
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_memory
@@ -19,14 +20,12 @@ from hpccomponent.surface.types.points import PointCloud
 __all__ = [
     "check_memory",
     "count_most_points",
-    "estimate_memory",
+    "estimate_surface",
     "fits_memory",
     "fitting_tile",
     "parse_size",
 ]
 
-#: The paper's method holds every node of a cube: values, their magnitudes, masks, a median's copy.
-BYTES_PER_NODE = 16.0
 #: The default method holds the points, sorted too, and bricks along the surface; measured from
 #: above on 36 thousand to 10 million points and grids of 256 to 1024, mesh and check included.
 BYTES_OF_PROGRAM = 1e8
@@ -118,13 +117,12 @@ def fitting_tile(limit: float, at_once: int) -> int:
     return int(min(max(points, LEAST_TILE), TILE_POINTS))
 
 
-def check_memory(method: str, grid: int, cloud: PointCloud) -> None:
+def check_memory(method: MethodSettings, grid: int, cloud: PointCloud) -> None:
     """Refuse a grid whose mesh cannot be computed in the memory that is available.
 
     Parameters
     ----------
-    method : str
-        ``paper`` or ``hierarchical``.
+    method : MethodSettings
     grid : int
         Cells along the longest side.
     cloud : PointCloud
@@ -138,11 +136,12 @@ def check_memory(method: str, grid: int, cloud: PointCloud) -> None:
     available = available_memory()
     if grid <= SMALL_GRID or available is None:
         return
-    needed = estimate_memory(method, grid, cloud)
+    needed = method.estimate_memory(grid, cloud)
     if needed <= available:
         return
-    power = 3 if method == "paper" else 2
-    fitting = max(SMALL_GRID, int(grid * (available / needed) ** (1 / power)) // 16 * 16)
+    fitting = max(
+        SMALL_GRID, int(grid * (available / needed) ** (1 / method.memory_power)) // 16 * 16
+    )
     raise UsageError(
         f"--grid {grid} needs about {needed / 2**30:.0f} GB of memory, "
         f"{available / 2**30:.1f} GB are available",
@@ -150,13 +149,11 @@ def check_memory(method: str, grid: int, cloud: PointCloud) -> None:
     )
 
 
-def estimate_memory(method: str, grid: int, cloud: PointCloud) -> float:
-    """Estimate what a job holds at its peak.
+def estimate_surface(grid: int, cloud: PointCloud) -> float:
+    """Estimate what a job holds at its peak whose memory grows with the surface.
 
     Parameters
     ----------
-    method : str
-        ``paper`` or ``hierarchical``.
     grid : int
         Cells along the longest side.
     cloud : PointCloud
@@ -172,8 +169,6 @@ def estimate_memory(method: str, grid: int, cloud: PointCloud) -> float:
     The surface's area is that of the boxes that hold points; the boxes are wide enough for
     several points each, else they would miss what lies between these.
     """
-    if method == "paper":
-        return BYTES_PER_NODE * float(grid) ** 3
     low, high = bound_points(cloud.positions)
     step = float((high - low).max()) / grid
     box = max(8.0 * step, 3.0 * estimate_spacing(cloud.positions))

@@ -1,24 +1,80 @@
-"""The seam between the pipeline and a method of reconstruction."""
+"""The seam between the job and a method of reconstruction.
+
+A method is two objects: its settings, a frozen dataclass of options that says what the method
+needs, and the strategy that the settings open for one job. Whoever wants to know something of a
+method asks its settings; nobody asks for its name. ``methods.py`` has the table.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar
+from dataclasses import Field, dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
-from hpcapp.applications.surface.surface import Surface
-from hpcapp.workforce import Workforce
+if TYPE_CHECKING:
+    from hpcapp.applications.surface.checkpoint import Keeping
+    from hpcapp.applications.surface.surface import Surface
+    from hpcapp.workforce import Workforce
+    from hpccomponent.surface.types.points import PointCloud
 
-__all__ = ["Advance", "Method"]
+__all__ = ["Advance", "Method", "MethodSettings", "Resources"]
 
 Advance = Callable[[int, int], None]
 PartitionT = TypeVar("PartitionT")
 QuadricsT = TypeVar("QuadricsT")
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Resources:
+    """What a job gives its method to work with.
+
+    Parameters
+    ----------
+    threads : int
+        Of this process; no mesh depends on it.
+    tile_points : int, optional
+        Of a tile at most, about.
+    keeping : Keeping, optional
+        Where finished tiles are kept.
+    """
+
+    threads: int = 1
+    tile_points: int | None = None
+    keeping: Keeping | None = None
+
+
+class MethodSettings(Protocol):
+    """The options of a method, and what it needs."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    """One line, for ``--help``."""
+    needs_whole_cloud: ClassVar[bool]
+    """Whether all points must be in memory at once; else they may lie in blocks in a folder."""
+    pays_on_workers: ClassVar[bool]
+    """Whether its tasks can be worth the way to other processes."""
+    makes_closed_meshes: ClassVar[bool]
+    """Whether a mesh far larger than its points is a reason to warn."""
+    memory_power: ClassVar[int]
+    """By which power of the grid its memory grows."""
+
+    @property
+    def cleans(self) -> bool:
+        """Whether outliers are dropped and inconsistent normals flipped first."""
+        ...
+
+    def estimate_memory(self, grid: int, cloud: PointCloud) -> float:
+        """Return the bytes that a job holds at its peak; `grid` in cells of the longest side."""
+        ...
+
+    def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
+        """Return the strategy for one job; UsageError where options contradict each other."""
+        ...
+
+
 class Method(Protocol[PartitionT, QuadricsT]):
     """One way to turn oriented points into a mesh, in three stages."""
-
-    name: str
 
     def partition(self, cloud: Any, workforce: Workforce) -> PartitionT:
         """Cut the cloud into parts; clouds that are not in memory are not for every method."""

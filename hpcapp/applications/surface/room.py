@@ -10,8 +10,6 @@
 JOB is a hash of all that decides the mesh, RUN is random: two jobs of one input have a folder each.
 A job that resumes takes one that nobody holds any more, and waits where all are held. In a bucket
 nothing tells who lives: there it takes what is there.
-
-Who may import it: the job.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ from pathlib import Path
 from hpcapp.applications.surface.checkpoint import SUMS, Keeping, digest
 from hpcapp.applications.surface.input.folder import may_pay_in_folder
 from hpcapp.applications.surface.memory import fits_memory
-from hpcapp.applications.surface.settings import Settings, name_backend
+from hpcapp.applications.surface.settings import JobSettings, name_backend
 from hpcapp.backends.selection import BACKENDS
 from hpccomponent.errors import HpcError, InputError, OutputError, UsageError
 from hpccomponent.files.held_folders import (
@@ -68,7 +66,7 @@ class Room:
 
 
 @contextmanager
-def open_room(settings: Settings) -> Iterator[Room]:
+def open_room(settings: JobSettings) -> Iterator[Room]:
     """Find room for a job.
 
     What lies there is taken away when the block ends, however it ends; but a job that resumes and
@@ -76,7 +74,7 @@ def open_room(settings: Settings) -> Iterator[Room]:
 
     Parameters
     ----------
-    settings : Settings
+    settings : JobSettings
 
     Raises
     ------
@@ -88,8 +86,8 @@ def open_room(settings: Settings) -> Iterator[Room]:
     if settings.resume and settings.temp_dir is None:
         raise UsageError("--resume goes on from what lies in --temp-dir", "give that too")
     is_needed = not fits_memory(settings.points, settings.max_memory)
-    in_memory = settings.method == "paper" or not (is_needed or may_pay_in_folder(settings))
-    if settings.method == "paper" or (in_memory and settings.temp_dir is None):
+    in_memory = settings.method.needs_whole_cloud or not (is_needed or may_pay_in_folder(settings))
+    if settings.method.needs_whole_cloud or (in_memory and settings.temp_dir is None):
         yield Room(None, None)
         return
     job, place = _name_job(settings), settings.temp_dir
@@ -131,7 +129,7 @@ def _find_folder(place: str) -> Path:
     return folder
 
 
-def _name_job(settings: Settings) -> str:
+def _name_job(settings: JobSettings) -> str:
     """Return a hash of the input, of what decides the mesh, and of the kernels."""
     try:
         found = settings.points.stat()
@@ -141,8 +139,8 @@ def _name_job(settings: Settings) -> str:
         ) from error
     return digest(
         str(settings.points.resolve()), found.st_size, found.st_mtime_ns, settings.grid,
-        settings.depth, settings.voxel_size, settings.clean, settings.smoothness,
-        settings.detail, settings.outliers, settings.denoise, settings.resample, kernel_id(),
+        settings.depth, settings.voxel_size, repr(settings.method),
+        settings.outliers, settings.denoise, settings.resample, kernel_id(),
     )  # fmt: skip
 
 

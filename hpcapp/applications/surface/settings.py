@@ -5,12 +5,14 @@ Who may import it: the job, the command, and the interface for Python.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hpcapp.applications.surface.hierarchical.settings import Hierarchical
+from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.sizes import MARGIN
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
@@ -18,18 +20,16 @@ from hpccomponent.limits import available_cores
 from hpccomponent.surface.types.points import FloatArray
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.checkpoint import Keeping
-    from hpcapp.applications.surface.method import Method
     from hpcapp.applications.surface.pipeline import Preprocess
 
 __all__ = [
     "DEFAULT_GRID",
     "MAX_GRID",
     "MIN_GRID",
+    "JobSettings",
     "Settings",
     "choose_grid",
     "choose_local",
-    "choose_method",
     "choose_steps",
     "choose_threads",
     "name_backend",
@@ -41,16 +41,14 @@ MIN_GRID, MAX_GRID = 16, 4096
 THREADS_FROM_POINTS = 100_000
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """What a user typed; see ``hpcapp reconstruct --help`` for each.
+    """What a user asks of a reconstruction; see ``hpcapp reconstruct --help`` for each.
 
     Parameters
     ----------
-    points : Path
-        The point cloud.
-    output : str
-        The mesh to write; ``-`` for standard output.
+    method : MethodSettings
+        With its options.
     grid, depth, voxel_size : int, int, float or None
         The resolution; at most one of the three. `voxel_size` in length units of the input.
     backend, workers, policy : str, int or None, str
@@ -63,11 +61,11 @@ class Settings:
         Where points and finished tiles lie: a folder, or a bucket (see `hpccomponent.store.base`).
     resume : bool
         Whether to go on from what an earlier run left in `temp_dir`.
+    outliers, denoise, resample : bool
+        The paper's preprocessing, step by step.
     """
 
-    points: Path
-    output: str
-    method: str = "hierarchical"
+    method: MethodSettings = field(default_factory=Hierarchical)
     grid: int | None = None
     depth: int | None = None
     voxel_size: float | None = None
@@ -78,21 +76,29 @@ class Settings:
     max_memory: float | None = None
     temp_dir: str | None = None
     resume: bool = False
-    clean: bool = True
-    smoothness: float = 1.0
-    detail: float = 1.0
-    delta: float = 0.1
-    max_points: int | None = None
-    cone: str = "paper"
-    patches: int | None = None
-    norm: str = "consistent"
     outliers: bool = False
     denoise: bool = False
     resample: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class JobSettings(Settings):
+    """What a user asks of a reconstruction from file to file.
+
+    Parameters
+    ----------
+    points : Path
+        The point cloud.
+    output : str
+        The mesh to write; ``-`` for standard output.
+    """
+
+    points: Path
+    output: str
+
+
 def choose_grid(settings: Settings, low: FloatArray, high: FloatArray) -> int:
-    """Return the cells along the longest side that the user asked for in one of three ways.
+    """Return the cells along the longest side, margins included, asked for in one of three ways.
 
     Parameters
     ----------
@@ -110,41 +116,14 @@ def choose_grid(settings: Settings, low: FloatArray, high: FloatArray) -> int:
     if settings.voxel_size is None:
         return settings.grid or DEFAULT_GRID
     longest = float((high - low).max())
-    margins = 2 * MARGIN if settings.method == "hierarchical" else 0  # inside its grid
     with np.errstate(over="ignore"):
-        cells = float(np.ceil(np.float64(longest) / settings.voxel_size)) + margins
+        cells = float(np.ceil(np.float64(longest) / settings.voxel_size)) + 2 * MARGIN
     if not MIN_GRID <= cells <= MAX_GRID:  # NaN is not, either
         raise UsageError(
             f"--voxel-size {settings.voxel_size:g} means {cells:g} cells along the longest side",
             f"choose one that gives {MIN_GRID} to {MAX_GRID}; the side is {longest:g} long",
         )
     return int(cells)
-
-
-def choose_method(
-    settings: Settings,
-    grid: int,
-    threads: int,
-    tile_points: int | None = None,
-    keeping: Keeping | None = None,
-) -> Method[Any, Any]:
-    """Return the strategy; see `HierarchicalMethod` and `PaperMethod`."""
-    if settings.method == "hierarchical":  # each stands on heavy modules
-        from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
-
-        return HierarchicalMethod(
-            grid, settings.smoothness, settings.detail, threads, tile_points, keeping
-        )
-    from hpcapp.applications.surface.paper.method import PaperMethod
-
-    return PaperMethod(
-        delta=settings.delta,
-        max_points=settings.max_points,
-        cone=settings.cone,
-        patches=settings.patches,
-        norm=settings.norm,
-        grid=grid,
-    )
 
 
 def choose_steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:

@@ -26,12 +26,12 @@ from hpcapp.applications.surface.diagnostics import (
 from hpcapp.applications.surface.input.folder import all_see_folder, choose_tile
 from hpcapp.applications.surface.input.load import Loaded
 from hpcapp.applications.surface.memory import check_memory
+from hpcapp.applications.surface.method import Resources
 from hpcapp.applications.surface.pipeline import Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
 from hpcapp.applications.surface.settings import (
     Settings,
     choose_grid,
-    choose_method,
     choose_steps,
     choose_threads,
 )
@@ -138,10 +138,10 @@ def run_loaded(
     workforce, cloud = backend.workforce, loaded.cloud
     threads = choose_threads(workforce, len(cloud))
     tile_points = choose_tile(settings, backend)
-    method = choose_method(settings, grid, threads, tile_points, keeping)
+    method = settings.method.open(grid, Resources(threads, tile_points, keeping))
     log.info(
         "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
-        method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),
+        settings.method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),
     )  # fmt: skip
     doubts = Later(partial(_doubt_points, grid, cloud))
     result = run_pipeline(cloud, method, workforce, clock, choose_steps(settings), doubts)
@@ -172,8 +172,8 @@ def _doubt_points(grid: int, cloud: PointCloud | DiskCloud) -> _Doubts:
 def _warn(settings: Settings, found: _Doubts, result: Reconstruction) -> list[str]:
     """Log what should make the user doubt the mesh, and return it for the report."""
     doubts = found.resolution + found.normals
-    # A paper's mesh has sheets in its boxes wherever a patch ends; too few cells explain the rest.
-    if not found.resolution and settings.method != "paper":
+    # Too few cells explain a mesh that is too large.
+    if not found.resolution and settings.method.makes_closed_meshes:
         doubts += doubt_closure(found.low, found.high, result.surface, found.step)
     for doubt in doubts:
         log.warning("warning: %s", doubt)

@@ -165,8 +165,10 @@ class Opener:
         """Choose by what is known while there are no workers."""
         settings = self._settings
         local = self._local(job)
-        if settings.method == "paper":
-            return replace(local, reason="the fits of the paper's method are too little work")
+        if not settings.method.pays_on_workers:
+            return replace(
+                local, reason=f"the tasks of the method {settings.method.name} are too small"
+            )
         if settings.cluster is not None:
             from hpccomponent.inventory import read_inventory
 

@@ -93,8 +93,6 @@ class HierarchicalMethod:
         The grid is too small, or a factor is not positive.
     """
 
-    name = "hierarchical"
-
     def __init__(
         self,
         grid: int = 256,

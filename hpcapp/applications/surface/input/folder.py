@@ -11,7 +11,7 @@ from pathlib import Path
 
 from hpcapp.applications.surface.memory import count_most_points, fitting_tile
 from hpcapp.applications.surface.scans import Passes
-from hpcapp.applications.surface.settings import Settings, choose_steps, name_backend
+from hpcapp.applications.surface.settings import JobSettings, Settings, choose_steps, name_backend
 from hpcapp.backends.selection import BACKENDS, Backend
 from hpcapp.io import open_points
 from hpcapp.shared_files import workers_see
@@ -25,7 +25,7 @@ FOLDER_FROM_POINTS = 200_000
 _BYTES_PER_POINT = 200  # of room in the folder: two copies of the points, and finished tiles
 
 
-def may_pay_in_folder(settings: Settings) -> bool:
+def may_pay_in_folder(settings: JobSettings) -> bool:
     """Tell whether points that fit into memory should lie where other processes read them.
 
     That is where workers may be processes that will see the folder: those of this machine see any,

@@ -18,7 +18,7 @@ from hpcapp.applications.surface.checkpoint import POINTS_NOTE
 from hpcapp.applications.surface.input.clean import Cleaned, arrange_points, clean_cloud, drop_far
 from hpcapp.applications.surface.input.ingest import ingest_file
 from hpcapp.applications.surface.scans import Passes, measure_spacing
-from hpcapp.applications.surface.settings import Settings
+from hpcapp.applications.surface.settings import JobSettings, Settings
 from hpcapp.io import drop_unusable, open_points, read_points
 from hpcapp.io.usable import Dropped
 from hpcapp.progress import StageClock
@@ -78,12 +78,12 @@ class Loaded:
                 log.warning(f"%s: {what}", path, count)
 
 
-def load_memory(settings: Settings, clock: StageClock) -> Loaded:
+def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
     """Read a file and clean its points.
 
     Parameters
     ----------
-    settings : Settings
+    settings : JobSettings
     clock : StageClock
 
     Returns
@@ -100,7 +100,7 @@ def load_memory(settings: Settings, clock: StageClock) -> Loaded:
 def arrange_usable(
     settings: Settings, cloud: PointCloud, clock: StageClock
 ) -> tuple[PointCloud, int]:
-    """Drop points that lie far away, and arrange the rest; the paper's method takes all as it is.
+    """Drop points that lie far away, and arrange the rest, where the method wants it.
 
     Parameters
     ----------
@@ -116,17 +116,17 @@ def arrange_usable(
     far : int
         Points that were dropped.
     """
-    if settings.method == "paper":  # which cuts the cloud up by itself
+    if settings.method.needs_whole_cloud:  # it cuts the cloud up by itself
         return cloud, 0
     with clock.stage("arrange"):
-        arranged = arrange_points(drop_far(cloud) if settings.clean else cloud)
+        arranged = arrange_points(drop_far(cloud) if settings.method.cleans else cloud)
     return arranged, len(cloud) - len(arranged)
 
 
 def clean_points(
     settings: Settings, cloud: PointCloud, far: int, clock: StageClock
 ) -> tuple[PointCloud, Cleaned]:
-    """Drop outliers and turn wrong normals round, if that is wanted; the paper's method takes all.
+    """Drop outliers and turn wrong normals round, where that is wanted.
 
     Parameters
     ----------
@@ -142,19 +142,19 @@ def clean_points(
     cloud : PointCloud
     cleaned : Cleaned
     """
-    if settings.method == "paper" or not settings.clean:
+    if not settings.method.cleans:
         return cloud, Cleaned(0, 0)
     with clock.stage("clean"):
         cloud, cleaned = clean_cloud(cloud)
     return cloud, replace(cleaned, outliers=far + cleaned.outliers)
 
 
-def load_folder(settings: Settings, folder: Path, passes: Passes, clock: StageClock) -> Loaded:
+def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: StageClock) -> Loaded:
     """Put a file's points into a folder, and clean them there.
 
     Parameters
     ----------
-    settings : Settings
+    settings : JobSettings
         With `resume`, what is in the folder is taken, if it is whole.
     folder : Path
         Is made where there is none; 24 bytes a point are written, and those of regions that change
@@ -177,11 +177,13 @@ def load_folder(settings: Settings, folder: Path, passes: Passes, clock: StageCl
     for module in _LATER:
         passes.workforce.later(partial(import_module, module))
     with clock.stage("read"):
-        read = ingest_file(open_points(settings.points), arranged, passes, drop_far=settings.clean)
+        read = ingest_file(
+            open_points(settings.points), arranged, passes, drop_far=settings.method.cleans
+        )
     from hpcapp.applications.surface.input.clean_regions import clean_regions, measure_cloud
 
     cloud, cleaned = read.cloud, Cleaned(0, 0)
-    if settings.clean:
+    if settings.method.cleans:
         make_private_folder(cleaned_folder)
         with clock.stage("clean"):
             cloud, cleaned = clean_regions(cloud, cleaned_folder, passes, read.boxes)

@@ -104,7 +104,6 @@ class PaperMethod:
     patches: int | None = None
     norm: str = "consistent"
     grid: int = 64
-    name: str = field(default="paper", init=False)
 
     def __post_init__(self) -> None:
         SplitRule(self.delta, self.cone, self.max_points)

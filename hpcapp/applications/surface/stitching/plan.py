@@ -28,7 +28,7 @@ from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["WeldPlan", "missing_bricks", "plan_weld"]
 
-_SMALL_SHARE = 0.002
+SMALL_SHARE = 0.002
 """A component with fewer faces than this share of the largest one's is dropped."""
 
 
@@ -206,7 +206,7 @@ def _bound(bounds: FloatArray) -> FloatArray:
     return np.stack([bounds[:, :3].min(axis=0), bounds[:, 3:].max(axis=0)])
 
 
-def find_large(faces: IntArray, share: float = _SMALL_SHARE) -> NDArray[np.bool_]:
+def find_large(faces: IntArray, share: float = SMALL_SHARE) -> NDArray[np.bool_]:
     """Tell which components of a mesh are no mere crumbs of it.
 
     Parameters

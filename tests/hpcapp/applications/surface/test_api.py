@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hpcapp
-from hpcapp.applications.surface.job import Settings, run_job
+from hpcapp.applications.surface.job import JobSettings, run_job
 from hpcapp.io import read_points, write_mesh
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import HpcError, InputError, UsageError
@@ -23,7 +23,7 @@ FAR = np.array([5_400_000.0, 400_000.0, 100.0])
     [
         {"grid": 32},
         {"voxel_size": 0.08, "detail": 0.5, "smoothness": 2.0, "clean": False},
-        {"grid": 32, "method": "paper"},
+        {"grid": 32, "method": hpcapp.Paper(delta=0.2)},
         {"grid": 32, "executor": "threads", "workers": 3},
     ],
 )
@@ -36,7 +36,9 @@ def test_the_mesh_has_the_bytes_of_the_commands(
     write_mesh(tmp_path / "api.ply", mesh)
     named = {"backend": options.get("executor", "auto")}
     typed = {name: value for name, value in options.items() if name != "executor"} | named
-    run_job(Settings(sphere_file, str(tmp_path / "job.ply"), **typed), SilentProgress())
+    own = {name: typed.pop(name) for name in ("smoothness", "detail", "clean") if name in typed}
+    typed.setdefault("method", hpcapp.Hierarchical(**own))
+    run_job(JobSettings(sphere_file, str(tmp_path / "job.ply"), **typed), SilentProgress())
     assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
 
 
@@ -50,7 +52,7 @@ def test_a_georeferenced_cloud_comes_back_in_its_own_coordinates(
     assert np.abs(radii - 1.0).max() < 0.03
     assert not mesh.origin.any()
     write_mesh(tmp_path / "api.ply", mesh)
-    run_job(Settings(tmp_path / "far.xyz", str(tmp_path / "job.ply"), grid=32), SilentProgress())
+    run_job(JobSettings(tmp_path / "far.xyz", str(tmp_path / "job.ply"), grid=32), SilentProgress())
     assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
 
 

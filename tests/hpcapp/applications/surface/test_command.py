@@ -9,7 +9,9 @@ import pytest
 from click.testing import CliRunner
 
 from hpcapp.applications.surface.command import info, reconstruct, simulate
-from hpcapp.applications.surface.job import Settings
+from hpcapp.applications.surface.job import JobSettings
+from hpcapp.applications.surface.methods import METHODS, find_method
+from hpcapp.applications.surface.options import option_names
 from hpccomponent.errors import UsageError
 
 
@@ -22,7 +24,9 @@ def test_every_option_is_explained(command: click.Command) -> None:
 
 def test_every_setting_can_be_typed() -> None:
     typed = {parameter.name for parameter in reconstruct.params}
-    assert typed == {*Settings.__dataclass_fields__, "as_json", "events"}
+    own = {name for method in METHODS for name in option_names(find_method(method))}
+    assert typed == {*JobSettings.__dataclass_fields__, *own, "as_json", "events"}
+    assert not own & JobSettings.__dataclass_fields__.keys()
 
 
 def test_help_imports_nothing_heavy() -> None:

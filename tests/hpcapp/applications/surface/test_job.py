@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.job import Settings, run_job
+from hpcapp.applications.surface.hierarchical.settings import Hierarchical
+from hpcapp.applications.surface.job import JobSettings, run_job
+from hpcapp.applications.surface.method import MethodSettings
+from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.io import read_mesh, write_mesh
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import HpcError, OutputError
@@ -21,9 +24,9 @@ WriteCloud = Callable[..., Path]
 
 
 @pytest.mark.usefixtures("standing_helpers")
-@pytest.mark.parametrize("method", ["hierarchical", "paper"])
+@pytest.mark.parametrize("method", [Hierarchical(), Paper()], ids=["hierarchical", "paper"])
 def test_every_backend_writes_the_same_bytes(
-    method: str, sphere_file: Path, tmp_path: Path
+    method: MethodSettings, sphere_file: Path, tmp_path: Path
 ) -> None:
     meshes = {}
     for backend, workers in (
@@ -34,8 +37,8 @@ def test_every_backend_writes_the_same_bytes(
         ("zmq", 2),
     ):
         path = tmp_path / f"{backend}-{workers}.ply"
-        settings = Settings(
-            sphere_file, str(path), method, grid=32, backend=backend, workers=workers
+        settings = JobSettings(
+            sphere_file, str(path), method=method, grid=32, backend=backend, workers=workers
         )
         report = run_job(settings, SILENT)
         assert report["workers"] == (workers or 1)
@@ -47,14 +50,14 @@ def test_every_backend_writes_the_same_bytes(
 def test_three_ways_to_say_the_resolution(sphere_file: Path, tmp_path: Path) -> None:
     found = []
     for resolution in ({"grid": 32}, {"depth": 5}, {"voxel_size": 2.0 / 23.5}):
-        settings = Settings(sphere_file, str(tmp_path / "m.ply"), **resolution)  # type: ignore[arg-type]
+        settings = JobSettings(sphere_file, str(tmp_path / "m.ply"), **resolution)  # type: ignore[arg-type]
         run_job(settings, SILENT)
         found.append((tmp_path / "m.ply").read_bytes())
     assert len(set(found)) == 1
 
 
 def test_preprocessing_runs_when_asked(sphere_file: Path, tmp_path: Path) -> None:
-    settings = Settings(
+    settings = JobSettings(
         sphere_file, str(tmp_path / "m.ply"), grid=16, outliers=True, denoise=True, resample=True
     )
     report = run_job(settings, SILENT)
@@ -69,7 +72,7 @@ def test_a_georeferenced_scan_keeps_its_place(
     place = np.array([5_400_000.0, 400_000.0, 100.0])
     rows = np.hstack([sphere.positions + place, sphere.normals])
     np.savetxt(tmp_path / "far.xyz", rows, fmt="%.9f")
-    run_job(Settings(tmp_path / "far.xyz", str(tmp_path / "far.ply"), grid=32), SILENT)
+    run_job(JobSettings(tmp_path / "far.xyz", str(tmp_path / "far.ply"), grid=32), SILENT)
     mesh = read_mesh(tmp_path / "far.ply")
     radii = np.linalg.norm(mesh.vertices + mesh.origin - place, axis=1)
     assert np.abs(radii - 1.0).max() < 0.03
@@ -93,7 +96,7 @@ def test_a_job_that_fails_leaves_the_old_mesh(
     old = tmp_path / "mesh.ply"
     old.write_bytes(b"the mesh of yesterday")
     with pytest.raises((KeyboardInterrupt, HpcError)):
-        run_job(Settings(sphere_file, str(old), grid=16), SILENT)
+        run_job(JobSettings(sphere_file, str(old), grid=16), SILENT)
     assert old.read_bytes() == b"the mesh of yesterday"
     assert {path.name for path in tmp_path.iterdir()} == {"sphere.ply", "mesh.ply"}
 
@@ -102,7 +105,7 @@ def test_two_objects_far_apart_are_two_components(sphere: PointCloud, tmp_path: 
     assert sphere.normals is not None
     rows = np.hstack([sphere.positions, sphere.normals])
     np.savetxt(tmp_path / "two.xyz", np.vstack([rows, rows + np.array([6.0, 0, 0, 0, 0, 0])]))
-    report = run_job(Settings(tmp_path / "two.xyz", str(tmp_path / "m.ply"), grid=96), SILENT)
+    report = run_job(JobSettings(tmp_path / "two.xyz", str(tmp_path / "m.ply"), grid=96), SILENT)
     assert (report["components"], report["watertight"]) == (2, True)
     assert report["warnings"] == []
 
@@ -114,10 +117,10 @@ def test_outliers_go_and_wrong_normals_turn_unless_told_not_to(
     normals[:10] *= -1.0
     far = np.array([[9.0, 0, 0], [-9, 3, 0], [0, 8, 8], [0, -9, 2], [3, 3, 9]])
     path = write_cloud(np.concatenate([sphere.positions, far]), normals)
-    settings = Settings(path, str(tmp_path / "m.ply"), grid=32)
+    settings = JobSettings(path, str(tmp_path / "m.ply"), grid=32)
     report = run_job(settings, SILENT)
     assert (report["dropped"]["outliers"], report["turned_normals"]) == (5, 10)
     assert (report["points"], report["components"]) == (1500, 1)
-    kept = run_job(replace(settings, clean=False), SILENT)
+    kept = run_job(replace(settings, method=Hierarchical(clean=False)), SILENT)
     assert (kept["dropped"]["outliers"], kept["turned_normals"]) == (0, 0)
     assert kept["points"] == 1505

@@ -19,7 +19,7 @@ from hpcapp.applications.surface.hierarchical import growth as regions
 from hpcapp.applications.surface.input import folder
 from hpcapp.applications.surface.job import run_job
 from hpcapp.applications.surface.memory import fitting_tile, parse_size
-from hpcapp.applications.surface.settings import Settings
+from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import read_mesh, write_points
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import JobError, OutputError, UsageError
@@ -64,7 +64,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def whole(scan: Path) -> bytes:
     """The mesh of all points at once, in memory."""
     output = scan.with_name("whole.ply")
-    report = run_job(Settings(scan, str(output), grid=96), SILENT)
+    report = run_job(JobSettings(scan, str(output), grid=96), SILENT)
     assert report["watertight"]
     assert report["tiles"] == 1
     return output.read_bytes()
@@ -86,7 +86,7 @@ def test_a_cloud_on_disk_gives_the_bytes_of_one_in_memory(
     room = tmp_path / "room"
     output = tmp_path / "mesh.ply"
     workers = None if backend == "serial" else 2
-    settings = Settings(
+    settings = JobSettings(
         scan, str(output), grid=96, backend=backend, workers=workers, temp_dir=str(room)
     )
     report = run_job(settings, SILENT)
@@ -103,7 +103,7 @@ def test_workers_read_a_cloud_that_memory_would_hold(
     monkeypatch.setattr(folder, "FOLDER_FROM_POINTS", 10_000)
     monkeypatch.setattr(job, "load_memory", None)
     output = tmp_path / "mesh.ply"
-    run_job(Settings(scan, str(output), grid=96, backend="zmq", workers=2), SILENT)
+    run_job(JobSettings(scan, str(output), grid=96, backend="zmq", workers=2), SILENT)
     assert output.read_bytes() == whole
 
 
@@ -112,7 +112,7 @@ def test_without_a_folder_it_goes_into_a_temporary_one(
     scan: Path, whole: bytes, tmp_path: Path
 ) -> None:
     output = tmp_path / "mesh.ply"
-    run_job(Settings(scan, str(output), grid=96), SILENT)
+    run_job(JobSettings(scan, str(output), grid=96), SILENT)
     assert output.read_bytes() == whole
 
 
@@ -123,7 +123,7 @@ def test_workers_that_see_no_folder_are_sent_points_and_give_tiles_back(
 ) -> None:
     pytest.importorskip("loky", reason="loky is not installed")
     output = tmp_path / "mesh.ply"
-    run_job(Settings(scan, str(output), grid=96, backend="loky:ProcessPoolExecutor"), SILENT)
+    run_job(JobSettings(scan, str(output), grid=96, backend="loky:ProcessPoolExecutor"), SILENT)
     assert output.read_bytes() == whole
 
 
@@ -135,7 +135,7 @@ def test_tiles_are_kept_in_a_bucket(
 ) -> None:
     output = tmp_path / "mesh.ply"
     workers = None if backend == "serial" else 2
-    settings = Settings(
+    settings = JobSettings(
         scan, str(output), grid=96, backend=backend, workers=workers, temp_dir="s3://lab/tiles"
     )
     run_job(settings, SILENT)
@@ -148,7 +148,7 @@ def test_a_job_that_failed_goes_on_where_it_was(
     scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     output, room = tmp_path / "mesh.ply", tmp_path / "room"
-    settings = Settings(
+    settings = JobSettings(
         scan, str(output), grid=96, backend="serial", temp_dir=str(room), resume=True
     )
     _count_tiles(monkeypatch, fail_at=4)
@@ -235,7 +235,7 @@ def test_workers_write_the_mesh_themselves(
 
     monkeypatch.setattr(surface.PartSurface, "load", load)
     output = tmp_path / "mesh.ply"
-    run_job(Settings(scan, str(output), grid=96, backend="zmq", workers=2), SILENT)
+    run_job(JobSettings(scan, str(output), grid=96, backend="zmq", workers=2), SILENT)
     assert output.read_bytes() == whole
 
 
@@ -261,7 +261,7 @@ def test_the_memory_does_not_grow_with_the_mesh(scan: Path, tmp_path: Path) -> N
     for grid in (64, 192):
         memory = Memory()
         tracemalloc.start()
-        run_job(Settings(scan, str(output), grid=grid, backend="zmq", workers=2), memory)
+        run_job(JobSettings(scan, str(output), grid=grid, backend="zmq", workers=2), memory)
         tracemalloc.stop()
         sizes.append(output.stat().st_size)
         growths.append(memory.growth)
@@ -281,7 +281,7 @@ def test_what_a_worker_cannot_write_is_written_here(
 
     monkeypatch.setattr(surface, "write_kept", write_kept)
     output = tmp_path / "mesh.ply"
-    run_job(Settings(scan, str(output), grid=96, backend="serial"), SILENT)
+    run_job(JobSettings(scan, str(output), grid=96, backend="serial"), SILENT)
     assert output.read_bytes() == whole
     assert len(asked) > 2
 
@@ -298,7 +298,7 @@ def test_a_full_disk_leaves_the_old_mesh(
     output = tmp_path / "mesh.ply"
     output.write_bytes(b"the mesh of yesterday")
     with pytest.raises(OutputError, match=f"^{output}: cannot be written: No space left"):
-        run_job(Settings(scan, str(output), grid=96, backend=backend), SILENT)
+        run_job(JobSettings(scan, str(output), grid=96, backend=backend), SILENT)
     assert output.read_bytes() == b"the mesh of yesterday"
     assert list(tmp_path.iterdir()) == [output]
 
@@ -316,7 +316,7 @@ def test_what_is_kept_is_written_in_other_formats_too(
     for index, (place, backend) in enumerate(places):  # the first leaves parts in memory
         output = tmp_path / str(index) / name
         output.parent.mkdir()
-        settings = Settings(scan, str(output), grid=48, backend=backend, temp_dir=place)
+        settings = JobSettings(scan, str(output), grid=48, backend=backend, temp_dir=place)
         run_job(settings, SILENT)
         files = [output] if output.is_file() else sorted(output.iterdir())
         meshes.append({file.name: file.read_bytes() for file in files})
@@ -341,7 +341,7 @@ def test_a_tile_that_a_worker_cannot_write_is_written_here(
         asked: list[tuple[str, str]] = []
         monkeypatch.setattr(surface, "write_kept_tile", write)
         output = tmp_path / f"{len(meshes)}.tiles"
-        run_job(Settings(scan, str(output), grid=48, backend="serial"), SILENT)
+        run_job(JobSettings(scan, str(output), grid=48, backend="serial"), SILENT)
         meshes.append({file.name: file.read_bytes() for file in output.iterdir()})
     assert len(asked) > 2
     assert meshes[0] == meshes[1]
@@ -349,7 +349,7 @@ def test_a_tile_that_a_worker_cannot_write_is_written_here(
 
 @pytest.mark.usefixtures("small")
 def test_tiles_can_be_the_output(scan: Path, whole: bytes, tmp_path: Path) -> None:
-    run_job(Settings(scan, str(tmp_path / "mesh.tiles"), grid=96), SILENT)
+    run_job(JobSettings(scan, str(tmp_path / "mesh.tiles"), grid=96), SILENT)
     tiles = sorted((tmp_path / "mesh.tiles").iterdir())
     assert len(tiles) > 1
     (tmp_path / "whole.ply").write_bytes(whole)
@@ -359,14 +359,14 @@ def test_tiles_can_be_the_output(scan: Path, whole: bytes, tmp_path: Path) -> No
 
 @pytest.mark.usefixtures("small")
 def test_steps_that_need_all_points_are_refused(scan: Path, tmp_path: Path) -> None:
-    settings = Settings(scan, str(tmp_path / "mesh.ply"), grid=64, denoise=True)
+    settings = JobSettings(scan, str(tmp_path / "mesh.ply"), grid=64, denoise=True)
     with pytest.raises(UsageError, match="'denoise' needs all points in memory"):
         run_job(settings, SILENT)
 
 
 def test_to_resume_takes_a_folder(scan: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--temp-dir"):
-        run_job(Settings(scan, str(tmp_path / "mesh.ply"), resume=True), SILENT)
+        run_job(JobSettings(scan, str(tmp_path / "mesh.ply"), resume=True), SILENT)
 
 
 @pytest.mark.parametrize("place", ["ftp://machine/tiles", "{file}/tiles"])
@@ -374,7 +374,7 @@ def test_a_place_that_cannot_be_had_is_found_out_before_the_work(
     place: str, scan: Path, tmp_path: Path
 ) -> None:
     place = place.format(file=scan)
-    settings = Settings(scan, str(tmp_path / "mesh.ply"), grid=64, temp_dir=place)
+    settings = JobSettings(scan, str(tmp_path / "mesh.ply"), grid=64, temp_dir=place)
     told = Stages()
     with pytest.raises((UsageError, OutputError)):
         run_job(settings, told)

@@ -12,7 +12,7 @@ import pytest
 from hpcapp.applications.surface.backend_choice.opening import approach_workers
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.input.load import load_memory
-from hpcapp.applications.surface.settings import Settings
+from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.applications.surface.steps import run_memory
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress, StageClock
@@ -57,7 +57,7 @@ def test_tiles_are_kept_by_who_sees_the_folder(tmp_path: Path, sees: bool) -> No
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()
     there.mkdir()
-    settings = Settings(tmp_path / "ball.ply", "-", grid=48, workers=2, temp_dir=str(here))
+    settings = JobSettings(tmp_path / "ball.ply", "-", grid=48, workers=2, temp_dir=str(here))
     clock = StageClock(SilentProgress())
     loaded = load_memory(settings, clock)
     keeping, machine = Keeping(str(here), "job"), OtherMachine(here, here if sees else there)

@@ -12,7 +12,8 @@ from hpcapp.applications.surface.backend_choice import cost_model as choice
 from hpcapp.applications.surface.backend_choice import opening
 from hpcapp.applications.surface.backend_choice.cost_model import Link, There
 from hpcapp.applications.surface.job import run_job
-from hpcapp.applications.surface.settings import Settings
+from hpcapp.applications.surface.paper.settings import Paper
+from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import open_executor
 from hpcapp.io import read_points
 from hpcapp.progress import SilentProgress
@@ -33,7 +34,7 @@ def hopeful(monkeypatch: pytest.MonkeyPatch, two_cores: None) -> None:
 
 def run(points: Path, **options: Any) -> tuple[dict[str, Any], bytes]:
     output = points.parent / "mesh.ply"
-    settings = Settings(points, str(output), grid=32, **options)
+    settings = JobSettings(points, str(output), grid=32, **options)
     return run_job(settings, SilentProgress()), output.read_bytes()
 
 
@@ -76,7 +77,7 @@ def test_what_is_asked_for_is_not_chosen(sphere_file: Path) -> None:
         "backend": "threads", "workers": 3, "reason": "it was asked for", "local_s": None,
         "distributed_s": None, "bandwidth_mb_s": None, "workers_asked": 3,
     }  # fmt: skip
-    report, _ = run(sphere_file, method="paper", workers=2)
+    report, _ = run(sphere_file, method=Paper(), workers=2)
     assert report["backend"] == "serial"
     assert "paper" in report["choice"]["reason"]
 

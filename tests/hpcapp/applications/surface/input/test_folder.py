@@ -14,7 +14,7 @@ from hpcapp.applications.surface.input import folder
 from hpcapp.applications.surface.input.folder import may_pay_in_folder, plan_passes
 from hpcapp.applications.surface.input.load import load_folder
 from hpcapp.applications.surface.scans import Passes
-from hpcapp.applications.surface.settings import Settings
+from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import Backend
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress, StageClock
@@ -52,18 +52,18 @@ def scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_points_go_where_other_processes_read_them(
     scan: Path, asked: dict[str, Any], pays: bool
 ) -> None:
-    assert may_pay_in_folder(Settings(scan, "mesh.ply", **asked)) == pays
-    text = Settings(scan.with_suffix(".xyz"), "mesh.ply", **asked)
+    assert may_pay_in_folder(JobSettings(scan, "mesh.ply", **asked)) == pays
+    text = JobSettings(scan.with_suffix(".xyz"), "mesh.ply", **asked)
     assert not may_pay_in_folder(text)
 
 
 def test_few_points_or_no_room_stay_in_memory(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = Settings(scan, "mesh.ply", backend="zmq")
+    settings = JobSettings(scan, "mesh.ply", backend="zmq")
     monkeypatch.setattr(folder, "_BYTES_PER_POINT", 1 << 60)
     assert not may_pay_in_folder(settings)
     monkeypatch.undo()
     assert not may_pay_in_folder(settings)
-    assert not may_pay_in_folder(Settings(scan.with_name("none.ply"), "mesh.ply", backend="zmq"))
+    assert not may_pay_in_folder(JobSettings(scan.with_name("none.ply"), "mesh.ply", backend="zmq"))
 
 
 @pytest.mark.parametrize("sees", [True, False])
@@ -95,7 +95,7 @@ class RunsTwice(ThreadPoolExecutor):
 def test_a_task_that_runs_again_late_changes_nothing(
     scan: Path, tmp_path: Path, round_: int
 ) -> None:
-    settings = Settings(scan, "mesh.ply")
+    settings = JobSettings(scan, "mesh.ply")
     clouds = []
     for name, kind in (("once", ThreadPoolExecutor), ("twice", RunsTwice)):
         with kind(2) as executor:

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from cut_mesh import SHAPES, cut_mesh, cuts, extract_shape
+from cut_mesh import SHAPES, cut_mesh, cuts, drop_small_components, extract_shape
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +14,6 @@ from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.io import read_mesh, shared_ply, write_mesh, write_tiles
 from hpccomponent.surface.extraction.part_places import PartPlaces
 from hpccomponent.surface.extraction.summary import summarize_part
-from hpccomponent.surface.kernels.portable.marching_cubes import drop_small_components
 from hpccomponent.surface.tasks.shared_ply import SharedPly, write_part
 from hpccomponent.surface.types.mesh import Mesh
 

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from cut_mesh import SHAPES, cut_mesh, cuts, extract_shape, spread_mesh
+from cut_mesh import SHAPES, cut_mesh, cuts, drop_small_components, extract_shape, spread_mesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +14,6 @@ from hpcapp.applications.surface.stitching.plan import missing_bricks, plan_weld
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpccomponent.errors import JobError
 from hpccomponent.surface.extraction.summary import PartSummary, summarize_part
-from hpccomponent.surface.kernels.portable.marching_cubes import drop_small_components
 from hpccomponent.surface.types.lattice import unpack_keys
 from hpccomponent.surface.types.mesh import Mesh
 

@@ -1,0 +1,178 @@
+"""Options of a method: each stands once, in the method's settings.
+
+A field made by `option` carries its range and its help; the command makes its options of these
+fields, and `check_options` holds values from Python to the same ranges. Nothing heavy is imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import Field, dataclass, field, fields
+from types import NoneType, UnionType
+from typing import Any, ClassVar, Protocol, get_args, get_type_hints
+
+import click
+
+from hpccomponent.errors import UsageError
+
+__all__ = [
+    "Options",
+    "check_exclusive",
+    "check_options",
+    "make_click_options",
+    "option",
+    "option_names",
+]
+
+_KEY = "option"
+
+
+class Options(Protocol):
+    """A frozen dataclass of options."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Option:
+    """What an option may be, and what it is for."""
+
+    help: str
+    low: float | None
+    high: float | None
+    choices: tuple[str, ...]
+    replaces: tuple[str, ...]
+
+
+def option(
+    default: Any,
+    help: str,  # noqa: A002 - as click calls it
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+    replaces: tuple[str, ...] = (),
+) -> Any:
+    """Return a dataclass field that is an option.
+
+    Parameters
+    ----------
+    default : object
+        None where the option may be left out.
+    help : str
+        One sentence.
+    low, high : float, optional
+        The range, its ends included.
+    choices : tuple of str
+        The words that may be given.
+    replaces : tuple of str
+        Options that it takes the place of, so that they exclude each other.
+    """
+    return field(default=default, metadata={_KEY: _Option(help, low, high, choices, replaces)})
+
+
+def option_names(settings: type[Options]) -> tuple[str, ...]:
+    """Return the names of a method's options."""
+    return tuple(one.name for one in fields(settings))
+
+
+def check_options(settings: Options) -> None:
+    """Hold the options of a method to their ranges.
+
+    Parameters
+    ----------
+    settings : Options
+
+    Raises
+    ------
+    UsageError
+        One is beyond its range, none of the words that may be given, or stands beside one that it
+        takes the place of.
+    """
+    defaults = {one.name: one.default for one in fields(settings)}
+    check_exclusive(
+        type(settings), {name for name in defaults if getattr(settings, name) != defaults[name]}
+    )
+    for name, asked, kind in _options(type(settings)):
+        value = getattr(settings, name)
+        if value is None:
+            continue
+        if asked.choices and value not in asked.choices:
+            raise UsageError(f"{name} is {value!r}", f"choose {' or '.join(asked.choices)}")
+        if kind is bool or asked.low is None:
+            continue
+        if not asked.low <= value <= (float("inf") if asked.high is None else asked.high):
+            most = " or more" if asked.high is None else f" to {asked.high:g}"
+            start = f"{asked.low:g}" if asked.high is None else f"from {asked.low:g}"
+            raise UsageError(f"{name} is {value!r}", f"give a number {start}{most}")
+
+
+def check_exclusive(settings: type[Options], given: set[str]) -> None:
+    """Refuse options that take the place of each other.
+
+    Parameters
+    ----------
+    settings : type
+    given : set of str
+        The names of the options that somebody gave.
+
+    Raises
+    ------
+    UsageError
+        Two exclude each other.
+    """
+    for name, asked, _ in _options(settings):
+        for other in asked.replaces:
+            if name in given and other in given:
+                raise UsageError(
+                    f"--{name} takes the place of --{other.replace('_', '-')}, so they exclude "
+                    "each other",
+                    "give one of them",
+                )
+
+
+def make_click_options(settings: type[Options], prefix: str) -> Iterator[click.Option]:
+    """Make the command line's options of a method's settings.
+
+    Parameters
+    ----------
+    settings : type
+    prefix : str
+        Stands before each help text.
+    """
+    for name, asked, kind in _options(settings):
+        default = settings.__dataclass_fields__[name].default
+        flag = "--" + name.replace("_", "-")
+        yield click.Option(
+            [f"{flag}/--no-{flag[2:]}" if kind is bool else flag],
+            type=_click_type(asked, kind),
+            default=default,
+            show_default=default is not None,
+            metavar=None if asked.choices or kind is bool else "N" if kind is int else "F",
+            help=f"{prefix}{asked.help}",
+        )
+
+
+def _click_type(
+    asked: _Option, kind: type
+) -> click.Choice[str] | click.IntRange | click.FloatRange | None:
+    if kind is bool:
+        return None
+    if asked.choices:
+        return click.Choice(asked.choices)
+    if kind is int:
+        return click.IntRange(
+            None if asked.low is None else int(asked.low),
+            None if asked.high is None else int(asked.high),
+        )
+    return click.FloatRange(asked.low, asked.high)
+
+
+def _options(settings: type[Options]) -> Iterator[tuple[str, _Option, type]]:
+    """Yield name, description and type of each option."""
+    hints = get_type_hints(settings)
+    for one in fields(settings):
+        hint = hints[one.name]
+        kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+        [kind] = [kind for kind in kinds if kind is not NoneType]
+        yield one.name, one.metadata[_KEY], kind
