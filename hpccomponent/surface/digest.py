@@ -1,7 +1,7 @@
 """What of some Python files can decide the bits of a result: their code, without its prose.
 
-The build runs this file as a program (see ``CMakeLists.txt``); the portable build calls it. Only the
-standard library is imported, and nothing of the package.
+The build runs this file as a program (see ``CMakeLists.txt``); the portable build calls it. Only
+the standard library is imported, and nothing of the package.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _STRING_OR_COMMENT = re.compile(
 
 
 def strip_prose(source: str) -> str:
-    """Return a module's code without docstrings, comments and blank lines.
+    r"""Return a module's code without docstrings, comments and blank lines.
 
     Parameters
     ----------
@@ -38,8 +38,8 @@ def strip_prose(source: str) -> str:
 
     Examples
     --------
-    >>> strip_prose('def f(x):\\n    "Twice x."\\n    return 2 * x  # exact\\n')
-    'def f(x):\\n    return 2 * x'
+    >>> strip_prose('def f(x):\n    "Twice x."\n    return 2 * x  # exact\n')
+    'def f(x):\n    return 2 * x'
     """
     lines = source.splitlines()
     for owner in ast.walk(ast.parse(source)):

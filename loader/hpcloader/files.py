@@ -19,14 +19,14 @@ from pydantic import BeforeValidator, Field, field_validator
 from hpccomponent.config.reader import ConfigModel, read_config
 from hpccomponent.errors import ConfigError
 from hpccomponent.files.paths import expand_home
+from hpccomponent.units import parse_size
 from hpcloader.builds import BUILDS, Build, Requirements
 from hpcloader.settings import LoaderSettings
 from hpcloader.supervisor import RestartRule
 
-__all__ = ["parse_size", "read_catalogue", "read_settings"]
+__all__ = ["read_catalogue", "read_settings"]
 
 _RULE, _ASKED = RestartRule(), Requirements()
-_UNITS = {"": 1, "B": 1, "KIB": 2**10, "MIB": 2**20, "GIB": 2**30, "TIB": 2**40}
 
 
 def read_settings(path: Path) -> LoaderSettings:
@@ -58,32 +58,6 @@ def read_catalogue(path: Path) -> tuple[Build, ...]:
         The file is not as it should be.
     """
     return tuple(block.build() for block in read_config(path, _CatalogueFile).builds)
-
-
-def parse_size(size: int | str) -> int:
-    """Return a size in bytes.
-
-    Parameters
-    ----------
-    size : int or str
-        Bytes, or text such as ``512 MiB``.
-
-    Raises
-    ------
-    ValueError
-        The text is no size.
-
-    Examples
-    --------
-    >>> parse_size("1.5 GiB")
-    1610612736
-    """
-    if isinstance(size, int) and not isinstance(size, bool):
-        return size
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([A-Za-z]*)", str(size).strip())
-    if match is None or match[2].upper() not in _UNITS:
-        raise ValueError("should be a size such as 512 MiB or 2 GiB")
-    return int(float(match[1]) * _UNITS[match[2].upper()])
 
 
 _Task = Annotated[str, Field(pattern=r"^[\w.-]+=[\w.]+:\w+$")]  # NAME=module:function

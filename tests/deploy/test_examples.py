@@ -11,7 +11,8 @@ from pydantic_core import PydanticUndefined
 
 from hpccomponent.config.reader import ConfigModel
 from hpccomponent.errors import ConfigError
-from hpcdeploy.spec.cluster import ClusterSpec, parse_duration, read_spec
+from hpccomponent.units import parse_duration
+from hpcdeploy.spec.cluster import ClusterSpec, read_spec
 from hpcdeploy.spec.provider import AwsSpec, Ec2Spec, EucalyptusSpec, LocalSpec, SshSpec
 
 ROOT = Path(__file__).parents[2]

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from hpccomponent.config.reader import ConfigModel, read_config
+from hpccomponent.units import parse_duration
 from hpcdeploy.spec.checks import find_misfits
 from hpcdeploy.spec.names import HEAD, NAME_PATTERN
 from hpcdeploy.spec.provider import (
@@ -33,38 +34,8 @@ __all__ = [
     "Limits",
     "Workers",
     "address_kind",
-    "parse_duration",
     "read_spec",
 ]
-
-_SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
-
-
-def parse_duration(text: object) -> float:
-    """Return a duration in seconds.
-
-    Parameters
-    ----------
-    text : str
-        A number with its unit: ``90s``, ``15m``, ``2h``, ``1d``.
-
-    Raises
-    ------
-    ValueError
-        It is none.
-
-    Examples
-    --------
-    >>> parse_duration("1.5h")
-    5400.0
-    """
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smhd])", str(text).strip())
-    if match is None:
-        raise ValueError("should be a duration such as 90s, 15m or 2h")
-    seconds = float(match[1]) * _SECONDS[match[2]]
-    if not seconds:
-        raise ValueError("should be longer than nothing")
-    return seconds
 
 
 def parse_network(text: str) -> str:

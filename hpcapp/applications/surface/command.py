@@ -230,12 +230,12 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         name = "auto"
     with start_early(name, options["workers"]) as machines:
         from hpcapp.applications.surface.job import run_job  # while the machines start
-        from hpcapp.applications.surface.memory import parse_size
+        from hpcapp.applications.surface.memory import parse_limit
         from hpcapp.applications.surface.settings import JobSettings
         from hpcapp.progress_display import open_events, open_progress
 
         if options["max_memory"] is not None:
-            options["max_memory"] = parse_size(options["max_memory"])
+            options["max_memory"] = parse_limit(options["max_memory"])
         own = {name: options.pop(name) for name in METHOD_OPTIONS}
         method = find_method(options.pop("method"))
         chosen = {name: own[name] for name in option_names(method)}

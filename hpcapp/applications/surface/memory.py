@@ -5,7 +5,6 @@ Who may import it: the job.
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from hpcapp.applications.surface.method import MethodSettings
@@ -16,6 +15,7 @@ from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.spacing import estimate_spacing
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.units import parse_size
 
 __all__ = [
     "check_memory",
@@ -23,7 +23,7 @@ __all__ = [
     "estimate_surface",
     "fits_memory",
     "fitting_tile",
-    "parse_size",
+    "parse_limit",
 ]
 
 #: The default method holds the points, sorted too, and bricks along the surface; measured from
@@ -45,13 +45,13 @@ BYTES_PER_RECORD = 24
 LEAST_TILE = 50_000
 
 
-def parse_size(text: str) -> float:
-    """Return the bytes that a size names.
+def parse_limit(text: str) -> float:
+    """Return the bytes that ``--max-memory`` names.
 
     Parameters
     ----------
     text : str
-        A number, with K, M, G or T for powers of 1024.
+        See `hpccomponent.units.parse_size`.
 
     Raises
     ------
@@ -60,13 +60,13 @@ def parse_size(text: str) -> float:
 
     Examples
     --------
-    >>> parse_size("2G") == 2 * 1024**3
+    >>> parse_limit("2G") == 2 * 1024**3
     True
     """
-    found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)([KMGT]?)(?:i?B)?", text.strip(), re.IGNORECASE)
-    if found is None:
-        raise UsageError(f"{text!r} is not a size", "write for example 2G or 800M")
-    size = float(found[1]) * 1024.0 ** " KMGT".index(found[2].upper() or " ")
+    try:
+        size = float(parse_size(text))
+    except ValueError as error:
+        raise UsageError(f"{text!r} is not a size", f"it {error}") from None
     if size < LEAST_MEMORY:
         raise UsageError(
             f"{text} is less memory than any job needs",

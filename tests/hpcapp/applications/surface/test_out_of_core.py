@@ -18,7 +18,7 @@ from hpcapp.applications.surface import job, room, steps, surface
 from hpcapp.applications.surface.hierarchical import growth as regions
 from hpcapp.applications.surface.input import folder
 from hpcapp.applications.surface.job import run_job
-from hpcapp.applications.surface.memory import fitting_tile, parse_size
+from hpcapp.applications.surface.memory import fitting_tile, parse_limit
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import read_mesh, write_points
 from hpcapp.progress import SilentProgress
@@ -384,11 +384,11 @@ def test_a_place_that_cannot_be_had_is_found_out_before_the_work(
 @pytest.mark.parametrize("text", ["", "2X", "-1G", "1e9", "G", "100M"])
 def test_what_is_no_size_is_refused(text: str) -> None:
     with pytest.raises(UsageError):
-        parse_size(text)
+        parse_limit(text)
 
 
 def test_tiles_follow_the_memory() -> None:
-    assert parse_size("1.5g") == 1.5 * 2**30
-    assert parse_size("300MiB") == 300 * 2**20
+    assert parse_limit("1.5g") == 1.5 * 2**30
+    assert parse_limit("300MiB") == 300 * 2**20
     assert fitting_tile(2.0**29, 1) > fitting_tile(2.0**29, 2) >= 50_000
     assert fitting_tile(2.0**40, 1) == fitting_tile(2.0**40, 8)

@@ -20,7 +20,7 @@ import pytest
 from hpcapp.applications.surface import job, room, steps
 from hpcapp.applications.surface.hierarchical import growth as regions
 from hpcapp.applications.surface.job import run_job
-from hpcapp.applications.surface.settings import Settings
+from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import InputError, JobError, NoWorkersError
@@ -66,7 +66,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def whole(scan: Path) -> bytes:
     output = scan.with_name("whole.ply")
-    run_job(Settings(scan, str(output), grid=64), SILENT)
+    run_job(JobSettings(scan, str(output), grid=64), SILENT)
     return output.read_bytes()
 
 
@@ -251,10 +251,12 @@ def test_a_job_that_fails_early_leaves_nothing(scan: Path, tmp_path: Path, resum
     bad = tmp_path / "bad.ply"
     bad.write_bytes(scan.read_bytes()[:-7])
     for error, settings in (
-        (InputError, Settings(bad, str(tmp_path / "mesh.ply"), **common)),  # type: ignore[arg-type]
+        (InputError, JobSettings(bad, str(tmp_path / "mesh.ply"), **common)),  # type: ignore[arg-type]
         (
             NoWorkersError,
-            Settings(scan, str(tmp_path / "mesh.ply"), backend="dask=tcp://127.0.0.1:9", **common),  # type: ignore[arg-type]
+            JobSettings(
+                scan, str(tmp_path / "mesh.ply"), backend="dask=tcp://127.0.0.1:9", **common
+            ),  # type: ignore[arg-type]
         ),
     ):
         with pytest.raises(error):
@@ -278,9 +280,9 @@ def kept(scan: Path, whole: bytes) -> Path:
     return place
 
 
-def _settings(scan: Path, place: Path) -> Settings:
+def _settings(scan: Path, place: Path) -> JobSettings:
     output = str(place.with_name("mesh.ply"))
-    return Settings(scan, output, grid=64, backend="serial", temp_dir=str(place), resume=True)
+    return JobSettings(scan, output, grid=64, backend="serial", temp_dir=str(place), resume=True)
 
 
 def _let_tiles_be_small(patch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,64 @@
+"""Sizes and durations as people write them, parsed once: one grammar for options and files."""
+
+from __future__ import annotations
+
+import re
+
+__all__ = ["parse_duration", "parse_size"]
+
+_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
+_DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*([smhd])")
+_SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+
+
+def parse_size(size: int | str) -> int:
+    """Return a size in bytes.
+
+    Parameters
+    ----------
+    size : int or str
+        Bytes, or a number with K, M, G or T for powers of 1024, with or without ``B`` or ``iB``.
+
+    Raises
+    ------
+    ValueError
+        It is no size.
+
+    Examples
+    --------
+    >>> parse_size("1.5 GiB") == parse_size("1.5G") == 3 * 2**29
+    True
+    """
+    if isinstance(size, int) and not isinstance(size, bool):
+        return size
+    found = _SIZE.fullmatch(str(size).strip())
+    if found is None:
+        raise ValueError("should be a size such as 512M or 2 GiB")
+    return int(float(found[1]) * 1024.0 ** " KMGT".index(found[2].upper() or " "))
+
+
+def parse_duration(text: object) -> float:
+    """Return a duration in seconds.
+
+    Parameters
+    ----------
+    text : str
+        A number with its unit: ``90s``, ``15m``, ``2h``, ``1d``.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+
+    Examples
+    --------
+    >>> parse_duration("1.5h")
+    5400.0
+    """
+    match = _DURATION.fullmatch(str(text).strip())
+    if match is None:
+        raise ValueError("should be a duration such as 90s, 15m or 2h")
+    seconds = float(match[1]) * _SECONDS[match[2]]
+    if not seconds:
+        raise ValueError("should be longer than nothing")
+    return seconds
