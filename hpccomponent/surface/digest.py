@@ -1,7 +1,7 @@
 """What of some Python files can decide the bits of a result: their code, without its prose.
 
-The build runs this file as a program (see ``CMakeLists.txt``); the portable build calls it. Only
-the standard library is imported, and nothing of the package.
+The build runs this file as a program (see ``CMakeLists.txt``), so that it imports nothing of the
+package; the portable build calls it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _DIGITS = 12
 
 _STRING_OR_COMMENT = re.compile(
     r"""(?P<string>\"{3}(?:\\.|[^\\])*?\"{3}|'{3}(?:\\.|[^\\])*?'{3}"""
-    r"""|"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')|[ \t]*\#[^\n]*""",
+    r"""|"(?:\\.|[^"\\n])*"|'(?:\\.|[^'\\n])*')|[ \t]*\#[^\n]*""",
     re.DOTALL,
 )
 
