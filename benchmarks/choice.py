@@ -3,10 +3,6 @@
 For each size of a cloud, pairs of whole processes, in turn: `hpcapp reconstruct` as it is typed,
 and with the backend of one process. One line for each size and each way to ask: what was chosen,
 and the median of the pairs' ratios, of wall time and of CPU time (all processes together).
-
-With --rates one job is measured part by part instead, here and with two workers: what a point and
-a square of the grid's longest side take in units of the calibration, which are the constants of
-``hpcapp/applications/surface/backend_choice/cost_model.py``.
 """
 
 from __future__ import annotations
@@ -27,10 +23,8 @@ from typing import Any
 import numpy as np
 from big_cloud import write_cloud
 
-from hpcapp.applications.surface.backend_choice import cost_model as choice
 from hpcapp.applications.surface.settings import THREADS_FROM_POINTS
 from hpcapp.backends.selection import available_cores
-from hpccomponent.surface.tasks.probe import time_kernels
 
 SIZES = (1_000, 10_000, 100_000, 1_000_000)
 WAYS = ((), ("--workers", "2"))
@@ -102,51 +96,16 @@ def compare(cloud: Path, points: int, grid: int, way: Sequence[str], pairs: int)
     }
 
 
-def measure_rates(folder: Path, rounds: int) -> dict[str, float]:
-    """Return what the constants of the model come from; of each figure the best round."""
-
-    def cost(points: int, grid: int, *options: str) -> tuple[float, Run]:
-        runs = [run(folder / f"{points}.ply", grid, *options) for _ in range(rounds)]
-        best = min(runs, key=lambda one: one.cpu_s)
-        return best.cpu_s, best
-
-    for points in (1_000, 1_000_000):
-        write_cloud(folder / f"{points}.ply", points)
-    unit_s = min(time_kernels(3) for _ in range(10))
-    start, _ = cost(1_000, 16, "--backend", "serial")
-    fine, _ = cost(1_000, 512, "--backend", "serial")
-    whole, alone = cost(1_000_000, 512, "--backend", "serial")
-    apart, spread = cost(1_000_000, 512, "--backend", "zmq", "--workers", "2")
-    shares = {name: alone.report["stages"][name] for name in alone.report["stages"]}
-    work = whole * sum(shares[name] for name in ("fit", "extract")) / sum(shares.values())
-    return {
-        "unit_ms": 1e3 * unit_s,
-        "units a square": (fine - start) / 512**2 / unit_s,
-        "units a point": (work - (fine - start)) / 1e6 / unit_s,
-        "tiles and workers by the whole": (work + apart - whole) / work,
-        "bytes out a point": spread.report["bytes_sent"] / 1e6,
-        "bytes back a square": spread.report["bytes_received"] / 512**2,
-    }
-
-
 def main() -> None:
-    """Print a table, or the rates."""
+    """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)
     parser.add_argument("--grid", type=int, default=256)
     parser.add_argument("--pairs", type=int, default=10)
-    parser.add_argument("--rates", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="choice-") as room:
         folder = Path(room)
-        if options.rates:
-            rates = measure_rates(folder, options.pairs)
-            for name, value in rates.items():
-                print(f"{name:32} {value:.3g}")
-            print(f"in use: {choice.SQUARE_UNITS:g} a square, {choice.POINT_UNITS:g} a point, "
-                  f"tiles {choice.TILED:g}")  # fmt: skip
-            return
         print("load", np.round(os.getloadavg(), 1).tolist())
         rows = []
         for points in options.sizes:

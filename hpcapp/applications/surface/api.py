@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hpcapp.applications.surface.backend_choice.opening import approach_workers
+from hpcapp.applications.surface.backend_choice import approach_workers
 from hpcapp.applications.surface.input.load import Loaded, arrange_usable, clean_points
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method

@@ -13,8 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpcapp.applications.surface.backend_choice.cost_model import Job
-from hpcapp.applications.surface.backend_choice.opening import approach_workers
+from hpcapp.applications.surface.backend_choice import Job, approach_workers
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.input.folder import choose_tile, plan_passes
 from hpcapp.applications.surface.input.load import Loaded, load_folder, load_memory
@@ -90,7 +89,7 @@ def _run_in_memory(
     """Run a job whose points are in memory."""
     from hpcapp.applications.surface.steps import run_memory  # see `loading.load_folder`
 
-    with approach_workers(settings, _guess_job(settings, room), machines) as opener:
+    with approach_workers(settings, _guess_job(settings), machines) as opener:
         loaded = load_memory(settings, clock)
         loaded.report(settings.points)
         with run_memory(settings, loaded, opener, clock, room.keeping) as outcome:
@@ -105,7 +104,7 @@ def _run_in_folder(
     machines: LocalMachines | None,
 ) -> dict[str, Any]:
     """Run a job whose points are in a folder, if memory asks for it or other processes do."""
-    guess = _guess_job(settings, room)
+    guess = _guess_job(settings)
     with (
         approach_workers(settings, machines=machines) as opener,
         opener.open(guess) as (backend, choice),
@@ -138,14 +137,10 @@ def _load_there(
     return load_folder(settings, room.folder, passes, clock), keeping
 
 
-def _guess_job(settings: JobSettings, room: Room) -> Job:
+def _guess_job(settings: JobSettings) -> Job:
     """Return what can be known of a job before its points are read: as much as it may be."""
-    points = count_most_points(settings.points)
     grid = DEFAULT_GRID if settings.depth is None else 2**settings.depth
-    is_kept = room.keeping is not None and (room.is_needed or settings.temp_dir is not None)
-    is_cut = is_kept or settings.max_memory is not None
-    is_shared = room.folder is not None and room.keeping is not None and room.keeping.holds_files
-    return Job(points, settings.grid or grid, is_cut, is_shared)
+    return Job(count_most_points(settings.points), settings.grid or grid)
 
 
 def _write(

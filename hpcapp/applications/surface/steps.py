@@ -14,8 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hpcapp.applications.surface.backend_choice.cost_model import Choice, Job
-from hpcapp.applications.surface.backend_choice.opening import Opener
+from hpcapp.applications.surface.backend_choice import Choice, Job, Opener
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.diagnostics import (
     doubt_closure,
@@ -105,8 +104,7 @@ def run_memory(
     assert isinstance(cloud, PointCloud)  # noqa: S101 - it is the one in memory
     grid = choose_grid(settings, *bound_points(cloud.positions))
     check_memory(settings.method, grid, cloud)
-    is_cut = keeping is not None or settings.max_memory is not None
-    with opener.open(Job(len(cloud), grid, is_cut), executor) as (backend, choice):
+    with opener.open(Job(len(cloud), grid), executor) as (backend, choice):
         if keeping and keeping.holds_files and not all_see_folder(Path(keeping.where), backend):
             keeping = replace(keeping, is_shared=False)
         yield run_loaded(settings, loaded, grid, backend, choice, clock, keeping)

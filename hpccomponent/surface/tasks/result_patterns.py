@@ -19,7 +19,6 @@ from hpccomponent.protocol.declared import (
     Flag,
     Nothing,
     Number,
-    Text,
     Where,
     Whole,
 )
@@ -30,7 +29,6 @@ __all__ = [
     "BOX_COUNTS",
     "CELL_COUNTS",
     "MENDED",
-    "PROBE",
     "RANKS",
     "SAMPLE",
     "SMALL_BYTES",
@@ -56,7 +54,6 @@ _COUNTS = Array("<i8", "b", low=0, high=_MOST)
 
 BOX = Array("<f8", 2, 3, low=-np.inf, finite=False)  # inside out around no points
 WRITTEN = Flag()
-PROBE = Fixed(Text(), Number(0.0))
 CELL_COUNTS = Fixed(Array("<i8", "c", low=0), Array("<i8", "c", low=1, high=_MOST))
 BOX_COUNTS = Each(Fixed(Whole(0, _MOST), _KEYS))
 SAMPLE = Fixed(Array("<f8", "s", 3), Array("<f8", "s", 3))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.backend_choice.opening import approach_workers
+from hpcapp.applications.surface.backend_choice import approach_workers
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.input.load import load_memory
 from hpcapp.applications.surface.settings import JobSettings

@@ -1,0 +1,270 @@
+"""Opens what a job runs on: the backend that the user named, or the one that pays.
+
+::
+
+    size of the file ──> may a cluster pay? ── yes ──> listen, while points are read and cleaned
+                                                             │
+    points, grid ──> table ── workers pay? ── yes ──> start them, or wait for the cluster's
+                        │ no                                 └── none came ──┐
+                        └──> this process <──────────────────────────────────┘
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from hpcapp.applications.surface.settings import Settings, choose_local, name_backend
+from hpcapp.backends.capacity import count_carried
+from hpcapp.backends.selection import Backend, open_backend, open_executor, wrap_communicator
+from hpccomponent.errors import NoWorkersError
+from hpccomponent.limits import available_cores
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from hpcapp.backends.cluster import Listening
+    from hpcapp.backends.local_machines import LocalMachines
+
+__all__ = ["Choice", "Job", "Opener", "approach_workers", "least_work"]
+
+log = logging.getLogger("hpcapp")
+
+WORKERS_PAY = ((2, 3_000_000), (3, 2_000_000), (4, 1_750_000), (8, 1_500_000))
+"""So many workers of this machine pay from so much work on; see ``benchmarks/choice.py``."""
+SQUARE = 3
+"""Points that make as much work as a cell of the grid's longest side squared: see `Job.work`."""
+REMOTE = 2
+"""Workers of a cluster, which points must travel to, pay from so many times as much on."""
+LEAST_REMOTE = 4
+"""Fewer workers of a cluster are not worth the way."""
+WAIT_S = 2.0
+"""For the first worker of a cluster, and for the others after it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What there is to do.
+
+    Parameters
+    ----------
+    points : int
+        As many as there may be, where they are not read yet.
+    grid : int
+        Cells along the longest side.
+    """
+
+    points: int
+    grid: int
+
+    @property
+    def work(self) -> int:
+        """Points, and the area of the surface in points."""
+        return self.points + SQUARE * self.grid**2
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Where a job runs, and why.
+
+    Parameters
+    ----------
+    backend : str
+        See `hpcapp.backends.selection`.
+    workers : int
+        How many do the work.
+    reason : str
+        One sentence.
+    workers_asked : int or None
+        How many the user allowed.
+    """
+
+    backend: str
+    workers: int
+    reason: str
+    workers_asked: int | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it for the report."""
+        return asdict(self)
+
+
+def least_work(workers: int, is_remote: bool = False) -> float:
+    """Return from how much work on workers pay.
+
+    Parameters
+    ----------
+    workers : int
+    is_remote : bool
+        Whether they are those of a cluster.
+
+    Returns
+    -------
+    float
+        In points, see `Job.work`; infinite where they never do.
+
+    Examples
+    --------
+    >>> least_work(1), least_work(2), least_work(64), least_work(4, is_remote=True)
+    (inf, 3000000, 1500000, 3500000)
+    """
+    if is_remote and workers < LEAST_REMOTE:
+        return float("inf")
+    rows = [work for count, work in WORKERS_PAY if count <= workers]
+    return min(rows, default=float("inf")) * (REMOTE if is_remote else 1)
+
+
+@contextmanager
+def approach_workers(
+    settings: Settings, guess: Job | None = None, machines: LocalMachines | None = None
+) -> Iterator[Opener]:
+    """Begin to listen for the workers of a cluster, where they may pay.
+
+    Parameters
+    ----------
+    settings : Settings
+    guess : Job, optional
+        What is known before the points are read: as much as it may be.
+    machines : LocalMachines, optional
+        What `backends.selection.start_early` has started.
+
+    Yields
+    ------
+    Opener
+    """
+    opener = Opener(settings, machines)
+    with opener.standing:
+        if guess is not None and settings.cluster is not None and name_backend(settings) is None:
+            opener.approach(guess)
+        yield opener
+
+
+class Opener:
+    """Opens a job's backend.
+
+    Parameters
+    ----------
+    settings : Settings
+    machines : LocalMachines, optional
+        What `backends.selection.start_early` has started for the backend that was asked for.
+
+    Attributes
+    ----------
+    standing : ExitStack
+        Leaves the cluster.
+    """
+
+    def __init__(self, settings: Settings, machines: LocalMachines | None = None) -> None:
+        self.standing = ExitStack()
+        self._settings = settings
+        self._machines = machines
+        self._cluster: Listening | None = None
+
+    @contextmanager
+    def open(
+        self, job: Job, executor: Executor | Client | None = None
+    ) -> Iterator[tuple[Backend, Choice]]:
+        """Open the backend that a job runs on.
+
+        Parameters
+        ----------
+        job : Job
+        executor : concurrent.futures.Executor or distributed.Client, optional
+            What the user has opened, which is used.
+
+        Yields
+        ------
+        backend : Backend
+        choice : Choice
+        """
+        settings, asked = self._settings, self._settings.workers
+        name = name_backend(settings)
+        if executor is None and name is None:
+            with ExitStack() as stack:
+                yield self._open_best(job, stack)
+            return
+        if executor is not None:
+            opened, reason = open_backend(executor, workers=asked), "it was given"
+        else:
+            assert name is not None  # noqa: S101 - or it would be chosen
+            opened = open_executor(
+                name, workers=asked, policy=settings.policy, machines=self._machines
+            )
+            reason = "it was asked for"
+        with opened as backend:
+            workers = backend.workforce.workers
+            yield backend, Choice(backend.name, workers, reason, workers_asked=asked)
+
+    def approach(self, guess: Job) -> None:
+        """Listen for the workers of the cluster, if they may pay."""
+        if self._choose(guess).backend == "cluster":
+            self._listen()
+
+    def _open_best(self, job: Job, stack: ExitStack) -> tuple[Backend, Choice]:
+        """Open what pays, and say why."""
+        choice = self._choose(job)
+        backend = None
+        try:
+            if choice.backend == "cluster":
+                backend = self._gather()
+                choice = replace(choice, workers=backend.workforce.workers)
+            else:
+                self.standing.close()
+                workers = None if choice.backend == "serial" else choice.workers
+                backend = stack.enter_context(
+                    open_executor(choice.backend, workers=workers, policy=self._settings.policy)
+                )
+        except NoWorkersError as error:
+            log.warning("no worker came: %s", error.problem)
+            self.standing.close()
+            choice = self._local(job, "no worker came in time")
+            workers = None if choice.backend == "serial" else choice.workers
+            backend = stack.enter_context(open_executor(choice.backend, workers=workers))
+        log.info("backend %s: %s", choice.backend, choice.reason)
+        return backend, choice
+
+    def _choose(self, job: Job) -> Choice:
+        """Choose by the table."""
+        settings = self._settings
+        if not settings.method.pays_on_workers:
+            name = settings.method.name
+            return self._local(job, f"the tasks of the method {name} are too little work")
+        if settings.cluster is not None:
+            from hpccomponent.inventory import read_inventory
+
+            kind, workers = "cluster", len(read_inventory(settings.cluster).workers)
+        else:
+            kind, workers = "zmq", min(settings.workers or available_cores(), available_cores())
+            if workers < 2:
+                return self._local(job, f"{available_cores()} core(s), one of them to be used")
+            carried, limit = count_carried("zmq")
+            if carried < 2:
+                return self._local(job, f"no two workers fit here ({limit})")
+            workers = min(workers, carried)
+        work = f"{job.points} points at grid {job.grid}"
+        if job.work < least_work(workers, is_remote=kind == "cluster"):
+            return self._local(job, f"{work}: too little for {workers} workers to pay")
+        return Choice(kind, workers, f"{work}: enough for {workers} workers", settings.workers)
+
+    def _local(self, job: Job, reason: str) -> Choice:
+        name, workers = choose_local(self._settings, job.points)
+        return Choice(name, workers, reason, workers_asked=self._settings.workers)
+
+    def _listen(self) -> Listening:
+        from hpcapp.backends.cluster import listen_inventory
+
+        path, policy = self._settings.cluster, self._settings.policy
+        assert path is not None  # noqa: S101 - or there would be no cluster
+        if self._cluster is None:
+            self._cluster = self.standing.enter_context(listen_inventory(path, policy=policy))
+        return self._cluster
+
+    def _gather(self) -> Backend:
+        """Wait for the cluster's workers."""
+        cluster = self._listen()
+        workers = cluster.gather(WAIT_S, WAIT_S)
+        return wrap_communicator("cluster", cluster.executor, workers, self._settings.policy)

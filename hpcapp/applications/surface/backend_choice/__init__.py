@@ -1,1 +1,0 @@
-"""Which backend a job runs on where the user named none."""
