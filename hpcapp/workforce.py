@@ -10,35 +10,15 @@ from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import HpcError, TaskError, WorkerLostError
-from hpccomponent.runtime.idle import IdleWork
+from hpccomponent.runtime.background import Background, Deferred
 
-__all__ = ["Later", "Workforce", "begin_batch", "cut_equal", "map_batches", "stream_batches"]
+__all__ = ["Workforce", "begin_batch", "cut_equal", "map_batches", "stream_batches"]
 
 Result = TypeVar("Result")
-
-
-class Later(Generic[Result]):
-    """What will be asked for, and may be found while this process waits for something else.
-
-    Parameters
-    ----------
-    find : callable
-        Finds it, from nothing that changes. Is called once, unless it raises.
-    """
-
-    def __init__(self, find: Callable[[], Result]) -> None:
-        self._find = find
-        self._found: list[Result] = []
-
-    def __call__(self) -> Result:
-        """Return it, found by now or not."""
-        if not self._found:
-            self._found.append(self._find())
-        return self._found[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,11 +42,11 @@ class Workforce:
     workers: int = 1
     batches_per_worker: int = 1
     in_process: bool = False
-    _idle: IdleWork = field(default_factory=IdleWork, init=False, repr=False)
+    background: Background = field(default_factory=Background, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not self.in_process:
-            self._idle.serve()
+            self.background.enable()
 
     def cut(self, rows: int) -> list[slice]:
         """Cut `rows` rows into batches for this workforce, in order and equal to within one row."""
@@ -90,27 +70,15 @@ class Workforce:
         share = getattr(self.executor, "share", None)
         return value if share is None else share(value)
 
-    def later(self, find: Callable[[], Result]) -> Later[Result]:
+    def defer(self, find: Callable[[], Result]) -> Deferred[Result]:
         """Leave something to be found while this process waits for results of `stream_batches`.
 
         Parameters
         ----------
         find : callable
-            See `Later`; results that come meanwhile wait for it.
+            See `Deferred`; results that come meanwhile wait for it.
         """
-        later = Later(find)
-
-        def step() -> bool:
-            later()
-            return False
-
-        self._idle.add(step)
-        return later
-
-    def spend_wait(self, futures: Iterable[Future[Any]]) -> None:
-        """Find what was left for `later`, as long as none of some futures is done."""
-        while self._idle and not any(future.done() for future in futures):
-            self._idle.run_one()
+        return self.background.defer(find)
 
 
 def map_batches(
@@ -188,7 +156,7 @@ def stream_batches(
                     pending[workforce.executor.submit(task, *batch)] = index
                 if not pending:
                     return
-                workforce.spend_wait(pending)
+                workforce.background.run_until(pending)
                 done = next(as_completed(pending))
                 yield pending.pop(done), done.result()
     finally:

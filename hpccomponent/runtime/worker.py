@@ -32,9 +32,9 @@ from hpccomponent.protocol.messages import (
     decode_master_message,
     encode_message,
 )
+from hpccomponent.runtime.background import worker_background
 from hpccomponent.runtime.channel import Channel, ChannelClosedError, cut_payload
 from hpccomponent.runtime.collecting import rare_collections
-from hpccomponent.runtime.idle import idle_work
 from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
 from hpccomponent.runtime.tasks import TaskRegistry, Traits, traits_of
 
@@ -169,16 +169,16 @@ def main(arguments: list[str] | None = None) -> int:
     if not die_with_parent(options.parent, signal.SIGKILL):
         exit_at_end_of_pipe(options.lifeline_fd, 0)
     tasks = TaskRegistry(options.task)
-    idle_work.serve()
+    worker_background.enable()
     ahead = tasks.import_ahead()
-    idle_work.add(lambda: next(ahead, None) is not None)
+    worker_background.add(lambda: next(ahead, None) is not None)
     channel = Channel(socket.socket(fileno=options.channel_fd))
     blobs: dict[bytes, Any] = {}
     try:
         while True:
             wait_s = IDLE_S
-            while idle_work and not channel.has_message(wait_s):
-                idle_work.run_one()
+            while worker_background and not channel.has_message(wait_s):
+                worker_background.run_one()
                 wait_s = 0.0
             control, payload = channel.receive()
             match decode_master_message(control):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hpccomponent.runtime.idle import idle_work
+from hpccomponent.runtime.background import worker_background
 
 
 def echo(*values: Any) -> Any:
@@ -69,8 +69,8 @@ def leave_work(path: str, released: str) -> None:
             found()
         return found is not None
 
-    idle_work.add(lambda: fail("nobody asked for it") or False)
-    idle_work.add(step)
+    worker_background.add(lambda: fail("nobody asked for it") or False)
+    worker_background.add(step)
     wait_for_file(released)
 
 

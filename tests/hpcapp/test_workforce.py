@@ -108,7 +108,7 @@ def test_what_is_left_for_later_is_found_while_results_are_awaited() -> None:
     found: list[str] = []
     with ThreadPoolExecutor(1) as pool:
         workforce, asked = Workforce(pool), Event()
-        later = workforce.later(lambda: (found.append("once"), asked.set()))
+        later = workforce.defer(lambda: (found.append("once"), asked.set()))
         assert map_batches(workforce, asked.wait, [(30.0,)]) == [True]
         assert later() == later()
     assert found == ["once"]
@@ -117,7 +117,7 @@ def test_what_is_left_for_later_is_found_while_results_are_awaited() -> None:
 def test_what_is_left_for_later_is_found_when_it_is_asked_for() -> None:
     found: list[str] = []
     for workforce in (Workforce(SerialExecutor()), Workforce(SerialExecutor(), in_process=True)):
-        later = workforce.later(lambda: found.append("once"))
+        later = workforce.defer(lambda: found.append("once"))
         assert map_batches(workforce, abs, [(-1,)]) == [1]
         assert not found
         later()
@@ -127,7 +127,7 @@ def test_what_is_left_for_later_is_found_when_it_is_asked_for() -> None:
 def test_what_cannot_be_found_says_so_to_whom_asks_for_it() -> None:
     with ThreadPoolExecutor(1) as pool:
         workforce, asked = Workforce(pool), Event()
-        later = workforce.later(lambda: (asked.set(), divide(1.0, 0.0)))
+        later = workforce.defer(lambda: (asked.set(), divide(1.0, 0.0)))
         assert map_batches(workforce, asked.wait, [(30.0,)]) == [True]
         with pytest.raises(ZeroDivisionError):
             later()

@@ -52,7 +52,7 @@ def reconstruct(
     workforce: Workforce,
     clock: StageClock,
     preprocess: tuple[tuple[str, Preprocess], ...] = (),
-    meanwhile: Callable[[], object] | None = None,
+    background: Callable[[], object] | None = None,
 ) -> Reconstruction:
     """Turn oriented points into a mesh.
 
@@ -68,8 +68,8 @@ def reconstruct(
         Times and announces the stages.
     preprocess : tuple of (str, callable)
         Named steps that run first, in order, on clouds in memory.
-    meanwhile : callable, optional
-        Left for `Workforce.later` once the cloud is cut: short passes before would wait for it.
+    background : callable, optional
+        Left for `Workforce.defer` once the cloud is cut: short passes before would wait for it.
 
     Returns
     -------
@@ -90,8 +90,8 @@ def reconstruct(
             cloud = step(cloud)
     with clock.stage("partition"):
         partition = method.partition(cloud, workforce)
-    if meanwhile is not None:
-        workforce.later(meanwhile)
+    if background is not None:
+        workforce.defer(background)
     with clock.stage("fit"):
         quadrics = method.fit(partition, workforce, clock.progress.advance)
     with clock.stage("extract"):

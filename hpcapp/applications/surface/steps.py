@@ -36,7 +36,7 @@ from hpcapp.applications.surface.settings import (
 )
 from hpcapp.backends.selection import Backend
 from hpcapp.progress import StageClock
-from hpcapp.workforce import Later
+from hpccomponent.runtime.background import Deferred
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.cloud.disk import DiskCloud
 from hpccomponent.surface.kernels import bound_points
@@ -141,7 +141,7 @@ def run_loaded(
         "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
         settings.method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),
     )  # fmt: skip
-    doubts = Later(partial(_doubt_points, grid, cloud))
+    doubts = Deferred(partial(_doubt_points, grid, cloud))
     result = run_pipeline(cloud, method, workforce, clock, choose_steps(settings), doubts)
     return Outcome(result, grid, backend, choice, _warn(settings, doubts(), result))
 

@@ -24,8 +24,9 @@ from hpcapp.applications.surface.stitching.assemble import (
 from hpcapp.applications.surface.stitching.plan import WeldPlan, plan_weld
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
 from hpcapp.io import TILES_SUFFIX, needs_double, shared_ply, shared_tiles, write_mesh, write_tiles
-from hpcapp.workforce import Later, Workforce, stream_batches
+from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.files.held_folders import temporary_folder
+from hpccomponent.runtime.background import Deferred
 from hpccomponent.store.base import FolderStore
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import PartSummary
@@ -108,7 +109,7 @@ class PartSurface:
     origin: FloatArray
     keeping: Keeping | None = None
     _plan: WeldPlan | None = None
-    _topology: Later[Topology] | None = None
+    _topology: Deferred[Topology] | None = None
 
     @property
     def plan(self) -> WeldPlan:
@@ -128,7 +129,7 @@ class PartSurface:
     def check(self) -> Topology:
         """Judge its topology."""
         if self._topology is None:
-            self._topology = Later(self.plan.judge)
+            self._topology = Deferred(self.plan.judge)
         return self._topology()
 
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
@@ -155,7 +156,7 @@ class PartSurface:
         """
         suffix = path.suffix.lower()
         if suffix in (".ply", TILES_SUFFIX) and self.keeping is not None and self.keeping.is_shared:
-            self._topology = self._topology or workforce.later(self.plan.judge)
+            self._topology = self._topology or workforce.defer(self.plan.judge)
             write = self._share_ply if suffix == ".ply" else self._share_tiles
             write(path, workforce, self.keeping.place)
             return

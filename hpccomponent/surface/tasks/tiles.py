@@ -18,7 +18,7 @@ from functools import partial
 
 import numpy as np
 
-from hpccomponent.runtime.idle import idle_work
+from hpccomponent.runtime.background import worker_background
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.base import hold_store
 from hpccomponent.surface.extraction.parts import MeshPart
@@ -46,6 +46,7 @@ from hpccomponent.surface.tasks.result_patterns import (
     surface_bytes,
     tile_surface,
 )
+from hpccomponent.surface.tiles.cache import TileCache
 from hpccomponent.surface.tiles.halo import HALO_STEPS, plan_gap
 from hpccomponent.surface.tiles.plan import CoarseLevels, Plan, Values
 from hpccomponent.surface.tiles.points import CellPoints, estimate_work, take_points
@@ -75,8 +76,8 @@ KEPT_TILES = 3
 """So many tiles that a process has summed wait there to be meshed, some 100 bytes a point
 where it reads them from a folder, and 130 where it is sent them."""
 
-_waiting: dict[str, PreparedTile] = {}
-"""By their tickets, the one that was summed first before the others."""
+TILES = TileCache(KEPT_TILES)
+"""Of this process."""
 
 
 @declare(
@@ -124,10 +125,8 @@ def sum_tile(
     common = Plan(*plan)
     prepared = PreparedTile(common, points, threads)
     if ticket is not None:
-        while len(_waiting) >= KEPT_TILES:
-            _waiting.pop(next(iter(_waiting), ""), None)
-        _waiting[ticket] = prepared
-        idle_work.add(partial(_lay_ahead, ticket))
+        TILES.put(ticket, prepared)
+        worker_background.add(partial(TILES.advance, ticket))
     finest, coarse = prepared.levels[0], prepared.levels[-1]
     own = finest.cells[prepared.groups == 0]
     marks = mark_ancestors(own, common.coarse, coarse.cells)
@@ -257,8 +256,8 @@ def mesh_tile(
         Bricks where the surface leaves the tile and there are no points (see `bricks`).
     """
     common = Plan(*plan)
-    prepared = _waiting.pop(ticket, None) if ticket is not None else None
-    is_last = ticket is not None and not _waiting
+    prepared = TILES.pop(ticket)
+    is_last = ticket is not None and not len(TILES)
     if prepared is None:
         prepared = PreparedTile(common, points, threads)
     kinds, corners = prepared.laid()
@@ -365,12 +364,3 @@ def _give(
         leave_for_files()
     hold_store(place).put(name, (values, summary, exits))
     return None, summary, exits
-
-
-def _lay_ahead(ticket: str) -> bool:
-    """Do a step of a tile that waits to be meshed; return whether there are more."""
-    try:
-        return ticket in _waiting and _waiting[ticket].lay_some()
-    except BaseException:
-        del _waiting[ticket]  # `mesh_tile` prepares it anew, and meets the error if it stays
-        raise

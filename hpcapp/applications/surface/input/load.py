@@ -175,7 +175,7 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
     arranged, cleaned_folder = folder / f"arranged-{run}", folder / f"cleaned-{run}"
     make_private_folder(arranged)
     for module in _LATER:
-        passes.workforce.later(partial(import_module, module))
+        passes.workforce.defer(partial(import_module, module))
     with clock.stage("read"):
         read = ingest_file(
             open_points(settings.points), arranged, passes, drop_far=settings.method.cleans

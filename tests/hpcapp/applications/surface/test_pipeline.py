@@ -10,8 +10,9 @@ from hpcapp.applications.surface.paper.method import PaperMethod
 from hpcapp.applications.surface.pipeline import reconstruct
 from hpcapp.backends.selection import SerialExecutor
 from hpcapp.progress import SilentProgress, StageClock
-from hpcapp.workforce import Later, Workforce
+from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError
+from hpccomponent.runtime.background import Deferred
 from hpccomponent.surface.types.points import PointCloud
 
 SERIAL = Workforce(SerialExecutor())
@@ -36,9 +37,9 @@ def test_what_is_left_for_meanwhile_is_left_once_the_cloud_is_cut(sphere: PointC
     clock, left = StageClock(SilentProgress()), []
 
     class Recording(Workforce):
-        def later(self, find: Callable[[], Any]) -> Later[Any]:
+        def defer(self, find: Callable[[], Any]) -> Deferred[Any]:
             left.append((find, list(clock.seconds)))
-            return super().later(find)
+            return super().defer(find)
 
     def meanwhile() -> None:
         raise AssertionError  # in one process nobody waits

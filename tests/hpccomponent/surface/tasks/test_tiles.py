@@ -9,7 +9,7 @@ from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.backends.selection import SerialExecutor
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import JobError
-from hpccomponent.runtime.idle import IdleWork
+from hpccomponent.runtime.background import Background
 from hpccomponent.store.base import FolderStore
 from hpccomponent.surface.cloud.arranged import arrange_cloud
 from hpccomponent.surface.extraction.parts import join_parts
@@ -17,6 +17,7 @@ from hpccomponent.surface.tasks import tiles as region
 from hpccomponent.surface.tasks.tiles import KEPT_TILES, mesh_tile, solve_far, sum_tile
 from hpccomponent.surface.tiles import prepared as prepared_tile
 from hpccomponent.surface.tiles import slabs as slab_growth
+from hpccomponent.surface.tiles.cache import TileCache
 from hpccomponent.surface.tiles.points import take_points
 from hpccomponent.surface.tiles.prepared import PreparedTile, lay_corners
 from hpccomponent.surface.types.points import PointCloud
@@ -91,9 +92,9 @@ def test_sums_can_be_kept_in_a_folder(tmp_path):
 
 
 def test_corners_are_laid_in_idle_time_and_change_nothing(monkeypatch):
-    idle = IdleWork()
-    idle.serve()
-    monkeypatch.setattr(region, "idle_work", idle)
+    idle = Background()
+    idle.enable()
+    monkeypatch.setattr(region, "worker_background", idle)
     done = []
 
     def lay_aloud(*given):
@@ -129,9 +130,9 @@ def test_corners_are_laid_in_idle_time_and_change_nothing(monkeypatch):
 
 
 def test_what_fails_in_idle_time_is_tried_again_by_the_task(monkeypatch):
-    idle = IdleWork()
-    idle.serve()
-    monkeypatch.setattr(region, "idle_work", idle)
+    idle = Background()
+    idle.enable()
+    monkeypatch.setattr(region, "worker_background", idle)
     method = HierarchicalMethod(48)
     partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
     plan, tiling = partition.plan.to_values(), partition.tiling
@@ -186,7 +187,7 @@ def test_what_the_last_tile_has_left_goes_before_that_is_kept(monkeypatch, tmp_p
     plan, tiling = partition.plan.to_values(), partition.tiling
     points = [tiling.tile(index) for index in range(2)]
     events = []
-    monkeypatch.setattr(region, "_waiting", {})
+    monkeypatch.setattr(region, "TILES", TileCache(region.KEPT_TILES))
     monkeypatch.setattr(region, "leave_for_files", lambda: events.append("left"))
     monkeypatch.setattr(FolderStore, "put", lambda store, name, value: events.append(name))
     sums = [sum_tile(plan, some, ticket) for some, ticket in zip(points, "gh", strict=True)]
@@ -220,4 +221,4 @@ def test_tiles_leave_memory_with_their_last_use(monkeypatch):
         assert [tile() is None for tile in found[1:]] == [True] * 2 + [False] * KEPT_TILES
     finally:
         gc.enable()
-        region._waiting.clear()
+        monkeypatch.setattr(region, "TILES", TileCache(region.KEPT_TILES))

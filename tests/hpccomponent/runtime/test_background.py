@@ -1,6 +1,6 @@
-"""Work for idle times is done in turn where somebody serves it, and is kept nowhere else."""
+"""Background work is done in turn where it is enabled, and is kept nowhere else."""
 
-from hpccomponent.runtime.idle import IdleWork
+from hpccomponent.runtime.background import Background
 
 
 def fail() -> bool:
@@ -9,8 +9,8 @@ def fail() -> bool:
 
 def test_work_is_done_in_turn_whatever_fails() -> None:
     done: list[str] = []
-    work = IdleWork()
-    work.serve()
+    work = Background()
+    work.enable()
     for name, steps in (("first", 1), ("second", 3)):
         work.add(lambda name=name, steps=steps: done.append(name) or done.count(name) < steps)
         work.add(fail)
@@ -21,8 +21,8 @@ def test_work_is_done_in_turn_whatever_fails() -> None:
     assert done == ["first", *["second"] * 3]
 
 
-def test_nothing_is_kept_where_nobody_serves_it() -> None:
-    work = IdleWork()
+def test_nothing_is_kept_where_it_is_not_enabled() -> None:
+    work = Background()
     work.add(fail)
-    work.serve()
+    work.enable()
     assert not work
