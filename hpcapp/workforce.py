@@ -10,15 +10,19 @@ from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
+from pathlib import Path
 from typing import Any, TypeVar
 
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import HpcError, TaskError, WorkerLostError
+from hpccomponent.files.shared_files import sees_files
 from hpccomponent.runtime.background import Background, Deferred
 
 __all__ = ["Workforce", "begin_batch", "cut_equal", "map_batches", "stream_batches"]
 
 Result = TypeVar("Result")
+
+_ASKED = 2  # times, of each worker on average
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +83,32 @@ class Workforce:
             See `Deferred`; results that come meanwhile wait for it.
         """
         return self.background.defer(find)
+
+    def sees(self, *files: Path) -> bool:
+        """Ask the workers whether they see some files, so that they may use them themselves.
+
+        An Executor does not say which worker a task will run on: each is asked twice on average,
+        and who was not asked must still be able to tell.
+
+        Parameters
+        ----------
+        *files : Path
+            As for `hpccomponent.files.shared_files.sees_files`; they must not grow meanwhile.
+
+        Returns
+        -------
+        bool
+            Whether all answers were yes; true where tasks run in this process.
+
+        Raises
+        ------
+        OSError
+            This process does not see one of them itself.
+        """
+        found = tuple((str(file.resolve()), file.stat().st_size) for file in files)
+        if self.in_process:
+            return True
+        return all(map_batches(self, sees_files, [found] * (_ASKED * self.workers)))
 
 
 def map_batches(

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from hpcapp.backends.selection import SerialExecutor, open_executor
-from hpcapp.shared_files import workers_see
 from hpcapp.workforce import Workforce
 from hpccomponent.files.shared_files import sees_files
 
@@ -24,7 +23,7 @@ def test_workers_of_this_machine_see_its_files(
     Path("none").touch()
     workers = None if name == "serial" else 2
     with open_executor(name, workers=workers) as backend:
-        assert workers_see(backend.workforce, Path("one"), Path("none"))
+        assert backend.workforce.sees(Path("one"), Path("none"))
 
 
 class Elsewhere(SerialExecutor):
@@ -42,11 +41,11 @@ def test_one_worker_that_sees_another_file_is_enough(tmp_path: Path) -> None:
     path = tmp_path / "points"
     path.write_bytes(b"12345")
     elsewhere = Elsewhere()
-    assert not workers_see(Workforce(elsewhere, 2), path)
+    assert not Workforce(elsewhere, 2).sees(path)
     assert elsewhere.asked == 4
 
 
 def test_what_is_not_there_is_not_seen(tmp_path: Path) -> None:
     assert not sees_files((str(tmp_path / "none"), 0))
     with pytest.raises(OSError, match="none"):
-        workers_see(Workforce(SerialExecutor()), tmp_path / "none")
+        Workforce(SerialExecutor()).sees(tmp_path / "none")

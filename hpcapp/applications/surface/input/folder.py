@@ -14,7 +14,6 @@ from hpcapp.applications.surface.scans import Passes
 from hpcapp.applications.surface.settings import JobSettings, Settings, choose_steps, name_backend
 from hpcapp.backends.selection import BACKENDS, Backend
 from hpcapp.io import open_points
-from hpcapp.shared_files import workers_see
 from hpccomponent.files.private_files import make_private_folder
 from hpccomponent.limits import available_cores
 
@@ -63,7 +62,7 @@ def all_see_folder(folder: Path, backend: Backend) -> bool:
     if backend.name in BACKENDS:  # on this machine
         return True
     with tempfile.NamedTemporaryFile(dir=folder) as sign:
-        return workers_see(backend.workforce, Path(sign.name))
+        return backend.workforce.sees(Path(sign.name))
 
 
 def plan_passes(path: Path, folder: Path, backend: Backend, points: int) -> Passes:
@@ -83,6 +82,6 @@ def plan_passes(path: Path, folder: Path, backend: Backend, points: int) -> Pass
         return Passes(backend.workforce, True, points)
     make_private_folder(folder.parent)
     with tempfile.NamedTemporaryFile(dir=folder.parent) as sign:
-        sees_both = workers_see(backend.workforce, Path(sign.name), path)
+        sees_both = backend.workforce.sees(Path(sign.name), path)
     sees = sees_both or all_see_folder(folder.parent, backend)
     return Passes(backend.workforce, sees, points, sees_both)

@@ -69,13 +69,17 @@ def test_few_points_or_no_room_stay_in_memory(scan: Path, monkeypatch: pytest.Mo
 @pytest.mark.parametrize("sees", [True, False])
 @pytest.mark.parametrize("sees_input", [True, False])
 def test_workers_elsewhere_are_asked_what_they_see(
-    scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sees: bool, sees_input: bool
+    scan: Path, tmp_path: Path, sees: bool, sees_input: bool
 ) -> None:
     """Of a machine on which some of the files are not there."""
     seen = (sees, sees and sees_input)
-    monkeypatch.setattr(folder, "workers_see", lambda _, *files: seen[files[-1] == scan])
+
+    class Elsewhere(Workforce):
+        def sees(self, *files: Path) -> bool:
+            return seen[files[-1] == scan]
+
     with ThreadPoolExecutor(1) as executor:
-        backend = Backend("dask", Workforce(executor))
+        backend = Backend("dask", Elsewhere(executor))
         passes = plan_passes(scan, tmp_path / "job" / "points", backend, 1_000)
     assert (passes.workers_see, passes.workers_see_input) == seen
     assert list((tmp_path / "job").iterdir()) == []
