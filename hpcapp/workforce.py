@@ -124,7 +124,7 @@ def map_batches(
     workforce : Workforce
         Where the batches run.
     task : callable
-        A registered task (see ``docs/design.md``).
+        A registered task (see ``docs/explanation/design.md``).
     batches : sequence of tuple
         The positional arguments of each call.
     advance : callable, optional

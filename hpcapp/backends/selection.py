@@ -16,7 +16,7 @@ mpi          the other ranks of the MPI job whose rank 0 this process is
 module:func  the Executor that a function makes
 ===========  =========================================================================
 
-``docs/backends.md`` says which to choose.
+``docs/how-to/choose-a-backend.md`` says which to choose.
 """
 
 from __future__ import annotations

@@ -262,7 +262,7 @@ class CommunicatorExecutor(Executor):
         fn : callable or str
             The task's function, or its name.
         *args
-            Values (see ``docs/design.md``), and what `share` returned; arrays must not change
+            Values (see ``docs/explanation/design.md``), and what `share` returned; arrays must not change
             before the future is done.
 
         Returns

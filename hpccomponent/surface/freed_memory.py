@@ -1,6 +1,6 @@
 """What becomes of memory that this process has freed: the system's again, or its own for later.
 
-See `docs/kernels.md` for what it saves.
+See `docs/explanation/kernels.md` for what it saves.
 """
 
 from __future__ import annotations

@@ -58,14 +58,14 @@ def keys_of(model: type[ConfigModel], above: str = "") -> Iterator[tuple[str, An
 
 def reference() -> dict[str, str]:
     """Return the rows of the page's tables of keys: key to default."""
-    page = (ROOT / "docs/cluster.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/how-to/run-on-a-cluster.md").read_text(encoding="utf-8")
     tables = [block for block in page.split("\n\n") if block.startswith("| key | default |")]
     rows = [line.split("|") for table in tables for line in table.splitlines()[2:]]
     return {row[1].strip().strip("`"): row[2].strip() for row in rows}
 
 
 def test_the_pages_file_is_valid_and_its_mistakes_are_told_so(tmp_path: Path) -> None:
-    page = (ROOT / "docs/cluster.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/how-to/run-on-a-cluster.md").read_text(encoding="utf-8")
     _, _, text = page.partition("## The file\n```yaml\n")
     text, _, after = text.partition("```\n")
     told = after.split("```\n")[1]

@@ -227,7 +227,7 @@ class Data(ConfigModel):
 
 
 class ClusterSpec(ConfigModel):
-    """A cluster file; see ``docs/cluster.md``.
+    """A cluster file; see ``docs/how-to/run-on-a-cluster.md``.
 
     What it leaves to defaults that depend on one another is asked for by the methods.
     """

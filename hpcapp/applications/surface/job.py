@@ -62,7 +62,7 @@ def run_job(
     Returns
     -------
     dict
-        The job's report: JSON values; its keys are in ``docs/reconstruct.md``.
+        The job's report: JSON values; its keys are in ``docs/reference/reconstruct.md``.
 
     Raises
     ------

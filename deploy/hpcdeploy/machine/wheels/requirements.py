@@ -134,7 +134,7 @@ def find_problems(spec: ClusterSpec, base: Path) -> list[Problem]:
     return [
         Problem(
             f"{folder}: no wheel of {missing} for {kind}",
-            "add it: see docs/cluster.md, env",
+            "add it: see docs/how-to/run-on-a-cluster.md, env",
             is_fatal=all(lacking.values()),
         )
         for kind, names in lacking.items()

@@ -188,7 +188,7 @@ def cut_tiles(cells: IntArray, work: IntArray | FloatArray, count: int) -> IntAr
 
     Notes
     -----
-    The halos of runs along a Morton curve hold a half more (`docs/tiles.md`).
+    The halos of runs along a Morton curve hold a half more (`docs/explanation/tiles.md`).
     """
     places = unpack_keys(cells)
     tiles = np.zeros(len(cells), np.int64)

@@ -9,7 +9,7 @@
 
 The preprocessing (outliers, noise, density) is the pipeline's, by the steps of `preprocess.py`.
 
-What it can reproduce of the paper's figures, and what not: ``docs/paper.md``.
+What it can reproduce of the paper's figures, and what not: ``docs/explanation/paper.md``.
 """
 
 from __future__ import annotations

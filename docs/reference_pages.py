@@ -1,0 +1,145 @@
+"""Makes the reference pages that code describes: the command line, the cluster file, the API."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin
+
+import click
+from pydantic import BaseModel
+from pydantic_core import PydanticUndefined
+
+import hpcapp
+from hpcapp.cli import hpcapp as command_line
+from hpcdeploy.spec.cluster import ClusterSpec
+
+
+def describe_commands() -> Iterator[str]:
+    """Yield the page of the command line, made from click."""
+    yield "# Command line\n"
+    yield "Every command has `--help`; exit codes are 0 done, 1 job failed, 2 usage or configuration,"
+    yield "3 bad input data, 4 cloud or provisioning, 130 interrupted.\n"
+    root = click.Context(command_line, info_name="hpcapp")
+    for name in sorted(command_line.list_commands(root)):
+        command = command_line.get_command(root, name)
+        assert command is not None
+        context = click.Context(command, info_name=name, parent=root)
+        yield f"## {name}\n"
+        yield f"{inspect.cleandoc(command.help or '')}\n"
+        yield f"```\n{context.get_usage().removeprefix('Usage: ')}\n```\n"
+        rows = [option.get_help_record(context) for option in command.get_params(context)]
+        if table := [row for row in rows if row is not None]:
+            yield "| option | meaning |\n|---|---|"
+            yield from (
+                f"| `{flag.replace('|', chr(92) + '|')}` | {_cell(text)} |" for flag, text in table
+            )
+            yield ""
+
+
+def describe_cluster_file() -> Iterator[str]:
+    """Yield the page of the cluster file, made from its pydantic models."""
+    yield "# Cluster file\n"
+    guide = "[Run on a cluster](../../how-to/run-on-a-cluster.md)"
+    yield f"Every key with its default. How to write one: {guide}.\n"
+    seen: set[type[BaseModel]] = set()
+    waiting: list[tuple[str, type[BaseModel]]] = [("", ClusterSpec)]
+    while waiting:
+        place, model = waiting.pop(0)
+        if model in seen:
+            continue
+        seen.add(model)
+        kind = model.model_fields.get("type")
+        types = [f"`{name}`" for name in get_args(kind.annotation)] if kind else []
+        yield f"## {f'`{place}`' if place else 'The file'}{' of ' * bool(types)}{', '.join(types)}\n"
+        summary, texts = _read_docstring(model)
+        yield f"{summary}\n"
+        yield "| key | default | meaning |\n|---|---|---|"
+        for key, field in model.model_fields.items():
+            default = _default(field.default, field.default_factory)
+            yield f"| `{place}{'.' if place else ''}{key}` | {default} | {_cell(texts.get(key, ''))} |"
+            for inner in _models(field.annotation):
+                waiting.append((f"{place}{'.' if place else ''}{key}", inner))
+        yield ""
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the models within a field's type."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    elif get_origin(annotation) in (Union, UnionType, dict, tuple, list) or get_args(annotation):
+        for part in get_args(annotation):
+            if part is not NoneType:
+                yield from _models(part)
+
+
+def _default(value: Any, factory: Any) -> str:
+    if factory is not None:
+        value = factory()
+    if value is PydanticUndefined:
+        return "required"
+    if value is None or value == () or value == {}:
+        return ""
+    if isinstance(value, BaseModel):
+        return "see below"
+    return f"`{json.dumps(value) if not isinstance(value, str | tuple) else _plain(value)}`"
+
+
+def _plain(value: Any) -> str:
+    return value if isinstance(value, str) else ", ".join(map(str, value))
+
+
+def _read_docstring(model: type[BaseModel]) -> tuple[str, dict[str, str]]:
+    """Return a model's summary, and what it and its bases say of each parameter."""
+    texts = [inspect.cleandoc(kind.__doc__ or "") for kind in model.__mro__]
+    found: dict[str, str] = {}
+    for text in reversed(texts):
+        names: list[str] = []
+        for line in text.partition("Parameters\n----------\n")[2].splitlines():
+            if match := re.match(r"([\w, ]+) : ", line):
+                names = [name.strip() for name in match[1].split(",")]
+                found.update(dict.fromkeys(names, ""))
+            elif names and line.startswith("    "):
+                for name in names:
+                    found[name] = f"{found[name]} {line.strip()}".strip()
+    return texts[0].split("\n\n", 1)[0], found
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.replace("|", "\\|").split())
+
+
+def describe_python() -> Iterator[str]:
+    """Yield the page of the interface for Python, which autodoc fills."""
+    yield "# Python\n"
+    yield "`import hpcapp` gives all of this, each imported when it is first used.\n"
+    for name in sorted(hpcapp.__all__):
+        home = getattr(hpcapp, name)
+        kind = "autoclass" if isinstance(home, type) else "autofunction"
+        yield f"## `hpcapp.{name}`\n"
+        yield f"```{{eval-rst}}\n.. {kind}:: {home.__module__}.{home.__qualname__}\n```\n"
+
+
+def write(docs: Path) -> None:
+    """Write the pages that changed into ``reference/generated``.
+
+    Parameters
+    ----------
+    docs : Path
+        The folder of the site's sources.
+    """
+    folder = docs / "reference" / "generated"
+    folder.mkdir(exist_ok=True)
+    for name, lines in (
+        ("command-line.md", describe_commands()),
+        ("cluster-file.md", describe_cluster_file()),
+        ("python.md", describe_python()),
+    ):
+        text = "\n".join(lines) + "\n"
+        page = folder / name
+        if not page.is_file() or page.read_text(encoding="utf-8") != text:
+            page.write_text(text, encoding="utf-8")
