@@ -1,4 +1,4 @@
-"""Makes the reference pages that code describes: the command line, the cluster file, the API."""
+"""Makes the reference pages: command line, cluster file, API, and the measured figures."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ from hpcdeploy.spec.cluster import ClusterSpec
 def describe_commands() -> Iterator[str]:
     """Yield the page of the command line, made from click."""
     yield "# Command line\n"
-    yield "Every command has `--help`; exit codes are 0 done, 1 job failed, 2 usage or configuration,"
-    yield "3 bad input data, 4 cloud or provisioning, 130 interrupted.\n"
+    yield "Every command has `--help`. Exit codes: 0 done, 1 job failed, 2 usage or configuration,"
+    yield "3 bad input, 4 cloud or provisioning, 130 interrupted.\n"
     root = click.Context(command_line, info_name="hpcapp")
     for name in sorted(command_line.list_commands(root)):
         command = command_line.get_command(root, name)
-        assert command is not None
+        if command is None:  # listed, but not to be loaded
+            continue
         context = click.Context(command, info_name=name, parent=root)
         yield f"## {name}\n"
         yield f"{inspect.cleandoc(command.help or '')}\n"
@@ -55,15 +56,16 @@ def describe_cluster_file() -> Iterator[str]:
         seen.add(model)
         kind = model.model_fields.get("type")
         types = [f"`{name}`" for name in get_args(kind.annotation)] if kind else []
-        yield f"## {f'`{place}`' if place else 'The file'}{' of ' * bool(types)}{', '.join(types)}\n"
+        heading = f"`{place}`" if place else "The file"
+        yield f"## {heading}{' of ' * bool(types)}{', '.join(types)}\n"
         summary, texts = _read_docstring(model)
         yield f"{summary}\n"
         yield "| key | default | meaning |\n|---|---|---|"
         for key, field in model.model_fields.items():
+            path = f"{place}.{key}" if place else key
             default = _default(field.default, field.default_factory)
-            yield f"| `{place}{'.' if place else ''}{key}` | {default} | {_cell(texts.get(key, ''))} |"
-            for inner in _models(field.annotation):
-                waiting.append((f"{place}{'.' if place else ''}{key}", inner))
+            yield f"| `{path}` | {default} | {_cell(texts.get(key, ''))} |"
+            waiting.extend((path, inner) for inner in _models(field.annotation))
         yield ""
 
 
@@ -124,6 +126,21 @@ def describe_python() -> Iterator[str]:
         yield f"```{{eval-rst}}\n.. {kind}:: {home.__module__}.{home.__qualname__}\n```\n"
 
 
+def describe_benchmarks(folder: Path) -> Iterator[str]:
+    """Yield the page of measured figures: the introduction, then a table for each result."""
+    yield (folder / "README.md").read_text(encoding="utf-8")
+    for path in sorted((folder / "results").glob("*.json")):
+        result = json.loads(path.read_text(encoding="utf-8"))
+        yield f"({path.stem})=\n## {result['title']}\n"
+        yield f"```text\n{result['command']}\n```\n"
+        yield f"Commit: {result['commit']}. Machine: {result['machine']}.\n"
+        yield f"| {' | '.join(result['columns'])} |\n|{'---|' * len(result['columns'])}"
+        yield from (f"| {' | '.join(row)} |" for row in result["rows"])
+        yield ""
+        yield from (f"- {note}" for note in result["notes"])
+        yield ""
+
+
 def write(docs: Path) -> None:
     """Write the pages that changed into ``reference/generated``.
 
@@ -138,6 +155,7 @@ def write(docs: Path) -> None:
         ("command-line.md", describe_commands()),
         ("cluster-file.md", describe_cluster_file()),
         ("python.md", describe_python()),
+        ("benchmarks.md", describe_benchmarks(docs.parent / "benchmarks")),
     ):
         text = "\n".join(lines) + "\n"
         page = folder / name
