@@ -73,7 +73,8 @@ def main(pages: Sequence[str]) -> int:
     for path in map(Path, pages) if pages else found:
         count = len(find_commands(path.read_text(encoding="utf-8")))
         failed = run_page(path)
-        print(f"{os.path.relpath(path)}: {count} blocks, {'failed' if failed is not None else 'fine'}", flush=True)
+        outcome = "fine" if failed is None else "failed"
+        print(f"{os.path.relpath(path)}: {count} blocks, {outcome}", flush=True)
         if failed is not None:
             print(failed)
             code = 1
