@@ -128,7 +128,8 @@ def describe_python() -> Iterator[str]:
 
 def describe_benchmarks(folder: Path) -> Iterator[str]:
     """Yield the page of measured figures: the introduction, then a table for each result."""
-    yield (folder / "README.md").read_text(encoding="utf-8")
+    introduction = (folder / "README.md").read_text(encoding="utf-8")
+    yield introduction.replace("](../docs/", "](../../")
     for path in sorted((folder / "results").glob("*.json")):
         result = json.loads(path.read_text(encoding="utf-8"))
         yield f"({path.stem})=\n## {result['title']}\n"
