@@ -262,8 +262,8 @@ class CommunicatorExecutor(Executor):
         fn : callable or str
             The task's function, or its name.
         *args
-            Values (see ``docs/explanation/design.md``), and what `share` returned; arrays must not change
-            before the future is done.
+            Values (see ``docs/explanation/design.md``), and what `share` returned; arrays must not
+            change before the future is done.
 
         Returns
         -------

@@ -1,8 +1,8 @@
 """What may be ended, and by which proof: every termination passes `end`.
 
 A machine that runs may be at work for somebody, whatever we can see of it. That we cannot log in
-to it, cannot set it up again or do not find our names on it proves nothing. `docs/explanation/design.md` has
-the table of what each path may end.
+to it, cannot set it up again or do not find our names on it proves nothing.
+`docs/explanation/design.md` has the table of what each path may end.
 """
 
 from __future__ import annotations

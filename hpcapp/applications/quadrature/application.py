@@ -1,4 +1,4 @@
-"""Adaptive quadrature: a second application, and the tutorial's (``docs/how-to/write-an-application.md``).
+"""Adaptive quadrature: the application of ``docs/how-to/write-an-application.md``.
 
 It shares nothing with surface reconstruction but the framework: a task of values, and a master
 process that cuts work into batches and decides what comes next.

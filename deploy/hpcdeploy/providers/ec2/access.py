@@ -213,7 +213,8 @@ class GroupKeeper:
 
 
 def _specification(kind: str, tags: Mapping[str, str]) -> list[dict[str, Any]]:
-    # What the cloud's keys may change can so be bound to the tag: see docs/how-to/run-on-a-cluster.md.
+    # What the cloud's keys may change can so be bound to the tag: see
+    # docs/how-to/run-on-a-cluster.md.
     pairs = [{"Key": key, "Value": value} for key, value in tags.items()]
     return [{"ResourceType": kind, "Tags": pairs}]
 
