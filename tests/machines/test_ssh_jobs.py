@@ -17,9 +17,9 @@ from machines.servers import Machines, Server
 from hpccomponent.errors import CloudError
 from hpccomponent.inventory import hold_cluster
 from hpcdeploy.jobs import cluster_job
-from hpcdeploy.jobs.folder import JobState
 from hpcdeploy.jobs.queries import open_jobs
 from hpcdeploy.reconcile.cluster import open_cluster
+from hpcdeploy.spec.job_folder import JobState
 
 FOLDER = "hpcapp/lab"
 WAITING = "waiting for the cluster's present job"

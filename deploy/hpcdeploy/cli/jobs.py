@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from hpcdeploy.jobs.folder import JobStatus
+    from hpcdeploy.spec.job_folder import JobStatus
 
 __all__ = ["attach", "cancel", "fetch", "jobs", "logs", "submit"]
 

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 from hpccomponent.errors import CloudError, HpcError, OutputError
 from hpcdeploy.jobs.display import open_display
-from hpcdeploy.jobs.folder import JobStatus
 from hpcdeploy.jobs.queries import Jobs, open_jobs
 from hpcdeploy.machine.provider import State
 from hpcdeploy.reconcile.cluster import open_cluster
+from hpcdeploy.spec.job_folder import JobStatus
 from hpcdeploy.spec.layout import machine_folder
 
 if TYPE_CHECKING:

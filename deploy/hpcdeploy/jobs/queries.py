@@ -20,16 +20,16 @@ from hpccomponent.errors import (
     JobError,
     UsageError,
 )
-from hpcdeploy.jobs.bucket import Bucket, open_bucket
 from hpcdeploy.jobs.display import JobDisplay
-from hpcdeploy.jobs.folder import JobOrder, JobState, JobStatus
 from hpcdeploy.machine.shell import Shell
+from hpcdeploy.providers.bucket import Bucket, open_bucket
+from hpcdeploy.spec.job_folder import JobOrder, JobState, JobStatus
 from hpcdeploy.spec.layout import machine_folder
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
 
-__all__ = ["Jobs", "end_jobs", "open_jobs", "raise_failure"]
+__all__ = ["Jobs", "open_jobs", "raise_failure"]
 
 _ERRORS: dict[int, type[HpcError]] = {2: UsageError, 3: InputError, 4: CloudError}
 PATIENCE_S = 60.0
@@ -227,27 +227,6 @@ def open_jobs(cluster: Cluster) -> Jobs:
     head = cluster.access.open(cluster.head())
     bucket = open_bucket(cluster.spec, cluster.path.absolute().parent)
     return Jobs(head, cluster.spec.cluster, bucket)
-
-
-def end_jobs(head: Shell, cluster: str) -> None:
-    """End all jobs of a cluster whose head stays when the cluster goes.
-
-    Raises
-    ------
-    CloudError
-        They do not end.
-    """
-    folder = machine_folder(cluster)
-    done = head.run(
-        f"cd {folder} && [ -d jobs ] && [ -x venv/bin/python ] || exit 0; "
-        "exec venv/bin/python -P -m hpcdeploy.jobs.runner --folder . end",
-        timeout_s=PATIENCE_S,
-    )
-    if done.exit_code != 0:
-        raise CloudError(
-            f"{head.node}: its jobs do not end ({done.errors.strip()[-200:]})",
-            f"end them by hand, see {folder}/jobs",
-        )
 
 
 def raise_failure(status: JobStatus) -> None:

@@ -30,7 +30,8 @@ from typing import NoReturn
 
 from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.runtime.lifetime import die_with_parent
-from hpcdeploy.jobs.folder import (
+from hpcdeploy.jobs.tail import follow, print_line
+from hpcdeploy.spec.job_folder import (
     EXIT_CANCELLED,
     JobFolder,
     JobOrder,
@@ -40,7 +41,6 @@ from hpcdeploy.jobs.folder import (
     create_job,
     now,
 )
-from hpcdeploy.jobs.tail import follow, print_line
 
 __all__ = ["main"]
 
@@ -111,7 +111,7 @@ def _run_verb(folder: Path, job: JobFolder, lock: int) -> int:
     order = job.read_order()
     points = folder / order.points
     if order.points_url:
-        from hpcdeploy.jobs.bucket_client import fetch_points
+        from hpcdeploy.machine.bucket_client import fetch_points
 
         fetch_points(order, points, _say)
     command = [
@@ -156,7 +156,7 @@ def _finish(job: JobFolder, status: JobStatus, code: int) -> JobStatus:
     order = job.read_order()
     status = replace(status, state=JobState.DONE, exit_code=0)
     if order.mesh_url:
-        from hpcdeploy.jobs.bucket_client import send_mesh
+        from hpcdeploy.machine.bucket_client import send_mesh
 
         digest = send_mesh(order, job.path / order.mesh, _say)
         status = replace(status, mesh_key=order.mesh_key, mesh_sha256=digest)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from hpcdeploy.jobs.folder import EXIT_CANCELLED, JobFolder, JobState, JobStatus, now
+from hpcdeploy.spec.job_folder import EXIT_CANCELLED, JobFolder, JobState, JobStatus, now
 
 __all__ = ["follow", "print_line"]
 

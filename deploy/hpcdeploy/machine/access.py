@@ -15,8 +15,10 @@ from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import expand_home
 from hpccomponent.protocol.keys import KeyPair
 from hpcdeploy.machine.host_keys import HostKeys, parse_console
+from hpcdeploy.machine.journal import begun_lives
 from hpcdeploy.machine.local_shell import LocalShell
 from hpcdeploy.machine.node_keys import NodeKeys
+from hpcdeploy.machine.ownership import Held, cloud_fingerprints, fingerprint
 from hpcdeploy.machine.provider import MachineSeen, Provider
 from hpcdeploy.machine.shell import Shell
 from hpcdeploy.machine.ssh.connect import connect
@@ -25,8 +27,6 @@ from hpcdeploy.machine.ssh.reach import Reach, ReachError
 from hpcdeploy.machine.ssh.shell import SshShell
 from hpcdeploy.machine.ssh.target import Target, host_id, host_target, jump_targets
 from hpcdeploy.machine.ssh.way import Patience
-from hpcdeploy.reconcile.journal import begun_lives
-from hpcdeploy.reconcile.ownership import Held, cloud_fingerprints, fingerprint
 from hpcdeploy.spec.cluster import ClusterSpec, address_kind
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import Owner, this_user

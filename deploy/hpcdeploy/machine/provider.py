@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from hpcdeploy.spec.names import NOBODY, NodeName, Owner
 
@@ -18,6 +18,7 @@ __all__ = [
     "GroupSeen",
     "KeyPairSeen",
     "Launch",
+    "LaunchChoice",
     "MachineSeen",
     "Observed",
     "Problem",
@@ -35,6 +36,27 @@ class State(StrEnum):
     ENDING = "ending"
     GONE = "gone"
     UNKNOWN = "unknown"  # it is there, but does not let us see what it does: it may be at work
+
+
+class LaunchChoice(NamedTuple):
+    """One way to have a machine.
+
+    Parameters
+    ----------
+    instance_type : str
+    market : str
+        ``on_demand`` or ``spot``.
+    place : str
+        A zone, or the id of a subnet, where the file names several; else empty.
+    """
+
+    instance_type: str
+    market: str
+    place: str = ""
+
+    def __str__(self) -> str:
+        where = f", {self.place}" if self.place else ""
+        return f"{self.instance_type} ({self.market}{where})"
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.jobs.queries import end_jobs
+from hpcdeploy.machine.job_end import end_jobs
 from hpcdeploy.machine.loader_service import stop_command
 from hpcdeploy.machine.local_shell import LocalShell
 from hpcdeploy.machine.provider import (

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.jobs.queries import end_jobs
 from hpcdeploy.machine.access import Access, make_access
 from hpcdeploy.machine.installing import write_text
+from hpcdeploy.machine.job_end import end_jobs
 from hpcdeploy.machine.loader_service import stop_command
 from hpcdeploy.machine.parallel import connections_at_once, run_parallel
 from hpcdeploy.machine.provider import (

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, UsageError
 from hpccomponent.protocol.keys import KeyPair, write_secret
+from hpcdeploy.machine.journal import open_journal
 from hpcdeploy.machine.node_keys import NodeKeys
+from hpcdeploy.machine.ownership import fingerprint
 from hpcdeploy.machine.provider import MachineSeen, Observed, State
 from hpcdeploy.machine.shell import Shell
 from hpcdeploy.providers.clouds import place_of
-from hpcdeploy.reconcile.journal import open_journal
-from hpcdeploy.reconcile.ownership import fingerprint
 from hpcdeploy.spec.layout import machine_folder, state_folder
 from hpcdeploy.spec.names import HEAD
 from hpcdeploy.spec.provider import CloudSpec

@@ -15,13 +15,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, LeftoverError
-from hpcdeploy.jobs.bucket import open_bucket
+from hpcdeploy.machine.journal import Journal, open_journal
+from hpcdeploy.machine.ownership import Held, ours
 from hpcdeploy.machine.provider import Observed, State
+from hpcdeploy.providers.bucket import open_bucket
 from hpcdeploy.providers.clouds import place_of
 from hpcdeploy.reconcile.cost import check_limits, estimate_cost
 from hpcdeploy.reconcile.effort import Effort, Report
-from hpcdeploy.reconcile.journal import Journal, open_journal
-from hpcdeploy.reconcile.ownership import Held, ours, require_ours
+from hpcdeploy.reconcile.ownership import require_ours
 from hpcdeploy.reconcile.plan import Plan, make_plan
 from hpcdeploy.reconcile.removal import remove
 from hpcdeploy.reconcile.termination import Proof, Reason

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 from hpccomponent.errors import CapacityError, CloudError
-from hpcdeploy.machine.provider import Launch, MachineSeen, Provider, State
-from hpcdeploy.reconcile.journal import Journal
-from hpcdeploy.reconcile.plan import LaunchChoice, LaunchNode
+from hpcdeploy.machine.journal import Journal
+from hpcdeploy.machine.provider import Launch, LaunchChoice, MachineSeen, Provider, State
+from hpcdeploy.reconcile.plan import LaunchNode
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import HEAD, NodeName, Owner
 from hpcdeploy.spec.polling import Pace

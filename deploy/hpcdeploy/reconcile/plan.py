@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import NamedTuple
 
-from hpcdeploy.machine.provider import GroupSeen, MachineSeen, Observed, State
+from hpcdeploy.machine.provider import GroupSeen, LaunchChoice, MachineSeen, Observed, State
 from hpcdeploy.reconcile.termination import Reason
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import NOBODY, NodeName, Owner
@@ -22,7 +21,6 @@ __all__ = [
     "CreateGroup",
     "CreateKeyPair",
     "Extend",
-    "LaunchChoice",
     "LaunchNode",
     "Mark",
     "Plan",
@@ -64,27 +62,6 @@ class CreateKeyPair:
 
     def __str__(self) -> str:
         return "create the key pair"
-
-
-class LaunchChoice(NamedTuple):
-    """One way to have a machine.
-
-    Parameters
-    ----------
-    instance_type : str
-    market : str
-        ``on_demand`` or ``spot``.
-    place : str
-        A zone, or the id of a subnet, where the file names several; else empty.
-    """
-
-    instance_type: str
-    market: str
-    place: str = ""
-
-    def __str__(self) -> str:
-        where = f", {self.place}" if self.place else ""
-        return f"{self.instance_type} ({self.market}{where})"
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from datetime import datetime
 
+from hpcdeploy.machine.ownership import MAKING
 from hpcdeploy.machine.provider import (
     GroupSeen,
     KeyPairSeen,
@@ -14,7 +15,6 @@ from hpcdeploy.machine.provider import (
     Provider,
     State,
 )
-from hpcdeploy.reconcile.ownership import MAKING
 from hpcdeploy.reconcile.removal import remove
 from hpcdeploy.reconcile.termination import Proof, Reason, is_overdue
 from hpcdeploy.spec.names import incarnation_began

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from hpccomponent.config.reader import parse_config
+from hpcdeploy.machine.journal import begun_lives
+from hpcdeploy.machine.ownership import Held, fingerprint
 from hpcdeploy.machine.provider import MachineSeen
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.cluster import Cluster
-from hpcdeploy.reconcile.journal import begun_lives
-from hpcdeploy.reconcile.ownership import Held, fingerprint
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import Owner

@@ -19,11 +19,11 @@ from simulated import SetUp, make_cluster, make_spec
 from hpccomponent.errors import CloudError, InputError, JobError, UsageError
 from hpcdeploy.jobs import cluster_job
 from hpcdeploy.jobs.display import JobDisplay
-from hpcdeploy.jobs.folder import JobState, JobStatus
 from hpcdeploy.jobs.queries import Jobs
 from hpcdeploy.machine.local_shell import LocalShell
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.converge import bring_up
+from hpcdeploy.spec.job_folder import JobState, JobStatus
 from hpcdeploy.spec.names import NodeName
 
 PATIENCE_S = 60.0

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from hpcdeploy.jobs.folder import EXIT_CANCELLED, JobFolder, JobOrder, JobState, create_job
 from hpcdeploy.jobs.tail import follow
+from hpcdeploy.spec.job_folder import EXIT_CANCELLED, JobFolder, JobOrder, JobState, create_job
 
 
 class Going(JobFolder):

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import expand_home
-from hpcdeploy.jobs.bucket_client import sha256_of
-from hpcdeploy.jobs.folder import JobOrder, JobStatus
+from hpcdeploy.machine.bucket_client import sha256_of
 from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.job_folder import JobOrder, JobStatus
 from hpcdeploy.spec.provider import LocalSpec, SshSpec
 
 if TYPE_CHECKING:

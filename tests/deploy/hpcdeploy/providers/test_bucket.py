@@ -19,17 +19,17 @@ from moto.server import ThreadedMotoServer
 from simulated import make_cluster, make_spec
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.jobs import bucket as bucket_module
-from hpcdeploy.jobs import bucket_client
-from hpcdeploy.jobs.bucket import Bucket
-from hpcdeploy.jobs.bucket_client import fetch_points, send_mesh, sha256_of
 from hpcdeploy.jobs.display import JobDisplay
-from hpcdeploy.jobs.folder import JobOrder, JobState, JobStatus
 from hpcdeploy.jobs.queries import Jobs
+from hpcdeploy.machine import bucket_client
+from hpcdeploy.machine.bucket_client import fetch_points, send_mesh, sha256_of
 from hpcdeploy.machine.local_shell import LocalShell
+from hpcdeploy.providers import bucket as bucket_module
+from hpcdeploy.providers.bucket import Bucket
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.converge import take_down
 from hpcdeploy.spec.cluster import Data
+from hpcdeploy.spec.job_folder import JobOrder, JobState, JobStatus
 
 ORDER = JobOrder("reconstruct", "points/x.ply", "mesh.ply")
 

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from hpccomponent.errors import CapacityError, CloudError, OutputError
-from hpcdeploy.reconcile.journal import Attempt, Journal, open_journal
-from hpcdeploy.reconcile.plan import LaunchChoice
+from hpcdeploy.machine.journal import Attempt, Journal, open_journal
+from hpcdeploy.machine.provider import LaunchChoice
 from hpcdeploy.spec.layout import clusters_folder, forget_cluster, state_folder
 from hpcdeploy.spec.names import NodeName
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from hpccomponent.errors import CapacityError, CloudError, OutputError
-from hpcdeploy.reconcile.plan import LaunchChoice
+from hpcdeploy.machine.provider import LaunchChoice
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import NodeName
 from hpcdeploy.spec.polling import utc_now

@@ -13,7 +13,7 @@ from http.client import HTTPException, HTTPResponse
 from pathlib import Path
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.jobs.folder import JobOrder
+from hpcdeploy.spec.job_folder import JobOrder
 
 __all__ = ["fetch_points", "send_mesh", "sha256_of"]
 
