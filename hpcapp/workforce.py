@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import HpcError, TaskError, WorkerLostError
-from hpccomponent.files.shared_files import sees_files
 from hpccomponent.runtime.background import Background, Deferred
+from hpccomponent.runtime.visible_files import sees_files
 
 __all__ = ["Workforce", "begin_batch", "cut_equal", "map_batches", "stream_batches"]
 
@@ -93,7 +93,7 @@ class Workforce:
         Parameters
         ----------
         *files : Path
-            As for `hpccomponent.files.shared_files.sees_files`; they must not grow meanwhile.
+            As for `hpccomponent.runtime.visible_files.sees_files`; they must not grow meanwhile.
 
         Returns
         -------

@@ -9,7 +9,7 @@ from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
 from hpcapp.backends.retrying import RetryingExecutor
-from hpcapp.backends.selection import SerialExecutor
+from hpcapp.backends.serial import SerialExecutor
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.errors import UsageError
 

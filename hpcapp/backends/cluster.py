@@ -21,7 +21,7 @@ from pathlib import Path
 
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpcapp.communicator.listener import Door
-from hpcapp.communicator.policy import POLICIES
+from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
 from hpccomponent.errors import ConfigError, NoWorkersError, UsageError
 from hpccomponent.inventory import Inventory, hold_cluster, read_inventory
 from hpccomponent.limits import raise_descriptor_limit
@@ -82,7 +82,7 @@ class Listening:
 def open_inventory(
     path: Path,
     *,
-    policy: str = "adaptive",
+    policy: str = DEFAULT_POLICY,
     extra_tasks: Sequence[str] = (),
     lead: Callable[[str], AbstractContextManager[None]] | None = None,
 ) -> Iterator[tuple[CommunicatorExecutor, int]]:
@@ -121,7 +121,7 @@ def open_inventory(
 def listen_inventory(
     path: Path,
     *,
-    policy: str = "adaptive",
+    policy: str = DEFAULT_POLICY,
     extra_tasks: Sequence[str] = (),
     lead: Callable[[str], AbstractContextManager[None]] | None = None,
 ) -> Iterator[Listening]:

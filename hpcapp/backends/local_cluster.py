@@ -12,7 +12,7 @@ from types import TracebackType
 
 from hpcapp.backends.local_machines import LocalMachines
 from hpcapp.communicator.executor import CommunicatorExecutor
-from hpcapp.communicator.policy import POLICIES
+from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.runtime.numerics import numerics_id
 
@@ -59,7 +59,7 @@ class LocalCluster:
         self,
         workers: int | LocalMachines,
         *,
-        policy: str = "adaptive",
+        policy: str = DEFAULT_POLICY,
         extra_tasks: Sequence[str] = (),
         start_timeout_s: float = 60.0,
     ) -> None:

@@ -14,11 +14,11 @@ from __future__ import annotations
 import re
 from contextlib import AbstractContextManager
 
+from hpcapp.backends import BACKENDS
 from hpcapp.backends.factory import find_factory, is_factory, open_factory
 from hpcapp.backends.mpi import check_mpi, open_mpi
 from hpcapp.backends.ray import check_ray, open_ray
 from hpcapp.backends.retrying import RetryingExecutor
-from hpcapp.backends.selection import BACKENDS
 from hpccomponent.errors import UsageError
 
 __all__ = ["check_engine", "open_engine"]

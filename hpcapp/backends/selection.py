@@ -22,13 +22,16 @@ module:func  the Executor that a function makes
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import TYPE_CHECKING
 
+from hpcapp.backends import BACKENDS
 from hpcapp.backends.capacity import check_address_space, check_workers
+from hpcapp.backends.serial import SerialExecutor
+from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
@@ -40,10 +43,7 @@ if TYPE_CHECKING:
     from hpcapp.communicator.executor import CommunicatorExecutor
 
 __all__ = [
-    "BACKENDS",
-    "POLICIES",
     "Backend",
-    "SerialExecutor",
     "Traffic",
     "check_backend",
     "open_backend",
@@ -52,13 +52,7 @@ __all__ = [
     "wrap_communicator",
 ]
 
-BACKENDS = ("serial", "threads", "processes", "zmq")
-POLICIES = ("adaptive", "pull", "equal")
-BATCHES_PER_WORKER = {"adaptive": 4, "pull": 4, "equal": 1}
 CLUSTER_FILES = (".json", ".yaml", ".yml")
-
-P = ParamSpec("P")
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,32 +82,19 @@ class Backend:
         The Executor, with what is needed to cut work for it.
     traffic : callable
         Returns the `Traffic` so far.
+    is_here : bool
+        Whether its workers are on this machine, and so see its files.
     """
 
     name: str
     workforce: Workforce
     traffic: Callable[[], Traffic] = Traffic
+    is_here: bool = False
 
     @property
     def executor(self) -> Executor:
         """The Executor that tasks are submitted to."""
         return self.workforce.executor
-
-
-class SerialExecutor(Executor):
-    """Runs each task within `submit`, in the calling thread."""
-
-    workers = 1
-
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Run `fn` now and return its finished future."""
-        future: Future[T] = Future()
-        future.set_running_or_notify_cancel()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
 
 
 def check_backend(name: str) -> None:
@@ -140,7 +121,7 @@ def open_executor(
     name: str,
     *,
     workers: int | None = None,
-    policy: str = "adaptive",
+    policy: str = DEFAULT_POLICY,
     extra_tasks: Sequence[str] = (),
     machines: LocalMachines | None = None,
 ) -> Iterator[Backend]:
@@ -178,7 +159,7 @@ def open_executor(
     check_backend(name)
     if policy not in POLICIES:
         raise UsageError(f"unknown policy {policy!r}", f"choose one of {', '.join(POLICIES)}")
-    per_worker = BATCHES_PER_WORKER[policy]
+    per_worker = POLICIES[policy].batches_per_worker
     if name.endswith(CLUSTER_FILES):
         if workers is not None:
             raise UsageError(
@@ -208,7 +189,8 @@ def open_executor(
         return
     count = check_workers(name, workers, 1 if name == "serial" else available_cores())
     with _open_pool(name, count) as pool:
-        yield Backend(name, Workforce(pool, count, per_worker, name in ("serial", "threads")))
+        workforce = Workforce(pool, count, per_worker, name in ("serial", "threads"))
+        yield Backend(name, workforce, is_here=True)
 
 
 @contextmanager
@@ -265,7 +247,7 @@ def open_backend(
         return
     from hpcapp.backends.borrowed import borrow_executor
 
-    per_worker = BATCHES_PER_WORKER["adaptive"]
+    per_worker = POLICIES[DEFAULT_POLICY].batches_per_worker
     in_process = isinstance(executor, SerialExecutor | ThreadPoolExecutor)
     with borrow_executor(executor, workers) as borrowed:
         workforce = Workforce(borrowed, borrowed.workers, per_worker, in_process)
@@ -343,4 +325,5 @@ def wrap_communicator(
         counted = executor.statistics()
         return Traffic(counted["bytes_sent"], counted["bytes_received"])
 
-    return Backend(name, Workforce(executor, workers, BATCHES_PER_WORKER[policy]), traffic)
+    workforce = Workforce(executor, workers, POLICIES[policy].batches_per_worker)
+    return Backend(name, workforce, traffic, is_here=name in BACKENDS)

@@ -8,11 +8,20 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
-__all__ = ["POLICIES", "AdaptivePolicy", "EqualPolicy", "Load", "Placement", "Policy", "PullPolicy"]
+__all__ = [
+    "DEFAULT_POLICY",
+    "POLICIES",
+    "AdaptivePolicy",
+    "EqualPolicy",
+    "Load",
+    "Placement",
+    "Policy",
+    "PullPolicy",
+]
 
 DEPTH = 2  # batches that a worker holds at most, the adaptive way
 AHEAD_S = 1.0  # so long before its end the next batch may leave
@@ -70,6 +79,9 @@ class Placement:
 class Policy(Protocol):
     """The seam: one way to spread tasks over workers."""
 
+    batches_per_worker: ClassVar[int]
+    """Into so many batches for each worker an application cuts its work."""
+
     @property
     def runs_again(self) -> bool:
         """Tell whether idle workers run the tasks of one that lags a second time."""
@@ -92,6 +104,7 @@ class EqualPolicy:
     """
 
     runs_again = False
+    batches_per_worker: ClassVar[int] = 1
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
         """Choose the worker that has been given the fewest tasks."""
@@ -113,6 +126,7 @@ class PullPolicy:
     """
 
     runs_again = False
+    batches_per_worker: ClassVar[int] = 4
 
     def __init__(self, depth: int = 2) -> None:
         self.depth = depth
@@ -136,6 +150,7 @@ class AdaptivePolicy:
     """
 
     runs_again = True
+    batches_per_worker: ClassVar[int] = 4
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
         """Choose the worker that has the next task done first, if any has room for it."""
@@ -176,8 +191,9 @@ def _time_of(loads: Sequence[Load], waiting: int) -> float:
     return last_s
 
 
-POLICIES: Mapping[str, Callable[[], Policy]] = {
+POLICIES: Mapping[str, type[Policy]] = {
     "adaptive": AdaptivePolicy,
     "pull": PullPolicy,
     "equal": EqualPolicy,
 }
+DEFAULT_POLICY = "adaptive"

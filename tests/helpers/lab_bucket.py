@@ -13,7 +13,7 @@ import boto3
 import pytest
 from moto.server import ThreadedMotoServer
 
-from hpccomponent.store.base import hold_store
+from hpccomponent.store.places import hold_store
 
 
 @pytest.fixture(scope="module")

@@ -147,6 +147,15 @@ def test_after_shutdown_nothing_is_taken_and_nothing_is_left_open(tasks: Any) ->
             backend.executor.submit(tasks.echo, 2)
 
 
+@pytest.mark.parametrize("name", ["serial", "threads", "processes"])
+def test_after_shutdown_no_backend_of_this_machine_takes_a_task(name: str, tasks: Any) -> None:
+    with open_executor(name, workers=1) as backend:
+        assert backend.executor.submit(tasks.echo, 1).result(WAIT) == 1
+        backend.executor.shutdown(wait=True)
+        with pytest.raises(RuntimeError, match="after shutdown"):
+            backend.executor.submit(tasks.echo, 2)
+
+
 @pytest.mark.skipif(UNDER_MPI, reason="this is the run under MPI")
 def test_mpi_keeps_the_contract_too(tasks: Any, run_mpi: RunMpi) -> None:
     done = run_mpi(3, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpcapp.backends.selection import SerialExecutor
+from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce, begin_batch, cut_equal, map_batches
 from hpccomponent.errors import InputError, TaskError, WorkerLostError
 

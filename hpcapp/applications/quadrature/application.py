@@ -113,7 +113,7 @@ def integrate(
 
     Examples
     --------
-    >>> from hpcapp.backends.selection import SerialExecutor
+    >>> from hpcapp.backends.serial import SerialExecutor
     >>> result = integrate("root", 0.0, 1.0, 1e-8, Workforce(SerialExecutor()))
     >>> abs(result.value - 2 / 3) < 1e-8
     True

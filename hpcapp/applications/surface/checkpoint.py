@@ -19,7 +19,8 @@ from typing import Any
 from hpccomponent.errors import JobError
 from hpccomponent.files.private_files import make_private_folder
 from hpccomponent.protocol.codec import encode_values
-from hpccomponent.store.base import Store, open_store
+from hpccomponent.store.base import Store
+from hpccomponent.store.places import open_store
 
 __all__ = ["POINTS_NOTE", "SUMS", "Keeping", "digest"]
 
@@ -54,7 +55,7 @@ class Keeping:
     Parameters
     ----------
     place : str
-        See `hpccomponent.store.base.open_store`.
+        See `hpccomponent.store.places.open_store`.
     job : str
         A hash of the input, the settings and the kernels, and a name of the run: the folder of
         the job, or the prefix of its names.
@@ -84,7 +85,7 @@ class Keeping:
         Raises
         ------
         UsageError, OutputError, CloudError
-            See `hpccomponent.store.base.open_store`.
+            See `hpccomponent.store.places.open_store`.
         """
         self.store.has(f"{self.job}/tile")
 

@@ -15,6 +15,7 @@ import click
 
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, METHODS, find_method
 from hpcapp.applications.surface.options import check_exclusive, make_click_options, option_names
+from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
 from hpccomponent.errors import UsageError
 
 __all__ = ["check_flags", "info", "reconstruct", "simulate"]
@@ -150,8 +151,8 @@ def _add_method_options(command: click.Command) -> click.Command:
 )
 @click.option(
     "--policy",
-    type=click.Choice(["adaptive", "pull", "equal"]),
-    default="adaptive",
+    type=click.Choice(tuple(POLICIES)),
+    default=DEFAULT_POLICY,
     show_default=True,
     help="Batches by each worker's speed, to whoever is free, or the paper's equal batches.",
 )

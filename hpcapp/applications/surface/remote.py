@@ -1,63 +1,21 @@
-"""A reconstruction that another machine runs: what can be found out here before anything travels.
-
-The package that knows cluster files asks `check_job` by its entry point ``hpc.checks``.
-"""
+"""A reconstruction that another machine runs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
-from hpcapp.applications.surface.command import check_flags, reconstruct
 from hpcapp.applications.surface.output import open_output
 from hpcapp.backends.cluster_jobs import load_cluster_function
 from hpcapp.io import drop_unusable, read_points
-from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.errors import UsageError
 
-__all__ = ["check_job", "run_on_cluster"]
+__all__ = ["OF_THIS_MACHINE", "check_points", "run_on_cluster"]
 
 OF_THIS_MACHINE = ("points", "output", "cluster", "events", "as_json")
 """What options name here; on the head they are the job's own."""
-
-
-def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str]) -> None:
-    """Find out whether a cluster could do a job.
-
-    Parameters
-    ----------
-    cluster : pathlib.Path
-        The cluster file.
-    points, output : pathlib.Path
-        What the job reads and writes, on this machine.
-    options : sequence of str
-        Of `reconstruct`, as they were typed.
-
-    Raises
-    ------
-    UsageError
-        The options are wrong, or nothing can be written there.
-    InputError
-        The points are no point cloud that can be reconstructed.
-    """
-    words = ["-o", str(output), "--cluster", str(cluster), str(points.absolute()), *options]
-    try:
-        ctx = reconstruct.make_context("reconstruct", words)
-    except click.UsageError as error:
-        problem = error.format_message().rstrip(".")
-        raise UsageError(problem, "see 'hpcapp reconstruct --help'") from None
-    same = {"points": points.absolute(), "output": str(output), "cluster": cluster}
-    for name in OF_THIS_MACHINE:
-        if ctx.params[name] not in (same.get(name), None, False):
-            flag = "--json" if name == "as_json" else f"--{name}"
-            raise UsageError(f"{flag} is not for the job on the head", "leave it out after --")
-    check_flags(ctx)
-    if str(output) == "-":
-        raise OutputError("-o - names no file", "name a file to write to")
-    with open_output(str(output), points):
-        check_points(points)
 
 
 def check_points(points: Path) -> None:

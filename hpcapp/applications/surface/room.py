@@ -27,7 +27,7 @@ from hpcapp.applications.surface.checkpoint import SUMS, Keeping, digest
 from hpcapp.applications.surface.input.folder import may_pay_in_folder
 from hpcapp.applications.surface.memory import fits_memory
 from hpcapp.applications.surface.settings import JobSettings, name_backend
-from hpcapp.backends.selection import BACKENDS
+from hpcapp.backends import BACKENDS
 from hpccomponent.errors import HpcError, InputError, OutputError, UsageError
 from hpccomponent.files.held_folders import (
     HeldFolder,
@@ -38,7 +38,7 @@ from hpccomponent.files.held_folders import (
     temporary_folder,
 )
 from hpccomponent.files.private_files import remove_path
-from hpccomponent.store.base import open_store
+from hpccomponent.store.places import open_store
 from hpccomponent.surface.build import kernel_id
 
 __all__ = ["Room", "open_room"]

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.backends.selection import SerialExecutor
+from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce, cut_equal, map_batches, stream_batches
 from hpccomponent.surface.cloud.disk import DiskCloud
 from hpccomponent.surface.cloud.regions import DroppedCells, pack_region

@@ -14,6 +14,7 @@ import numpy as np
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.sizes import MARGIN
+from hpcapp.communicator.policy import DEFAULT_POLICY
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
@@ -58,7 +59,7 @@ class Settings:
     max_memory : float or None
         Of this process and of each worker, in bytes.
     temp_dir : str or None
-        Where points and finished tiles lie: a folder, or a bucket (see `hpccomponent.store.base`).
+        Where points and finished tiles lie: a folder, or a bucket (see `store.places`).
     resume : bool
         Whether to go on from what an earlier run left in `temp_dir`.
     outliers, denoise, resample : bool
@@ -71,7 +72,7 @@ class Settings:
     voxel_size: float | None = None
     backend: str = "auto"
     workers: int | None = None
-    policy: str = "adaptive"
+    policy: str = DEFAULT_POLICY
     cluster: Path | None = None
     max_memory: float | None = None
     temp_dir: str | None = None

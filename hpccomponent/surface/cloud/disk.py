@@ -32,7 +32,7 @@ import numpy as np
 
 from hpccomponent.errors import JobError, OutputError
 from hpccomponent.files.private_files import open_at_once
-from hpccomponent.files.shared_files import write_whole
+from hpccomponent.files.whole_files import write_whole
 from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
 from hpccomponent.surface.cloud.arranged import Points, cut_blocks
 from hpccomponent.surface.cloud.arrangement import (

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import OutputError
 from hpccomponent.runtime.tasks import declare
-from hpccomponent.store.base import hold_store
+from hpccomponent.store.places import hold_store
 from hpccomponent.surface.extraction.part_places import (
     PartPlaces,
     Runs,
@@ -181,7 +181,7 @@ def write_kept(kept: tuple[str, str], places: tuple[Any, ...], shared: tuple[Any
     Parameters
     ----------
     kept : tuple of str
-        The store (see `hpccomponent.store.base`) and the name of what `region.mesh_tile` put there.
+        The store (see `store.places`) and the name of what `region.mesh_tile` put there.
     places : tuple
         Of its `PartPlaces`.
     shared : tuple

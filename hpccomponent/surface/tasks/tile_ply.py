@@ -14,7 +14,7 @@ import numpy as np
 
 from hpccomponent.errors import OutputError
 from hpccomponent.runtime.tasks import declare
-from hpccomponent.store.base import hold_store
+from hpccomponent.store.places import hold_store
 from hpccomponent.surface.extraction.part_places import PartPlaces, place_faces
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.freed_memory import leave_for_files
@@ -67,7 +67,7 @@ def write_kept_tile(
     Parameters
     ----------
     kept : tuple of str
-        The store (see `hpccomponent.store.base`) and the name of what `region.mesh_tile` put there.
+        The store (see `store.places`) and the name of what `region.mesh_tile` put there.
     places : tuple
         Of its `PartPlaces`.
     foreign : tuple

@@ -20,7 +20,7 @@ import numpy as np
 
 from hpccomponent.runtime.background import worker_background
 from hpccomponent.runtime.tasks import declare
-from hpccomponent.store.base import hold_store
+from hpccomponent.store.places import hold_store
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import summarize_part
 from hpccomponent.surface.fitting.ancestors import corners_at
@@ -105,7 +105,7 @@ def sum_tile(
         this ticket, until the process has summed `KEPT_TILES` more. What either task returns
         does not depend on it.
     keep : tuple of str, optional
-        A store (see `store.base`) and a name, under which the lattice is put there, and
+        A store (see `store.places`) and a name, under which the lattice is put there, and
         the samples beside it, if nothing has that name: a tile that is summed twice must not
         replace what is being read.
     threads : int
@@ -242,7 +242,7 @@ def mesh_tile(
     coarse : tuple
         Of the `CoarseLevels` around it.
     keep : tuple of str, optional
-        A store (see `store.base`) and a name, under which the result is put there.
+        A store (see `store.places`) and a name, under which the result is put there.
     threads : int
         The result does not depend on it.
 

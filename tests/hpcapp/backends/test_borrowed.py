@@ -11,7 +11,8 @@ import pytest
 
 import hpcapp
 from hpcapp.backends.processes import open_processes
-from hpcapp.backends.selection import SerialExecutor, open_backend, open_executor
+from hpcapp.backends.selection import open_backend, open_executor
+from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import map_batches
 from hpccomponent.errors import UsageError, WorkerLostError
 from hpccomponent.surface.types.points import PointCloud

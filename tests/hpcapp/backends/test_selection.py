@@ -9,7 +9,9 @@ from typing import Any
 
 import pytest
 
-from hpcapp.backends.selection import BACKENDS, SerialExecutor, open_executor
+from hpcapp.backends import BACKENDS
+from hpcapp.backends.selection import open_executor
+from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import map_batches
 from hpccomponent.errors import UsageError, WorkerLostError
 from hpccomponent.limits import available_cores

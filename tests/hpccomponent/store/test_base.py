@@ -19,7 +19,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpccomponent.errors import CloudError, JobError, OutputError, UsageError
-from hpccomponent.store.base import FolderStore, Store, hold_store, open_store
+from hpccomponent.store.base import FolderStore, Store
+from hpccomponent.store.places import hold_store, open_store
 from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
 
 pytest_plugins = ["lab_bucket"]

@@ -12,7 +12,8 @@ from pathlib import Path
 from hpcapp.applications.surface.memory import count_most_points, fitting_tile
 from hpcapp.applications.surface.scans import Passes
 from hpcapp.applications.surface.settings import JobSettings, Settings, choose_steps, name_backend
-from hpcapp.backends.selection import BACKENDS, Backend
+from hpcapp.backends import BACKENDS
+from hpcapp.backends.selection import Backend
 from hpcapp.io import open_points
 from hpccomponent.files.private_files import make_private_folder
 from hpccomponent.limits import available_cores
@@ -59,7 +60,7 @@ def choose_tile(settings: Settings, backend: Backend) -> int | None:
 
 def all_see_folder(folder: Path, backend: Backend) -> bool:
     """Find out whether every worker sees a folder, and what is in it."""
-    if backend.name in BACKENDS:  # on this machine
+    if backend.is_here:
         return True
     with tempfile.NamedTemporaryFile(dir=folder) as sign:
         return backend.workforce.sees(Path(sign.name))
@@ -78,7 +79,7 @@ def plan_passes(path: Path, folder: Path, backend: Backend, points: int) -> Pass
     points : int
         How many a task may hold at most, about.
     """
-    if backend.name in BACKENDS:  # on this machine
+    if backend.is_here:
         return Passes(backend.workforce, True, points)
     make_private_folder(folder.parent)
     with tempfile.NamedTemporaryFile(dir=folder.parent) as sign:

@@ -67,7 +67,7 @@ def test_no_module_ends_machines_past_the_one_that_asks_for_a_proof() -> None:
     folder = Path(hpcdeploy.__file__).parent
     found = [
         path.name
-        for path in folder.glob("*.py")
+        for path in folder.rglob("*.py")
         if re.search(r"provider\.terminate\(", path.read_text(encoding="utf-8"))
     ]
     assert found == ["termination.py"]

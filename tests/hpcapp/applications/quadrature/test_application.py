@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpcapp.applications.quadrature.application import INTEGRANDS, estimate, integrate
-from hpcapp.backends.selection import SerialExecutor
+from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import JobError, UsageError
 

@@ -8,7 +8,7 @@ import pytest
 
 from hpcapp.applications.surface.paper.method import PaperMethod
 from hpcapp.applications.surface.pipeline import reconstruct
-from hpcapp.backends.selection import SerialExecutor
+from hpcapp.backends.serial import SerialExecutor
 from hpcapp.progress import SilentProgress, StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hpcapp.applications.surface.input.clean_regions import cut_regions
 from hpcapp.applications.surface.scans import Passes, cut_even
-from hpcapp.backends.selection import SerialExecutor
+from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce
 from hpccomponent.surface.cloud.arranged import arrange_cloud
 from hpccomponent.surface.types.points import PointCloud

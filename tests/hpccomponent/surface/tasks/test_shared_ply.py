@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hpccomponent.errors import JobError, OutputError
-from hpccomponent.store.base import open_store
+from hpccomponent.store.places import open_store
 from hpccomponent.surface.extraction.part_places import PartPlaces
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.tasks.shared_ply import FACE_SIZE, SharedPly, write_kept

@@ -6,7 +6,7 @@ import pytest
 
 from hpcapp.applications.surface.hierarchical.coarse import fit_coarse
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
-from hpcapp.backends.selection import SerialExecutor
+from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import JobError
 from hpccomponent.runtime.background import Background

@@ -17,7 +17,7 @@ from hpcapp.applications.surface.hierarchical.estimates import choose_scale
 from hpcapp.applications.surface.input.clean import Cleaned, clean_cloud
 from hpcapp.applications.surface.input.clean_regions import clean_regions
 from hpcapp.applications.surface.scans import Passes
-from hpcapp.backends.selection import SerialExecutor
+from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce
 from hpccomponent.surface.cloud.arranged import arrange_cloud
 from hpccomponent.surface.cloud.disk import DiskCloudWriter

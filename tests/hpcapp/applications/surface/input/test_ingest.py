@@ -13,7 +13,7 @@ from hpcapp.applications.surface.input import ingest
 from hpcapp.applications.surface.input.clean import EvenSample, drop_far
 from hpcapp.applications.surface.input.ingest import ingest_file
 from hpcapp.applications.surface.scans import Passes
-from hpcapp.backends.selection import SerialExecutor
+from hpcapp.backends.serial import SerialExecutor
 from hpcapp.io import drop_unusable, open_points, read_points, write_points
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError

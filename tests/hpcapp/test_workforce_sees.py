@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 
-from hpcapp.backends.selection import SerialExecutor, open_executor
+from hpcapp.backends.selection import open_executor
+from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce
-from hpccomponent.files.shared_files import sees_files
+from hpccomponent.runtime.visible_files import sees_files
 
 
 @pytest.mark.usefixtures("standing_helpers")

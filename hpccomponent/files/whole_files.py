@@ -1,7 +1,4 @@
-"""Files that several processes use: whether they see the same ones, and how one is written.
-
-Who may import it: tasks, the master that asks them, and the store of a folder.
-"""
+"""Files that are there when all of them is, and never in part."""
 
 from __future__ import annotations
 
@@ -11,37 +8,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from hpccomponent.files.private_files import create_private
-from hpccomponent.protocol.declared import Flag
-from hpccomponent.runtime.tasks import declare
 
-__all__ = ["sees_files", "write_whole"]
+__all__ = ["write_whole"]
 
 _BUFFER = 1 << 18  # bytes of small pieces that are written together
-
-
-@declare(result=Flag(), limit=4096)
-def sees_files(*files: tuple[str, int]) -> bool:
-    """Tell whether some files are there (a task).
-
-    Parameters
-    ----------
-    *files : tuple of (str, int)
-        Path and length in bytes of each. A name with a random part in it is found nowhere by
-        chance; a name that a user gave is, so let a random one be among them.
-
-    Returns
-    -------
-    bool
-
-    Examples
-    --------
-    >>> sees_files((__file__, os.path.getsize(__file__))), sees_files((__file__, -1))
-    (True, False)
-    """
-    try:
-        return all(os.stat(path).st_size == length for path, length in files)
-    except OSError:
-        return False
 
 
 def write_whole(path: Path, buffers: Iterable[bytes | bytearray | memoryview]) -> None:

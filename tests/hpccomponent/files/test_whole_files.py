@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hpccomponent.files.shared_files import write_whole
+from hpccomponent.files.whole_files import write_whole
 
 
 def test_who_reads_a_file_that_is_written_again_sees_all_of_it(tmp_path: Path) -> None:
