@@ -1,7 +1,4 @@
-"""What runs on a worker of a foreign engine, around each task: the same bits, or none.
-
-Who may import it: `retrying`; workers import it with their first task.
-"""
+"""What runs on a worker of a foreign engine, around each task: the same bits, or none."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Values as objects of an S3-compatible bucket; see `store`.
 
 Keys, region and endpoint are found where boto3 looks for them: the environment, the files in
-``~/.aws``, the machine's role. Who may import it: `store`.
+``~/.aws``, the machine's role.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What the providers of machines that are there anyway have in common: nothing to make beside them.
-
-Who may import it: the providers of this package.
-"""
+"""What providers of machines that are there anyway have in common: nothing to make."""
 
 from __future__ import annotations
 

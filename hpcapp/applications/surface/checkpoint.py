@@ -3,8 +3,6 @@
 A tile's name is a hash of all that it is made of: the input, the settings, the kernels, and which
 cells are its own. So nothing that is found can be of another job. The sums of tiles lie beside
 them, for the time of one run.
-
-Who may import it: the job and the default method.
 """
 
 from __future__ import annotations

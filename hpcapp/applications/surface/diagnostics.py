@@ -1,7 +1,6 @@
 """What should make a user doubt a result that came about without an error.
 
 Each function returns sentences that say what is odd and what to do; none means no doubt.
-Who may import it: the job.
 """
 
 from __future__ import annotations

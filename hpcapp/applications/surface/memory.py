@@ -1,7 +1,4 @@
-"""Whether a job fits into memory, found out before it starts: the system kills without a word.
-
-Who may import it: the job.
-"""
+"""Whether a job fits into memory, found out before it starts: the system kills without a word."""
 
 from __future__ import annotations
 

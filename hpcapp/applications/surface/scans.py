@@ -1,8 +1,7 @@
 """Passes over a cloud in a folder: tasks that read it there, wherever a worker sees it.
 
 The master merges what they find. Where the workers do not see the folder, tasks that need a
-region's points are sent them, and the rest runs in this process. Who may import it: the modules
-that bring a cloud to disk and clean it there, and `tiles`.
+region's points are sent them, and the rest runs in this process.
 """
 
 from __future__ import annotations

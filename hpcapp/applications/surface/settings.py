@@ -1,7 +1,4 @@
-"""What a user asks of a reconstruction, and what follows from it for a cloud.
-
-Who may import it: the job, the command, and the interface for Python.
-"""
+"""What a user asks of a reconstruction, and what follows from it for a cloud."""
 
 from __future__ import annotations
 

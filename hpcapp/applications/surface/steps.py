@@ -1,7 +1,4 @@
-"""The steps from a loaded cloud to its surface: the same for files and for arrays.
-
-Who may import it: the job and the interface for Python.
-"""
+"""The steps from a loaded cloud to its surface: the same for files and for arrays."""
 
 from __future__ import annotations
 

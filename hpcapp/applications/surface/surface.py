@@ -1,7 +1,4 @@
-"""What a method gives: a mesh in memory, or the parts of one.
-
-Who may import it: the pipeline, the methods and the job.
-"""
+"""What a method gives: a mesh in memory, or the parts of one."""
 
 from __future__ import annotations
 

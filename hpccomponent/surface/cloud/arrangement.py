@@ -7,8 +7,7 @@
 All steps are powers of two, so that every number here is exact: a position is its block's place
 and an offset that float32 holds without rounding, 24 bytes with its normal instead of 48.
 
-The functions with `records` are kernels. Who may import it: applications, and tasks that are sent
-points.
+The functions with `records` are kernels.
 """
 
 from __future__ import annotations

@@ -14,7 +14,6 @@ Whether all of it is as it was written is found out by `DiskCloud.check`, which 
 on from what another has left.
 
 Reading some blocks takes a run of each part and puts these together in the order of the parts.
-Who may import it: applications, and tasks on machines that see the folder.
 """
 
 from __future__ import annotations

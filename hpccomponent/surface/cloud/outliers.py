@@ -1,9 +1,4 @@
-"""Points that belong to no surface, found by counting points in cells of growing size.
-
-Who may import it: `kernels`, and applications. `count_cells`, `sum_neighbours` and `label_cells`
-are kernels; what follows from them is decided in integers here, so that both builds drop the same
-points.
-"""
+"""Points that belong to no surface, found by counting points in cells of growing size."""
 
 from __future__ import annotations
 

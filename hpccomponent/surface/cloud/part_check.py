@@ -1,7 +1,7 @@
 """The last record of a file of packed points, by which it is found out whether all are there.
 
 It has the size of a point's record, so that whoever reads points by their number need not know of
-it. Who may import it: `disk_cloud`.
+it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Regions of an arranged cloud: whole blocks, and what of their surroundings a task must know.
-
-Who may import it: the tasks of `region_tasks` and `block_tasks`, and the master that cuts regions.
-"""
+"""Regions of an arranged cloud: whole blocks, and what of their surroundings a task must know."""
 
 from __future__ import annotations
 

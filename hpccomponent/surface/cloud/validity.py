@@ -1,7 +1,4 @@
-"""What of a cloud can be used: points with a finite position, near enough, and with a normal.
-
-Who may import it: readers of points, and tasks that read them.
-"""
+"""What of a cloud can be used: points with a finite position, near enough, and with a normal."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What the finest cells of a tile lay on coarser levels, without the levels between.
-
-Who may import it: the tasks of a tile.
-"""
+"""What the finest cells of a tile lay on coarser levels, without the levels between."""
 
 from __future__ import annotations
 

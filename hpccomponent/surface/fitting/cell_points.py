@@ -3,8 +3,6 @@
 A row of moments is larger than a handful of points. So the finest level has none: moments are
 summed where a batch needs them, and only for the cells of that batch. Those of the level above
 it, which has most of the rest, are kept in single precision; of every other level in double.
-
-Who may import it: the pyramid and its tests.
 """
 
 from __future__ import annotations

@@ -4,8 +4,6 @@ Noise of a Gaussian kind is best averaged. Where residuals have heavier tails, a
 that do not match, or of points that are none, the mean follows the tails: a fit by Student's t
 distribution, whose points weigh 1 / (1 + r^2 / (tolerance variance)), follows the many instead.
 
-Who may import it: the pyramid, the estimates and the tests.
-
 References
 ----------
 K. L. Lange, R. J. A. Little, J. M. G. Taylor, Robust statistical modeling using the t distribution,

@@ -1,7 +1,4 @@
-"""Normals that point the wrong way, found by asking the neighbours on the same sheet.
-
-Who may import it: `kernels`, and applications. `poll_normals` is a kernel.
-"""
+"""Normals that point the wrong way, found by asking the neighbours on the same sheet."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Tasks that look at the points of an arranged cloud once, block after block.
-
-Who may import it: the master that cuts the runs of blocks.
-"""
+"""Tasks that look at the points of an arranged cloud once, block after block."""
 
 from __future__ import annotations
 

@@ -5,8 +5,6 @@
     region ── clean_blocks ── no sparse cells ── mended ──────────────────────> folder
                    │ sparse cells                                                 ^
                    └──> master ── judge_blocks ──> stray cells ── mend_blocks ────┘
-
-Who may import it: the master that cuts the regions.
 """
 
 from __future__ import annotations

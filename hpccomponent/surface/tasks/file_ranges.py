@@ -4,8 +4,6 @@
 
     range ── survey_range ──> counts, boxes, a sample ──> master: frame, reach, arrangement
     range ── arrange_range ──> points.N in the folder ──> its blocks, boxes that hold points
-
-Who may import it: the master that cuts the ranges.
 """
 
 from __future__ import annotations

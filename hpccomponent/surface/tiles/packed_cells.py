@@ -6,7 +6,7 @@
                             │ some cells of them, when they are asked for
                             └──> positions and normals: 48 bytes, bit for bit those of the cloud
 
-The functions of arrays are kernels. Who may import it: the tasks of a tile, and those of blocks.
+The functions of arrays are kernels.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The points of a tile, wherever they lie: sent with the task, or read where the cloud is.
-
-Who may import it: the tasks of `region`, and the master that cuts the tiles.
-"""
+"""The points of a tile, wherever they lie: sent with the task, or read where the cloud is."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Tiles: compact sets of coarse cells, equal in estimated work.
 
-The paper's equal batches, by work instead of by count. Who may import it: the default method.
+The paper's equal batches, by work instead of by count.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What is done to every cloud before it is fitted: sorted, outliers out, normals turned round.
-
-Who may import it: the job and the methods of this package.
-"""
+"""What is done to every cloud before it is fitted: sorted, outliers out, normals turned round."""
 
 from __future__ import annotations
 

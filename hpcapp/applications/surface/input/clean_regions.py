@@ -9,7 +9,6 @@
 Each region is read with a margin, some thirty spacings wide, and its task is a pure function of
 these points. The points are read once for each of these steps, so that a region without sparse
 cells is read once. Should points of others be dropped, what it was mended for was in vain.
-Who may import it: the job.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Whether a cloud goes through a folder, who works there, and on how much at once.
-
-Who may import it: the job and its steps.
-"""
+"""Whether a cloud goes through a folder, who works there, and on how much at once."""
 
 from __future__ import annotations
 

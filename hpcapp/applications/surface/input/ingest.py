@@ -9,7 +9,6 @@
 A range of a binary PLY is read, and its part of the folder written, by whoever runs its task;
 other formats are parsed here, in each pass. A third one bounds the points near the cloud where
 there are markers far away. Colours are left behind: a mesh has none.
-Who may import it: the job.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""A cloud from its file to what the methods take: in memory, or in a folder.
-
-Who may import it: the job.
-"""
+"""A cloud from its file to what the methods take: in memory, or in a folder."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The paper's blend: at a node of the grid, the mean of the quadrics whose boxes hold it.
-
-Who may import it: the method ``paper``.
-"""
+"""The paper's blend: at a node of the grid, the mean of the quadrics whose boxes hold it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Marching cubes over a whole grid of nodes.
-
-Who may import it: the method ``paper``.
-"""
+"""Marching cubes over a whole grid of nodes."""
 
 from __future__ import annotations
 

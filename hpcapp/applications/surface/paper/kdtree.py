@@ -1,7 +1,7 @@
 """The paper's partition: a kd-tree whose leaves are the patches that get one quadric each.
 
 All boxes of a level are judged and split together, so the cost is one pass of numpy over the
-points for each level of the tree. Who may import it: the methods of this package.
+points for each level of the tree.
 """
 
 from __future__ import annotations

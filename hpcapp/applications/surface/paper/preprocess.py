@@ -1,7 +1,7 @@
 """The paper's preprocessing: outliers out, noise off, even density; each step by itself.
 
 Every step takes a cloud and returns another; the input stays as it is. The same cloud gives the
-same bits. Who may import it: methods and the pipeline of this package.
+same bits.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The paper's rule for splitting a box: its normals spread too far, or it holds too many points.
-
-Who may import it: the kd-tree and the methods of this package.
-"""
+"""The paper's rule for splitting a box: its normals spread too far, or it holds too many points."""
 
 from __future__ import annotations
 
