@@ -16,9 +16,7 @@ class SerialExecutor(Executor):
     """Runs each task within `submit`, in the calling thread."""
 
     workers = 1
-
-    def __init__(self) -> None:
-        self._is_shut_down = False
+    _is_shut_down = False
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Run `fn` now and return its finished future."""
