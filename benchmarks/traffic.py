@@ -50,22 +50,24 @@ class CountingExecutor(SerialExecutor):
 def take_apart(task: str, arguments: tuple[Any, ...]) -> dict[str, Any]:
     """Return the arguments of a task by what they are."""
     if task == "sum_tile":
-        plan, (_, own, *halo), *rest = arguments
+        plan, (own, *halo), *rest = arguments
         return {"own points": own, "halo": halo, "the rest": (plan, rest)}
     if task == "solve_far":
         plan, samples, *_ = arguments
         return {"far field": samples, "the rest": plan}
     if task == "mesh_tile":
-        plan, (_, _, *halo), ticket, (*polynomials, far), *rest = arguments
+        plan, (_, *halo), ticket, coarse, *rest = arguments
         is_there = ticket is not None  # its points, halo and all, since `sum_tile`
         return {
-            "halo": () if is_there else halo, "coarse polynomials": polynomials,
-            "far field": far, "the rest": (plan, rest),
+            "halo": () if is_there else halo,
+            "coarse polynomials": (coarse.parents, coarse.trust, coarse.coarser),
+            "far field": coarse.far, "the rest": (plan, rest),
         }  # fmt: skip
     if task == "mesh_gap":
-        plan, bricks, (_, *points), missing, (*polynomials, far), *rest = arguments
+        plan, bricks, points, missing, coarse, *rest = arguments
         return {
-            "halo": points, "coarse polynomials": polynomials, "far field": far,
+            "halo": points, "coarse polynomials": (coarse.parents, coarse.trust, coarse.coarser),
+            "far field": coarse.far,
             "the rest": (plan, bricks, missing, rest),
         }  # fmt: skip
     return {"the rest": arguments}

@@ -1,10 +1,10 @@
 """Values to bytes and back, without pickle: a small header, and raw buffers for what is large.
 
-A value is an ndarray of numbers, an int, float, bool, str, bytes or None, or a tuple, list or
-string-keyed dict of these. The header is MessagePack; what MessagePack lacks is an array whose
-first entry is a tag. Small arrays travel in the header, large ones as buffers of their own, in
-the order in which the header names them, so that no two values can share one. Among the
-arguments of a task a blob stands by its key.
+A value is an ndarray of numbers, an int, float, bool, str, bytes or None, or a tuple, list,
+string-keyed dict or record (see `records`) of these. The header is MessagePack; what MessagePack
+lacks is an array whose first entry is a tag. Small arrays travel in the header, large ones as
+buffers of their own, in the order in which the header names them, so that no two values can share
+one. Among the arguments of a task a blob stands by its key.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from hpccomponent.errors import ProtocolError, UsageError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.containers import check_containers
 from hpccomponent.protocol.frames import Buffer
+from hpccomponent.protocol.records import RecordType, find_record, make_record
 
 __all__ = ["NO_BLOBS", "decode_values", "encode_arguments", "encode_values"]
 
-TUPLE, LIST, ARRAY, SCALAR, TEXT, BYTES, BIG, BLOB = range(8)
+TUPLE, LIST, ARRAY, SCALAR, TEXT, BYTES, BIG, BLOB, RECORD = range(9)
 EMBEDDED_BYTES = 4096  # below this an own frame costs more than a copy into the header
 MAX_HEADER_BYTES = 4 * 1024 * 1024
 MAX_DEPTH = 50
@@ -206,13 +207,16 @@ def _pack(value: Any, parts: _Parts, depth: int) -> Any:
     packer = _PACKERS.get(kind)
     if packer is None and isinstance(value, np.generic):
         packer = _pack_scalar
+    entry = find_record(kind) if packer is None else None
+    if entry is not None and depth <= MAX_DEPTH:
+        return _pack_record(entry, value, parts, depth)
     if packer is None or depth > MAX_DEPTH:
         raise UsageError(
             f"a value of type {kind.__module__}.{kind.__qualname__} cannot travel to a worker"
-            if packer is None
+            if packer is None and entry is None
             else f"values are nested more than {MAX_DEPTH} deep",
             "pass ndarrays of numbers, int, float, bool, str, bytes, None, "
-            "or tuples, lists and string-keyed dicts of these",
+            "or tuples, lists, string-keyed dicts and records of these",
         )
     return packer(value, parts, depth)
 
@@ -282,6 +286,11 @@ def _pack_dict(value: dict[Any, Any], parts: _Parts, depth: int) -> dict[str, An
     return {key: _pack(entry, parts, depth + 1) for key, entry in value.items()}
 
 
+def _pack_record(entry: RecordType, value: Any, parts: _Parts, depth: int) -> list[Any]:
+    held = {name: _pack(getattr(value, name), parts, depth + 1) for name in entry.fields}
+    return [RECORD, entry.name, held]
+
+
 def _pack_blob(value: Blob, parts: _Parts, depth: int) -> list[Any]:
     del depth
     parts.blobs[value.key] = value
@@ -327,6 +336,8 @@ def _unpack(packed: Any, supply: _Supply, depth: int) -> Any:
         if len(packed[1]) > MAX_INTEGER_BYTES:
             raise ProtocolError(f"a received int has more than {MAX_INTEGER_BYTES} bytes")
         return int.from_bytes(packed[1], "little", signed=True)
+    if tag == RECORD and len(packed) == 3 and type(packed[1]) is str and type(packed[2]) is dict:
+        return make_record(packed[1], _unpack(packed[2], supply, depth + 1))
     if tag == BLOB and len(packed) == 2 and type(packed[1]) is bytes:
         return supply.look_up(packed[1])
     if tag in (TEXT, BYTES) and len(packed) == 1:

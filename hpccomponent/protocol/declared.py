@@ -35,6 +35,7 @@ __all__ = [
     "Flag",
     "Nothing",
     "Number",
+    "Record",
     "Text",
     "Where",
     "Whole",
@@ -347,6 +348,32 @@ class Fields:
             raise _refuse(place, value, f"a dict of {', '.join(keys)}")
         for key, item in self.items:
             item.check(value[key], f"{place}[{key!r}]", extents)
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Record:
+    """A record (see `hpccomponent.protocol.records`).
+
+    Parameters
+    ----------
+    kind : type
+    **items : Declared
+        One for each field.
+    """
+
+    kind: type
+    items: tuple[tuple[str, Declared], ...]
+
+    def __init__(self, kind: type, **items: Declared) -> None:
+        object.__setattr__(self, "kind", kind)
+        object.__setattr__(self, "items", tuple(items.items()))
+
+    def check(self, value: Any, place: str, extents: Extents) -> None:
+        """See `Declared`."""
+        if type(value) is not self.kind:
+            raise _refuse(place, value, self.kind.__name__)
+        for name, item in self.items:
+            item.check(getattr(value, name), f"{place}.{name}", extents)
 
 
 @dataclass(frozen=True, slots=True)

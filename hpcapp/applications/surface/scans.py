@@ -16,7 +16,7 @@ import numpy as np
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce, cut_equal, map_batches, stream_batches
 from hpccomponent.surface.cloud.disk import DiskCloud
-from hpccomponent.surface.cloud.regions import DroppedCells, pack_region
+from hpccomponent.surface.cloud.regions import DroppedCells, SentBlocks, pack_region
 from hpccomponent.surface.cloud.spacing import search_spacing
 from hpccomponent.surface.tasks.blocks import count_block_boxes, count_block_cells, merge_cells
 from hpccomponent.surface.tasks.file_ranges import BoxCounts
@@ -74,7 +74,7 @@ class Passes:
         return map_batches(self._workforce, task, batches)
 
     def map_blocks(
-        self, task: Callable[..., Any], cloud: DiskCloud, dropped: DroppedCells, *more: Any
+        self, task: Callable[..., Any], cloud: DiskCloud, dropped: DroppedCells | None, *more: Any
     ) -> list[Any]:
         """Run a task over runs of blocks (see `block_tasks`), given more arguments.
 
@@ -82,12 +82,11 @@ class Passes:
         ----------
         task : callable
         cloud : DiskCloud
-        dropped : tuple
-            `DroppedCells`.
+        dropped : DroppedCells or None
         *more : object
             What the task is given after its points.
         """
-        offered = self._workforce.share(dropped) if dropped else dropped
+        offered = None if dropped is None else self._workforce.share(dropped)
         runs = [cloud.keys[run] for run in self.cut_blocks(cloud.counts)]
         return self.map(task, [((str(cloud.folder), keys, offered), *more) for keys in runs])
 
@@ -97,7 +96,7 @@ class Passes:
         cloud: DiskCloud,
         regions: list[IntArray],
         margin: float,
-        dropped: DroppedCells,
+        dropped: DroppedCells | None,
         more: Callable[[int], tuple[Any, ...]],
     ) -> Iterator[tuple[int, Any]]:
         """Run a task over regions (see `region_tasks`) and yield results as they come.
@@ -110,19 +109,18 @@ class Passes:
             Sorted keys of each region's blocks.
         margin : float
             In length units of the input.
-        dropped : tuple
-            `DroppedCells`.
+        dropped : DroppedCells or None
         more : callable
             Given the index of a region, returns what the task is given after its points.
         """
-        offered = self.workforce.share(dropped) if dropped else dropped
+        offered = None if dropped is None else self.workforce.share(dropped)
 
         def batches() -> Iterator[tuple[Any, ...]]:
             for index, blocks in enumerate(regions):
-                where: tuple[Any, ...] = ("there", str(cloud.folder))
+                where: str | SentBlocks = str(cloud.folder)
                 if not self.workers_see:
                     where = pack_region(cloud, blocks, margin)
-                yield (*where, blocks, margin, offered), *more(index)
+                yield (where, blocks, margin, offered), *more(index)
 
         at_once = len(regions) if self.workers_see else self.workforce.workers + 1
         return stream_batches(self.workforce, task, batches(), max(at_once, 1))
@@ -131,7 +129,7 @@ class Passes:
         self, cloud: DiskCloud, origin: FloatArray, size: float
     ) -> tuple[IntArray, IntArray]:
         """Count the points in the occupied cells of a lattice; see `count_block_cells`."""
-        return merge_cells(self.map_blocks(count_block_cells, cloud, (), origin, size))
+        return merge_cells(self.map_blocks(count_block_cells, cloud, None, origin, size))
 
     @property
     def _workforce(self) -> Workforce:
@@ -184,7 +182,7 @@ def measure_spacing(
     cloud: DiskCloud,
     passes: Passes,
     box: tuple[int, FloatArray, FloatArray],
-    dropped: DroppedCells = (),
+    dropped: DroppedCells | None = None,
     known: Boxes | None = None,
 ) -> float:
     """Estimate the spacing of a cloud in a folder; see `spacing.search_spacing`.

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -121,7 +121,8 @@ class PartSurface:
         if isinstance(part, MeshPart):
             return part
         assert self.keeping is not None  # noqa: S101 - or there would be no names
-        return MeshPart.from_values(self.keeping.store.get(part)[0])
+        kept: MeshPart = self.keeping.store.get(part)[0]
+        return kept
 
     def check(self) -> Topology:
         """Judge its topology."""
@@ -175,18 +176,16 @@ class PartSurface:
         with temporary_folder() as folder:
             near = FolderStore(folder)
             for index in range(len(self.parts)):
-                near.put(str(index), self.load(index).to_values())
-            yield lambda index: MeshPart.from_values(near.get(str(index)))
+                near.put(str(index), self.load(index))
+            yield lambda index: cast(MeshPart, near.get(str(index)))
 
     def _share_ply(self, path: Path, workforce: Workforce, place: str) -> None:
         """Let the workers write a PLY."""
         plan = self.plan
         counts = (plan.vertex_count, plan.face_count)
         with shared_ply(path, counts, self.origin, plan.box) as shared:
-            values = shared.to_values()
             batches = (
-                ((place, name), plan.places(index).to_values(), values)
-                for index, name in enumerate(self.parts)
+                ((place, name), plan.places(index), shared) for index, name in enumerate(self.parts)
             )
             for index in _left_undone(workforce, write_kept, batches):
                 write_part(self.load(index), plan.places(index), shared)
@@ -203,8 +202,7 @@ class PartSurface:
                 near, owners = number_keys(parts)
                 names = tuple(self.parts[part] for part in near.tolist())
                 file = (str(file_of(index)), str(path), is_double, self.origin)
-                values = plan.places(index).to_values()
-                return (place, self.parts[index]), values, (names, owners, rows), file
+                return (place, self.parts[index]), plan.places(index), (names, owners, rows), file
 
             batches = map(batch, range(len(self.parts)))
             for index in _left_undone(workforce, write_kept_tile, batches):

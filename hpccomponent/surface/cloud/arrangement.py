@@ -17,9 +17,9 @@ from math import frexp
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
+from hpccomponent.protocol.records import record
 from hpccomponent.surface import kernels
 from hpccomponent.surface.types.lattice import unpack_keys
 from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
@@ -45,6 +45,7 @@ _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 _BLOCKS_BITS = 6  # at most 2^6 blocks along the longest side, and more than half of that
 
 
+@record("surface.arrangement")
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrangement:
     """The lattice of blocks that a cloud is sorted by.
@@ -66,6 +67,7 @@ class Arrangement:
         return self.edge * 2.0**-QUANTA_BITS
 
 
+@record("surface.packed_points")
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedPoints:
     """Arranged points in half the bytes, without loss.
@@ -102,10 +104,6 @@ class PackedPoints:
             records: Float32Array = base
             return records
         return np.concatenate([self.offsets, self.normals], axis=1)
-
-    def to_values(self) -> tuple[NDArray[Any], ...]:
-        """Return the arrays, in the order of the parameters: what a task may be given."""
-        return self.keys, self.counts, self.offsets, self.normals
 
 
 def choose_arrangement(low: FloatArray, high: FloatArray) -> Arrangement:

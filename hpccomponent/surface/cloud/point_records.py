@@ -5,7 +5,7 @@ Used by the reader of binary PLY, and by tasks on machines that see the file.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
+from hpccomponent.protocol.records import record
 from hpccomponent.surface.types.points import ByteArray, PointCloud
 
 __all__ = ["Column", "PointRecords"]
@@ -23,6 +24,7 @@ Column = tuple[int, str]
 _BYTES_AT_ONCE = 1 << 20  # what is read stays in the cache until it is copied into columns
 
 
+@record("surface.point_records")
 @dataclass(frozen=True, slots=True)
 class PointRecords:
     """Where the points of a file are.
@@ -48,10 +50,6 @@ class PointRecords:
     positions: tuple[Column, ...]
     normals: tuple[Column, ...] = ()
     colors: tuple[Column, ...] = ()
-
-    def to_values(self) -> tuple[Any, ...]:
-        """Return what a task may be given."""
-        return astuple(self)
 
     def read(self, start: int, stop: int) -> PointCloud:
         """Read a run of points.

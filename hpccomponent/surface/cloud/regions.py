@@ -4,29 +4,66 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from hpccomponent.protocol.records import record
 from hpccomponent.surface.cloud.arrangement import Arrangement, PackedPoints, unpack_near
 from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
 from hpccomponent.surface.cloud.outliers import EDGE, ISLAND_LEVEL
 from hpccomponent.surface.types.lattice import cells_of, find_keys, pack_places, unpack_keys
 from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
 
-__all__ = ["DroppedCells", "Region", "RegionPoints", "find_kept", "pack_region", "take_region"]
+__all__ = [
+    "DroppedCells",
+    "Region",
+    "RegionPoints",
+    "SentBlocks",
+    "find_kept",
+    "pack_region",
+    "take_region",
+]
 
 
-RegionPoints = tuple[Any, ...]
-"""``("there", folder)`` where the worker sees the folder of a `DiskCloud`, or ``("sent",
-arrangement, packed)`` with the values of an `Arrangement` and of a `PackedPoints`; and then the
-sorted keys of the region's own blocks, the width of the margin in length units of the input, and
-`DroppedCells`."""
+@record("surface.dropped_cells")
+@dataclass(frozen=True, slots=True, eq=False)
+class DroppedCells:
+    """Cells whose points are as if they were not there.
 
-DroppedCells = tuple[Any, ...]
-"""Cells whose points are as if they were not there: the least coordinates of the cloud and its
-spacing, from which the cells follow, and the sorted keys of `Judgement.stray_cells` and of
-`Judgement.island_cells`; or nothing."""
+    Parameters
+    ----------
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
+    spacing : float
+        Of the cloud: from both the cells follow.
+    strays, islands : ndarray of int64
+        The sorted keys of `Judgement.stray_cells` and of `Judgement.island_cells`.
+    """
+
+    low: FloatArray
+    spacing: float
+    strays: IntArray
+    islands: IntArray
+
+
+@record("surface.sent_blocks")
+@dataclass(frozen=True, slots=True, eq=False)
+class SentBlocks:
+    """Points in blocks that a worker is sent.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    packed : PackedPoints
+    """
+
+    arrangement: Arrangement
+    packed: PackedPoints
+
+
+RegionPoints = tuple[str | SentBlocks, IntArray, float, DroppedCells | None]
+"""The folder of a `DiskCloud` that the worker sees, or what it is sent; the sorted keys of the
+region's own blocks; the width of the margin in length units of the input; what is dropped."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,8 +114,8 @@ class Region:
         return PackedPoints.from_records(self.packed.keys[held], counts[held], records)
 
 
-def pack_region(cloud: DiskCloud, blocks: IntArray, margin: float) -> tuple[Any, ...]:
-    """Return what a worker is sent of a region: the first three of `RegionPoints`.
+def pack_region(cloud: DiskCloud, blocks: IntArray, margin: float) -> SentBlocks:
+    """Return what a worker is sent of a region.
 
     Parameters
     ----------
@@ -88,9 +125,7 @@ def pack_region(cloud: DiskCloud, blocks: IntArray, margin: float) -> tuple[Any,
     margin : float
         In length units of the input.
     """
-    packed = _take_near(cloud, blocks, margin)
-    arrangement = cloud.arrangement
-    return "sent", (arrangement.origin, arrangement.edge), packed.to_values()
+    return SentBlocks(cloud.arrangement, _take_near(cloud, blocks, margin))
 
 
 def take_region(points: RegionPoints) -> Region:
@@ -111,36 +146,36 @@ def take_region(points: RegionPoints) -> Region:
     JobError
         The folder is not there any more, or not whole.
     """
-    *where, blocks, margin, dropped = points
-    if where[0] == "there":
-        cloud = open_disk_cloud(Path(where[1]))
-        arrangement, packed = cloud.arrangement, _take_near(cloud, blocks, margin)
+    where, blocks, margin, dropped = points
+    if isinstance(where, SentBlocks):
+        arrangement, packed = where.arrangement, where.packed
     else:
-        arrangement, packed = Arrangement(*where[1]), PackedPoints(*where[2])
+        cloud = open_disk_cloud(Path(where))
+        arrangement, packed = cloud.arrangement, _take_near(cloud, blocks, margin)
     positions, rows = unpack_near(arrangement, packed, *_bound(arrangement, blocks, margin))
     own = np.repeat(find_keys(blocks, packed.keys) < len(blocks), packed.counts)
     own = own[rows] if len(rows) < len(own) else own
     owned = int(own.sum())
-    if dropped:
+    if dropped is not None:
         kept = np.flatnonzero(find_kept(dropped, positions))
         if len(kept) < len(positions):
             positions, own, rows = positions.take(kept, axis=0), own[kept], rows[kept]
     return Region(positions, own, arrangement, packed, rows, int(own.sum()) < owned)
 
 
-def find_kept(dropped: DroppedCells, positions: FloatArray) -> BoolArray:
+def find_kept(dropped: DroppedCells | None, positions: FloatArray) -> BoolArray:
     """Tell which points do not lie in dropped cells.
 
     Parameters
     ----------
-    dropped : tuple
-        `DroppedCells`.
+    dropped : DroppedCells or None
     positions : ndarray of float64, shape (n, 3)
     """
-    if not dropped:
+    if dropped is None:
         return np.ones(len(positions), np.bool_)
-    low, spacing, strays, islands = dropped
-    cells = np.floor(cells_of(positions, low, EDGE * spacing)).astype(np.int64)
+    edge = EDGE * dropped.spacing
+    cells = np.floor(cells_of(positions, dropped.low, edge)).astype(np.int64)
+    strays, islands = dropped.strays, dropped.islands
     kept: BoolArray = find_keys(strays, pack_places(cells)) == len(strays)
     kept &= find_keys(islands, pack_places(cells >> ISLAND_LEVEL)) == len(islands)
     return kept

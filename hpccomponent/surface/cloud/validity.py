@@ -8,6 +8,7 @@ from typing import NoReturn
 import numpy as np
 
 from hpccomponent.errors import InputError
+from hpccomponent.protocol.records import record
 from hpccomponent.surface.types.points import BoolArray, FloatArray, PointCloud
 
 __all__ = ["Dropped", "Reach", "are_usable", "refuse_without_normals", "select_usable"]
@@ -42,6 +43,7 @@ class Dropped:
         return self.non_finite_points + self.bad_normals
 
 
+@record("surface.reach")
 @dataclass(frozen=True, slots=True, eq=False)
 class Reach:
     """How far from the middle of a cloud points may lie.

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.protocol.records import record
 from hpccomponent.surface.extraction.parts import Int32Array, MeshPart
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["PartPlaces", "Runs", "place_faces", "place_vertices", "starts_of"]
 
 
+@record("surface.part_places")
 @dataclass(frozen=True, slots=True, eq=False)
 class PartPlaces:
     """The share of a part in the whole mesh; b bricks, g foreign vertices.
@@ -35,15 +37,6 @@ class PartPlaces:
     face_starts: IntArray
     dropped: Int32Array
     foreign: IntArray
-
-    def to_values(self) -> tuple[Any, ...]:
-        """Return the arrays, in the order of the parameters: what a task may be called with."""
-        return tuple(getattr(self, field.name) for field in fields(self))
-
-    @classmethod
-    def from_values(cls, values: tuple[Any, ...]) -> PartPlaces:
-        """Return what `to_values` took apart."""
-        return cls(*values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hpccomponent.protocol.records import record
 from hpccomponent.surface.types.grid import OWN, BrickKinds
 from hpccomponent.surface.types.lattice import find_keys, number_keys
 from hpccomponent.surface.types.mesh import BrickMesh
@@ -15,6 +15,7 @@ from hpccomponent.surface.types.points import BoolArray, FloatArray, Int32Array,
 __all__ = ["Int32Array", "MeshPart", "cut_part", "join_parts"]
 
 
+@record("surface.part")
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshPart:
     """The vertices and faces of some bricks; b bricks, v vertices, f faces, g foreign vertices.
@@ -56,15 +57,6 @@ class MeshPart:
     faces: Int32Array
     foreign_bricks: IntArray
     foreign_numbers: Int32Array
-
-    def to_values(self) -> tuple[Any, ...]:
-        """Return the arrays, in the order of the parameters: what a task may return."""
-        return tuple(getattr(self, field.name) for field in fields(self))
-
-    @classmethod
-    def from_values(cls, values: tuple[Any, ...]) -> MeshPart:
-        """Return the part that `to_values` took apart."""
-        return cls(*values)
 
     @classmethod
     def empty(cls) -> MeshPart:

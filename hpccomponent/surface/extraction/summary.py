@@ -6,11 +6,11 @@ because a guest counts only where no other part has the brick.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
+from hpccomponent.protocol.records import record
 from hpccomponent.surface import kernels
 from hpccomponent.surface.extraction.parts import Int32Array, MeshPart
 from hpccomponent.surface.types.lattice import number_keys, unique_keys
@@ -19,6 +19,7 @@ from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 __all__ = ["PartSummary", "summarize_part"]
 
 
+@record("surface.part_summary")
 @dataclass(frozen=True, slots=True, eq=False)
 class PartSummary:
     """A part without its vertices and faces; b bricks, g foreign vertices, c components.
@@ -76,15 +77,6 @@ class PartSummary:
     seam_faces: Int32Array
     rim: Int32Array
     rim_places: FloatArray
-
-    def to_values(self) -> tuple[Any, ...]:
-        """Return the arrays, in the order of the parameters: what a task may return."""
-        return tuple(getattr(self, field.name) for field in fields(self))
-
-    @classmethod
-    def from_values(cls, values: tuple[Any, ...]) -> PartSummary:
-        """Return the summary that `to_values` took apart."""
-        return cls(*values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,10 +8,10 @@ distance, and it is cut off one and a half grid steps from the surface.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from hpccomponent.protocol.records import record
 from hpccomponent.surface.kernels import integrate_normals, sample_grid
 from hpccomponent.surface.types.field import FarField
 from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
@@ -30,6 +30,7 @@ _PADDING = 1.5
 _REACH = 1.5
 
 
+@record("surface.far_field_part")
 @dataclass(frozen=True, slots=True, eq=False)
 class FarFieldPart:
     """A box of a far field.
@@ -51,10 +52,6 @@ class FarFieldPart:
     nodes: int
     origin: FloatArray
     step: float
-
-    def to_values(self) -> tuple[Any, ...]:
-        """Return what a task may be given, in the order of the parameters."""
-        return self.values, self.first, self.nodes, self.origin, self.step
 
 
 def crop_far_field(far: FarField, low: FloatArray, high: FloatArray) -> FarFieldPart:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hpccomponent.cutting import cut_equal
+from hpccomponent.protocol.records import record
 from hpccomponent.surface import kernels
 from hpccomponent.surface.fitting.cell_points import (
     CellMoments,
@@ -129,6 +130,7 @@ class VertexQuadrics:
     variances: Float32Array
 
 
+@record("surface.parents")
 @dataclass(frozen=True, slots=True, eq=False)
 class Parents:
     """What the vertices of the next finer level take from a level.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.arranged import Points
 from hpccomponent.surface.cloud.disk import open_disk_cloud
-from hpccomponent.surface.cloud.regions import Region, take_region
+from hpccomponent.surface.cloud.regions import DroppedCells, Region, take_region
 from hpccomponent.surface.cloud.spacing import sample_box_keys
 from hpccomponent.surface.tasks.file_ranges import BoxCounts
 from hpccomponent.surface.tasks.result_patterns import (
@@ -36,7 +35,7 @@ __all__ = [
     "survey_blocks",
 ]
 
-BlockPoints = tuple[Any, ...]
+BlockPoints = tuple[str, IntArray, DroppedCells | None]
 """The folder of a `DiskCloud` that the worker sees, the sorted keys of blocks, `DroppedCells`."""
 
 
@@ -135,7 +134,7 @@ def count_block_cells(
         Sorted by key.
     """
     folder, blocks, dropped = points
-    assert not dropped  # noqa: S101 - tiles are cut when a cloud is clean
+    assert dropped is None  # noqa: S101 - tiles are cut when a cloud is clean
     cloud = open_disk_cloud(Path(folder))
     return count_points(cloud.arrangement, cloud.take_packed(blocks), origin, size)
 
@@ -156,4 +155,4 @@ def merge_cells(counted: list[tuple[IntArray, IntArray]]) -> tuple[IntArray, Int
 
 def _take(points: BlockPoints) -> Region:
     folder, blocks, dropped = points
-    return take_region(("there", folder, blocks, 0.0, dropped))
+    return take_region((folder, blocks, 0.0, dropped))

@@ -10,7 +10,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from hpccomponent.protocol.declared import Either, Fixed, Nothing
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud import outlier_regions
+from hpccomponent.surface.cloud.arrangement import PackedPoints
 from hpccomponent.surface.cloud.disk import write_part
 from hpccomponent.surface.cloud.outlier_regions import (
     RegionRanks,
@@ -29,6 +29,9 @@ from hpccomponent.surface.cloud.regions import Region, RegionPoints, take_region
 from hpccomponent.surface.normals import consistency as normals
 from hpccomponent.surface.tasks.result_patterns import MENDED, RANKS, STRAY_CELLS
 from hpccomponent.surface.types.points import FloatArray, IntArray
+
+Mended = tuple[PackedPoints | tuple[IntArray, IntArray] | None, int, FloatArray]
+"""What `mend_blocks` returns."""
 
 __all__ = ["MARGIN", "clean_blocks", "judge_blocks", "mend_blocks"]
 
@@ -43,7 +46,7 @@ def clean_blocks(
     spacing: float,
     target: tuple[str, int] | None,
     sampled: tuple[float, int],
-) -> tuple[RegionRanks, tuple[Any, ...] | None]:
+) -> tuple[RegionRanks, Mended | None]:
     """Rank the points of a region, and mend it if none of them are sparse (a task).
 
     Parameters
@@ -93,7 +96,7 @@ def mend_blocks(
     spacing: float,
     target: tuple[str, int] | None,
     sampled: tuple[float, int],
-) -> tuple[Any, ...]:
+) -> Mended:
     """Turn round the wrong normals of a region, and write its points if any change (a task).
 
     Parameters
@@ -110,8 +113,8 @@ def mend_blocks(
 
     Returns
     -------
-    packed : tuple or None
-        Of a `PackedPoints`: the points in its blocks, or if they were written only their keys and
+    packed : PackedPoints, tuple or None
+        The points in its blocks, or if they were written only their keys and
         counts. None where they are what they were: nothing is written then.
     flipped : int
         Normals that were turned round.
@@ -132,7 +135,7 @@ def _mend(
     spacing: float,
     target: tuple[str, int] | None,
     sampled: tuple[float, int],
-) -> tuple[Any, ...]:
+) -> Mended:
     """Turn round the wrong normals of a region; see `mend_blocks`."""
     turned = normals.find_turned(region.positions, region.normals, low, spacing) & region.own
     rows = np.zeros(0, np.int64)
@@ -146,7 +149,6 @@ def _mend(
     if not (flipped or region.has_lost_own):
         return None, flipped, sample
     packed = region.pack_own(turned)
-    values = packed.to_values()
-    if target is not None:
-        values = write_part(Path(target[0]), target[1], [packed])
-    return values, flipped, sample
+    if target is None:
+        return packed, flipped, sample
+    return write_part(Path(target[0]), target[1], [packed]), flipped, sample

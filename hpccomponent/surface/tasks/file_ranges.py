@@ -9,11 +9,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.arrangement import (
@@ -37,14 +39,81 @@ from hpccomponent.surface.tasks.result_patterns import (
 from hpccomponent.surface.types.lattice import unique_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
-__all__ = ["BoxCounts", "FilePoints", "arrange_range", "bound_range", "survey_range", "unite_boxes"]
+__all__ = [
+    "BoxCounts",
+    "FilePoints",
+    "FileRange",
+    "SentRange",
+    "arrange_range",
+    "bound_range",
+    "survey_range",
+    "unite_boxes",
+]
 
 _AT_ONCE = 1 << 16  # points: what is made of them stays in the cache
 _NOWHERE = np.zeros((0, 3))
 
-FilePoints = tuple[Any, ...]
-"""``("there", records, start, stop)`` with the values of a `PointRecords`, in a file that the
-worker sees; or ``("sent", path, positions, normals)`` with points that were read from it."""
+
+@record("surface.file_range")
+@dataclass(frozen=True, slots=True, eq=False)
+class FileRange:
+    """A range of a file that the worker sees.
+
+    Parameters
+    ----------
+    records : PointRecords
+    start, stop : int
+        Of its records.
+    """
+
+    records: PointRecords
+    start: int
+    stop: int
+
+    def __len__(self) -> int:
+        return self.stop - self.start
+
+    @property
+    def path(self) -> str:
+        """The file."""
+        return self.records.path
+
+    def pieces(self) -> Iterator[PointCloud]:
+        """Yield the points in their order, some at a time."""
+        for start in range(self.start, self.stop, _AT_ONCE):
+            yield self.records.read(start, min(start + _AT_ONCE, self.stop))
+
+
+@record("surface.sent_range")
+@dataclass(frozen=True, slots=True, eq=False)
+class SentRange:
+    """A range of a file, read already.
+
+    Parameters
+    ----------
+    path : str
+        The file, for messages.
+    positions : ndarray of float64, shape (n, 3)
+    normals : ndarray of float64, shape (n, 3), or None
+    """
+
+    path: str
+    positions: FloatArray
+    normals: FloatArray | None
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def pieces(self) -> Iterator[PointCloud]:
+        """Yield the points in their order, some at a time."""
+        for start in range(0, len(self.positions), _AT_ONCE):
+            rows = slice(start, start + _AT_ONCE)
+            yield PointCloud(
+                self.positions[rows], None if self.normals is None else self.normals[rows]
+            )
+
+
+FilePoints = FileRange | SentRange
 
 BoxCounts = list[tuple[int, IntArray]]
 """For each size of boxes the points in a sample of them, and their keys: `sample_box_keys`."""
@@ -56,8 +125,7 @@ def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
 
     Parameters
     ----------
-    points : tuple
-        `FilePoints`.
+    points : FileRange or SentRange
     before : int
         Usable points in front of the range.
     step : int
@@ -76,15 +144,15 @@ def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
     InputError
         The file has no normals, or cannot be read any more.
     """
-    path, dropped = _path_of(points), Dropped()
+    dropped = Dropped()
     frame = box = _bound(_NOWHERE)
     usable, samples = 0, [_NOWHERE]
-    for cloud in _read_pieces(points):
+    for cloud in points.pieces():
         near = around = _bound(cloud.positions)
         if not are_usable(cloud):
             finite = np.isfinite(cloud.positions).all(axis=1)
             around = _bound(cloud.positions[finite])
-            cloud, left_out = select_usable(cloud, path)
+            cloud, left_out = select_usable(cloud, points.path)
             dropped += left_out
             near = _bound(cloud.positions)
         frame, box = unite_boxes([frame, around]), unite_boxes([box, near])
@@ -95,19 +163,15 @@ def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
 
 
 @declare(result=bounded_range, limit=SMALL_BYTES)
-def bound_range(
-    points: FilePoints, origin: FloatArray, reach: tuple[FloatArray, float]
-) -> tuple[int, FloatArray]:
+def bound_range(points: FilePoints, origin: FloatArray, reach: Reach) -> tuple[int, FloatArray]:
     """Bound the usable points of a range that are within reach (a task).
 
     Parameters
     ----------
-    points : tuple
-        `FilePoints`.
+    points : FileRange or SentRange
     origin : ndarray of float64, shape (3,)
         Of the local frame.
-    reach : tuple
-        Of a `Reach`.
+    reach : Reach
 
     Returns
     -------
@@ -125,8 +189,8 @@ def bound_range(
 def arrange_range(
     points: FilePoints,
     origin: FloatArray,
-    reach: tuple[FloatArray, float] | None,
-    arrangement: tuple[FloatArray, float],
+    reach: Reach | None,
+    arrangement: Arrangement,
     target: tuple[str, int],
     boxes: tuple[FloatArray, tuple[float, ...], int],
 ) -> tuple[IntArray, IntArray, BoxCounts]:
@@ -134,14 +198,12 @@ def arrange_range(
 
     Parameters
     ----------
-    points : tuple
-        `FilePoints`.
+    points : FileRange or SentRange
     origin : ndarray of float64, shape (3,)
         Of the local frame.
-    reach : tuple or None
-        Of a `Reach`; points beyond it are left out.
-    arrangement : tuple
-        Of an `Arrangement`.
+    reach : Reach or None
+        Points beyond it are left out.
+    arrangement : Arrangement
     target : tuple of (str, int)
         The folder, and the number of the part: see `disk_cloud.write_part`.
     boxes : tuple
@@ -162,14 +224,13 @@ def arrange_range(
         The disk is full, or the folder cannot be written.
     """
     low, edges, one_in = boxes
-    blocks = Arrangement(*arrangement)
     pieces: list[PackedPoints] = []
     counted: list[BoxCounts] = [[(0, np.zeros(0, np.int64))] * len(edges)]
     for near in _take_near(points, origin, reach):
         if len(near):
             assert near.normals is not None  # noqa: S101 - usable points have some
-            snapped = snap_points(blocks, near.positions)
-            pieces.append(pack_snapped(blocks, snapped, near.normals))
+            snapped = snap_points(arrangement, near.positions)
+            pieces.append(pack_snapped(arrangement, snapped, near.normals))
             counted.append([sample_box_keys(snapped, low, edge, one_in) for edge in edges])
     keys, counts = write_part(Path(target[0]), target[1], pieces)
     return keys, counts, [_add_counts(of_edge) for of_edge in zip(*counted, strict=True)]
@@ -181,37 +242,16 @@ def _add_counts(counted: tuple[tuple[int, IntArray], ...]) -> tuple[int, IntArra
     return sum(points), unique_keys(np.concatenate(keys))
 
 
-def _read_pieces(points: FilePoints) -> Iterator[PointCloud]:
-    """Yield the points of a range in their order, some at a time."""
-    if points[0] == "sent":
-        positions, normals = points[2:]
-        for start in range(0, len(positions), _AT_ONCE):
-            rows = slice(start, start + _AT_ONCE)
-            yield PointCloud(positions[rows], None if normals is None else normals[rows])
-        return
-    _, values, first, stop = points
-    records = PointRecords(*values)
-    for start in range(first, stop, _AT_ONCE):
-        yield records.read(start, min(start + _AT_ONCE, stop))
-
-
-def _path_of(points: FilePoints) -> str:
-    return str(points[1] if points[0] == "sent" else points[1][0])
-
-
-def _take_near(
-    points: FilePoints, origin: FloatArray, reach: tuple[FloatArray, float] | None
-) -> Iterator[PointCloud]:
+def _take_near(points: FilePoints, origin: FloatArray, reach: Reach | None) -> Iterator[PointCloud]:
     """Yield the usable points within reach, in their frame, some at a time."""
-    path = _path_of(points)
-    for cloud in _read_pieces(points):
-        usable, _ = select_usable(cloud, path)
+    for cloud in points.pieces():
+        usable, _ = select_usable(cloud, points.path)
         positions = usable.positions - origin if origin.any() else usable.positions
         local = PointCloud(positions, usable.normals)
-        if reach is None or not len(local) or Reach(*reach).holds(*bound_points(positions)):
+        if reach is None or not len(local) or reach.holds(*bound_points(positions)):
             yield local
         else:
-            yield local.take(Reach(*reach).find_near(positions))
+            yield local.take(reach.find_near(positions))
 
 
 def _bound(positions: FloatArray) -> FloatArray:

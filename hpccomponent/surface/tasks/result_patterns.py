@@ -19,10 +19,16 @@ from hpccomponent.protocol.declared import (
     Flag,
     Nothing,
     Number,
+    Record,
     Where,
     Whole,
 )
 from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES
+from hpccomponent.surface.cloud.arrangement import PackedPoints
+from hpccomponent.surface.extraction.parts import MeshPart
+from hpccomponent.surface.extraction.summary import PartSummary
+from hpccomponent.surface.fitting.far_field import FarFieldPart
+from hpccomponent.surface.tiles.plan import CoarseLattice, Samples
 
 __all__ = [
     "BOX",
@@ -68,17 +74,19 @@ RANKS = Fixed(
 )
 
 
-def _are_packed(values: Any) -> bool:
-    return len(values) == 2 or int(values[1].sum()) == len(values[2])
-
-
 MENDED = Fixed(
     Either(
         Nothing(),
         Fixed(_KEYS, _COUNTS),
         Where(
-            Fixed(_KEYS, _COUNTS, Array("<f4", "p", 3), Array("<f4", "p", 3)),
-            _are_packed,
+            Record(
+                PackedPoints,
+                keys=_KEYS,
+                counts=_COUNTS,
+                offsets=Array("<f4", "p", 3),
+                normals=Array("<f4", "p", 3),
+            ),
+            lambda packed: int(packed.counts.sum()) == len(packed),
             "there are not as many points as are counted",
         ),
     ),
@@ -89,7 +97,7 @@ MENDED = Fixed(
 
 def count_range(points: Any) -> int:
     """Return how many points a range of a file holds (see `file_ranges.FilePoints`)."""
-    return int(points[3] - points[2] if points[0] == "there" else len(points[2]))
+    return len(points)
 
 
 def surveyed_range(points: Any, _before: int, _step: int) -> Declared:
@@ -121,8 +129,15 @@ def far_field(nodes: int) -> Declared:
     """Return the pattern of a `FarFieldPart` with so many nodes along a side."""
     box, first = Array("<f4", "x", "y", "z"), Array("<i8", 3, low=0, high=nodes)
     return Where(
-        Fixed(box, first, Exactly(nodes), Array("<f8", 3), Number(0.0)),
-        lambda values: bool((values[1] + values[0].shape <= nodes).all()),
+        Record(
+            FarFieldPart,
+            values=box,
+            first=first,
+            nodes=Exactly(nodes),
+            origin=Array("<f8", 3),
+            step=Number(0.0),
+        ),
+        lambda part: bool((part.first + part.values.shape <= nodes).all()),
         "the box lies within the whole",
     )
 
@@ -140,8 +155,14 @@ def summed_tile(
         place, name = keep
         return Fixed(Nothing(), Exactly((place, f"{name}-far")), Whole(0, _MOST))
     cells = Array("<i8", "c", low=0)
-    lattice = Fixed(cells, Array("<f8", "c", "moments"), Array("<f8", "c"), Array("<i8", "v"))
-    samples = Fixed(Array("<i8", "s", low=0), Array("<f8", "s", 7))
+    lattice = Record(
+        CoarseLattice,
+        cells=cells,
+        moments=Array("<f8", "c", "moments"),
+        squares=Array("<f8", "c"),
+        vertices=Array("<i8", "v"),
+    )
+    samples = Record(Samples, cells=Array("<i8", "s", low=0), sums=Array("<f8", "s", 7))
     return Fixed(lattice, samples, Whole(0, _MOST))
 
 
@@ -150,32 +171,31 @@ def tile_surface(keep: tuple[str, str] | None) -> Declared:
     return Fixed(_PART if keep is None else Nothing(), _SUMMARY, Array("<i8", "exits", low=0))
 
 
-def _is_part(values: Any) -> bool:
-    bricks, _, vertex_counts, face_counts, vertices, faces, foreign, _ = values
+def _is_part(part: MeshPart) -> bool:
     return (
-        _rise(bricks)
-        and int(vertex_counts.sum(dtype=np.int64)) == len(vertices)
-        and int(face_counts.sum(dtype=np.int64)) == len(faces)
-        and _lie_within(faces, -len(foreign), len(vertices))
+        _rise(part.bricks)
+        and int(part.vertex_counts.sum(dtype=np.int64)) == len(part.vertices)
+        and int(part.face_counts.sum(dtype=np.int64)) == len(part.faces)
+        and _lie_within(part.faces, -len(part.foreign_bricks), len(part.vertices))
     )
 
 
-def _is_summary(values: Any) -> bool:
-    bricks, _, vertex_counts, _, foreign = values[:5]
-    foreign_labels, starts, labels = values[6:9]
-    mixed, bounds, piece_vertices, units = values[12:16]
-    bare, seam_faces, rim = values[17:20]
-    own, components = int(vertex_counts.sum(dtype=np.int64)), len(bounds)
+def _is_summary(part: PartSummary) -> bool:
+    starts, labels = part.entry_starts, part.entry_labels
+    own, components = int(part.vertex_counts.sum(dtype=np.int64)), len(part.bounds)
     return (
-        _rise(bricks)
+        _rise(part.bricks)
         and int(starts[0]) == 0
         and int(starts[-1]) == len(labels)
         and bool((starts[1:] >= starts[:-1]).all())
-        and all(_lie_within(of, 0, components) for of in (foreign_labels, labels, mixed))
-        and _lie_within(units, -1, len(bricks))
         and all(
-            _lie_within(of, -len(foreign), own)
-            for of in (piece_vertices, bare, seam_faces[:, 1:], rim)
+            _lie_within(of, 0, components)
+            for of in (part.foreign_labels, labels, part.mixed_labels)
+        )
+        and _lie_within(part.piece_units, -1, len(part.bricks))
+        and all(
+            _lie_within(of, -len(part.foreign_bricks), own)
+            for of in (part.piece_vertices, part.bare, part.seam_faces[:, 1:], part.rim)
         )
     )
 
@@ -192,32 +212,38 @@ def _ints(*shape: int | str, low: int | None = 0) -> Array:
     return Array("<i4", *shape, low=low)
 
 
-_BRICKS = (Array("<i8", "b", low=0), Array("|b1", "b"), _ints("b"), _ints("b"))
-_FOREIGN = (Array("<i8", "g", low=0), _ints("g"))
+_BRICKS: dict[str, Declared] = {
+    "bricks": Array("<i8", "b", low=0),
+    "guests": Array("|b1", "b"),
+    "vertex_counts": _ints("b"),
+    "face_counts": _ints("b"),
+    "foreign_bricks": Array("<i8", "g", low=0),
+    "foreign_numbers": _ints("g"),
+}
 _PART = Where(
-    Fixed(*_BRICKS, Array("<f8", "v", 3), _ints("f", 3, low=None), *_FOREIGN),
+    Record(MeshPart, **_BRICKS, vertices=Array("<f8", "v", 3), faces=_ints("f", 3, low=None)),
     _is_part,
     "bricks rise, and have as many vertices and faces as they count",
 )
 _SUMMARY = Where(
-    Fixed(
-        *_BRICKS,
-        *_FOREIGN,
-        _ints("g"),
-        _ints("b+1"),
-        _ints("e"),
-        _ints("e"),
-        _ints("e"),
-        Array("<f8", "e", 4),
-        _ints("m"),
-        Array("<f8", "c", 6, low=-np.inf, finite=False),  # infinite without vertices
-        _ints("p", low=None),
-        _ints("p", low=-1),
-        _ints("q", 3),
-        _ints("bare", low=None),
-        _ints("seam", 4, low=None),
-        _ints("r"),
-        Array("<f8", "r", 3),
+    Record(
+        PartSummary,
+        **_BRICKS,
+        foreign_labels=_ints("g"),
+        entry_starts=_ints("b+1"),
+        entry_labels=_ints("e"),
+        entry_vertices=_ints("e"),
+        entry_faces=_ints("e"),
+        entry_sums=Array("<f8", "e", 4),
+        mixed_labels=_ints("m"),
+        bounds=Array("<f8", "c", 6, low=-np.inf, finite=False),  # infinite without vertices
+        piece_vertices=_ints("p", low=None),
+        piece_units=_ints("p", low=-1),
+        sides=_ints("q", 3),
+        bare=_ints("bare", low=None),
+        seam_faces=_ints("seam", 4, low=None),
+        rim=_ints("r"),
+        rim_places=Array("<f8", "r", 3),
     ),
     _is_summary,
     "what it names lies among its bricks, vertices and components",

@@ -8,7 +8,7 @@ each, so that a part that is written twice, as after the loss of a worker, gives
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import OutputError
+from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store
 from hpccomponent.surface.extraction.part_places import (
@@ -50,6 +51,7 @@ FACE_SIZE = _FACE.itemsize
 """Bytes of a face."""
 
 
+@record("surface.shared_ply")
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedPly:
     """Where the rows of a binary little-endian PLY file are.
@@ -74,15 +76,6 @@ class SharedPly:
     face_start: int
     is_double: bool
     origin: FloatArray
-
-    def to_values(self) -> tuple[Any, ...]:
-        """Return the parameters in order: what a task may be called with."""
-        return tuple(getattr(self, field.name) for field in fields(self))
-
-    @classmethod
-    def from_values(cls, values: tuple[Any, ...]) -> SharedPly:
-        """Return what `to_values` took apart."""
-        return cls(*values)
 
 
 def ply_header(element_lines: list[str]) -> bytes:
@@ -175,17 +168,15 @@ def write_part(part: MeshPart, places: PartPlaces, shared: SharedPly) -> None:
 
 
 @declare(result=WRITTEN, limit=SMALL_BYTES)
-def write_kept(kept: tuple[str, str], places: tuple[Any, ...], shared: tuple[Any, ...]) -> bool:
+def write_kept(kept: tuple[str, str], places: PartPlaces, shared: SharedPly) -> bool:
     """Write a part that is kept into the file that all parts share (a task).
 
     Parameters
     ----------
     kept : tuple of str
         The store (see `store.places`) and the name of what `region.mesh_tile` put there.
-    places : tuple
-        Of its `PartPlaces`.
-    shared : tuple
-        Of the `SharedPly`.
+    places : PartPlaces
+    shared : SharedPly
 
     Returns
     -------
@@ -201,9 +192,9 @@ def write_kept(kept: tuple[str, str], places: tuple[Any, ...], shared: tuple[Any
         The part cannot be read.
     """
     leave_for_files()  # what tiles have left
-    ply, (place, name) = SharedPly.from_values(shared), kept
+    place, name = kept
     try:
-        file = os.open(ply.path, os.O_WRONLY)
+        file = os.open(shared.path, os.O_WRONLY)
     except OSError:
         return False
     try:
@@ -211,13 +202,13 @@ def write_kept(kept: tuple[str, str], places: tuple[Any, ...], shared: tuple[Any
             store = hold_store(place)
             if not store.has(name):
                 return False
-            part = MeshPart.from_values(store.get(name)[0])
-            _write_rows(file, part, PartPlaces.from_values(places), ply)
+            part: MeshPart = store.get(name)[0]
+            _write_rows(file, part, places, shared)
         finally:
             os.close(file)  # what a network has to say, it says here
     except OSError as error:
         raise OutputError(
-            f"{ply.target}: cannot be written: {error.strerror or error}",
+            f"{shared.target}: cannot be written: {error.strerror or error}",
             "check that its folder has room and lets you write",
         ) from error
     return True

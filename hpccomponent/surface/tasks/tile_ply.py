@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -56,7 +55,7 @@ def cut_tile(
 @declare(result=WRITTEN, limit=SMALL_BYTES)
 def write_kept_tile(
     kept: tuple[str, str],
-    places: tuple[Any, ...],
+    places: PartPlaces,
     foreign: tuple[tuple[str, ...], IntArray, IntArray],
     ply: tuple[str, str, bool, FloatArray],
 ) -> bool:
@@ -68,8 +67,7 @@ def write_kept_tile(
     ----------
     kept : tuple of str
         The store (see `store.places`) and the name of what `region.mesh_tile` put there.
-    places : tuple
-        Of its `PartPlaces`.
+    places : PartPlaces
     foreign : tuple
         Names of other parts, and of each foreign vertex which of them has it, and in which row.
     ply : tuple
@@ -98,12 +96,13 @@ def write_kept_tile(
         return False
 
     def load(name: str) -> MeshPart:
-        return MeshPart.from_values(store.get(name)[0])
+        part: MeshPart = store.get(name)[0]
+        return part
 
     def locate(wanted: IntArray) -> FloatArray:
         return _locate(foreign, wanted, load)
 
-    vertices, faces = cut_tile(load(name), PartPlaces.from_values(places), locate)
+    vertices, faces = cut_tile(load(name), places, locate)
     if not len(faces):
         return True
     try:

@@ -22,10 +22,11 @@ from hpccomponent.runtime.background import worker_background
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store
 from hpccomponent.surface.extraction.parts import MeshPart
-from hpccomponent.surface.extraction.summary import summarize_part
+from hpccomponent.surface.extraction.summary import PartSummary, summarize_part
 from hpccomponent.surface.fitting.ancestors import corners_at
 from hpccomponent.surface.fitting.far_field import (
     NODES,
+    FarFieldPart,
     crop_far_field,
     restore_far_field,
     solve_far_field,
@@ -48,14 +49,14 @@ from hpccomponent.surface.tasks.result_patterns import (
 )
 from hpccomponent.surface.tiles.cache import TileCache
 from hpccomponent.surface.tiles.halo import HALO_STEPS, plan_gap
-from hpccomponent.surface.tiles.plan import CoarseLevels, Plan, Values
+from hpccomponent.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
 from hpccomponent.surface.tiles.points import CellPoints, estimate_work, take_points
 from hpccomponent.surface.tiles.prepared import PreparedTile, finish, lay_corners
 from hpccomponent.surface.tiles.slabs import grow_tile
 from hpccomponent.surface.types.field import FarField, FieldLevel
 from hpccomponent.surface.types.grid import BrickKinds
 from hpccomponent.surface.types.lattice import unpack_keys
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import IntArray
 
 __all__ = [
     "KEPT_TILES",
@@ -86,18 +87,17 @@ TILES = TileCache(KEPT_TILES)
     limit=lambda _plan, points, *_: surface_bytes(estimate_work(points)),
 )
 def sum_tile(
-    plan: Values,
+    plan: Plan,
     points: CellPoints,
     ticket: str | None = None,
     keep: tuple[str, str] | None = None,
     threads: int = 1,
-) -> tuple[Values | None, Values, int]:
+) -> tuple[CoarseLattice | None, Samples | tuple[str, str], int]:
     """Sum the moments of a tile's points in the cells of the coarse level (a task).
 
     Parameters
     ----------
-    plan : tuple
-        Of a `Plan`.
+    plan : Plan
     points : tuple
         `CellPoints` of the tile alone; with a ticket, those that `mesh_tile` will be given.
     ticket : str, optional
@@ -113,29 +113,27 @@ def sum_tile(
 
     Returns
     -------
-    lattice : tuple or None
-        The cells, moments and squares of the `pyramid.Level`, and the vertices that its points
-        lay there (see `ancestors.corners_at`); None where they are kept.
-    samples : tuple
+    lattice : CoarseLattice or None
+        None where it is kept.
+    samples : Samples or tuple of str
         What `sample_cells` gives of the level that the far field is made of; the store and the
         name where it is kept.
     patches : int
         The finest cells with points.
     """
-    common = Plan(*plan)
-    prepared = PreparedTile(common, points, threads)
+    prepared = PreparedTile(plan, points, threads)
     if ticket is not None:
         TILES.put(ticket, prepared)
         worker_background.add(partial(TILES.advance, ticket))
     finest, coarse = prepared.levels[0], prepared.levels[-1]
     own = finest.cells[prepared.groups == 0]
-    marks = mark_ancestors(own, common.coarse, coarse.cells)
+    marks = mark_ancestors(own, plan.coarse, coarse.cells)
     at, vertices = np.flatnonzero(marks), corners_at(coarse.cells, marks)
     moments = coarse.points.sum(slice(0, len(coarse.cells)))[at]
-    sampled = prepared.levels[common.far]
-    samples = sample_cells(sampled, np.flatnonzero(mark_ancestors(own, common.far, sampled.cells)))
-    lattice = coarse.cells[at], moments, coarse.squares[at], vertices
-    del prepared.levels[common.coarse :]  # `mesh_tile` is told what all tiles make of them
+    sampled = prepared.levels[plan.far]
+    samples = sample_cells(sampled, np.flatnonzero(mark_ancestors(own, plan.far, sampled.cells)))
+    lattice = CoarseLattice(coarse.cells[at], moments, coarse.squares[at], vertices)
+    del prepared.levels[plan.coarse :]  # `mesh_tile` is told what all tiles make of them
     if keep is None:
         return lattice, samples, len(own)
     place, name = keep
@@ -146,7 +144,7 @@ def sum_tile(
     return None, (place, beside), len(own)
 
 
-def sample_cells(level: Level, rows: IntArray | None = None) -> tuple[IntArray, FloatArray]:
+def sample_cells(level: Level, rows: IntArray | None = None) -> Samples:
     """Return what the far field is made of.
 
     Parameters
@@ -157,63 +155,62 @@ def sample_cells(level: Level, rows: IntArray | None = None) -> tuple[IntArray, 
 
     Returns
     -------
-    cells : ndarray of int64, shape (c,)
-    sums : ndarray of float64, shape (c, 7)
-        Of 1, the positions and the normals of the points in each (see `moments`).
+    Samples
     """
     moments = level.points.sum(slice(0, len(level.cells)))
     sums = np.concatenate([moments[:, :4], moments[:, 35:38]], axis=1)
-    return (level.cells, sums) if rows is None else (level.cells[rows], sums[rows])
+    return Samples(level.cells, sums) if rows is None else Samples(level.cells[rows], sums[rows])
 
 
-def find_far(plan: Plan, cells: IntArray, sums: FloatArray, threads: int) -> FarField:
+def find_far(plan: Plan, samples: Samples, threads: int) -> FarField:
     """Solve for the far field.
 
     Parameters
     ----------
     plan : Plan
-    cells, sums
-        See `sample_cells`; of the whole cloud, sorted by key.
+    samples : Samples
+        Of the whole cloud, sorted by key.
     threads : int
         The result does not depend on it.
     """
     size = plan.cell_size * 2.0**plan.far
-    places = unpack_keys(cells) + 0.5 + sums[:, 1:4] / sums[:, :1]
+    sums = samples.sums
+    places = unpack_keys(samples.cells) + 0.5 + sums[:, 1:4] / sums[:, :1]
     centroids, normals = plan.origin + size * places, sums[:, 4:] / sums[:, :1]
     return solve_far_field(centroids, normals, plan.grid.box, size, threads)
 
 
 @declare(result=far_field(NODES), limit=SMALL_BYTES + 4 * NODES**3)
-def solve_far(plan: Values, samples: Sequence[Values], threads: int = 1) -> Values:
+def solve_far(
+    plan: Plan, samples: Sequence[Samples | tuple[str, str]], threads: int = 1
+) -> FarFieldPart:
     """Solve for the far field, as far as anything asks for it (a task).
 
     Parameters
     ----------
-    plan : tuple
-        Of a `Plan`.
-    samples : sequence of tuple
+    plan : Plan
+    samples : sequence of Samples or tuple of str
         Of all tiles, as `sum_tile` has returned them.
     threads : int
         The result does not depend on it.
 
     Returns
     -------
-    tuple
-        Of a `FarFieldPart`: the grid, its halo, and beyond it the corners of every level that the
+    FarFieldPart
+        The grid, its halo, and beyond it the corners of every level that the
         field is made of, which lie up to two of their cells from a point.
     """
-    common = Plan(*plan)
-    coarsest = max(common.coarse, FIELD_LEVELS - 1)
-    margin = HALO_STEPS * common.step + 4.0 * common.cell_size * 2.0**coarsest
-    low, high = common.grid.box
+    coarsest = max(plan.coarse, FIELD_LEVELS - 1)
+    margin = HALO_STEPS * plan.step + 4.0 * plan.cell_size * 2.0**coarsest
+    low, high = plan.grid.box
     found = [
-        hold_store(first).get(second) if isinstance(first, str) else (first, second)
-        for first, second in samples
+        some if isinstance(some, Samples) else hold_store(some[0]).get(some[1]) for some in samples
     ]
-    cells, sums = (np.concatenate(column) for column in zip(*found, strict=True))
+    cells = np.concatenate([some.cells for some in found])
+    sums = np.concatenate([some.sums for some in found])
     order = np.argsort(cells, kind="stable")  # which merges sorted runs
-    far = find_far(common, cells[order], sums[order], threads)
-    return crop_far_field(far, low - margin, high + margin).to_values()
+    far = find_far(plan, Samples(cells[order], sums[order]), threads)
+    return crop_far_field(far, low - margin, high + margin)
 
 
 @declare(
@@ -222,25 +219,24 @@ def solve_far(plan: Values, samples: Sequence[Values], threads: int = 1) -> Valu
     limit=lambda _plan, points, *_: surface_bytes(estimate_work(points)),
 )
 def mesh_tile(
-    plan: Values,
+    plan: Plan,
     points: CellPoints,
     ticket: str | None,
-    coarse: Values,
+    coarse: CoarseLevels,
     keep: tuple[str, str] | None = None,
     threads: int = 1,
-) -> tuple[Values | None, Values, IntArray]:
+) -> tuple[MeshPart | None, PartSummary, IntArray]:
     """Reconstruct the surface inside a tile (a task).
 
     Parameters
     ----------
-    plan : tuple
-        Of a `Plan`.
+    plan : Plan
     points : tuple
         `CellPoints` of the tile, and of its halo those that belong to tiles before and after it.
     ticket : str or None
         See `sum_tile`.
-    coarse : tuple
-        Of the `CoarseLevels` around it.
+    coarse : CoarseLevels
+        Around it.
     keep : tuple of str, optional
         A store (see `store.places`) and a name, under which the result is put there.
     threads : int
@@ -248,24 +244,22 @@ def mesh_tile(
 
     Returns
     -------
-    part : tuple or None
-        Of a `MeshPart`; None where it is kept.
-    summary : tuple
-        Of its `PartSummary`.
+    part : MeshPart or None
+        None where it is kept.
+    summary : PartSummary
     exits : ndarray of int64
         Bricks where the surface leaves the tile and there are no points (see `bricks`).
     """
-    common = Plan(*plan)
     prepared = TILES.pop(ticket)
     is_last = ticket is not None and not len(TILES)
     if prepared is None:
-        prepared = PreparedTile(common, points, threads)
+        prepared = PreparedTile(plan, points, threads)
     kinds, corners = prepared.laid()
     if kinds is None:
         return _give(MeshPart.empty(), np.empty(0, np.int64), keep)
-    levels = prepared.levels[: common.coarse]
+    levels = prepared.levels[: plan.coarse]
     del prepared
-    return _give(*_mesh_region(common, levels, corners, kinds, coarse, threads), keep, is_last)
+    return _give(*_mesh_region(plan, levels, corners, kinds, coarse, threads), keep, is_last)
 
 
 @declare(
@@ -274,28 +268,27 @@ def mesh_tile(
     limit=lambda _plan, _exits, points, *_: surface_bytes(estimate_work(points)),
 )
 def mesh_gap(
-    plan: Values,
+    plan: Plan,
     exits: IntArray,
     points: CellPoints,
     missing: IntArray,
-    coarse: Values,
+    coarse: CoarseLevels,
     keep: tuple[str, str] | None = None,
     threads: int = 1,
-) -> tuple[Values | None, Values, IntArray]:
+) -> tuple[MeshPart | None, PartSummary, IntArray]:
     """Follow the surface from where it left all tiles, as over a hole (a task).
 
     Parameters
     ----------
-    plan : tuple
-        Of a `Plan`.
+    plan : Plan
     exits : ndarray of int64
         Keys of the bricks to begin with.
     points : tuple
         `CellPoints` of all that lie around them.
     missing : ndarray of int64
         Keys of the coarse cells of all other points.
-    coarse : tuple
-        Of all `CoarseLevels`.
+    coarse : CoarseLevels
+        All.
     keep : tuple of str, optional
         As of `mesh_tile`.
     threads : int
@@ -306,17 +299,16 @@ def mesh_gap(
     part, summary, exits
         As those of `mesh_tile`.
     """
-    common = Plan(*plan)
-    taken = take_points(points, common)
-    seeds = taken.seed_bricks(common.grid, 0)
-    low = common.origin + common.coarse_size * unpack_keys(missing)
-    kinds = plan_gap(common.grid, exits, seeds, low, common.coarse_size, common.reach)
+    taken = take_points(points, plan)
+    seeds = taken.seed_bricks(plan.grid, 0)
+    low = plan.origin + plan.coarse_size * unpack_keys(missing)
+    kinds = plan_gap(plan.grid, exits, seeds, low, plan.coarse_size, plan.reach)
     levels, corners = [], [_NO_LEVEL.keys]
     if len(taken.finest.cells):
-        levels = raise_levels(taken.finest, common.coarse, threads)
-        corners = finish(lay_corners(common, taken.finest.cells, kinds))
+        levels = raise_levels(taken.finest, plan.coarse, threads)
+        corners = finish(lay_corners(plan, taken.finest.cells, kinds))
     del taken  # the points leave memory with their level
-    return _give(*_mesh_region(common, levels, corners, kinds, coarse, threads), keep)
+    return _give(*_mesh_region(plan, levels, corners, kinds, coarse, threads), keep)
 
 
 def _mesh_region(
@@ -324,7 +316,7 @@ def _mesh_region(
     levels: list[Level],
     corners: list[IntArray],
     kinds: BrickKinds,
-    coarse: Values,
+    coarse: CoarseLevels,
     threads: int,
 ) -> tuple[MeshPart, IntArray]:
     """Fit the fine levels where bricks may be evaluated, and extract the surface there."""
@@ -332,35 +324,34 @@ def _mesh_region(
 
 
 def _fit_fields(
-    plan: Plan, levels: list[Level], corners: list[IntArray], coarse: Values, threads: int
+    plan: Plan, levels: list[Level], corners: list[IntArray], coarse: CoarseLevels, threads: int
 ) -> SlabFields:
     """Fit the fine levels but the finest one, which is fitted slab by slab.
 
     A function of its own, so that nobody else holds what is made here: see `grow_tile`.
     """
-    coarser = CoarseLevels.from_values(coarse)
-    far = restore_far_field(coarser.far)
+    far = restore_far_field(coarse.far)
     fine = tuple(_NO_LEVEL for _ in range(1, min(plan.coarse, FIELD_LEVELS)))
     parents = None
     pyramid = Pyramid(plan.origin, plan.cell_size, levels, corners, 0, plan.height)
     if levels:
-        fine, parents = fit_above(pyramid, plan.weights, coarser.parents, far, threads)
-    above = fine + coarser.levels
+        fine, parents = fit_above(pyramid, plan.weights, coarse.parents, far, threads)
+    above = fine + coarse.levels
     return SlabFields(pyramid, plan.weights, parents, above, far, plan.grid, threads)
 
 
 def _give(
     part: MeshPart, exits: IntArray, keep: tuple[str, str] | None, is_last: bool = False
-) -> tuple[Values | None, Values, IntArray]:
+) -> tuple[MeshPart | None, PartSummary, IntArray]:
     """Return a part with its summary, or put it where it is kept.
 
     Of the last tile that was prepared here, what it has left goes before that.
     """
-    values, summary = part.to_values(), summarize_part(part).to_values()
+    summary = summarize_part(part)
     if keep is None:
-        return values, summary, exits
+        return part, summary, exits
     place, name = keep
     if is_last:
         leave_for_files()
-    hold_store(place).put(name, (values, summary, exits))
+    hold_store(place).put(name, (part, summary, exits))
     return None, summary, exits

@@ -1,29 +1,27 @@
 """What the tasks of a tile are told of the whole cloud.
 
-Arguments and results of tasks are values that travel; the classes here give them names on both
-ends.
+They travel as records.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
+from hpccomponent.protocol.records import record
 from hpccomponent.surface.cloud.arrangement import Arrangement
 from hpccomponent.surface.fitting.far_field import FarFieldPart
 from hpccomponent.surface.fitting.pyramid import Parents
 from hpccomponent.surface.fitting.weights import Weights, weigh_levels
 from hpccomponent.surface.types.field import FieldLevel
 from hpccomponent.surface.types.grid import Grid
-from hpccomponent.surface.types.points import Float32Array, FloatArray
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
-__all__ = ["CoarseLevels", "Plan", "Values"]
-
-Values = tuple[Any, ...]
+__all__ = ["CoarseLattice", "CoarseLevels", "Plan", "Samples"]
 
 
+@record("surface.plan")
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """What all tiles of a cloud have in common.
@@ -67,10 +65,6 @@ class Plan:
     far: int
     tolerance: float = np.inf
 
-    def to_values(self) -> Values:
-        """Return what a task may be given."""
-        return tuple(getattr(self, field.name) for field in fields(self))
-
     @property
     def coarse_size(self) -> float:
         """Edge of the coarse cells, in length units of the input."""
@@ -103,6 +97,7 @@ class Plan:
         return Arrangement(self.block_origin, self.block_edge)
 
 
+@record("surface.coarse_levels")
 @dataclass(frozen=True, slots=True, eq=False)
 class CoarseLevels:
     """What a tile must know of the levels that the master has fitted.
@@ -131,19 +126,39 @@ class CoarseLevels:
             return self.coarser
         return FieldLevel(self.parents.keys, self.parents.coefficients, self.trust), *self.coarser
 
-    def to_values(self) -> Values:
-        """Return what a task may be given."""
-        above = self.parents
-        return (
-            (above.keys, above.coefficients, above.support, above.variances),
-            self.trust,
-            tuple((level.keys, level.coefficients, level.trust) for level in self.coarser),
-            self.far.to_values(),
-        )
 
-    @classmethod
-    def from_values(cls, values: Values) -> CoarseLevels:
-        """Return what `to_values` took apart."""
-        parents, trust, coarser, far = values
-        levels = tuple(FieldLevel(*level) for level in coarser)
-        return cls(Parents(*parents), trust, levels, FarFieldPart(*far))
+@record("surface.coarse_lattice")
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseLattice:
+    """What the points of a tile add to the level of whose cells tiles are made.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+    moments : ndarray of float64, shape (c, m)
+    squares : ndarray of float64, shape (c,)
+        See `pyramid.Level`.
+    vertices : ndarray of int64, shape (v,)
+        That its points lay there (see `ancestors.corners_at`).
+    """
+
+    cells: IntArray
+    moments: FloatArray
+    squares: FloatArray
+    vertices: IntArray
+
+
+@record("surface.samples")
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """What the far field is made of.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+    sums : ndarray of float64, shape (c, 7)
+        Of 1, the positions and the normals of the points in each (see `moments`).
+    """
+
+    cells: IntArray
+    sums: FloatArray

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hpccomponent.protocol.records import record
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.arranged import ArrangedCloud
 from hpccomponent.surface.cloud.arrangement import (
@@ -25,15 +26,39 @@ from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.lattice import find_keys, pack_places, unique_keys, unpack_keys
 from hpccomponent.surface.types.points import ByteArray, FloatArray, IntArray, PointCloud
 
-__all__ = ["CellPoints", "TilePoints", "estimate_work", "pack_cloud", "read_cells", "take_points"]
+__all__ = [
+    "CellPoints",
+    "PointsThere",
+    "TilePoints",
+    "estimate_work",
+    "pack_cloud",
+    "read_cells",
+    "take_points",
+]
 
 _BYTES_PER_POINT = 24.0
 
 
-CellPoints = tuple[Any, ...]
-"""Points in some groups of coarse cells, as a task is given them: ``("sent", packed, ...)`` with
-the arrays of a `PackedPoints` for each group; or ``("there", cloud, cells, ...)`` with the keys of
-each group's cells, and a folder that the worker sees, or in this process the cloud itself."""
+@record("surface.points_there")
+@dataclass(frozen=True, slots=True, eq=False)
+class PointsThere:
+    """Points that a task reads where the cloud is.
+
+    Parameters
+    ----------
+    cloud : str or ArrangedCloud
+        A folder that the worker sees; in this process the cloud itself.
+    groups : tuple of ndarray of int64
+        The sorted keys of each group's coarse cells.
+    """
+
+    cloud: str | ArrangedCloud
+    groups: tuple[IntArray, ...]
+
+
+CellPoints = PointsThere | tuple[PackedPoints, ...]
+"""Points in some groups of coarse cells, as a task is given them: where they are, or those of each
+group, which are sent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,22 +99,20 @@ def estimate_work(points: CellPoints) -> float:
 
     Examples
     --------
-    >>> estimate_work(("there", "/folder", np.arange(5), np.arange(2)))
+    >>> estimate_work(PointsThere("/folder", (np.arange(5), np.arange(2))))
     8.0
     """
-    if not isinstance(points, tuple):  # all of it is shared
-        return 1.0 + _count_bytes(points) / _BYTES_PER_POINT
-    form, *groups = points
-    if form == "there":
-        return 1.0 + sum(map(len, groups[1:]))
-    sent = (part for group in groups for part in (group if isinstance(group, tuple) else (group,)))
-    return 1.0 + sum(_count_bytes(part) for part in sent) / _BYTES_PER_POINT
+    if isinstance(points, PointsThere):
+        return 1.0 + sum(map(len, points.groups))
+    groups = points if isinstance(points, tuple) else (points,)
+    return 1.0 + sum(_count_bytes(group) for group in groups) / _BYTES_PER_POINT
 
 
 def _count_bytes(value: Any) -> int:
-    """Return the bytes of an array, or of what stands for a shared value."""
-    size: int = value.nbytes if isinstance(value, np.ndarray) else value.size_bytes
-    return size
+    """Return the bytes of packed points, or of what stands for a shared value."""
+    if not isinstance(value, PackedPoints):
+        return int(value.size_bytes)
+    return sum(getattr(value, field.name).nbytes for field in fields(value))
 
 
 def take_points(points: CellPoints, plan: Plan) -> TilePoints:
@@ -102,14 +125,13 @@ def take_points(points: CellPoints, plan: Plan) -> TilePoints:
     plan : Plan
         Of the whole cloud.
     """
-    form, *groups = points
-    if form == "there":
-        where, *cells = groups
+    if isinstance(points, PointsThere):
+        where, cells = points.cloud, list(points.groups)
         cloud = open_disk_cloud(Path(where)) if isinstance(where, str) else where
         if isinstance(cloud, DiskCloud):
             return _read_packed(cloud, plan, cells)
         return _sort_groups(*read_cells(cloud, plan.origin, plan.coarse_size, cells), plan)
-    taken = [unpack_points(plan.arrangement, PackedPoints(*group)) for group in groups]
+    taken = [unpack_points(plan.arrangement, group) for group in points]
     positions, normals = (np.concatenate(some) for some in zip(*taken, strict=True))
     numbers = np.repeat(np.arange(len(taken), dtype=np.uint8), [len(some) for some, _ in taken])
     return _sort_groups(PointCloud(positions, normals), numbers, plan)
@@ -173,8 +195,8 @@ def _number_cells(cells: list[IntArray]) -> tuple[IntArray, ByteArray]:
     return wanted, numbers
 
 
-def pack_cloud(arrangement: Arrangement, cloud: PointCloud) -> tuple[Any, ...]:
-    """Return points as they travel: the arrays of a `PackedPoints`.
+def pack_cloud(arrangement: Arrangement, cloud: PointCloud) -> PackedPoints:
+    """Return points as they travel.
 
     Parameters
     ----------
@@ -184,9 +206,9 @@ def pack_cloud(arrangement: Arrangement, cloud: PointCloud) -> tuple[Any, ...]:
     """
     if not len(cloud):
         none = np.empty(0, np.int64)
-        return none, none, *np.empty((2, 0, 3), np.float32)
+        return PackedPoints(none, none, *np.empty((2, 0, 3), np.float32))
     assert cloud.normals is not None  # noqa: S101 - an arranged cloud has normals
-    return pack_points(arrangement, cloud.positions, cloud.normals).to_values()
+    return pack_points(arrangement, cloud.positions, cloud.normals)
 
 
 def _find_blocks(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hpccomponent.protocol.records import record
 from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
 __all__ = ["CHANNELS", "FarField", "Field", "FieldLevel"]
@@ -14,6 +15,7 @@ CHANNELS = 12
 """Ten coefficients, presence and trust of a vertex."""
 
 
+@record("surface.field_level")
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldLevel:
     """The quadrics of one lattice.

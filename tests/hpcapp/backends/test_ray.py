@@ -302,7 +302,9 @@ def test_a_worker_without_hpcapp_is_named(
     tmp_path: Path,
     start_command: StartCommand,
 ) -> None:
-    (tmp_path / "sitecustomize.py").write_text('import sys\nsys.modules["hpcapp.backends"] = None\n')
+    (tmp_path / "sitecustomize.py").write_text(
+        'import sys\nsys.modules["hpcapp.backends"] = None\n'
+    )
     ray = start_ray(PYTHONPATH=str(tmp_path))
     command = start_command(
         "reconstruct", str(sphere_file), "-o", "mesh.ply", "--grid", "32",

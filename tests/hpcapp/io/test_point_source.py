@@ -13,6 +13,7 @@ import pytest
 
 from hpcapp.io import PointSource, open_points, read_points, write_points
 from hpccomponent.errors import InputError
+from hpccomponent.protocol.codec import decode_values, encode_values
 from hpccomponent.surface.cloud.point_records import PointRecords
 from hpccomponent.surface.types.points import PointCloud
 
@@ -104,7 +105,8 @@ def test_ranges_are_runs_of_the_file(tmp_path: Path, cloud: PointCloud, rows: in
     write_points(tmp_path / "a.ply", cloud)
     records = open_points(tmp_path / "a.ply").records
     assert records is not None
-    records = PointRecords(*records.to_values())  # as it travels
+    (records,) = decode_values(*encode_values((records,)))
+    assert isinstance(records, PointRecords)
     for start in range(0, len(cloud), rows):
         part = records.read(start, min(start + rows, len(cloud)))
         _assert_same(part, cloud.take(np.arange(start, min(start + rows, len(cloud)))))

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from hpcapp.workforce import Workforce, begin_batch
 from hpccomponent.surface.fitting.cell_points import PartMoments
 from hpccomponent.surface.fitting.far_field import (
-    FarFieldPart,
     crop_far_field,
     far_step,
     restore_far_field,
@@ -27,7 +25,7 @@ from hpccomponent.surface.fitting.pyramid import (
 )
 from hpccomponent.surface.tasks.tiles import solve_far
 from hpccomponent.surface.tiles.halo import HALO_STEPS, mark_near
-from hpccomponent.surface.tiles.plan import CoarseLevels, Plan
+from hpccomponent.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
 from hpccomponent.surface.types.field import FarField, FieldLevel
 from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.lattice import ancestor_keys, unique_keys, unpack_keys
@@ -118,8 +116,8 @@ def far_level(grid: Grid, cell_size: float, height: int) -> int:
 
 def fit_coarse(
     plan: Plan,
-    lattices: list[tuple[Any, ...]],
-    samples: list[tuple[Any, ...]],
+    lattices: list[CoarseLattice],
+    samples: list[Samples | tuple[str, str]],
     workforce: Workforce,
     threads: int,
 ) -> Coarse:
@@ -130,7 +128,7 @@ def fit_coarse(
     Parameters
     ----------
     plan : Plan
-    lattices, samples : list of tuple
+    lattices, samples : list
         What `region.sum_tile` gave of each tile, in any order. The first list is emptied: most of
         it is needed but once.
     workforce : Workforce
@@ -142,18 +140,21 @@ def fit_coarse(
     -------
     Coarse
     """
-    task = plan.to_values(), samples, threads if workforce.in_process else 1
+    task = plan, samples, threads if workforce.in_process else 1
     with begin_batch(workforce, solve_far, task) as solved:
         pyramid, quadrics, parents = _fit(plan, lattices, threads)
-        far = restore_far_field(FarFieldPart(*solved()))
+        far = restore_far_field(solved())
     return Coarse(plan, parents, find_trust(pyramid, quadrics, far, threads), far)
 
 
 def _fit(
-    plan: Plan, lattices: list[tuple[Any, ...]], threads: int
+    plan: Plan, lattices: list[CoarseLattice], threads: int
 ) -> tuple[Pyramid, list[VertexQuadrics], Parents]:
     """Fit the levels from the tiles' one up."""
-    keys, moments, squares, corners = map(list, zip(*lattices, strict=True))
+    keys = [lattice.cells for lattice in lattices]
+    moments = [lattice.moments for lattice in lattices]
+    squares = [lattice.squares for lattice in lattices]
+    corners = [lattice.vertices for lattice in lattices]
     lattices.clear()
     cells, order, rows = _sort(keys)
     level = Level(cells, PartMoments(moments, rows), np.concatenate(squares)[order])

@@ -23,7 +23,7 @@ from hpccomponent.errors import JobError
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import PartSummary
 from hpccomponent.surface.tasks.tiles import mesh_gap, mesh_tile
-from hpccomponent.surface.tiles.plan import Plan, Values
+from hpccomponent.surface.tiles.plan import Plan
 from hpccomponent.surface.types.grid import BRICK
 from hpccomponent.surface.types.lattice import find_keys, pack_places, unique_keys, unpack_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray
@@ -33,7 +33,7 @@ __all__ = ["mesh_regions"]
 _MOST_ROUNDS = 1000  # each goes on by a coarse cell at least; a grid has no more
 
 
-Found = tuple[Values | None, Values, IntArray]
+Found = tuple[MeshPart | None, PartSummary, IntArray]
 
 
 class _Regions:
@@ -106,8 +106,8 @@ class _Regions:
 
     def _take(self, name: str, result: Found) -> None:
         part, summary, exits = result
-        self.surface.parts.append(name if part is None else MeshPart.from_values(part))
-        self.surface.summaries.append(PartSummary.from_values(summary))
+        self.surface.parts.append(name if part is None else part)
+        self.surface.summaries.append(summary)
         self._exits.append(exits)
 
 
@@ -138,26 +138,26 @@ def mesh_regions(
     PartSurface
         It holds every brick that the surface reaches.
     """
-    values = coarse.plan.to_values()
+    plan = coarse.plan
     regions = _Regions(workforce, origin, keeping)
 
     def tiles() -> Iterator[tuple[str, tuple[Any, ...]]]:
         for index in range(len(tiling)):
-            name = "" if keeping is None else keeping.name(values, *tiling.groups(index))
+            name = "" if keeping is None else keeping.name(plan, *tiling.groups(index))
             around = coarse.around(tiling.own(index))
             points = tiling.tile(index)
-            yield name, (values, points, tiling.tickets[index], around.to_values())
+            yield name, (plan, points, tiling.tickets[index], around)
 
     regions.run(mesh_tile, tiles(), len(tiling), advance)
     for _ in range(_MOST_ROUNDS):
         left = regions.left()
         if not len(left):
             return regions.surface
-        near = tiling.near(_cells_around(coarse.plan, left))
+        near = tiling.near(_cells_around(plan, left))
         missing = tiling.cells[~near]
-        name = "" if keeping is None else keeping.name(values, left, missing)
+        name = "" if keeping is None else keeping.name(plan, left, missing)
         points = tiling.around(tiling.cells[near])
-        gap = (values, left, points, missing, coarse.whole().to_values())
+        gap = (plan, left, points, missing, coarse.whole())
         regions.run(mesh_gap, [(name, gap)], 1, lambda _done, _all: None)
     raise JobError("the surface does not come to an end", "report this, with the point cloud")
 

@@ -32,7 +32,7 @@ from hpccomponent.surface.cloud.disk import DiskCloud
 from hpccomponent.surface.fitting.pyramid import count_levels
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.tasks.tiles import sum_tile
-from hpccomponent.surface.tiles.plan import Plan, Values
+from hpccomponent.surface.tiles.plan import CoarseLattice, Plan, Samples
 from hpccomponent.surface.types.grid import BRICK, Grid
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
@@ -169,17 +169,16 @@ class HierarchicalMethod:
         tiling, plan = partition.tiling, partition.plan
         if tiling is None:
             return None
-        values = plan.to_values()
         keeping = None if workforce.in_process else self._find_shared(partition.cloud)
         run = secrets.token_hex(8)  # nothing that an earlier one has left is taken
 
         def batches() -> Iterator[tuple[Any, ...]]:
             for index, ticket in enumerate(tiling.tickets):
                 keep = None if keeping is None else (keeping.place, keeping.name_sums(run, index))
-                yield values, tiling.core(index), ticket, keep
+                yield plan, tiling.core(index), ticket, keep
 
-        lattices: list[Values] = []
-        samples: list[Values] = []
+        lattices: list[CoarseLattice] = []
+        samples: list[Samples | tuple[str, str]] = []
         for index, found in stream_batches(workforce, sum_tile, batches(), 2 * workforce.workers):
             lattice, sampled, patches = found
             if keeping is not None:

@@ -46,7 +46,7 @@ def mesh_slabs(
     pyramid = build_pyramid(cloud, plan.origin, plan.cell_size, plan.height, threads)
     kinds = plan_whole(plan.grid, cloud.positions)
     patches = len(pyramid.levels[0].cells)
-    far = find_far(plan, *sample_cells(pyramid.levels[plan.far]), threads)
+    far = find_far(plan, sample_cells(pyramid.levels[plan.far]), threads)
     above, parents = fit_above(pyramid, plan.weights, None, far, threads)
     fields = SlabFields(pyramid, plan.weights, parents, above, far, plan.grid, threads)
     surface = PartSurface([], [], cloud.origin)

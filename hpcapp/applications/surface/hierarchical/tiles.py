@@ -19,7 +19,7 @@ from hpccomponent.surface.tasks.blocks import count_cells, merge_cells
 from hpccomponent.surface.tasks.tiles import KEPT_TILES
 from hpccomponent.surface.tiles.halo import mark_near
 from hpccomponent.surface.tiles.plan import Plan
-from hpccomponent.surface.tiles.points import CellPoints, pack_cloud, read_cells
+from hpccomponent.surface.tiles.points import CellPoints, PointsThere, pack_cloud, read_cells
 from hpccomponent.surface.types.grid import BRICK
 from hpccomponent.surface.types.lattice import unpack_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray
@@ -128,7 +128,8 @@ class Tiling:
     def _give(self, groups: list[IntArray], index: int | None) -> CellPoints:
         if self._are_read:
             there = self._cloud
-            return ("there", str(there.folder) if isinstance(there, DiskCloud) else there, *groups)
+            where = str(there.folder) if isinstance(there, DiskCloud) else there
+            return PointsThere(where, tuple(groups))
         plan = self._plan
         cloud, group_of = read_cells(self._cloud, plan.origin, plan.coarse_size, groups)
         packed = [
@@ -139,7 +140,7 @@ class Tiling:
             if index not in self._shared:
                 self._shared[index] = self._share(packed[0])
             packed[0] = self._shared[index]
-        return ("sent", *packed)
+        return tuple(packed)
 
 
 def _count_cells(cloud: ArrangedCloud, plan: Plan, passes: Passes) -> tuple[IntArray, IntArray]:

@@ -26,7 +26,6 @@ from hpcapp.applications.surface.input.clean import Cleaned
 from hpcapp.applications.surface.scans import Boxes, Passes, measure_spacing
 from hpccomponent.surface.cloud import outlier_regions
 from hpccomponent.surface.cloud.arranged import Points
-from hpccomponent.surface.cloud.arrangement import PackedPoints
 from hpccomponent.surface.cloud.disk import DiskCloud, Measured, Part, write_index, write_part
 from hpccomponent.surface.cloud.outlier_regions import RegionRanks, judge_sparse
 from hpccomponent.surface.cloud.regions import DroppedCells
@@ -79,10 +78,10 @@ def clean_regions(
     """
     regions = cut_regions(cloud.keys, cloud.counts, passes.count_pieces(len(cloud)))
     box = len(cloud), cloud.low, cloud.high
-    spacing = measure_spacing(cloud, passes, box, (), boxes)
+    spacing = measure_spacing(cloud, passes, box, None, boxes)
     ranks, mended = _clean(cloud, regions, folder, passes, spacing)
     dropped = _find_outliers(cloud, regions, spacing, passes, ranks)
-    if dropped:
+    if dropped is not None:
         box, mended = _survey(cloud, passes, dropped), {}
         spacing = measure_spacing(cloud, passes, box, dropped)
     left = [region for region in range(len(regions)) if region not in mended]
@@ -112,7 +111,7 @@ def measure_cloud(
         if sample is not None and one_in == first_share(len(cloud)):
             return _sort(cloud, sample)
         found = passes.map_blocks(
-            sample_blocks, cloud, (), cloud.low, SAMPLED_BOX * spacing, one_in
+            sample_blocks, cloud, None, cloud.low, SAMPLED_BOX * spacing, one_in
         )
         positions, directions = (np.concatenate(column) for column in zip(*found, strict=True))
         return positions, directions
@@ -149,7 +148,7 @@ def _clean(
     ranks: dict[int, RegionRanks] = {}
     mended: dict[int, Mended] = {}
     margin = MARGIN * spacing
-    for region, found in passes.map_regions(clean_blocks, cloud, regions, margin, (), more):
+    for region, found in passes.map_regions(clean_blocks, cloud, regions, margin, None, more):
         ranks[region], result = found
         if result is not None:
             mended[region] = _keep(result, region, folder, passes)
@@ -162,22 +161,22 @@ def _find_outliers(
     spacing: float,
     passes: Passes,
     ranks: list[RegionRanks],
-) -> DroppedCells:
+) -> DroppedCells | None:
     """Return the cells whose points are outliers; nothing where there are none."""
     judged = judge_sparse(ranks)
     margin = outlier_regions.MARGIN * spacing
     common = cloud.low, spacing
     asked = [blocks for i, blocks in enumerate(regions) if ranks[i][0][judged.base + 1 : -1].any()]
     more = (*common, judged.base)
-    rest = passes.map_regions(judge_blocks, cloud, asked, margin, (), lambda _: more)
+    rest = passes.map_regions(judge_blocks, cloud, asked, margin, None, lambda _: more)
     strays = unique_keys(np.concatenate([judged.stray_cells, *(cells for _, cells in rest)]))
     if not (len(strays) or len(judged.island_cells)):
-        return ()
-    return (*common, strays, judged.island_cells)
+        return None
+    return DroppedCells(*common, strays, judged.island_cells)
 
 
 def _survey(
-    cloud: DiskCloud, passes: Passes, dropped: DroppedCells
+    cloud: DiskCloud, passes: Passes, dropped: DroppedCells | None
 ) -> tuple[int, FloatArray, FloatArray]:
     """Count and bound the points that are left."""
     found = passes.map_blocks(survey_blocks, cloud, dropped)
@@ -192,11 +191,11 @@ def _mend(
     passes: Passes,
     asked: list[int],
     known: tuple[int, FloatArray, float],
-    dropped: DroppedCells,
+    dropped: DroppedCells | None,
 ) -> Iterator[tuple[int, Mended]]:
     """Mend some regions, and yield what came of each; what changes is written."""
     # A worker that is late must not write in a later one's place.
-    numbers = [region + (len(regions) if dropped else 0) for region in asked]
+    numbers = [region + (len(regions) if dropped is not None else 0) for region in asked]
     how = _say_how(*known, folder, passes)
     margin = normals.MARGIN * known[2]
     blocks = [regions[region] for region in asked]
@@ -224,7 +223,7 @@ def _keep(result: tuple[Any, ...], number: int, folder: Path, passes: Passes) ->
     if packed is None:
         return None, turned, sample
     if not passes.workers_see:
-        packed = write_part(folder, number, [PackedPoints(*packed)])
+        packed = write_part(folder, number, [packed])
     return Part.whole(number, *packed), turned, sample
 
 

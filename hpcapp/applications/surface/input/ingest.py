@@ -33,9 +33,15 @@ from hpccomponent.errors import InputError
 from hpccomponent.surface.cloud.arrangement import Arrangement, choose_arrangement, snap_points
 from hpccomponent.surface.cloud.disk import DiskCloud, Part, write_index
 from hpccomponent.surface.cloud.spacing import guess_boxes
-from hpccomponent.surface.cloud.validity import Dropped, refuse_without_normals, select_usable
+from hpccomponent.surface.cloud.validity import (
+    Dropped,
+    Reach,
+    refuse_without_normals,
+    select_usable,
+)
 from hpccomponent.surface.tasks.file_ranges import (
-    FilePoints,
+    FileRange,
+    SentRange,
     arrange_range,
     bound_range,
     survey_range,
@@ -124,7 +130,7 @@ def ingest_file(
     )
     points, box, reach = found.points, found.box, None
     if drop_far and not (near := find_reach(found.sample)).holds(*box):
-        reach = near.middle, near.distance
+        reach = near
         bounded = list(_run(source, passes, bound_range, lambda _: (found.origin, reach)))
         points = sum(count for count, _ in bounded)
         box = unite_boxes([part for _, part in bounded])
@@ -176,7 +182,7 @@ def _arrange(
     passes: Passes,
     folder: Path,
     origin: FloatArray,
-    reach: tuple[FloatArray, float] | None,
+    reach: Reach | None,
     blocks: Arrangement,
     points: int,
     box: FloatArray,
@@ -185,7 +191,7 @@ def _arrange(
     low, high = snap_points(blocks, box)  # rounding leaves the least the least
     edge, one_in = guess_boxes(points, float((high - low).max()))
     edges = near_edges(edge)
-    common = origin, reach, (blocks.origin, blocks.edge)
+    common = origin, reach, blocks
     parts = list(
         _run(
             source,
@@ -205,13 +211,13 @@ def _run(
     """Run a task for each range of a file, given more arguments; in the order of the file."""
     if source.records is not None:
         path = str(source.path.resolve())  # workers need not be where this process is
-        values = replace(source.records, path=path).to_values()
+        records = replace(source.records, path=path)
         ranges = passes.cut_rows(source.records.count)
-        there: list[FilePoints] = [("there", values, some.start, some.stop) for some in ranges]
+        there = [FileRange(records, some.start, some.stop) for some in ranges]
         yield from passes.map(task, [(points, *more(i)) for i, points in enumerate(there)])
         return
     for i, part in enumerate(source.chunks(passes.points)):
-        yield task(("sent", str(source.path), part.positions, part.normals), *more(i))
+        yield task(SentRange(str(source.path), part.positions, part.normals), *more(i))
 
 
 def _usable_positions(source: PointSource, rows: int, origin: FloatArray) -> Iterator[FloatArray]:

@@ -188,7 +188,7 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
             shutil.rmtree(arranged, ignore_errors=True)  # one may write there still
     else:
         box = len(cloud), cloud.low, cloud.high
-        spacing = measure_spacing(cloud, passes, box, (), read.boxes)
+        spacing = measure_spacing(cloud, passes, box, None, read.boxes)
         cloud = measure_cloud(cloud, passes, spacing)
     loaded = Loaded(cloud, read.dropped, replace(cleaned, outliers=read.far + cleaned.outliers))
     told = {

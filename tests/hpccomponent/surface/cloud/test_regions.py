@@ -10,7 +10,7 @@ import pytest
 from hpccomponent.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpccomponent.surface.cloud.disk import DiskCloud, DiskCloudWriter
 from hpccomponent.surface.cloud.outliers import EDGE, ISLAND_LEVEL
-from hpccomponent.surface.cloud.regions import Region, pack_region, take_region
+from hpccomponent.surface.cloud.regions import DroppedCells, Region, pack_region, take_region
 from hpccomponent.surface.cloud.spacing import estimate_spacing
 from hpccomponent.surface.normals.consistency import MARGIN, find_turned
 from hpccomponent.surface.types.lattice import pack_places
@@ -40,8 +40,8 @@ def _cut(cloud: DiskCloud, pieces: int) -> list[np.ndarray]:
 
 
 def _take(cloud: DiskCloud, blocks: np.ndarray, margin: float, is_sent: bool) -> Region:
-    where = pack_region(cloud, blocks, margin) if is_sent else ("there", str(cloud.folder))
-    return take_region((*where, blocks, margin, ()))
+    where = pack_region(cloud, blocks, margin) if is_sent else str(cloud.folder)
+    return take_region((where, blocks, margin, None))
 
 
 @pytest.mark.parametrize("is_sent", [True, False])
@@ -99,7 +99,9 @@ def test_points_in_dropped_cells_are_not_there(tmp_path: Path) -> None:
     islands = np.unique(pack_places(places >> ISLAND_LEVEL))[::40]
     kept = ~np.isin(pack_places(places), strays)
     kept &= ~np.isin(pack_places(places >> ISLAND_LEVEL), islands)
-    region = take_region(("there", str(tmp_path), cloud.keys, 0.0, (low, spacing, strays, islands)))
+    region = take_region(
+        (str(tmp_path), cloud.keys, 0.0, DroppedCells(low, spacing, strays, islands))
+    )
     assert region.positions.tobytes() == arranged.cloud.positions[kept].tobytes()
     packed = region.pack_own(np.zeros(int(kept.sum()), np.bool_))
     held = np.repeat(cloud.keys, cloud.counts)[kept]

@@ -42,8 +42,8 @@ def call(part: MeshPart, tmp_path: Path) -> tuple[Any, ...]:
     places = PartPlaces(
         np.array([2, 9]), np.array([1, 7]), np.empty(0, np.int32), np.empty(0, np.int64)
     )
-    open_store(str(tmp_path / "kept")).put("job/part", (part.to_values(), (), ()))
-    return (str(tmp_path / "kept"), "job/part"), places.to_values(), shared.to_values()
+    open_store(str(tmp_path / "kept")).put("job/part", (part, (), ()))
+    return (str(tmp_path / "kept"), "job/part"), places, shared
 
 
 def test_a_part_goes_to_its_places(call: tuple[Any, ...], tmp_path: Path, part: MeshPart) -> None:

@@ -1,5 +1,6 @@
 import gc
 import weakref
+from dataclasses import astuple, is_dataclass
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from hpccomponent.surface.tasks.tiles import KEPT_TILES, mesh_tile, solve_far, s
 from hpccomponent.surface.tiles import prepared as prepared_tile
 from hpccomponent.surface.tiles import slabs as slab_growth
 from hpccomponent.surface.tiles.cache import TileCache
-from hpccomponent.surface.tiles.points import take_points
+from hpccomponent.surface.tiles.points import PointsThere, take_points
 from hpccomponent.surface.tiles.prepared import PreparedTile, lay_corners
 from hpccomponent.surface.types.points import PointCloud
 
@@ -30,11 +31,18 @@ def ball(count):
 
 
 def assert_same(found, wanted):
+    if is_dataclass(wanted):
+        assert type(found) is type(wanted)
+        found, wanted = astuple(found), astuple(wanted)
     if isinstance(wanted, tuple):
         for one, other in zip(found, wanted, strict=True):
             assert_same(one, other)
     else:
         np.testing.assert_array_equal(found, wanted)
+
+
+def own_of(points):
+    return points[:1]
 
 
 def fit_sums(plan, sums):
@@ -46,20 +54,20 @@ def test_a_tile_is_prepared_once_where_its_ticket_comes_back():
     """The second task gets along without the points; with another ticket it must read them."""
     method = HierarchicalMethod(48)
     partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
-    plan, tiling = partition.plan.to_values(), partition.tiling
+    plan, tiling = partition.plan, partition.tiling
     points = [tiling.tile(index) for index in range(2)]
     assert None not in tiling.tickets
     sums = [sum_tile(plan, some, ticket) for some, ticket in zip(points, "ab", strict=True)]
     for index in range(2):
-        assert_same(sum_tile(plan, points[index][:2]), sums[index])  # without its halo
+        assert_same(sum_tile(plan, own_of(points[index])), sums[index])  # without its halo
     coarse = fit_sums(partition.plan, sums)
-    nowhere = ("there", "/nowhere", *tiling.groups(1))
-    around = coarse.around(tiling.own(1)).to_values()
+    nowhere = PointsThere("/nowhere", tuple(tiling.groups(1)))
+    around = coarse.around(tiling.own(1))
     wanted = mesh_tile(plan, points[1], None, around)
     sum_tile(plan, points[1], "b")
     assert_same(mesh_tile(plan, nowhere, "b", around), wanted)
     for number in range(KEPT_TILES):
-        sum_tile(plan, points[0][:2], f"c{number}")
+        sum_tile(plan, own_of(points[0]), f"c{number}")
     for ticket in ("a", "b", None):  # the first has made room for others, the second is used
         with pytest.raises(JobError, match="nowhere"):
             mesh_tile(plan, nowhere, ticket, around)
@@ -72,7 +80,7 @@ def test_sums_can_be_kept_in_a_folder(tmp_path):
     (tmp_path / "job").mkdir()
     method = HierarchicalMethod(48)
     partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
-    plan, tiling = partition.plan.to_values(), partition.tiling
+    plan, tiling = partition.plan, partition.tiling
     tiles = [tiling.tile(index) for index in range(len(tiling))]
     sums = [sum_tile(plan, points) for points in tiles]
     names = [f"job/sums-{index}" for index in range(len(tiles))]
@@ -106,12 +114,12 @@ def test_corners_are_laid_in_idle_time_and_change_nothing(monkeypatch):
     monkeypatch.setattr(prepared_tile, "lay_corners", lay_aloud)
     method = HierarchicalMethod(48)
     partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
-    plan, tiling = partition.plan.to_values(), partition.tiling
+    plan, tiling = partition.plan, partition.tiling
     points = [tiling.tile(index) for index in range(2)]
     sums = [sum_tile(plan, some, name) for some, name in zip(points, "ab", strict=True)]
     assert not done
     coarse = fit_sums(partition.plan, sums)
-    around = [coarse.around(tiling.own(index)).to_values() for index in range(2)]
+    around = [coarse.around(tiling.own(index)) for index in range(2)]
     wanted = mesh_tile(plan, points[1], "b", around[1])
     assert done == ["begin", "end"]
     while idle:  # the first tile's; the second is meshed already
@@ -135,10 +143,10 @@ def test_what_fails_in_idle_time_is_tried_again_by_the_task(monkeypatch):
     monkeypatch.setattr(region, "worker_background", idle)
     method = HierarchicalMethod(48)
     partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
-    plan, tiling = partition.plan.to_values(), partition.tiling
+    plan, tiling = partition.plan, partition.tiling
     sums = [sum_tile(plan, tiling.tile(index), None) for index in range(2)]
     coarse = fit_sums(partition.plan, sums)
-    given = tiling.tile(1), coarse.around(tiling.own(1)).to_values()
+    given = tiling.tile(1), coarse.around(tiling.own(1))
     wanted = mesh_tile(plan, given[0], None, given[1])
 
     def lack(*_):
@@ -158,9 +166,9 @@ def test_what_fails_in_idle_time_is_tried_again_by_the_task(monkeypatch):
 def test_what_a_tile_is_made_of_leaves_memory_before_its_slabs_are_joined(monkeypatch):
     method = HierarchicalMethod(48)
     partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
-    plan, tiling = partition.plan.to_values(), partition.tiling
+    plan, tiling = partition.plan, partition.tiling
     sums = [sum_tile(plan, tiling.tile(index), None) for index in range(2)]
-    coarse = fit_sums(partition.plan, sums).around(tiling.own(1)).to_values()
+    coarse = fit_sums(partition.plan, sums).around(tiling.own(1))
     made, held = [], []
 
     def sort(*given):
@@ -184,7 +192,7 @@ def test_what_the_last_tile_has_left_goes_before_that_is_kept(monkeypatch, tmp_p
     """While another waits to be meshed, it takes the memory that this one has left."""
     method = HierarchicalMethod(48)
     partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
-    plan, tiling = partition.plan.to_values(), partition.tiling
+    plan, tiling = partition.plan, partition.tiling
     points = [tiling.tile(index) for index in range(2)]
     events = []
     monkeypatch.setattr(region, "TILES", TileCache(region.KEPT_TILES))
@@ -193,7 +201,7 @@ def test_what_the_last_tile_has_left_goes_before_that_is_kept(monkeypatch, tmp_p
     sums = [sum_tile(plan, some, ticket) for some, ticket in zip(points, "gh", strict=True)]
     coarse = fit_sums(partition.plan, sums)
     for index, ticket in ((0, "g"), (1, "h"), (1, None)):  # without tickets more may follow
-        around = coarse.around(tiling.own(index)).to_values()
+        around = coarse.around(tiling.own(index))
         mesh_tile(plan, points[index], ticket, around, (str(tmp_path), f"tile-{index}"))
     assert events == ["tile-0", "left", "tile-1", "tile-1"]
 
@@ -210,7 +218,7 @@ def test_tiles_leave_memory_with_their_last_use(monkeypatch):
     monkeypatch.setattr(region, "PreparedTile", Watched)
     method = HierarchicalMethod(48)
     partition = method.partition(ball(4000), Workforce(SerialExecutor(), 2))
-    plan, points = partition.plan.to_values(), partition.tiling.tile(0)
+    plan, points = partition.plan, partition.tiling.tile(0)
     gc.disable()
     try:
         sum_tile(plan, points)

@@ -6,7 +6,7 @@ from hpccomponent.protocol.codec import encode_values
 from hpccomponent.runtime.tasks import traits_of
 from hpccomponent.surface.cloud.arranged import arrange_cloud
 from hpccomponent.surface.tasks.tiles import mesh_gap, mesh_tile, sum_tile
-from hpccomponent.surface.tiles.points import estimate_work, pack_cloud
+from hpccomponent.surface.tiles.points import PointsThere, estimate_work, pack_cloud
 from hpccomponent.surface.types.points import PointCloud
 
 
@@ -16,18 +16,18 @@ def test_a_tiles_work_is_known_whichever_way_its_points_go():
     packed = pack_cloud(arranged.arrangement, arranged.cloud)
     shared = make_blob(*encode_values((packed,)))
     for sent in ((packed,), (shared,), (packed, shared)):
-        work = estimate_work(("sent", *sent))
+        work = estimate_work(sent)
         assert work == pytest.approx(5000 * len(sent), rel=0.1)  # blocks have their own bytes
-    whole = make_blob(*encode_values((("sent", packed, packed),)))
+    whole = make_blob(*encode_values(((packed, packed),)))
     assert estimate_work(whole) == pytest.approx(10_000, rel=0.1)
-    cells = [np.arange(7), np.arange(3)]
-    assert estimate_work(("there", "/nowhere", *cells)) == 11.0
+    cells = np.arange(7), np.arange(3)
+    assert estimate_work(PointsThere("/nowhere", cells)) == 11.0
     nothing = pack_cloud(arranged.arrangement, arranged.cloud.take(np.empty(0, np.int64)))
-    assert estimate_work(("sent", nothing)) > 0.0
+    assert estimate_work((nothing,)) > 0.0
 
 
 def test_tasks_tell_what_they_cost_by_their_arguments():
-    few, many = (("there", "/nowhere", np.arange(count)) for count in (10, 1000))
+    few, many = (PointsThere("/nowhere", (np.arange(count),)) for count in (10, 1000))
     keys = np.arange(4)
     for task, before in ((sum_tile, ((),)), (mesh_tile, ((),)), (mesh_gap, ((), keys))):
         cost = traits_of(task).cost

@@ -1,5 +1,6 @@
 """The mesh of parts in every way out: the bytes are those of the whole mesh."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,9 +13,8 @@ from hpcapp.applications.surface.stitching import assemble as welded
 from hpcapp.applications.surface.stitching.plan import plan_weld
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.io import read_mesh, shared_ply, write_mesh, write_tiles
-from hpccomponent.surface.extraction.part_places import PartPlaces
 from hpccomponent.surface.extraction.summary import summarize_part
-from hpccomponent.surface.tasks.shared_ply import SharedPly, write_part
+from hpccomponent.surface.tasks.shared_ply import write_part
 from hpccomponent.surface.types.mesh import Mesh
 
 extracted = cache(extract_shape)
@@ -58,8 +58,8 @@ def test_workers_write_their_bricks_into_one_file(tmp_path, drawn, seed):
     counts = (plan.vertex_count, plan.face_count)
     with shared_ply(tmp_path / "parts.ply", counts, whole.origin, plan.box) as shared:
         for index in np.random.default_rng(seed).permutation(len(parts)).tolist():
-            places = PartPlaces.from_values(plan.places(index).to_values())
-            write_part(parts[index], places, SharedPly.from_values(shared.to_values()))
+            places = plan.places(index)
+            write_part(parts[index], places, shared)
     assert (tmp_path / "parts.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
@@ -91,9 +91,8 @@ def test_blocks_are_bounded_and_mapped_parts_do(tmp_path):
         np.save(tmp_path / f"{index}.npy", part.vertices)
 
     def load(index):
-        values = list(parts[index].to_values())
-        values[4] = np.load(tmp_path / f"{index}.npy", mmap_mode="r")
-        return type(parts[index]).from_values(tuple(values))
+        mapped = np.load(tmp_path / f"{index}.npy", mmap_mode="r")
+        return replace(parts[index], vertices=mapped)
 
     blocks = list(welded.stream_mesh(plan, load, np.zeros(3)).vertices())
     assert max(map(len, blocks)) < 1000

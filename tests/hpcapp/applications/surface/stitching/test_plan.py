@@ -1,6 +1,6 @@
 """Parts, however they are cut, weld to the mesh that they were cut from, byte for byte."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 from functools import cache
 
 import numpy as np
@@ -13,7 +13,7 @@ from hpcapp.applications.surface.stitching.assemble import assemble_mesh
 from hpcapp.applications.surface.stitching.plan import missing_bricks, plan_weld
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpccomponent.errors import JobError
-from hpccomponent.surface.extraction.summary import PartSummary, summarize_part
+from hpccomponent.surface.extraction.summary import summarize_part
 from hpccomponent.surface.types.lattice import unpack_keys
 from hpccomponent.surface.types.mesh import Mesh
 
@@ -27,7 +27,7 @@ def bricks_of(*keys):
 
 def weld(parts):
     summaries = [summarize_part(part) for part in parts]
-    plan = plan_weld([PartSummary.from_values(s.to_values()) for s in summaries])
+    plan = plan_weld(summaries)
     return plan, assemble_mesh(plan, parts.__getitem__, ORIGIN)
 
 
@@ -192,5 +192,5 @@ def test_two_owners_of_a_brick_are_refused():
 def test_a_summary_is_small_beside_its_part():
     mesh, of_vertex, of_face = extracted(SHAPES["torus"])
     part = cut_mesh(mesh, of_vertex, of_face, dict.fromkeys(bricks_of(of_vertex, of_face), 0))[0]
-    sizes = [sum(a.nbytes for a in each.to_values()) for each in (summarize_part(part), part)]
+    sizes = [sum(a.nbytes for a in astuple(each)) for each in (summarize_part(part), part)]
     assert sizes[0] < 0.1 * sizes[1]

@@ -1,0 +1,106 @@
+"""Records: frozen dataclasses that travel as themselves, by a registered name and their fields.
+
+The registry says what a name means, so that nothing is unpickled: a message can only ask for a
+class that this process has registered, and give it the fields that it has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, TypeVar
+
+from hpccomponent.errors import ProtocolError
+
+__all__ = ["RecordType", "find_record", "make_record", "record"]
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class RecordType:
+    """A registered class.
+
+    Parameters
+    ----------
+    kind : type
+    name : str
+        By which it travels.
+    fields : tuple of str
+        In the order of its parameters.
+    """
+
+    kind: type
+    name: str
+    fields: tuple[str, ...]
+
+
+_BY_NAME: dict[str, RecordType] = {}
+_BY_KIND: dict[type, RecordType] = {}
+
+
+def record(name: str) -> Callable[[type[T]], type[T]]:
+    """Let a frozen dataclass travel.
+
+    Parameters
+    ----------
+    name : str
+        By which it travels: unique, as ``surface.part``.
+
+    Returns
+    -------
+    callable
+        The decorator, to be put above that of the dataclass.
+
+    Raises
+    ------
+    TypeError
+        The class is no frozen dataclass, or does more than keep its fields when it is made.
+    ValueError
+        Another class has the name.
+
+    Examples
+    --------
+    >>> @record("doctest.circle")
+    ... @dataclass(frozen=True)
+    ... class Circle:
+    ...     radius: float
+    >>> make_record("doctest.circle", {"radius": 2.0})
+    Circle(radius=2.0)
+    """
+
+    def register(kind: type[T]) -> type[T]:
+        parameters = getattr(kind, "__dataclass_params__", None)
+        if not is_dataclass(kind) or parameters is None or not parameters.frozen:
+            raise TypeError(f"{kind.__qualname__} is no frozen dataclass")
+        if hasattr(kind, "__post_init__"):
+            raise TypeError(f"{kind.__qualname__} does more than keep its fields")
+        known = _BY_NAME.get(name)
+        if known is not None and known.kind.__qualname__ != kind.__qualname__:
+            raise ValueError(f"the record {name!r} is {known.kind.__qualname__} already")
+        entry = RecordType(kind, name, tuple(field.name for field in fields(kind)))
+        _BY_NAME[name] = _BY_KIND[kind] = entry
+        return kind
+
+    return register
+
+
+def find_record(kind: type) -> RecordType | None:
+    """Return how values of a class travel; None where it is not registered."""
+    return _BY_KIND.get(kind)
+
+
+def make_record(name: str, values: Mapping[str, Any]) -> Any:
+    """Return the record of a name and its fields.
+
+    Raises
+    ------
+    ProtocolError
+        No class has the name here, or it has other fields.
+    """
+    entry = _BY_NAME.get(name)
+    if entry is None:
+        raise ProtocolError(f"a record of the unknown name {name[:40]!r}")
+    if tuple(values) != entry.fields:
+        raise ProtocolError(f"a record {name!r} has not the fields {', '.join(entry.fields)}")
+    return entry.kind(**values)
