@@ -12,7 +12,7 @@ import signal
 import socket
 import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from time import perf_counter
 from typing import Any
 
@@ -138,10 +138,35 @@ def run_batch(
         ready, output, size, flushed = [], [], 0, perf_counter()
 
 
-def _open_blob(blob: Share, payload: memoryview) -> Any:
-    """Return the value of a blob; its arrays are views of the memory file that it came in."""
-    (value,) = decode_values(blob.header, cut_payload(payload, blob.sizes))
-    return value
+class _Blobs(Mapping[bytes, Any]):
+    """The values of blobs, by their keys.
+
+    Each is decoded for the first task that asks for it: then what its records mean is known, by
+    the module of that task. Its arrays are views of the memory file that it came in.
+    """
+
+    def __init__(self) -> None:
+        self._given: dict[bytes, tuple[Share, memoryview]] = {}
+        self._values: dict[bytes, Any] = {}
+
+    def add(self, blob: Share, payload: memoryview) -> None:
+        self._given[blob.key] = blob, payload
+
+    def forget(self, key: bytes) -> None:
+        self._given.pop(key, None)
+        self._values.pop(key, None)
+
+    def __getitem__(self, key: bytes) -> Any:
+        if key not in self._values:
+            blob, payload = self._given[key]
+            (self._values[key],) = decode_values(blob.header, cut_payload(payload, blob.sizes))
+        return self._values[key]
+
+    def __iter__(self) -> Iterator[bytes]:
+        return iter(self._given)
+
+    def __len__(self) -> int:
+        return len(self._given)
 
 
 def _describe(error: BaseException) -> Failure:
@@ -173,7 +198,7 @@ def main(arguments: list[str] | None = None) -> int:
     ahead = tasks.import_ahead()
     worker_background.add(lambda: next(ahead, None) is not None)
     channel = Channel(socket.socket(fileno=options.channel_fd))
-    blobs: dict[bytes, Any] = {}
+    blobs = _Blobs()
     try:
         while True:
             wait_s = IDLE_S
@@ -185,10 +210,10 @@ def main(arguments: list[str] | None = None) -> int:
                 case Batch() as batch:
                     run_batch(batch, payload, tasks, channel, blobs)
                 case Share() as blob:
-                    blobs[blob.key] = _open_blob(blob, payload)
+                    blobs.add(blob, payload)
                 case Forget() as forget:
                     for key in forget.keys:
-                        blobs.pop(key, None)
+                        blobs.forget(key)
             del control, payload  # or the last batch would stay mapped while this one waits
     except ChannelClosedError:
         return 0
