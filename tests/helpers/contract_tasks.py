@@ -5,12 +5,23 @@ from __future__ import annotations
 import os
 import signal
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hpccomponent.protocol.records import record
 from hpccomponent.runtime.background import worker_background
+
+
+@record("contract.pair")
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """A value that travels as itself."""
+
+    word: str
+    count: int
 
 
 def echo(*values: Any) -> Any:

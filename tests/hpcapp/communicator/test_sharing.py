@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contract_tasks import Pair
 
 from hpccomponent.errors import UsageError
 
@@ -32,6 +33,14 @@ def test_a_shared_value_travels_once_to_each_machine(executor, start_component) 
     counts = executor.statistics()
     assert counts["blobs"] <= 2
     assert counts["bytes_sent"] < 3 * values.nbytes
+
+
+def test_a_shared_record_arrives_before_its_module_is_imported(executor, start_component) -> None:
+    pair = Pair("word", 3)
+    blob = executor.share(pair)
+    start_component()
+    executor.wait_for_workers(1, WAIT)
+    assert executor.submit("contract.echo", blob, (blob, 1)).result(WAIT) == (pair, (pair, 1))
 
 
 def test_a_worker_that_is_started_again_gets_the_value_from_its_component(
