@@ -30,9 +30,7 @@ __all__ = [
     "Scale",
     "choose_scale",
     "draw_sample",
-    "estimate_noise",
     "first_share",
-    "probe_noise",
 ]
 
 _PROBE_SPACINGS = 2.0
@@ -93,22 +91,8 @@ class _Residuals:
     kurtosis: float
 
 
-def estimate_noise(cloud: PointCloud, spacing: float, threads: int = 1) -> float:
-    """Estimate the noise of the positions along the normals.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        With normals.
-    spacing : float
-        In length units of the input.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    float
-        Standard deviation, in length units of the input; 0 where no vertex has enough points.
+def _probe(sample: PointCloud, spacing: float, threads: int) -> _Noise:
+    """Estimate the noise, and how heavy its tails are where it is what most residuals are of.
 
     Notes
     -----
@@ -119,16 +103,6 @@ def estimate_noise(cloud: PointCloud, spacing: float, threads: int = 1) -> float
     finer cells, they cut its tails off, and a probe with larger ones is made. Large clouds are
     sampled by whole boxes.
     """
-    return _probe(_sample_cloud(cloud, spacing), spacing, threads).deviation
-
-
-def probe_noise(sample: PointCloud, spacing: float, threads: int = 1) -> float:
-    """Estimate the noise of a cloud by a sample of it; see `estimate_noise`, `draw_sample`."""
-    return _probe(sample, spacing, threads).deviation
-
-
-def _probe(sample: PointCloud, spacing: float, threads: int) -> _Noise:
-    """Estimate the noise, and how heavy its tails are where it is what most residuals are of."""
     cell_size = _PROBE_SPACINGS * spacing
     left = _fit_probe(sample, cell_size, threads)
     tolerance = find_tolerance(left.kurtosis)  # larger cells leave detail, too
@@ -164,7 +138,7 @@ def first_share(points: int) -> int:
 
 
 def draw_sample(draw: Callable[[int], Points], points: int) -> Points:
-    """Draw a sample of boxes that holds enough points for `probe_noise`.
+    """Draw a sample of boxes that holds enough points to find the noise by.
 
     Parameters
     ----------

