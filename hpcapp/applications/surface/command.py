@@ -250,7 +250,7 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 def info(points: Path, as_json: bool) -> None:
     """Print what the point cloud POINTS holds: count, bounds, normals, spacing, NaN points."""
-    from hpcapp.applications.surface.info import describe
+    from hpcapp.applications.surface.input.info import describe
     from hpcapp.io import read_points
 
     facts = describe(read_points(points))

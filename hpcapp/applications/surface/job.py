@@ -17,9 +17,9 @@ from hpcapp.applications.surface.backend_choice import Job, approach_workers
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.input.folder import choose_tile, plan_passes
 from hpcapp.applications.surface.input.load import Loaded, load_folder, load_memory
+from hpcapp.applications.surface.input.room import Room, open_room
 from hpcapp.applications.surface.memory import check_memory, count_most_points
 from hpcapp.applications.surface.output import open_output
-from hpcapp.applications.surface.room import Room, open_room
 from hpcapp.applications.surface.settings import (
     DEFAULT_GRID,
     JobSettings,

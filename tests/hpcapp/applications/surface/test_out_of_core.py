@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface import job, room, steps, surface
+from hpcapp.applications.surface import job, steps, surface
 from hpcapp.applications.surface.hierarchical import growth as regions
-from hpcapp.applications.surface.input import folder
+from hpcapp.applications.surface.input import folder, room
 from hpcapp.applications.surface.job import run_job
 from hpcapp.applications.surface.memory import fitting_tile, parse_limit
 from hpcapp.applications.surface.settings import JobSettings

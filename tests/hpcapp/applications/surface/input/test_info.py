@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.info import describe
+from hpcapp.applications.surface.input.info import describe
 from hpccomponent.surface.types.points import PointCloud
 
 

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface import job, room, steps
+from hpcapp.applications.surface import job, steps
 from hpcapp.applications.surface.hierarchical import growth as regions
+from hpcapp.applications.surface.input import room
 from hpcapp.applications.surface.job import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
