@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal, Self
 from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
@@ -175,7 +175,69 @@ class Profile(ConfigModel):
         return _as_tuple(self.instance_type)
 
 
-class _Cloud(ConfigModel):
+class Host(ConfigModel):
+    """A machine that is there.
+
+    Parameters
+    ----------
+    address : str
+        Name or address; a name of ``~/.ssh/config`` is followed.
+    user : str, optional
+        By default ``auth.ssh_user``.
+    port : int, optional
+        By default ``auth.ssh_port``.
+    private_address : str, optional
+        Where the other machines reach it; by default its address.
+    """
+
+    address: str = Field(pattern=r"^[^\s@-][^\s@]*$")
+    user: str | None = Field(default=None, pattern=USER_NAME)
+    port: int | None = Field(default=None, ge=1, le=65535)
+    private_address: str | None = Field(default=None, pattern=r"^[^\s@-][^\s@]*$")
+
+
+class _Provider(ConfigModel):
+    """What is asked of every block before its provider is opened, answered for fixed machines."""
+
+    makes_machines: ClassVar[bool] = False
+    """Whether machines are made and paid for: in a network and with a lease of the cluster's own,
+    and they let in whoever has the cluster's SSH key. Fixed machines let in their users' keys."""
+    is_here: ClassVar[bool] = False
+    """Whether a node is a folder of this machine, run by this very interpreter."""
+    is_shared: ClassVar[bool] = True
+    """Whether other people's clusters may be met there."""
+
+    @property
+    def fixed_hosts(self) -> tuple[Host, ...]:
+        """The hosts that the block names, the head first; none where it names none."""
+        return ()
+
+    @property
+    def address_kind(self) -> str:
+        """By which of their addresses machines are reached; see `MachineSeen.address`."""
+        return "auto"
+
+    @property
+    def subnets(self) -> tuple[str, ...]:
+        """The subnets that machines are made in, best first; none where the default will do."""
+        return ()
+
+    @property
+    def has_spot(self) -> bool:
+        """Whether there are spot machines."""
+        return False
+
+
+class _Fixed(_Provider):
+    """What all machines have that are there anyway."""
+
+    @property
+    def cloud(self) -> None:
+        """None: there are no keys and endpoints of one."""
+        return None
+
+
+class _Cloud(_Provider):
     """What every EC2-compatible cloud has.
 
     Parameters
@@ -209,12 +271,24 @@ class _Cloud(ConfigModel):
     capabilities: CAPABILITIES = "auto"
     profiles: dict[Annotated[str, Field(pattern=PROFILE_NAME)], Profile] = Field(min_length=1)
 
+    makes_machines: ClassVar[bool] = True
+
     @field_validator("subnet")
     @classmethod
     def _some_subnet(cls, subnet: str | tuple[str, ...]) -> str | tuple[str, ...]:
         if not subnet:
             raise ValueError("should name at least one subnet")
         return subnet
+
+    @property
+    def cloud(self) -> Self:
+        """The block itself: its region, keys and endpoints."""
+        return self
+
+    @property
+    def address_kind(self) -> str:
+        """By which of their addresses machines are reached."""
+        return self.address
 
     @property
     def subnets(self) -> tuple[str, ...]:
@@ -252,36 +326,23 @@ class Ec2Spec(_Cloud):
     endpoint_url: Endpoint
 
 
-class Host(ConfigModel):
-    """A machine that is there.
-
-    Parameters
-    ----------
-    address : str
-        Name or address; a name of ``~/.ssh/config`` is followed.
-    user : str, optional
-        By default ``auth.ssh_user``.
-    port : int, optional
-        By default ``auth.ssh_port``.
-    private_address : str, optional
-        Where the other machines reach it; by default its address.
-    """
-
-    address: str = Field(pattern=r"^[^\s@-][^\s@]*$")
-    user: str | None = Field(default=None, pattern=USER_NAME)
-    port: int | None = Field(default=None, ge=1, le=65535)
-    private_address: str | None = Field(default=None, pattern=r"^[^\s@-][^\s@]*$")
-
-
-class SshSpec(ConfigModel):
+class SshSpec(_Fixed):
     """Machines that are there, reached by SSH; the first is the head."""
 
     type: Literal["ssh"]
     hosts: tuple[Host, ...] = Field(min_length=1)
 
+    @property
+    def fixed_hosts(self) -> tuple[Host, ...]:
+        """The hosts, the head first."""
+        return self.hosts
 
-class LocalSpec(ConfigModel):
+
+class LocalSpec(_Fixed):
     """No machine but this one: every node is a folder with processes of its own."""
+
+    is_here: ClassVar[bool] = True
+    is_shared: ClassVar[bool] = False
 
     type: Literal["local"]
 
