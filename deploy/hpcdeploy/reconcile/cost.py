@@ -106,9 +106,9 @@ def _dearest(cloud: CloudSpec, profile: Profile) -> tuple[str, float | None]:
 def _hourly(cloud: CloudSpec, profile: Profile, instance_type: str) -> float | None:
     if profile.hourly_cost is not None:
         return profile.hourly_cost
-    if cloud.type == "aws" or cloud.capabilities == "aws":
+    if cloud.has_list_prices:
         return read_prices().hourly(instance_type, cloud.region, profile.disk_gb)
-    return 0.0 if cloud.type == "eucalyptus" else None
+    return 0.0 if cloud.is_free else None
 
 
 def check_limits(spec: ClusterSpec, cost: Cost) -> None:

@@ -87,13 +87,13 @@ def _cloud(provider: CloudSpec) -> Iterator[Misfit]:
             ("provider", "credentials", name),
             f"the keys are given twice, by {given[0]} already: leave one out",
         )
-    signed_as_named = provider.type != "eucalyptus" and provider.signing_region is None
+    signed_as_named = not provider.names_regions_freely and provider.signing_region is None
     if signed_as_named and not LEGAL_REGION.fullmatch(provider.region):
         yield Misfit(
             ("provider", "region"), "no legal name of a region: give signing_region beside it"
         )
     for name, profile in provider.profiles.items():
-        if profile.image.ssm is not None and provider.type != "aws":
+        if profile.image.ssm is not None and not provider.has_parameter_store:
             yield Misfit(
                 ("provider", "profiles", name, "image", "ssm"),
                 "this cloud has no parameter store: give the image's id, or owner and name",

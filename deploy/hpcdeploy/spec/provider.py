@@ -272,6 +272,16 @@ class _Cloud(_Provider):
     profiles: dict[Annotated[str, Field(pattern=PROFILE_NAME)], Profile] = Field(min_length=1)
 
     makes_machines: ClassVar[bool] = True
+    auto_capabilities: ClassVar[str]
+    """What ``capabilities: auto`` stands for: the least that a cloud of the type knows."""
+    has_parameter_store: ClassVar[bool] = False
+    """Whether an image may be named by a parameter."""
+    names_regions_freely: ClassVar[bool] = False
+    """Whether a region may bear a name that no request can be signed for."""
+    is_known_to_boto3: ClassVar[bool] = False
+    """Whether boto3 finds its endpoints and the user's keys by itself."""
+    is_free: ClassVar[bool] = False
+    """Whether a machine that no price is given for costs nothing."""
 
     @field_validator("subnet")
     @classmethod
@@ -296,24 +306,52 @@ class _Cloud(_Provider):
         return () if self.subnet == "auto" else _as_tuple(self.subnet)
 
     @property
+    def known_capabilities(self) -> str:
+        """The capabilities, with ``auto`` resolved."""
+        return self.auto_capabilities if self.capabilities == "auto" else self.capabilities
+
+    @property
     def has_spot(self) -> bool:
         """Whether the cloud has spot machines; elsewhere their calls do nothing, silently."""
+        return self.known_capabilities == "aws"
+
+    @property
+    def has_list_prices(self) -> bool:
+        """Whether Amazon's list prices are the cloud's."""
         return self.capabilities == "aws"
+
+    @property
+    def signed_region(self) -> str:
+        """The region that requests are signed for."""
+        return self.signing_region or "eucalyptus"
 
 
 class AwsSpec(_Cloud):
     """Amazon EC2."""
 
+    auto_capabilities: ClassVar[str] = "aws"
+    has_parameter_store: ClassVar[bool] = True
+    is_known_to_boto3: ClassVar[bool] = True
+
     type: Literal["aws"]
 
     @property
-    def has_spot(self) -> bool:
-        """Whether the cloud has spot machines."""
-        return self.capabilities in ("auto", "aws")
+    def has_list_prices(self) -> bool:
+        """True, whatever its capabilities."""
+        return True
+
+    @property
+    def signed_region(self) -> str:
+        """The region that requests are signed for; by default the region itself."""
+        return self.signing_region or self.region
 
 
 class EucalyptusSpec(_Cloud):
     """A Eucalyptus cloud; ``auto`` uses what all versions from 4.0 on know."""
+
+    auto_capabilities: ClassVar[str] = "euca-4.0"
+    names_regions_freely: ClassVar[bool] = True
+    is_free: ClassVar[bool] = True
 
     type: Literal["eucalyptus"]
     region: str = Field(default="eucalyptus", min_length=1)
@@ -321,6 +359,8 @@ class EucalyptusSpec(_Cloud):
 
 class Ec2Spec(_Cloud):
     """Any other cloud that speaks EC2."""
+
+    auto_capabilities: ClassVar[str] = "generic"
 
     type: Literal["ec2"]
     endpoint_url: Endpoint
