@@ -81,7 +81,7 @@ def _choose_key(cluster: Cluster, key: Path | None, there: Iterable[MachineSeen]
             why = (
                 "auth.ssh_private_key names it"
                 if spec.provider.makes_machines
-                else ("hosts let in your own keys")
+                else "hosts let in your own keys"
             )
             raise UsageError(f"--key is not used here: {why}", "leave it out")
         return
