@@ -27,10 +27,9 @@ from hpcdeploy.machine.ssh.reach import Reach, ReachError
 from hpcdeploy.machine.ssh.shell import SshShell
 from hpcdeploy.machine.ssh.target import Target, host_id, host_target, jump_targets
 from hpcdeploy.machine.ssh.way import Patience
-from hpcdeploy.spec.cluster import ClusterSpec, address_kind
+from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import Owner, this_user
-from hpcdeploy.spec.provider import CloudSpec, LocalSpec, SshSpec
 
 __all__ = ["Access", "make_access"]
 
@@ -83,7 +82,7 @@ class Access:
         own keys; there the key is that of the cluster's master, which no other user has.
         """
         lives = begun_lives(self._spec.cluster)
-        if not isinstance(self._spec.provider, CloudSpec):
+        if not self._spec.provider.makes_machines:
             pair = NodeKeys.read(self._folder / "keys.json")
             return Held(Owner(this_user(), _curve_print(pair) if pair else ""), lives=lives)
         path = self._key_file()
@@ -94,7 +93,7 @@ class Access:
 
     def owner(self) -> Owner:
         """Return us as the owner of what is made; the key is made on first use."""
-        if isinstance(self._spec.provider, CloudSpec):
+        if self._spec.provider.makes_machines:
             return Owner(this_user(), fingerprint(self.public_key()))
         return Owner(this_user(), _curve_print(NodeKeys(self._folder / "keys.json", ()).server))
 
@@ -135,25 +134,25 @@ class Access:
             shell.close()
 
     def _open(self, machine: MachineSeen, timeout_s: float | None) -> Shell:
-        node = machine.name.node
-        match self._spec.provider:
-            case LocalSpec():
-                return LocalShell(node, Path(machine.id))
-            case SshSpec(hosts=hosts):
-                [host] = [host for host in hosts if host_id(host) == machine.id]
-                auth = self._spec.auth
-                is_auto = auth.ssh_private_key == "auto"
-                files = () if is_auto else (str(self._key_file()),)
-                limit_s = Patience().login_s if timeout_s is None else timeout_s
-                try:
-                    return _log_in(machine, host_target(host, auth, files), limit_s)
-                except ReachError as error:
-                    where = f"{node} ({machine.id})"
-                    raise ReachError(
-                        f"{where}: {error.problem}", error.advice, error.reach
-                    ) from error
+        if self._spec.provider.is_here:
+            return LocalShell(machine.name.node, Path(machine.id))
+        if not self._spec.provider.makes_machines:
+            return self._open_host(machine, timeout_s)
         limit_s = self._spec.limits.boot if timeout_s is None else timeout_s
         return self._wait_for(machine, time.monotonic() + limit_s)
+
+    def _open_host(self, machine: MachineSeen, timeout_s: float | None) -> Shell:
+        """Log in to a host that the file names: it is there, so that one attempt tells."""
+        hosts = self._spec.provider.fixed_hosts
+        [host] = [host for host in hosts if host_id(host) == machine.id]
+        auth = self._spec.auth
+        files = () if auth.ssh_private_key == "auto" else (str(self._key_file()),)
+        limit_s = Patience().login_s if timeout_s is None else timeout_s
+        try:
+            return _log_in(machine, host_target(host, auth, files), limit_s)
+        except ReachError as error:
+            where = f"{machine.name.node} ({machine.id})"
+            raise ReachError(f"{where}: {error.problem}", error.advice, error.reach) from error
 
     def _key_file(self, *, is_made: bool = False) -> Path:
         """Return the file of the private key, and make it, if it is to be, where there is none."""
@@ -221,7 +220,7 @@ class Access:
         return _log_in(machine, target, limit_s)
 
     def _address(self, machine: MachineSeen) -> str:
-        return machine.address(address_kind(self._spec))
+        return machine.address(self._spec.provider.address_kind)
 
     def _unreachable(self, machine: MachineSeen, error: ReachError) -> ReachError:
         address = self._address(machine) or "no address"

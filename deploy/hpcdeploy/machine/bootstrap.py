@@ -36,7 +36,6 @@ from hpcdeploy.machine.wheels.requirements import Needs, choose_release, find_pr
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import machine_folder, state_folder
 from hpcdeploy.spec.names import HEAD, without_node
-from hpcdeploy.spec.provider import CloudSpec, LocalSpec
 
 __all__ = ["Failure", "check_wheels", "set_up"]
 
@@ -126,7 +125,7 @@ class _SetUp:
         self._report = report
         self._head = head
         self._folder = machine_folder(spec.cluster)
-        self._is_local = isinstance(spec.provider, LocalSpec)
+        self._is_here = spec.provider.is_here
 
     def run(self, machines: Sequence[MachineSeen]) -> list[Failure]:
         """Set all up; return the failures."""
@@ -187,7 +186,7 @@ class _SetUp:
             raise
 
     def _choose_release(self, members: Sequence[_Member]) -> Path | str:
-        if self._is_local or not members:
+        if self._is_here or not members:
             return ""
         kinds = [kind for member in members for _, kind in member.probed.kinds[:1]]
         return choose_release(self._spec, self._access.base, kinds)
@@ -196,7 +195,7 @@ class _SetUp:
         """Install what is not installed, and start the loader where it is not as it should be."""
         was_installed = self._install(member, release)
         lease = member.machine.lease_until
-        if isinstance(self._spec.provider, CloudSpec) and lease is not None:
+        if self._spec.provider.makes_machines and lease is not None:
             extend_lease(member.shell, lease)
         self._serve(member, is_stale=not was_installed)
         return member
@@ -204,7 +203,7 @@ class _SetUp:
     def _install(self, member: _Member, release: Path | str) -> bool:
         """Make the environment; True where it was there already."""
         shell, probed = member.shell, member.probed
-        if self._is_local:
+        if self._is_here:
             stamp = stamp_of(sys.executable)
             if probed.installed == stamp:
                 return True
@@ -278,7 +277,7 @@ class _SetUp:
             self._folder,
             user=probed.user,
             home=probed.home,
-            has_systemd=probed.has_systemd and probed.is_root_able and not self._is_local,
+            has_systemd=probed.has_systemd and probed.is_root_able and not self._is_here,
         )
         write_text(shell, f"{self._folder}/configured", stamp)
         self._report(f"{shell.node}: its loader runs")

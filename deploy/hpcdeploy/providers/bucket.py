@@ -20,7 +20,6 @@ from hpccomponent.files.paths import expand_home
 from hpcdeploy.machine.bucket_client import sha256_of
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.job_folder import JobOrder, JobStatus
-from hpcdeploy.spec.provider import LocalSpec, SshSpec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -245,8 +244,8 @@ def open_bucket(spec: ClusterSpec, base: Path) -> Bucket | None:
     CloudError
         The keys of its cloud are not to be found.
     """
-    cloud = spec.provider
-    if isinstance(cloud, SshSpec | LocalSpec) or spec.data.s3 is None:
+    cloud = spec.provider.cloud
+    if cloud is None or spec.data.s3 is None:
         return None
     from hpcdeploy.providers.ec2.client import open_client  # it imports boto3
 

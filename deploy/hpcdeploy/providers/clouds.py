@@ -10,7 +10,6 @@ from hpccomponent.config.reader import parse_config
 from hpcdeploy.machine.provider import Provider
 from hpcdeploy.providers import open_provider
 from hpcdeploy.spec.cluster import ClusterSpec, read_spec
-from hpcdeploy.spec.provider import CloudSpec
 
 __all__ = ["open_clouds", "place_of"]
 
@@ -29,8 +28,8 @@ def place_of(spec: ClusterSpec) -> str:
 
     The account is told by the profile of the keys only: keys themselves come and go.
     """
-    cloud = spec.provider
-    if not isinstance(cloud, CloudSpec):
+    cloud = spec.provider.cloud
+    if cloud is None:
         return ""
     keys = cloud.credentials
     source = keys.profile or keys.euca_ini or keys.eucarc or os.environ.get("AWS_PROFILE", "")

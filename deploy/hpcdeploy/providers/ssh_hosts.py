@@ -34,7 +34,7 @@ from hpcdeploy.providers.fixed import StandingMachines
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import machine_folder
 from hpcdeploy.spec.names import HEAD, NodeName, Owner, read_owner
-from hpcdeploy.spec.provider import Host, SshSpec
+from hpcdeploy.spec.provider import Host
 
 __all__ = ["SshHosts", "open_ssh_hosts"]
 
@@ -61,12 +61,11 @@ class SshHosts(StandingMachines):
     name = "ssh"
 
     def __init__(self, spec: ClusterSpec, base: Path) -> None:
-        assert isinstance(spec.provider, SshSpec)  # noqa: S101 - by the provider's type
         self._spec = spec
         self._access: Access = make_access(spec, base, self)
         self._hosts: dict[str, Host] = {
             f"worker-{number}" if number else HEAD: host
-            for number, host in enumerate(spec.provider.hosts)
+            for number, host in enumerate(spec.provider.fixed_hosts)
         }
         self._folder = machine_folder(spec.cluster)
 

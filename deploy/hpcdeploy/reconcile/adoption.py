@@ -19,7 +19,6 @@ from hpcdeploy.machine.shell import Shell
 from hpcdeploy.providers.clouds import place_of
 from hpcdeploy.spec.layout import machine_folder, state_folder
 from hpcdeploy.spec.names import HEAD
-from hpcdeploy.spec.provider import CloudSpec
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
@@ -77,12 +76,12 @@ def check_way_in(cluster: Cluster, key: Path | None) -> tuple[Observed, dict[str
 def _choose_key(cluster: Cluster, key: Path | None, there: Iterable[MachineSeen]) -> None:
     """Log in with the key that was handed over, where it is the one that fits."""
     spec, access = cluster.spec, cluster.access
-    if not isinstance(spec.provider, CloudSpec) or spec.auth.ssh_private_key != "auto":
+    if not spec.provider.makes_machines or spec.auth.ssh_private_key != "auto":
         if key is not None:
             why = (
                 "auth.ssh_private_key names it"
-                if isinstance(spec.provider, CloudSpec)
-                else ("hosts let in your own keys")
+                if spec.provider.makes_machines
+                else "hosts let in your own keys"
             )
             raise UsageError(f"--key is not used here: {why}", "leave it out")
         return

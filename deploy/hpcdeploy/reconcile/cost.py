@@ -8,7 +8,7 @@ from hpccomponent.errors import UsageError
 from hpcdeploy.reconcile.prices import read_prices
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import HEAD
-from hpcdeploy.spec.provider import LocalSpec, Profile, SshSpec
+from hpcdeploy.spec.provider import CloudSpec, Profile
 
 __all__ = ["Cost", "CostLine", "check_limits", "describe_cost", "estimate_cost"]
 
@@ -87,29 +87,28 @@ def estimate_cost(spec: ClusterSpec, workers: int | None = None) -> Cost:
         there. Traffic and S3 are not counted.
     """
     count = spec.worker_count if workers is None else workers
+    cloud = spec.provider.cloud
     lines = []
     for who, node, number in ((HEAD, HEAD, 1), ("workers", "worker-1", count)):
         profile = spec.profile(node)
-        if profile is not None and number:
-            instance_type, hourly = _dearest(spec, profile)
+        if cloud is not None and profile is not None and number:
+            instance_type, hourly = _dearest(cloud, profile)
             lines.append(CostLine(who, number, spec.profile_name(node), instance_type, hourly))
     return Cost(tuple(lines), spec.limits.lease, read_prices().as_of)
 
 
-def _dearest(spec: ClusterSpec, profile: Profile) -> tuple[str, float | None]:
+def _dearest(cloud: CloudSpec, profile: Profile) -> tuple[str, float | None]:
     """Return the dearest type of a profile and its price; one without a price comes first."""
-    priced = [(name, _hourly(spec, profile, name)) for name in profile.instance_types]
+    priced = [(name, _hourly(cloud, profile, name)) for name in profile.instance_types]
     return max(priced, key=lambda pair: float("inf") if pair[1] is None else pair[1])
 
 
-def _hourly(spec: ClusterSpec, profile: Profile, instance_type: str) -> float | None:
-    provider = spec.provider
-    assert not isinstance(provider, SshSpec | LocalSpec)  # noqa: S101 - they have no profiles
+def _hourly(cloud: CloudSpec, profile: Profile, instance_type: str) -> float | None:
     if profile.hourly_cost is not None:
         return profile.hourly_cost
-    if provider.type == "aws" or provider.capabilities == "aws":
-        return read_prices().hourly(instance_type, provider.region, profile.disk_gb)
-    return 0.0 if provider.type == "eucalyptus" else None
+    if cloud.has_list_prices:
+        return read_prices().hourly(instance_type, cloud.region, profile.disk_gb)
+    return 0.0 if cloud.is_free else None
 
 
 def check_limits(spec: ClusterSpec, cost: Cost) -> None:

@@ -34,10 +34,8 @@ from hpcdeploy.reconcile.plan import (
 )
 from hpcdeploy.reconcile.removal import remove
 from hpcdeploy.reconcile.termination import Proof, Reason, end, may_terminate
-from hpcdeploy.spec.cluster import address_kind
 from hpcdeploy.spec.names import HEAD, NodeName, Owner, draw_incarnation
 from hpcdeploy.spec.polling import Pace
-from hpcdeploy.spec.provider import LocalSpec
 from hpcdeploy.spec.ssh_networks import ssh_networks
 
 if TYPE_CHECKING:
@@ -134,7 +132,7 @@ class Effort:
         """Return what may be ended of what is seen: ours, and what of it nobody can be using."""
         held = self._cluster.access.held()
         mine = ours(seen, held)
-        if isinstance(self._spec.provider, LocalSpec):
+        if not self._spec.provider.is_shared:
             mine = frozenset(machine.id for machine in seen.machines)
         asked, now_asked = self._journal.launched(), self._journal.launched(since_opened=True)
 
@@ -245,7 +243,7 @@ class Effort:
 
     def _await_running(self, awaited: list[MachineSeen]) -> tuple[list[MachineSeen], list[Failed]]:
         """Wait until machines run and have an address; tell which do not, and why."""
-        kind = address_kind(self._spec)
+        kind = self._spec.provider.address_kind
         for _ in self._pace.looks(self._spec.limits.boot):
             if all(_is_ready(machine, kind) or machine.state not in LIVE for machine in awaited):
                 break

@@ -18,7 +18,6 @@ from hpcdeploy.machine.wheels.requirements import missing_wheels
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.spec.layout import machine_folder, state_folder
 from hpcdeploy.spec.names import HEAD, without_node
-from hpcdeploy.spec.provider import LocalSpec
 
 __all__ = ["Visit", "examine", "visit"]
 
@@ -164,7 +163,7 @@ def _machine_problems(probed: Probed) -> Iterator[Problem]:
 def _python_problems(cluster: Cluster, machine: MachineSeen, probed: Probed) -> Iterator[Problem]:
     """Yield what is missing to install it: an interpreter, or wheels for each of them."""
     spec = cluster.spec
-    if isinstance(spec.provider, LocalSpec):  # a node is this very interpreter
+    if spec.provider.is_here:
         return
     if not probed.kinds:
         error = no_python(probed, spec.env.python)

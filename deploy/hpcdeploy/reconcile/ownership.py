@@ -11,7 +11,6 @@ from hpcdeploy.machine.provider import GroupSeen, MachineSeen, Observed
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import Owner
 from hpcdeploy.spec.polling import utc_now
-from hpcdeploy.spec.provider import CloudSpec, LocalSpec
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
@@ -35,7 +34,7 @@ def require_ours(cluster: Cluster, observed: Observed, now: datetime | None = No
     CloudError
         It says by whom, and how to share the cluster or take it over.
     """
-    if isinstance(cluster.spec.provider, LocalSpec) or not _is_any(observed):
+    if not cluster.spec.provider.is_shared or not _is_any(observed):
         return
     held = cluster.access.held()
     owner = foreign_owner(observed, held, now or utc_now())
@@ -54,7 +53,7 @@ def describe_foreign(name: str, owner: Owner, held: Held) -> str:
 def _advice(cluster: Cluster) -> str:
     spec, file = cluster.spec, cluster.path
     folder = state_folder(spec.cluster)
-    if not isinstance(spec.provider, CloudSpec):
+    if not spec.provider.makes_machines:
         share, key = f"put its owner's keys.json into {folder}", ""
     elif spec.auth.ssh_private_key == "auto":
         share, key = f"put its owner's key into {folder / 'id'} (mode 0600)", " --key KEY"

@@ -13,7 +13,7 @@ from hpcdeploy.machine.provider import GroupSeen, LaunchChoice, MachineSeen, Obs
 from hpcdeploy.reconcile.termination import Reason
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import NOBODY, NodeName, Owner
-from hpcdeploy.spec.provider import CloudSpec, LocalSpec, Profile
+from hpcdeploy.spec.provider import Profile
 
 __all__ = [
     "Action",
@@ -210,7 +210,7 @@ def make_plan(
     """
     machines = [machine for machine in observed.machines if machine.cluster == spec.cluster]
     actions: list[Action] = []
-    if isinstance(spec.provider, CloudSpec):
+    if spec.provider.makes_machines:
         group = next((seen for seen in observed.groups if seen.cluster == spec.cluster), None)
         ports = frozenset({spec.communicator.port})
         life = group.incarnation if group else _latest_life(machines) or incarnation
@@ -228,8 +228,7 @@ def make_plan(
     actions += _extensions(spec, kept, now)
     hidden = tuple(machine for machine in machines if machine.state is State.UNKNOWN)
     there = {machine.name.node for machine in (*kept, *hidden)}
-    has_spot = isinstance(spec.provider, CloudSpec) and spec.provider.has_spot
-    subnets = spec.provider.subnets if isinstance(spec.provider, CloudSpec) else ()
+    has_spot, subnets = spec.provider.has_spot, spec.provider.subnets
     for node in spec.nodes():
         if node not in there:
             name = NodeName(node, _next_generation(machines, node, life))
@@ -274,7 +273,7 @@ def _marks(
     spec: ClusterSpec, kept: Sequence[MachineSeen], observed: Observed, owner: Owner
 ) -> list[Mark]:
     """Return the writing of the owner where it is due."""
-    if not owner.key or isinstance(spec.provider, LocalSpec):
+    if not owner.key or not spec.provider.is_shared:
         return []
     machines = tuple(machine for machine in kept if not machine.owner.key)
     groups = tuple(
@@ -291,7 +290,7 @@ def _merit(machine: MachineSeen) -> tuple[bool, int, str]:
 
 def _extensions(spec: ClusterSpec, kept: Sequence[MachineSeen], now: datetime) -> list[Extend]:
     """Return the lease's extension where it is due."""
-    if not isinstance(spec.provider, CloudSpec):
+    if not spec.provider.makes_machines:
         return []
     until = now.replace(microsecond=0) + timedelta(seconds=spec.limits.lease)
     slack = timedelta(seconds=LEASE_SLACK * spec.limits.lease)

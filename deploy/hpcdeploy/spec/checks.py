@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpccomponent.config.reader import Location, Misfit
 from hpccomponent.errors import UsageError
 from hpccomponent.files.paths import expand_home
-from hpcdeploy.spec.provider import LEGAL_REGION, CloudSpec, LocalSpec, SshSpec
+from hpcdeploy.spec.provider import LEGAL_REGION, CloudSpec, Host
 
 if TYPE_CHECKING:
     from hpcdeploy.spec.cluster import ClusterSpec
@@ -28,11 +28,11 @@ def find_misfits(spec: ClusterSpec, base: Path) -> Iterator[Misfit]:
         The folder of the cluster file, which its paths are relative to.
     """
     yield from _numbers(spec)
-    if isinstance(spec.provider, SshSpec):
-        yield from _hosts(spec, spec.provider)
-    elif not isinstance(spec.provider, LocalSpec):
+    if spec.provider.fixed_hosts:
+        yield from _hosts(spec, spec.provider.fixed_hosts)
+    if spec.provider.cloud is not None:
         yield from _profiles(spec)
-        yield from _cloud(spec.provider)
+        yield from _cloud(spec.provider.cloud)
     yield from _files(spec, base)
 
 
@@ -50,17 +50,17 @@ def _numbers(spec: ClusterSpec) -> Iterator[Misfit]:
         yield Misfit(("limits", "idle"), "exceeds limits.lease, at whose end all machines go")
 
 
-def _hosts(spec: ClusterSpec, provider: SshSpec) -> Iterator[Misfit]:
+def _hosts(spec: ClusterSpec, hosts: Sequence[Host]) -> Iterator[Misfit]:
     """Yield hosts that are too few, or the same."""
     asked = 1 + spec.worker_count
-    if len(provider.hosts) < asked:
+    if len(hosts) < asked:
         yield Misfit(
             ("provider", "hosts"),
             f"a head and {spec.worker_count} workers take {asked} hosts, "
-            f"here are {len(provider.hosts)}: name more, or lower workers.count",
+            f"here are {len(hosts)}: name more, or lower workers.count",
         )
     seen: Counter[tuple[str, int]] = Counter()
-    for index, host in enumerate(provider.hosts):
+    for index, host in enumerate(hosts):
         port = host.port or spec.auth.ssh_port
         if seen[host.address, port]:
             yield Misfit(("provider", "hosts", index, "address"), "given twice")
@@ -87,13 +87,13 @@ def _cloud(provider: CloudSpec) -> Iterator[Misfit]:
             ("provider", "credentials", name),
             f"the keys are given twice, by {given[0]} already: leave one out",
         )
-    signed_as_named = provider.type != "eucalyptus" and provider.signing_region is None
+    signed_as_named = not provider.names_regions_freely and provider.signing_region is None
     if signed_as_named and not LEGAL_REGION.fullmatch(provider.region):
         yield Misfit(
             ("provider", "region"), "no legal name of a region: give signing_region beside it"
         )
     for name, profile in provider.profiles.items():
-        if profile.image.ssm is not None and provider.type != "aws":
+        if profile.image.ssm is not None and not provider.has_parameter_store:
             yield Misfit(
                 ("provider", "profiles", name, "image", "ssm"),
                 "this cloud has no parameter store: give the image's id, or owner and name",
@@ -139,11 +139,12 @@ def _look(
 
 def _named_files(spec: ClusterSpec) -> Iterator[tuple[Location, str]]:
     """Yield each file that the spec names, and where."""
-    if not isinstance(spec.provider, SshSpec | LocalSpec):
-        if spec.provider.ca_bundle is not None:
-            yield ("provider", "ca_bundle"), spec.provider.ca_bundle
+    cloud = spec.provider.cloud
+    if cloud is not None:
+        if cloud.ca_bundle is not None:
+            yield ("provider", "ca_bundle"), cloud.ca_bundle
         for name in ("euca_ini", "eucarc"):
-            text = getattr(spec.provider.credentials, name)
+            text = getattr(cloud.credentials, name)
             if text is not None:
                 yield ("provider", "credentials", name), text
     if spec.auth.ssh_private_key != "auto":

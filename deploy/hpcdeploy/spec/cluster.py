@@ -17,11 +17,8 @@ from hpcdeploy.spec.names import HEAD, NAME_PATTERN
 from hpcdeploy.spec.provider import (
     JUMP,
     USER_NAME,
-    CloudSpec,
-    LocalSpec,
     Profile,
     ProviderSpec,
-    SshSpec,
 )
 
 __all__ = [
@@ -33,7 +30,6 @@ __all__ = [
     "Head",
     "Limits",
     "Workers",
-    "address_kind",
     "read_spec",
 ]
 
@@ -246,7 +242,8 @@ class ClusterSpec(ConfigModel):
 
     def profiles(self) -> dict[str, Profile]:
         """Return the provider's profiles; none where machines are there anyway."""
-        return {} if isinstance(self.provider, SshSpec | LocalSpec) else self.provider.profiles
+        cloud = self.provider.cloud
+        return {} if cloud is None else cloud.profiles
 
     def profile_name(self, node: str) -> str:
         """Return the profile of ``head`` or ``worker-1``, ...; empty where there are none."""
@@ -263,7 +260,8 @@ class ClusterSpec(ConfigModel):
         """How many workers there should be."""
         if self.workers.count is not None:
             return self.workers.count
-        return len(self.provider.hosts) - 1 if isinstance(self.provider, SshSpec) else 1
+        hosts = self.provider.fixed_hosts
+        return len(hosts) - 1 if hosts else 1
 
     @property
     def worker_min(self) -> int:
@@ -273,11 +271,6 @@ class ClusterSpec(ConfigModel):
     def nodes(self) -> tuple[str, ...]:
         """Return the names of all its machines: ``head``, ``worker-1``, ..."""
         return (HEAD, *(f"worker-{n}" for n in range(1, self.worker_count + 1)))
-
-
-def address_kind(spec: ClusterSpec) -> str:
-    """Return by which of their addresses machines are reached; see `MachineSeen.address`."""
-    return spec.provider.address if isinstance(spec.provider, CloudSpec) else "auto"
 
 
 def read_spec(path: Path) -> ClusterSpec:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal, Self
 from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
@@ -175,7 +175,69 @@ class Profile(ConfigModel):
         return _as_tuple(self.instance_type)
 
 
-class _Cloud(ConfigModel):
+class Host(ConfigModel):
+    """A machine that is there.
+
+    Parameters
+    ----------
+    address : str
+        Name or address; a name of ``~/.ssh/config`` is followed.
+    user : str, optional
+        By default ``auth.ssh_user``.
+    port : int, optional
+        By default ``auth.ssh_port``.
+    private_address : str, optional
+        Where the other machines reach it; by default its address.
+    """
+
+    address: str = Field(pattern=r"^[^\s@-][^\s@]*$")
+    user: str | None = Field(default=None, pattern=USER_NAME)
+    port: int | None = Field(default=None, ge=1, le=65535)
+    private_address: str | None = Field(default=None, pattern=r"^[^\s@-][^\s@]*$")
+
+
+class _Provider(ConfigModel):
+    """What is asked of every block before its provider is opened, answered for fixed machines."""
+
+    makes_machines: ClassVar[bool] = False
+    """Whether machines are made and paid for: in a network and with a lease of the cluster's own,
+    and they let in whoever has the cluster's SSH key. Fixed machines let in their users' keys."""
+    is_here: ClassVar[bool] = False
+    """Whether a node is a folder of this machine, run by this very interpreter."""
+    is_shared: ClassVar[bool] = True
+    """Whether other people's clusters may be met there."""
+
+    @property
+    def fixed_hosts(self) -> tuple[Host, ...]:
+        """The hosts that the block names, the head first; none where it names none."""
+        return ()
+
+    @property
+    def address_kind(self) -> str:
+        """By which of their addresses machines are reached; see `MachineSeen.address`."""
+        return "auto"
+
+    @property
+    def subnets(self) -> tuple[str, ...]:
+        """The subnets that machines are made in, best first; none where the default will do."""
+        return ()
+
+    @property
+    def has_spot(self) -> bool:
+        """Whether there are spot machines."""
+        return False
+
+
+class _Fixed(_Provider):
+    """What all machines have that are there anyway."""
+
+    @property
+    def cloud(self) -> None:
+        """None: there are no keys and endpoints of one."""
+        return None
+
+
+class _Cloud(_Provider):
     """What every EC2-compatible cloud has.
 
     Parameters
@@ -209,6 +271,18 @@ class _Cloud(ConfigModel):
     capabilities: CAPABILITIES = "auto"
     profiles: dict[Annotated[str, Field(pattern=PROFILE_NAME)], Profile] = Field(min_length=1)
 
+    makes_machines: ClassVar[bool] = True
+    auto_capabilities: ClassVar[str]
+    """What ``capabilities: auto`` stands for: the least that a cloud of the type knows."""
+    has_parameter_store: ClassVar[bool] = False
+    """Whether an image may be named by a parameter."""
+    names_regions_freely: ClassVar[bool] = False
+    """Whether a region may bear a name that no request can be signed for."""
+    is_known_to_boto3: ClassVar[bool] = False
+    """Whether boto3 finds its endpoints and the user's keys by itself."""
+    is_free: ClassVar[bool] = False
+    """Whether a machine that no price is given for costs nothing."""
+
     @field_validator("subnet")
     @classmethod
     def _some_subnet(cls, subnet: str | tuple[str, ...]) -> str | tuple[str, ...]:
@@ -217,29 +291,67 @@ class _Cloud(ConfigModel):
         return subnet
 
     @property
+    def cloud(self) -> Self:
+        """The block itself: its region, keys and endpoints."""
+        return self
+
+    @property
+    def address_kind(self) -> str:
+        """By which of their addresses machines are reached."""
+        return self.address
+
+    @property
     def subnets(self) -> tuple[str, ...]:
         """The subnets, best first; none where the cloud's default will do."""
         return () if self.subnet == "auto" else _as_tuple(self.subnet)
 
     @property
+    def known_capabilities(self) -> str:
+        """The capabilities, with ``auto`` resolved."""
+        return self.auto_capabilities if self.capabilities == "auto" else self.capabilities
+
+    @property
     def has_spot(self) -> bool:
         """Whether the cloud has spot machines; elsewhere their calls do nothing, silently."""
+        return self.known_capabilities == "aws"
+
+    @property
+    def has_list_prices(self) -> bool:
+        """Whether Amazon's list prices are the cloud's."""
         return self.capabilities == "aws"
+
+    @property
+    def signed_region(self) -> str:
+        """The region that requests are signed for."""
+        return self.signing_region or "eucalyptus"
 
 
 class AwsSpec(_Cloud):
     """Amazon EC2."""
 
+    auto_capabilities: ClassVar[str] = "aws"
+    has_parameter_store: ClassVar[bool] = True
+    is_known_to_boto3: ClassVar[bool] = True
+
     type: Literal["aws"]
 
     @property
-    def has_spot(self) -> bool:
-        """Whether the cloud has spot machines."""
-        return self.capabilities in ("auto", "aws")
+    def has_list_prices(self) -> bool:
+        """True, whatever its capabilities."""
+        return True
+
+    @property
+    def signed_region(self) -> str:
+        """The region that requests are signed for; by default the region itself."""
+        return self.signing_region or self.region
 
 
 class EucalyptusSpec(_Cloud):
     """A Eucalyptus cloud; ``auto`` uses what all versions from 4.0 on know."""
+
+    auto_capabilities: ClassVar[str] = "euca-4.0"
+    names_regions_freely: ClassVar[bool] = True
+    is_free: ClassVar[bool] = True
 
     type: Literal["eucalyptus"]
     region: str = Field(default="eucalyptus", min_length=1)
@@ -248,40 +360,29 @@ class EucalyptusSpec(_Cloud):
 class Ec2Spec(_Cloud):
     """Any other cloud that speaks EC2."""
 
+    auto_capabilities: ClassVar[str] = "generic"
+
     type: Literal["ec2"]
     endpoint_url: Endpoint
 
 
-class Host(ConfigModel):
-    """A machine that is there.
-
-    Parameters
-    ----------
-    address : str
-        Name or address; a name of ``~/.ssh/config`` is followed.
-    user : str, optional
-        By default ``auth.ssh_user``.
-    port : int, optional
-        By default ``auth.ssh_port``.
-    private_address : str, optional
-        Where the other machines reach it; by default its address.
-    """
-
-    address: str = Field(pattern=r"^[^\s@-][^\s@]*$")
-    user: str | None = Field(default=None, pattern=USER_NAME)
-    port: int | None = Field(default=None, ge=1, le=65535)
-    private_address: str | None = Field(default=None, pattern=r"^[^\s@-][^\s@]*$")
-
-
-class SshSpec(ConfigModel):
+class SshSpec(_Fixed):
     """Machines that are there, reached by SSH; the first is the head."""
 
     type: Literal["ssh"]
     hosts: tuple[Host, ...] = Field(min_length=1)
 
+    @property
+    def fixed_hosts(self) -> tuple[Host, ...]:
+        """The hosts, the head first."""
+        return self.hosts
 
-class LocalSpec(ConfigModel):
+
+class LocalSpec(_Fixed):
     """No machine but this one: every node is a folder with processes of its own."""
+
+    is_here: ClassVar[bool] = True
+    is_shared: ClassVar[bool] = False
 
     type: Literal["local"]
 

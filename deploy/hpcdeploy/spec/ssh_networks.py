@@ -10,7 +10,6 @@ from urllib.parse import urlsplit
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.spec.cluster import ClusterSpec
-from hpcdeploy.spec.provider import CloudSpec
 
 __all__ = ["ssh_networks"]
 
@@ -35,7 +34,8 @@ def ssh_networks(
     CloudError
         The address is not to be found out.
     """
-    if not isinstance(spec.provider, CloudSpec):
+    cloud = spec.provider.cloud
+    if cloud is None:
         return frozenset()
     networks = set()
     for entry in spec.auth.allow_from:
@@ -43,7 +43,7 @@ def ssh_networks(
             networks.add(entry)
             continue
         try:
-            address = _address_towards(spec.provider.endpoint_url) or ask_public_address()
+            address = _address_towards(cloud.endpoint_url) or ask_public_address()
             networks.add(str(ipaddress.IPv4Network(address)))
         except (OSError, ValueError) as error:
             raise CloudError(

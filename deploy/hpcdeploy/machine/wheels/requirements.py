@@ -23,7 +23,6 @@ from hpcdeploy.machine.wheels.wheelhouse import (
 )
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import state_folder
-from hpcdeploy.spec.provider import CloudSpec, SshSpec
 
 __all__ = ["WORKER_NEEDS", "Needs", "choose_release", "find_problems", "missing_wheels", "needs_of"]
 
@@ -119,7 +118,7 @@ def find_problems(spec: ClusterSpec, base: Path) -> list[Problem]:
     Before the machines are there, the wheelhouse itself says which machines it is for: each kind
     that it has compiled wheels for should be complete. Where none is, `up` would fail.
     """
-    if spec.env.wheelhouse is None or not isinstance(spec.provider, CloudSpec | SshSpec):
+    if spec.env.wheelhouse is None or spec.provider.is_here:
         return []
     folder = base / expand_home(spec.env.wheelhouse)
     kinds = kinds_of(folder)

@@ -78,10 +78,8 @@ _TABLE = {
     ),
     "generic": Capabilities("2016-11-15"),
 }
-_AUTO = {"aws": "aws", "eucalyptus": "euca-4.0", "ec2": "generic"}
 
 
 def capabilities_of(cloud: CloudSpec) -> Capabilities:
     """Return what a cloud knows; ``auto`` is the least of its type."""
-    name = cloud.capabilities
-    return _TABLE[_AUTO[cloud.type] if name == "auto" else name]
+    return _TABLE[cloud.known_capabilities]

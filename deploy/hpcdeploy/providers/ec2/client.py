@@ -136,13 +136,13 @@ class _Way:
             endpoint, version = cloud.s3_endpoint_url or keys.s3_url, None
         else:  # a service of Amazon's alone, at its own address
             endpoint = version = None
-        if endpoint is None and cloud.type != "aws":
+        if endpoint is None and not cloud.is_known_to_boto3:
             key = "endpoint_url" if service == "ec2" else "s3_endpoint_url"
             raise CloudError(
                 f"{cloud.type}: no endpoint of {service} is known", f"set provider.{key}"
             )
         certificates = _certificates(cloud.ca_bundle or keys.ca_bundle, self._base)
-        region = cloud.signing_region or (cloud.region if cloud.type == "aws" else "eucalyptus")
+        region = cloud.signed_region
         if self._login is None:
             self._login = Login(keys, region, cloud_name(cloud), self.patience)
         try:

@@ -68,7 +68,7 @@ def find_keys(cloud: CloudSpec, base: Path, environment: Mapping[str, str]) -> C
                 f"{path}: it exports no keys", "AWS_ACCESS_KEY and AWS_SECRET_KEY are looked for"
             )
         return keys
-    return CloudKeys() if cloud.type == "aws" else _from_variables(environment)
+    return CloudKeys() if cloud.is_known_to_boto3 else _from_variables(environment)
 
 
 def _from_variables(variables: Mapping[str, str]) -> CloudKeys:

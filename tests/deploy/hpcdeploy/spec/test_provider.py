@@ -1,0 +1,89 @@
+"""A provider's block answers what it is, so that nobody asks for its class or type."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+
+from hpccomponent.config.reader import parse_config
+from hpcdeploy.providers import open_provider
+from hpcdeploy.providers.ec2.capabilities import capabilities_of
+from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.provider import Ec2Spec, LocalSpec, SshSpec
+
+PROFILES = "profiles: {any: {image: {id: ami-1}, instance_type: any}}"
+ENDPOINT = "http://cloud.example/"
+BLOCKS = {
+    "aws": f"type: aws, {PROFILES}",
+    "eucalyptus": f"type: eucalyptus, endpoint_url: '{ENDPOINT}', {PROFILES}",
+    "ec2": f"type: ec2, endpoint_url: '{ENDPOINT}', {PROFILES}",
+    "ssh": "type: ssh, hosts: [{address: a}, {address: b}]",
+    "local": "type: local",
+}
+CLOUDS = ("aws", "eucalyptus", "ec2")
+
+
+def spec_of(kind: str) -> ClusterSpec:
+    text = f"version: 1\ncluster: c\nprovider: {{{BLOCKS[kind]}}}"
+    return parse_config(text, "c.yaml", ClusterSpec)
+
+
+@pytest.mark.parametrize("kind", BLOCKS)
+def test_a_block_and_its_provider_agree(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "AKIAEXAMPLE")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
+    spec = spec_of(kind)
+    opened = open_provider(spec, tmp_path)
+    assert spec.provider.makes_machines == opened.makes_machines == (kind in CLOUDS)
+
+
+@pytest.mark.parametrize("kind", BLOCKS)
+def test_only_what_makes_machines_has_a_cloud_and_profiles(kind: str) -> None:
+    spec = spec_of(kind)
+    assert (spec.provider.cloud is not None) == spec.provider.makes_machines
+    assert bool(spec.profiles()) == spec.provider.makes_machines
+
+
+@pytest.mark.parametrize("kind", BLOCKS)
+def test_on_this_machine_all_is_the_users_own(kind: str) -> None:
+    block = spec_of(kind).provider
+    assert (block.is_here, block.is_shared) == (kind == "local", kind != "local")
+
+
+def test_all_hosts_but_the_head_are_workers() -> None:
+    spec = spec_of("ssh")
+    assert [host.address for host in spec.provider.fixed_hosts] == ["a", "b"]
+    assert spec.worker_count == 1
+
+
+class NewCloud(Ec2Spec):
+    """A cloud of a type of its own."""
+
+    type: Literal["new"]  # type: ignore[assignment]
+
+
+class NewHosts(SshSpec):
+    """Hosts that another program names."""
+
+    type: Literal["new"]  # type: ignore[assignment]
+
+
+class NewFolders(LocalSpec):
+    """Nodes on this machine, made otherwise."""
+
+    type: Literal["new"]  # type: ignore[assignment]
+
+
+def test_a_new_type_inherits_all_answers() -> None:
+    profiles: Any = {"any": {"image": {"id": "ami-1"}, "instance_type": "any"}}
+    cloud = NewCloud(type="new", endpoint_url=ENDPOINT, profiles=profiles)
+    model = Ec2Spec(type="ec2", endpoint_url=ENDPOINT, profiles=profiles)
+    assert cloud.makes_machines
+    assert capabilities_of(cloud) == capabilities_of(model)
+    hosts: Any = [{"address": "a"}]
+    assert len(NewHosts(type="new", hosts=hosts).fixed_hosts) == 1
+    assert NewFolders(type="new").is_here
