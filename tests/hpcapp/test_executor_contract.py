@@ -27,6 +27,7 @@ WAIT = 60.0  # seconds, for what takes milliseconds: only a defect runs into it
 UNDER_MPI = "mpi4py.futures" in sys.orig_argv
 """Whether this is the run that `test_mpi_keeps_the_contract_too` starts."""
 
+POOL = pytest.param("processes", marks=pytest.mark.leaks_allowed)  # multiprocessing's tracker
 DASK = pytest.param("dask", marks=pytest.mark.leaks_allowed)  # it pools its connections
 RAY = pytest.param("ray", marks=pytest.mark.leaks_allowed)  # it runs as long as the fixture
 HERE = ["serial", "threads", "processes", "zmq", DASK, RAY, "loky:ProcessPoolExecutor", "handed in"]
@@ -147,7 +148,8 @@ def test_after_shutdown_nothing_is_taken_and_nothing_is_left_open(tasks: Any) ->
             backend.executor.submit(tasks.echo, 2)
 
 
-@pytest.mark.parametrize("name", ["serial", "threads", "processes"])
+@pytest.mark.skipif(UNDER_MPI, reason="of this machine")
+@pytest.mark.parametrize("name", ["serial", "threads", POOL])
 def test_after_shutdown_no_backend_of_this_machine_takes_a_task(name: str, tasks: Any) -> None:
     with open_executor(name, workers=1) as backend:
         assert backend.executor.submit(tasks.echo, 1).result(WAIT) == 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import hpccomponent.surface
@@ -45,6 +45,7 @@ def test_it_changes_with_a_name_and_with_a_new_file(folder: Path) -> None:
     assert len({before, renamed, digest_code(folder)}) == 3
 
 
+@example("#n")
 @given(st.text(st.characters(exclude_characters="\r", exclude_categories=["Cs"]), max_size=30))
 def test_strings_that_are_values_stay(value: str) -> None:
     assert strip_prose(f"X = {value!r}  # of any kind") == f"X = {value!r}"
