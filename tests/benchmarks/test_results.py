@@ -10,6 +10,7 @@ import pytest
 RESULTS = sorted((Path(__file__).parents[2] / "benchmarks" / "results").glob("*.json"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
 def test_a_result_names_its_origin_and_fills_its_columns(path: Path) -> None:
     result = json.loads(path.read_text(encoding="utf-8"))

@@ -306,6 +306,7 @@ BACKENDS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", BACKENDS, ids=" ".join)
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_an_end_in_mid_job_leaves_nothing(

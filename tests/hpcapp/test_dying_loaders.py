@@ -102,6 +102,7 @@ SEEDS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_loader_that_dies_at_any_step_costs_its_machine_and_no_more(
     reconstruct: Callable[..., tuple[bytes, str]],

@@ -73,6 +73,7 @@ def open_named(request: pytest.FixtureRequest, tasks: Any) -> Iterator[Backend]:
         yield backend
 
 
+@pytest.mark.slow
 def test_results_are_bitwise_equal_in_whichever_order_they_come(
     executor: Executor, tasks: Any
 ) -> None:
@@ -160,6 +161,7 @@ def test_after_shutdown_no_backend_of_this_machine_takes_a_task(name: str, tasks
             backend.executor.submit(tasks.echo, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(UNDER_MPI, reason="this is the run under MPI")
 def test_mpi_keeps_the_contract_too(tasks: Any, run_mpi: RunMpi) -> None:
     done = run_mpi(3, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__)

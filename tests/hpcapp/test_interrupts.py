@@ -39,6 +39,7 @@ def check_end(process: subprocess.Popen[str], helpers: set[int], folder: Path) -
     assert {path.name for path in folder.iterdir()} == {"sphere.ply"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signum", SIGNALS)
 @pytest.mark.parametrize(
     ("moment", "options"),
@@ -92,6 +93,7 @@ def test_a_signal_that_comes_twice_at_once_is_one(
         check_end(process, helpers, tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signum", SIGNALS)
 def test_the_second_signal_ends_at_once(
     start_command: StartCommand, sphere_file: Path, signum: signal.Signals

@@ -45,6 +45,7 @@ def reconstruct(start_command: StartCommand, sphere_file: Path) -> Reconstruct:
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["zmq", "processes"])
 def test_more_workers_than_open_files_allow_are_refused_with_a_number_that_works(
     reconstruct: Reconstruct, backend: str
@@ -187,6 +188,7 @@ def room_for_many() -> Iterator[None]:
     resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("room_for_many")
 def test_a_master_of_1200_workers_raises_its_low_soft_limit(tmp_path: Path) -> None:
     with socket.socket() as probe:

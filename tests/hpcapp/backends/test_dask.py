@@ -47,6 +47,7 @@ def client(address: str) -> Iterator[Any]:
         yield client
 
 
+@pytest.mark.slow
 def test_the_command_gives_the_same_bytes(
     address: str,
     sphere_file: Path,

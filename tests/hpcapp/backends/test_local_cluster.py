@@ -126,6 +126,7 @@ def test_secrets_are_readable_by_their_owner_only(folder: Path) -> None:
         assert stat.S_IMODE(connection.stat().st_mode) == 0o600
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layer", ["worker", "component", "loader"])
 def test_the_job_outlives_the_loss_of_any_process(layer: str) -> None:
     with LocalCluster(2, extra_tasks=NAMES) as cluster:
@@ -214,6 +215,7 @@ def test_an_interrupt_while_it_waits_for_work_to_end_leaves_nothing(tmp_path: Pa
     assert not any(map(is_alive, pids))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layer", ["worker", "component", "loader"])
 def test_a_frozen_process_does_not_hold_up_the_end(
     monkeypatch: pytest.MonkeyPatch, layer: str

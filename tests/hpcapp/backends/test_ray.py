@@ -56,6 +56,7 @@ def find_processes(word: str) -> list[int]:
     return found
 
 
+@pytest.mark.slow
 def test_the_command_gives_the_same_bytes_and_leaves_nothing(
     sphere_file: Path, tmp_path: Path, start_command: StartCommand
 ) -> None:
@@ -70,6 +71,7 @@ def test_the_command_gives_the_same_bytes_and_leaves_nothing(
     assert not list(tmp_path.glob("hpcapp-*"))
 
 
+@pytest.mark.slow
 def test_tasks_of_a_killed_worker_run_again(
     backend: Backend, tasks: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -187,6 +187,7 @@ def freeze_component(component_pid: int, worker_pid: int) -> None:
     os.kill(component_pid, signal.SIGSTOP)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("harm", [kill_worker, kill_component, freeze_component])
 def test_the_batch_of_a_lost_worker_runs_elsewhere(
     executor, start_component, tmp_path: Path, harm: Callable[[int, int], None]

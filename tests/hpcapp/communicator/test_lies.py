@@ -126,6 +126,7 @@ def test_a_liar_that_sends_nan_is_turned_away(executor, start_component) -> None
     assert fitted.result(WAIT).shape == (1, 10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lie", LIES)
 def test_a_liar_is_turned_away_with_a_reason_and_the_work_is_done(
     executor, start_component, caplog, lie: str

@@ -114,6 +114,7 @@ transport.close()
 PROBES_S = 4.0  # as long as several probes take
 
 
+@pytest.mark.slow
 def test_a_peer_that_breaks_off_while_its_messages_wait_does_not_abort_the_master(
     tmp_path: Path,
 ) -> None:

@@ -58,6 +58,7 @@ def missing() -> str:
     return tried.stderr.strip()
 
 
+@pytest.mark.slow
 def test_a_machine_that_vanishes_is_noticed_long_before_its_heartbeats_are_missed(
     tmp_path: Path,
 ) -> None:

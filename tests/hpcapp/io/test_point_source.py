@@ -43,6 +43,7 @@ def _assert_same(one: PointCloud, other: PointCloud) -> None:
             assert mine.tobytes() == its.tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".ply", ".xyz"])
 @pytest.mark.parametrize("rows", [1, 7, 50, 1000])
 @pytest.mark.parametrize("with_normals", [True, False])
@@ -70,6 +71,7 @@ def test_parts_are_the_whole(
     _assert_same(_join(source, rows), read_points(path))  # a second time
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("encoding", "order"), ORDERS)
 @pytest.mark.parametrize("lists", [[(1, 2), (3, 4), (5, 6)], [(1,), (), (2, 3, 4)]])
 @pytest.mark.parametrize("rows", [1, 2, 5])
@@ -112,6 +114,7 @@ def test_ranges_are_runs_of_the_file(tmp_path: Path, cloud: PointCloud, rows: in
         _assert_same(part, cloud.take(np.arange(start, min(start + rows, len(cloud)))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [1, 2, 3, 100])
 @pytest.mark.parametrize(
     ("name", "content"),
@@ -139,6 +142,7 @@ def test_faults_are_found_after_the_last_part_at_the_latest(
     assert str(parts.value) == str(whole.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [1, 5, 13])
 @pytest.mark.parametrize("rows", [1, 3])
 def test_a_binary_file_that_is_cut_or_too_long(

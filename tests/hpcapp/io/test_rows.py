@@ -29,6 +29,7 @@ def test_many_lines_keep_their_order() -> None:
     assert (parse_table(numbered(lines), 2, PATH) == table).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "delimiter", "said"),
     [

@@ -10,6 +10,7 @@ from hpccomponent.errors import OutputError
 from hpccomponent.surface.types.mesh import Mesh
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", [KeyboardInterrupt, RuntimeError, SystemExit])
 @pytest.mark.parametrize("old", [b"old", None])
 def test_whatever_ends_the_writing_leaves_what_was_there(

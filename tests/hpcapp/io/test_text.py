@@ -12,6 +12,7 @@ from hpccomponent.surface.types.points import PointCloud
 Make = Callable[..., Path]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("separator", [" ", "\t", ",", ";", ", ", "  "])
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_separators_are_told_apart(make_file: Make, separator: str, newline: str) -> None:

@@ -54,6 +54,7 @@ def assert_same(one: Any, other: Any) -> None:
         assert one == other
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None)
 @given(st.lists(VALUES, max_size=4).map(tuple))
 def test_values_come_back_bit_by_bit(values: tuple[Any, ...]) -> None:

@@ -23,6 +23,7 @@ SILENT = SilentProgress()
 WriteCloud = Callable[..., Path]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("standing_helpers")
 @pytest.mark.parametrize("method", [Hierarchical(), Paper()], ids=["hierarchical", "paper"])
 def test_every_backend_writes_the_same_bytes(

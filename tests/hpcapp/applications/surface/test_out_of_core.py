@@ -78,6 +78,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small", "standing_helpers")
 @pytest.mark.parametrize("backend", ["serial", "threads", "processes", "zmq"])
 def test_a_cloud_on_disk_gives_the_bytes_of_one_in_memory(
@@ -127,6 +128,7 @@ def test_workers_that_see_no_folder_are_sent_points_and_give_tiles_back(
     assert output.read_bytes() == whole
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small", "standing_helpers")
 @pytest.mark.leaks_allowed  # boto3 closes its connections when it is collected
 @pytest.mark.parametrize("backend", ["serial", "zmq"])
@@ -143,6 +145,7 @@ def test_tiles_are_kept_in_a_bucket(
     assert list(bucket.objects.all()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small")
 def test_a_job_that_failed_goes_on_where_it_was(
     scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -195,6 +198,7 @@ main()
 """
 
 
+@pytest.mark.slow
 def test_a_job_that_was_killed_goes_on_where_it_was(
     scan: Path, whole: bytes, tmp_path: Path
 ) -> None:
@@ -254,6 +258,7 @@ class Memory(SilentProgress):
         self.growth = tracemalloc.get_traced_memory()[1] - getattr(self, "_before", 0)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small", "standing_helpers")
 def test_the_memory_does_not_grow_with_the_mesh(scan: Path, tmp_path: Path) -> None:
     output = tmp_path / "mesh.ply"
@@ -303,6 +308,7 @@ def test_a_full_disk_leaves_the_old_mesh(
     assert list(tmp_path.iterdir()) == [output]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("bucket", "standing_helpers")
 @pytest.mark.leaks_allowed  # boto3 closes its connections when it is collected
 @pytest.mark.parametrize("name", ["mesh.obj", "mesh.tiles"])

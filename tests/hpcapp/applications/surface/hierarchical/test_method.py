@@ -164,6 +164,7 @@ def tailed_torus(count):
     return PointCloud(cloud.positions + shifts * cloud.normals, cloud.normals)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid", [40, 96])
 @pytest.mark.parametrize("shape", [torus, rough_torus, tailed_torus, half_torus, sheet])
 def test_any_tiling_gives_the_same_bits(shape, grid):

@@ -119,6 +119,7 @@ def _serial(points: int) -> Passes:
     return Passes(Workforce(SerialExecutor(), in_process=True), True, points)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CLOUDS)
 @pytest.mark.parametrize("points", [5_000, 100_000])
 def test_regions_of_any_size_are_the_whole(tmp_path: Path, name: str, points: int) -> None:
@@ -157,6 +158,7 @@ def test_only_regions_that_change_are_written(tmp_path: Path, workers_see: bool)
     assert 0 < sum(path.stat().st_size for path in written) < 24 * 15_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers_see", [True, False])
 @pytest.mark.parametrize("name", ["spoilt", "islands", "spoilt islands", "clean"])
 def test_workers_do_not_show(tmp_path: Path, name: str, workers_see: bool) -> None:

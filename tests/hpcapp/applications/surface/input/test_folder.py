@@ -95,6 +95,7 @@ class RunsTwice(ThreadPoolExecutor):
         return first
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("round_", range(5))
 def test_a_task_that_runs_again_late_changes_nothing(
     scan: Path, tmp_path: Path, round_: int

@@ -149,6 +149,7 @@ def test_to_resume_a_job_that_runs_waits_for_it_and_goes_on(
     assert list(commands.room.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_job_that_was_waited_for_in_vain_is_done_again(commands: Commands, whole: bytes) -> None:
     first = commands.pause("first.ply")
     second = commands.start("second.ply", "--resume")
@@ -162,6 +163,7 @@ def test_a_job_that_was_waited_for_in_vain_is_done_again(commands: Commands, who
     assert commands.left() == []
 
 
+@pytest.mark.slow
 def test_who_waits_can_be_interrupted(commands: Commands) -> None:
     commands.pause("first.ply")
     second = commands.start("second.ply", "--resume")
@@ -192,6 +194,7 @@ def _is_open(path: Path, commands: Commands) -> bool:
     )
 
 
+@pytest.mark.slow
 def test_what_a_killed_command_leaves_the_next_one_removes(
     commands: Commands, whole: bytes
 ) -> None:
@@ -220,6 +223,7 @@ def _pid(folder: Path) -> int:
     return owner.pid
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["fail", "interrupt", "terminate"])
 @pytest.mark.parametrize("resumes", [False, True])
 def test_a_job_that_fails_leaves_only_what_it_was_asked_to_keep(
@@ -244,6 +248,7 @@ def test_a_job_that_fails_leaves_only_what_it_was_asked_to_keep(
     assert commands.left() == []
 
 
+@pytest.mark.slow
 @pytest.mark.leaks_allowed  # Dask keeps a thread
 @pytest.mark.parametrize("resumes", [False, True])
 def test_a_job_that_fails_early_leaves_nothing(scan: Path, tmp_path: Path, resumes: bool) -> None:
@@ -355,6 +360,7 @@ KINDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_damaged_is_made_again(
@@ -446,6 +452,7 @@ def test_different_inputs_in_one_folder_do_not_touch_each_other(
     assert set(place.rglob("*")) == before
 
 
+@pytest.mark.slow
 @pytest.mark.leaks_allowed  # boto3 closes its connections when it is collected
 @pytest.mark.usefixtures("standing_helpers")
 def test_jobs_of_one_input_share_a_bucket(
