@@ -168,6 +168,7 @@ def test_files_go_to_the_head_and_come_back(
     assert target.read_bytes() == b"ply\n" * 1000
 
 
+@pytest.mark.slow
 def test_a_host_that_hides_what_it_does_is_never_ended_nor_replaced(
     file: Path, hosts: tuple[Server, Server], machines: Machines, capsys: pytest.CaptureFixture[str]
 ) -> None:

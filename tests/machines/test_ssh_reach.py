@@ -52,6 +52,7 @@ def silent_port() -> Iterator[int]:
         yield port
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("impatient")
 def test_each_verb_tells_the_causes_apart(
     file: Path,

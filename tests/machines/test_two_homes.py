@@ -118,6 +118,7 @@ def lab(
         yield Lab(cloud, file, go_home, capsys)
 
 
+@pytest.mark.slow
 def test_another_home_is_told_and_changes_nothing(lab: Lab) -> None:
     assert lab.run("anna", "up", "-y") == 0, lab.said
     before = [(instance.id, instance.tags) for instance in lab.cloud.living]
@@ -145,6 +146,7 @@ def test_another_home_is_told_and_changes_nothing(lab: Lab) -> None:
     assert "nothing to create or change" in lab.said
 
 
+@pytest.mark.slow
 def test_down_of_anothers_cluster_asks_for_its_name(lab: Lab) -> None:
     assert lab.run("anna", "up", "-y") == 0, lab.said
     assert lab.run("ben", "down", "-y") == CLOUD_FAILED
@@ -156,6 +158,7 @@ def test_down_of_anothers_cluster_asks_for_its_name(lab: Lab) -> None:
     assert lab.cloud.left() == []
 
 
+@pytest.mark.slow
 def test_a_key_handed_over_shares_the_cluster(lab: Lab) -> None:
     assert lab.run("anna", "up", "-y") == 0, lab.said
     lab.state("ben").mkdir(parents=True)
@@ -164,6 +167,7 @@ def test_a_key_handed_over_shares_the_cluster(lab: Lab) -> None:
     assert "nothing to create or change" in lab.said
 
 
+@pytest.mark.slow
 def test_a_cluster_is_adopted_with_its_owners_key_alone(lab: Lab, tmp_path: Path) -> None:
     assert lab.run("anna", "up", "-y") == 0, lab.said
     assert lab.run("ben", "adopt", "-y") == CLOUD_FAILED
@@ -188,6 +192,7 @@ def test_a_cluster_is_adopted_with_its_owners_key_alone(lab: Lab, tmp_path: Path
     assert lab.cloud.left() == []
 
 
+@pytest.mark.slow
 def test_a_cluster_of_an_older_release_is_its_key_pairs(lab: Lab) -> None:
     """Its machines bear no key; the key pair that they were launched with is proof."""
     assert lab.run("anna", "up", "-y") == 0, lab.said
@@ -205,6 +210,7 @@ def test_a_cluster_of_an_older_release_is_its_key_pairs(lab: Lab) -> None:
     assert "nothing to create or change" in lab.said
 
 
+@pytest.mark.slow
 def test_a_machine_that_has_worked_is_not_replaced_for_a_login_that_fails(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -93,6 +93,7 @@ def test_an_instance_that_dies_while_it_boots_is_replaced(scene: Scene) -> None:
     assert len(of_node(scene.cloud, "worker-2")) == 2
 
 
+@pytest.mark.slow
 def test_an_instance_that_always_dies_is_done_without(scene: Scene) -> None:
     def die(instance: Instance) -> None:
         if "-worker-2-" in instance.token:
@@ -113,6 +114,7 @@ def test_a_machine_that_refuses_ssh_or_dies_in_set_up_is_replaced(scene: Scene) 
     assert len(of_node(scene.cloud, "worker-1")) == 2
 
 
+@pytest.mark.slow
 def test_a_head_that_cannot_be_set_up_fails_and_leaves_nothing(scene: Scene) -> None:
     scene.set_up.broken_nodes = {"head"}
     with pytest.raises(CloudError, match=r"^head cannot be had: pip is missing; look at hpcapp"):
@@ -154,6 +156,7 @@ def place_of(cloud: StrictCloud, name: str) -> set[str]:
     return {call.parameters.get(name, "") for call in calls}
 
 
+@pytest.mark.slow
 def test_a_zone_without_capacity_leads_to_the_next(scene: Scene) -> None:
     for zone in ZONES[:2]:
         match = {"Placement.AvailabilityZone": zone}
@@ -167,6 +170,7 @@ def test_a_zone_without_capacity_leads_to_the_next(scene: Scene) -> None:
     assert scene.cloud.left() == []
 
 
+@pytest.mark.slow
 def test_a_lost_answer_in_a_zone_is_asked_for_again_there(scene: Scene) -> None:
     scene.cloud.lose("RunInstances")
     scene.up(zone=list(ZONES))
@@ -175,6 +179,7 @@ def test_a_lost_answer_in_a_zone_is_asked_for_again_there(scene: Scene) -> None:
     assert place_of(scene.cloud, "Placement.AvailabilityZone") == {ZONES[0]}
 
 
+@pytest.mark.slow
 def test_throttling_and_lost_answers_are_outlasted(scene: Scene) -> None:
     scene.cloud.fail("RunInstances", "RequestLimitExceeded", 503, times=2)
     scene.cloud.lose("CreateSecurityGroup")
@@ -185,6 +190,7 @@ def test_throttling_and_lost_answers_are_outlasted(scene: Scene) -> None:
     assert scene.cloud.left() == []
 
 
+@pytest.mark.slow
 def test_a_group_that_cannot_be_deleted_yet_is_waited_for(scene: Scene) -> None:
     scene.up()
     code = "DependencyViolation" if scene.cloud.profile == "aws" else "InvalidGroup.InUse"
@@ -193,6 +199,7 @@ def test_a_group_that_cannot_be_deleted_yet_is_waited_for(scene: Scene) -> None:
     assert scene.cloud.left() == []
 
 
+@pytest.mark.slow
 def test_a_group_that_can_never_be_deleted_is_named(scene: Scene) -> None:
     scene.up()
     code = "DependencyViolation" if scene.cloud.profile == "aws" else "InvalidGroup.InUse"
@@ -201,6 +208,7 @@ def test_a_group_that_can_never_be_deleted_is_named(scene: Scene) -> None:
         take_down(scene.cluster(), scene.lines.append, pace=replace(PACE, end_s=1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", ["AuthFailure", "RequestExpired", "ExpiredToken"])
 def test_wrong_or_expired_credentials_are_one_line_before_anything_is_made(
     scene: Scene, code: str

@@ -193,6 +193,7 @@ TestClusterLife.settings = settings(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["up", "down"])
 @pytest.mark.parametrize("market", ["on_demand", "spot_with_fallback"])
 def test_a_command_killed_at_every_call_in_turn_leaves_no_orphan_and_no_duplicate(
@@ -216,6 +217,7 @@ def test_a_command_killed_at_every_call_in_turn_leaves_no_orphan_and_no_duplicat
     assert at > 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["error", "lost answer", "killed"])
 @pytest.mark.parametrize("verb", ["up", "replace_lost"])
 def test_what_a_command_has_launched_is_known_to_the_next_one_however_it_ended(

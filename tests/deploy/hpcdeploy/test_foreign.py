@@ -80,6 +80,7 @@ def ignore(line: str) -> None:
     del line
 
 
+@pytest.mark.slow
 def test_down_takes_our_key_pair_alone(cloud: StrictCloud, cluster: Cluster) -> None:
     foreign = add_foreign_pairs(cloud)
     take_down(cluster, ignore, pace=PACE)
@@ -91,6 +92,7 @@ def test_down_takes_our_key_pair_alone(cloud: StrictCloud, cluster: Cluster) -> 
     assert cloud.left() == foreign
 
 
+@pytest.mark.slow
 def test_reap_takes_our_key_pair_alone(cloud: StrictCloud, cluster: Cluster) -> None:
     foreign = add_foreign_pairs(cloud)
     reap(cluster.provider, ignore, PACE)
@@ -114,6 +116,7 @@ def test_the_group_stays_as_proof_until_the_key_pair_is_gone(
     assert cloud.left() == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "description", ["my own", "hpcapp cluster bunny", "hpcapp cluster x life y"]
 )
@@ -129,6 +132,7 @@ def test_a_foreign_group_with_our_name_is_never_taken_for_ours(
     assert [group.description for group in cloud.groups] == [description]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [{"region": "eu-west-1"}, {"credentials": {"profile": "other"}}])
 def test_down_after_a_change_of_place_says_where_something_was_made(
     cloud: StrictCloud, cluster: Cluster, change: dict[str, Any]

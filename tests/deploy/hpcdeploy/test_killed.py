@@ -51,6 +51,7 @@ def killer() -> Iterator[Killer]:
         yield killer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", PROFILES)
 def test_up_and_down_change_what_they_must_and_no_more(
     profile: str, killer: Killer, tmp_path: Path

@@ -95,6 +95,7 @@ def test_validate_and_plan(
     assert not [call for call in cloud.calls if call.changes]
 
 
+@pytest.mark.slow
 @every_cloud
 def test_up_again_and_down(cloud: StrictCloud, tmp_path: Path) -> None:
     cluster, lines, time = open_file(write_file(cloud, tmp_path)), list[str](), SimulatedTime()

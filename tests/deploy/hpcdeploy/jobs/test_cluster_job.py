@@ -92,6 +92,7 @@ def cluster(place: Place) -> Place:
     return place
 
 
+@pytest.mark.slow
 def test_a_job_on_a_cluster_that_is_not_up_leaves_nothing(place: Place) -> None:
     output, errors = place.run(
         "reconstruct", "sphere.xyz", "-o", "mesh.ply", *OPTIONS, *ON_WORKERS, "--cluster",
@@ -105,6 +106,7 @@ def test_a_job_on_a_cluster_that_is_not_up_leaves_nothing(place: Place) -> None:
     assert not place.state.exists()
 
 
+@pytest.mark.slow
 def test_a_job_that_fails_takes_the_cluster_down_too(place: Place) -> None:
     _, errors = place.run(
         "reconstruct", "sphere.xyz", "-o", "none.ply", "--voxel-size", "1e-9", "--cluster",
@@ -132,6 +134,7 @@ def test_points_that_will_not_do_bring_nothing_up(place: Place) -> None:
     assert not place.state.exists()
 
 
+@pytest.mark.slow
 def test_a_job_is_submitted_listed_attached_to_and_fetched(cluster: Place) -> None:
     output, errors = cluster.run(
         "submit", "cluster.yaml", "sphere.xyz", "-o", "there.ply", "--detach", "--json", "--",
@@ -166,6 +169,7 @@ def test_a_cluster_that_was_up_stays_up(cluster: Place) -> None:
     assert (cluster.head / "inventory.json").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_a_job_outlives_the_client(cluster: Place, number: signal.Signals) -> None:
     with cluster.held():
@@ -185,6 +189,7 @@ def test_a_job_outlives_the_client(cluster: Place, number: signal.Signals) -> No
         assert f"hpcapp: job {job['job']} was cancelled" in errors
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_one_line_and_no_job(cluster: Place) -> None:
     before, _ = cluster.run("jobs", "cluster.yaml")
     for words, code, said in (
@@ -212,6 +217,7 @@ def test_what_cannot_be_is_one_line_and_no_job(cluster: Place) -> None:
     assert cluster.run("jobs", "cluster.yaml")[0] == before
 
 
+@pytest.mark.slow
 def test_down_ends_the_jobs_that_run_and_wait(cluster: Place) -> None:
     with cluster.held():
         for _ in range(2):

@@ -196,6 +196,7 @@ def members(group: int) -> list[int]:
     return found
 
 
+@pytest.mark.slow
 def test_a_frozen_job_can_be_cancelled(
     jobs: Jobs, points: Path, held: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -273,6 +273,7 @@ def test_on_the_way_the_machine_that_fails_is_named(machines: Machines, key: Pat
     assert f"on the way, at {gate.place}" in error.problem
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["silent", "endless", "web", "frozen"])
 def test_a_bad_server_behind_a_jump_is_named_too(
     name: str, machines: Machines, key: Path, capfd: pytest.CaptureFixture[str]

@@ -61,6 +61,7 @@ def observe(spec: CloudSpec, base: Path) -> Ec2Provider:
     return provider
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_every_fault_is_one_line_with_what_mends_it_and_ends_in_time(
     ways: BrokenWays, monkeypatch: pytest.MonkeyPatch, tmp_path: Path

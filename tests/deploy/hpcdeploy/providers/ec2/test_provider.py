@@ -23,6 +23,7 @@ every_cloud = pytest.mark.parametrize("profile", PROFILES)
 each_kind = pytest.mark.parametrize("profile", ["aws", "euca-4.0", "euca-5.1", "generic"])
 
 
+@pytest.mark.slow
 @every_cloud
 def test_a_life_leaves_nothing(open_desk: OpenDesk, profile: str) -> None:
     desk = open_desk(profile, lag=2, list_lag=1)
