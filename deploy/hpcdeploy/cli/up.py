@@ -68,7 +68,7 @@ def ask_name(cluster: Cluster, purpose: str, *, is_asked: bool, given: str = "")
         Another cluster is named.
     """
     from hpccomponent.errors import CloudError, UsageError
-    from hpcdeploy.reconcile.ownership import require_ours
+    from hpcdeploy.reconcile.cluster import require_ours
 
     name = cluster.spec.cluster
     if given not in ("", name):

@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.provider import MachineSeen, Provider, State
-from hpcdeploy.reconcile.ownership import require_ours
+from hpcdeploy.machine.ownership import Held, foreign_owner
+from hpcdeploy.machine.provider import MachineSeen, Observed, Provider, State
 from hpcdeploy.spec.cluster import ClusterSpec, read_spec
-from hpcdeploy.spec.names import HEAD
+from hpcdeploy.spec.layout import state_folder
+from hpcdeploy.spec.names import HEAD, Owner
+from hpcdeploy.spec.polling import utc_now
 
 if TYPE_CHECKING:
     from hpcdeploy.machine.access import Access
 
-__all__ = ["Cluster", "open_cluster"]
+__all__ = ["Cluster", "open_cluster", "require_ours"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,3 +101,54 @@ def open_cluster(path: Path) -> Iterator[Cluster]:
         yield Cluster(path, spec, provider, access)
     finally:
         access.close()
+
+
+def require_ours(cluster: Cluster, observed: Observed, now: datetime | None = None) -> None:
+    """Refuse a cluster that was made elsewhere; where there is nothing yet it is ours to make.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    observed : Observed
+        Of that cluster.
+    now : datetime, optional
+        In UTC; the present by default.
+
+    Raises
+    ------
+    CloudError
+        It says by whom, and how to share the cluster or take it over.
+    """
+    if not cluster.spec.provider.is_shared or not _is_any(observed):
+        return
+    held = cluster.access.held()
+    owner = foreign_owner(observed, held, now or utc_now())
+    if owner is not None:
+        raise CloudError(describe_foreign(cluster.spec.cluster, owner, held), _advice(cluster))
+
+
+def describe_foreign(name: str, owner: Owner, held: Held) -> str:
+    """Say whose a cluster is, and what is held here, in one line."""
+    by = owner.user or "somebody"
+    key = f"with the key {owner.key}" if owner.key else "without a trace of its key"
+    here = f"the key here is {held.owner.key}" if held.owner.key else "there is no key of it here"
+    return f"cluster {name} was made elsewhere: by {by} {key}; {here}"
+
+
+def _advice(cluster: Cluster) -> str:
+    spec, file = cluster.spec, cluster.path
+    folder = state_folder(spec.cluster)
+    if not spec.provider.makes_machines:
+        share, key = f"put its owner's keys.json into {folder}", ""
+    elif spec.auth.ssh_private_key == "auto":
+        share, key = f"put its owner's key into {folder / 'id'} (mode 0600)", " --key KEY"
+    else:
+        share, key = "name its owner's key as auth.ssh_private_key", ""
+    return (
+        f"to share it, {share}; to take it over, hpcapp adopt {file}{key}; "
+        f"to remove it, hpcapp down {file}; or give yours another name"
+    )
+
+
+def _is_any(observed: Observed) -> bool:
+    return bool(observed.machines or observed.groups)

@@ -20,9 +20,9 @@ from hpcdeploy.machine.ownership import Held, ours
 from hpcdeploy.machine.provider import Observed, State
 from hpcdeploy.providers.bucket import open_bucket
 from hpcdeploy.providers.clouds import place_of
+from hpcdeploy.reconcile.cluster import require_ours
 from hpcdeploy.reconcile.cost import check_limits, estimate_cost
 from hpcdeploy.reconcile.effort import Effort, Report
-from hpcdeploy.reconcile.ownership import require_ours
 from hpcdeploy.reconcile.plan import Plan, make_plan
 from hpcdeploy.reconcile.removal import remove
 from hpcdeploy.reconcile.termination import Proof, Reason

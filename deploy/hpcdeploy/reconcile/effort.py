@@ -16,9 +16,8 @@ from hpcdeploy.machine.journal import Journal
 from hpcdeploy.machine.ownership import ours
 from hpcdeploy.machine.provider import GroupSeen, MachineSeen, Observed, State
 from hpcdeploy.providers.clouds import place_of
-from hpcdeploy.reconcile.cluster import node_order
+from hpcdeploy.reconcile.cluster import node_order, require_ours
 from hpcdeploy.reconcile.launching import launch_nodes
-from hpcdeploy.reconcile.ownership import require_ours
 from hpcdeploy.reconcile.plan import (
     LIVE,
     Action,

@@ -12,8 +12,7 @@ from hpcdeploy.machine.loader_service import is_running_command
 from hpcdeploy.machine.parallel import connections_at_once, run_parallel
 from hpcdeploy.machine.provider import MachineSeen, Observed, State
 from hpcdeploy.machine.shell import Shell
-from hpcdeploy.reconcile.cluster import node_order
-from hpcdeploy.reconcile.ownership import require_ours
+from hpcdeploy.reconcile.cluster import node_order, require_ours
 from hpcdeploy.spec.layout import machine_folder
 from hpcdeploy.spec.names import HEAD, without_node
 from hpcdeploy.spec.polling import utc_now
