@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hpcapp.backends import BACKENDS
+from hpcapp.backends import BACKENDS, IN_PROCESS
 from hpcapp.backends.capacity import check_address_space, check_workers
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
@@ -189,7 +189,7 @@ def open_executor(
         return
     count = check_workers(name, workers, 1 if name == "serial" else available_cores())
     with _open_pool(name, count) as pool:
-        workforce = Workforce(pool, count, per_worker, name in ("serial", "threads"))
+        workforce = Workforce(pool, count, per_worker, name in IN_PROCESS)
         yield Backend(name, workforce, is_here=True)
 
 

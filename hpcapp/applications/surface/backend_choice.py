@@ -214,16 +214,16 @@ class Opener:
                 choice = replace(choice, workers=backend.workforce.workers)
             else:
                 self.standing.close()
-                workers = None if choice.backend == "serial" else choice.workers
                 backend = stack.enter_context(
-                    open_executor(choice.backend, workers=workers, policy=self._settings.policy)
+                    open_executor(
+                        choice.backend, workers=choice.workers, policy=self._settings.policy
+                    )
                 )
         except NoWorkersError as error:
             log.warning("no worker came: %s", error.problem)
             self.standing.close()
             choice = self._local(job, "no worker came in time")
-            workers = None if choice.backend == "serial" else choice.workers
-            backend = stack.enter_context(open_executor(choice.backend, workers=workers))
+            backend = stack.enter_context(open_executor(choice.backend, workers=choice.workers))
         log.info("backend %s: %s", choice.backend, choice.reason)
         return backend, choice
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from hpcapp.applications.surface.memory import count_most_points, fitting_tile
 from hpcapp.applications.surface.scans import Passes
 from hpcapp.applications.surface.settings import JobSettings, Settings, choose_steps, name_backend
-from hpcapp.backends import BACKENDS
+from hpcapp.backends import BACKENDS, IN_PROCESS
 from hpcapp.backends.selection import Backend
 from hpcapp.io import open_points
 from hpccomponent.files.private_files import make_private_folder
@@ -37,7 +37,7 @@ def may_pay_in_folder(settings: JobSettings) -> bool:
     is_here = settings.cluster is None and (name or "zmq") in BACKENDS
     if name is None and is_here:
         name = "zmq" if (settings.workers or available_cores()) > 1 else "serial"
-    if points < FOLDER_FROM_POINTS or name in ("serial", "threads") or choose_steps(settings):
+    if points < FOLDER_FROM_POINTS or name in IN_PROCESS or choose_steps(settings):
         return False
     if place is None or "://" in place:
         free = shutil.disk_usage(tempfile.gettempdir()).free
