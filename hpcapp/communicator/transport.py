@@ -154,6 +154,10 @@ class RouterTransport:
         most_frames, most_bytes : int
             What is kept of it, at most.
 
+        Returns
+        -------
+        list of memoryview
+
         Raises
         ------
         ProtocolError
