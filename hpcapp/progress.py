@@ -14,15 +14,31 @@ class Progress(Protocol):
     """A display of stages."""
 
     def begin(self, stage: str) -> None:
-        """Announce that `stage` begins."""
+        """Announce that `stage` begins.
+
+        Parameters
+        ----------
+        stage : str
+        """
         ...
 
     def advance(self, done: int, total: int) -> None:
-        """Announce that `done` of `total` parts of the current stage are finished."""
+        """Announce that `done` of `total` parts of the current stage are finished.
+
+        Parameters
+        ----------
+        done, total : int
+        """
         ...
 
     def end(self, stage: str, seconds: float) -> None:
-        """Announce that `stage` took `seconds`."""
+        """Announce that `stage` took `seconds`.
+
+        Parameters
+        ----------
+        stage : str
+        seconds : float
+        """
         ...
 
 
@@ -30,13 +46,29 @@ class SilentProgress:
     """A display that shows nothing."""
 
     def begin(self, stage: str) -> None:
-        """Show nothing."""
+        """Show nothing.
+
+        Parameters
+        ----------
+        stage : str
+        """
 
     def advance(self, done: int, total: int) -> None:
-        """Show nothing."""
+        """Show nothing.
+
+        Parameters
+        ----------
+        done, total : int
+        """
 
     def end(self, stage: str, seconds: float) -> None:
-        """Show nothing."""
+        """Show nothing.
+
+        Parameters
+        ----------
+        stage : str
+        seconds : float
+        """
 
 
 class StageClock:
@@ -62,7 +94,13 @@ class StageClock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time the block as the stage `name`; blocks of one name add up."""
+        """Time the block as the stage `name`; blocks of one name add up.
+
+        Parameters
+        ----------
+        name : str
+            Key of its time, in seconds, in `seconds`.
+        """
         self.progress.begin(name)
         start = perf_counter()
         yield

@@ -49,18 +49,35 @@ class LineProgress:
         self._next_line = 0.0
 
     def begin(self, stage: str) -> None:
-        """Remember the stage; a short one is announced at its end only."""
+        """Remember the stage; a short one is announced at its end only.
+
+        Parameters
+        ----------
+        stage : str
+        """
         self._stage = stage
         self._next_line = time.monotonic() + LINE_PERIOD_S
 
     def advance(self, done: int, total: int) -> None:
-        """Write a line where `LINE_PERIOD_S` have passed since the last."""
+        """Write a line where `LINE_PERIOD_S` have passed since the last.
+
+        Parameters
+        ----------
+        done, total : int
+            Parts of the current stage.
+        """
         if time.monotonic() >= self._next_line:
             self._next_line = time.monotonic() + LINE_PERIOD_S
             self._write(f"{self._stage}: {done} of {total}")
 
     def end(self, stage: str, seconds: float) -> None:
-        """Write how long the stage took."""
+        """Write how long the stage took.
+
+        Parameters
+        ----------
+        stage : str
+        seconds : float
+        """
         self._write(f"{stage}: done in {seconds:.2f} s")
 
     def _write(self, line: str) -> None:
@@ -77,16 +94,34 @@ class BarProgress:
         self._task: TaskID | None = None
 
     def begin(self, stage: str) -> None:
-        """Draw a new bar."""
+        """Draw a new bar.
+
+        Parameters
+        ----------
+        stage : str
+            The bar's label.
+        """
         self._task = self._bars.add_task(stage, total=None)
 
     def advance(self, done: int, total: int) -> None:
-        """Move the bar."""
+        """Move the bar.
+
+        Parameters
+        ----------
+        done, total : int
+            Parts of the current stage.
+        """
         if self._task is not None:
             self._bars.update(self._task, completed=done, total=total)
 
     def end(self, stage: str, seconds: float) -> None:
-        """Fill the bar."""
+        """Fill the bar.
+
+        Parameters
+        ----------
+        stage, seconds
+            Not shown: the bar counts the time itself.
+        """
         del stage, seconds
         if self._task is not None:
             self._bars.update(self._task, completed=1, total=1)
@@ -110,18 +145,36 @@ class EventProgress:
         self._stage = ""
 
     def begin(self, stage: str) -> None:
-        """Write that nothing is done yet."""
+        """Write that nothing is done yet.
+
+        Parameters
+        ----------
+        stage : str
+        """
         self._stage = stage
         self._write({"stage": stage, "done": 0, "total": 0})
         self._display.begin(stage)
 
     def advance(self, done: int, total: int) -> None:
-        """Write how far the stage has come."""
+        """Write how far the stage has come.
+
+        Parameters
+        ----------
+        done, total : int
+            Parts of the current stage.
+        """
         self._write({"stage": self._stage, "done": done, "total": total})
         self._display.advance(done, total)
 
     def end(self, stage: str, seconds: float) -> None:
-        """Write how long the stage took."""
+        """Write how long the stage took.
+
+        Parameters
+        ----------
+        stage : str
+        seconds : float
+            Written to the microsecond.
+        """
         self._write({"stage": stage, "seconds": round(seconds, 6)})
         self._display.end(stage, seconds)
 
@@ -141,6 +194,17 @@ def _open_if_read(name: str, flags: int) -> int:
 @contextmanager
 def open_events(path: Path | None, display: Progress) -> Iterator[Progress]:
     """Yield a display that writes events to the file `path` as well, if there is one.
+
+    Parameters
+    ----------
+    path : Path or None
+        A file that is written anew, or a pipe that somebody reads.
+    display : Progress
+        The one that is yielded where there is no file, else shown to as well.
+
+    Yields
+    ------
+    Progress
 
     Raises
     ------
@@ -165,7 +229,17 @@ def open_events(path: Path | None, display: Progress) -> Iterator[Progress]:
 
 @contextmanager
 def open_progress(stream: TextIO) -> Iterator[Progress]:
-    """Yield the display that fits `stream`: bars where it is a terminal, lines elsewhere."""
+    """Yield the display that fits `stream`: bars where it is a terminal, lines elsewhere.
+
+    Parameters
+    ----------
+    stream : file
+        For text, such as stderr; stays open.
+
+    Yields
+    ------
+    Progress
+    """
     if not stream.isatty():
         yield LineProgress(stream)
         return

@@ -53,7 +53,16 @@ class Workforce:
             self.background.enable()
 
     def cut(self, rows: int) -> list[slice]:
-        """Cut `rows` rows into batches for this workforce, in order and equal to within one row."""
+        """Cut `rows` rows into batches for this workforce, in order and equal to within one row.
+
+        Parameters
+        ----------
+        rows : int
+
+        Returns
+        -------
+        list of slice
+        """
         return cut_equal(rows, self.workers * self.batches_per_worker)
 
     def share(self, value: Any) -> Any:
@@ -81,6 +90,11 @@ class Workforce:
         ----------
         find : callable
             See `Deferred`; results that come meanwhile wait for it.
+
+        Returns
+        -------
+        Deferred
+            Returns what was found, when it is called.
         """
         return self.background.defer(find)
 

@@ -28,6 +28,11 @@ def run_task(numerics: str, task: Callable[..., T], *arguments: Any) -> T:
     *arguments
         Its values.
 
+    Returns
+    -------
+    object
+        What the task returns.
+
     Raises
     ------
     JobError

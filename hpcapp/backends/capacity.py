@@ -87,6 +87,13 @@ def count_carried(backend: str, root: Path = _ROOT) -> tuple[int, str]:
         A key of `NEEDS`.
     root : Path
         Where ``proc`` and ``sys`` lie.
+
+    Returns
+    -------
+    most : int
+        0 where it carries none.
+    reason : str
+        The scarcest thing, with its numbers, for messages.
     """
     needs = NEEDS[backend]
     bounds: list[tuple[int, str]] = []
@@ -135,6 +142,10 @@ def check_workers(backend: str, count: int | None, default: int, root: Path = _R
         How many there are otherwise, where the machine carries so many.
     root : Path
         Where ``proc`` and ``sys`` lie.
+
+    Returns
+    -------
+    int
 
     Raises
     ------

@@ -63,6 +63,11 @@ class Listening:
         first_s, others_s : float, optional
             How long to wait for the first one, and then for the others, in seconds.
 
+        Returns
+        -------
+        int
+            At least 1.
+
         Raises
         ------
         NoWorkersError
@@ -127,9 +132,21 @@ def listen_inventory(
 ) -> Iterator[Listening]:
     """Be the master of a cluster, and do not wait for its workers; see `open_inventory`.
 
+    Parameters
+    ----------
+    path, policy, extra_tasks, lead
+        As for `open_inventory`.
+
     Yields
     ------
     Listening
+
+    Raises
+    ------
+    UsageError
+        The inventory lists no worker, or nothing can listen where it says.
+    ConfigError
+        It is not as it should be.
     """
     if not read_inventory(path).workers:
         raise UsageError(f"{path} lists no worker", "give the cluster one with 'hpcapp scale'")

@@ -14,6 +14,15 @@ __all__ = ["load_cluster_function"]
 def load_cluster_function(name: str) -> Callable[..., Any]:
     """Return the function that is registered under `name` as an entry point ``hpc.clusters``.
 
+    Parameters
+    ----------
+    name : str
+        ``open`` or ``run``.
+
+    Returns
+    -------
+    callable
+
     Raises
     ------
     UsageError

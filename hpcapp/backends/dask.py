@@ -52,7 +52,19 @@ class DaskExecutor(Executor):
         self._executor = client.get_executor(pure=False)  # else equal calls run once
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
-        """Have a task run on some worker."""
+        """Have a task run on some worker.
+
+        Parameters
+        ----------
+        fn : callable
+            Importable on the workers.
+        *args, **kwargs
+            Its arguments.
+
+        Returns
+        -------
+        concurrent.futures.Future
+        """
         future: Future[T] = self._executor.submit(fn, *args, **kwargs)
         return future
 
@@ -60,11 +72,28 @@ class DaskExecutor(Executor):
         """Return a Dask future of `value`, by whose content it is known to all workers.
 
         It is the result of a task, not scattered: Dask makes it again when its worker dies.
+
+        Parameters
+        ----------
+        value : object
+
+        Returns
+        -------
+        distributed.Future
+            To be passed to tasks in its place.
         """
         return self._client.submit(_keep, value, pure=True)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Wait for what was submitted, or cancel it; the client stays open."""
+        """Wait for what was submitted, or cancel it; the client stays open.
+
+        Parameters
+        ----------
+        wait : bool
+            Return only when all is done; without it, all is cancelled.
+        cancel_futures : bool
+            Cancel all, whatever `wait` is.
+        """
         self._executor.shutdown(wait=wait and not cancel_futures)
 
 
@@ -153,5 +182,15 @@ def borrow_client(client: Client) -> Iterator[RetryingExecutor]:
 
 
 def count_deaths(error: BaseException) -> int:
-    """Return how many workers Dask has lost with a task before it gave up; 0 for other errors."""
+    """Return how many workers Dask has lost with a task before it gave up; 0 for other errors.
+
+    Parameters
+    ----------
+    error : BaseException
+        What a task ended by.
+
+    Returns
+    -------
+    int
+    """
     return error.allowed_failures + 1 if isinstance(error, KilledWorker) else 0

@@ -28,7 +28,18 @@ RAY = re.compile(r"ray(?:=(auto|(?:ray://)?[^/]+:\d+))?")
 
 
 def check_engine(name: str) -> None:
-    """Find out whether an engine's name can be right; see `selection.check_backend`."""
+    """Find out whether an engine's name can be right; see `selection.check_backend`.
+
+    Parameters
+    ----------
+    name : str
+        One that is not in `BACKENDS`.
+
+    Raises
+    ------
+    UsageError
+        No engine has such a name, or what it needs is not installed or not running.
+    """
     if name == "mpi":
         check_mpi()
     elif is_factory(name):

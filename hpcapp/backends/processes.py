@@ -54,7 +54,12 @@ def open_processes(count: int) -> Iterator[Executor]:
 
 
 def kill_processes(pool: Any) -> None:
-    """Kill the workers of a pool, whatever they do: the pool is broken then."""
+    """Kill the workers of a pool, whatever they do: the pool is broken then.
+
+    Parameters
+    ----------
+    pool : concurrent.futures.ProcessPoolExecutor
+    """
     for process in list((pool._processes or {}).values()):
         process.kill()
 

@@ -165,15 +165,32 @@ class RayExecutor(Executor):
         self._threads = ThreadPoolExecutor(cores * TASKS_PER_CORE, thread_name_prefix="ray")
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
-        """Have a task run on some worker."""
+        """Have a task run on some worker.
+
+        Parameters
+        ----------
+        fn : callable
+            Importable on the workers.
+        *args, **kwargs
+        """
         return self._threads.submit(self._run, fn, args, kwargs)
 
     def share(self, value: Any) -> Any:
-        """Return a reference to `value` in Ray's object store, which nodes fetch once each."""
+        """Return a reference to `value` in Ray's object store, which nodes fetch once each.
+
+        Parameters
+        ----------
+        value : object
+        """
         return self._ray.put(value)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Wait for what was submitted, or cancel what has not started; Ray stays connected."""
+        """Wait for what was submitted, or cancel what has not started; Ray stays connected.
+
+        Parameters
+        ----------
+        wait, cancel_futures : bool
+        """
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
 
     def _run(self, function: Callable[..., T], arguments: Any, keywords: Any) -> T:

@@ -41,6 +41,14 @@ MOST_LOSSES = 3
 def count_broken(error: BaseException) -> int:
     """Return how many workers an error tells the loss of, on pools of the standard library's kind.
 
+    Parameters
+    ----------
+    error : BaseException
+
+    Returns
+    -------
+    int
+
     Examples
     --------
     >>> count_broken(BrokenExecutor()), count_broken(ValueError())
@@ -51,6 +59,15 @@ def count_broken(error: BaseException) -> int:
 
 def count_workers(executor: Executor) -> int:
     """Return how many tasks an Executor runs at once, as far as it tells; else the cores here.
+
+    Parameters
+    ----------
+    executor : concurrent.futures.Executor
+
+    Returns
+    -------
+    int
+        At least 1.
 
     Notes
     -----
@@ -146,10 +163,17 @@ class RetryingExecutor(Executor):
         *args
             Values, by position: engines differ in what they do with keywords.
 
+        Returns
+        -------
+        concurrent.futures.Future
+            Ends by `WorkerLostError` where the task has cost more workers than it may.
+
         Raises
         ------
         RuntimeError
             After `shutdown`, as every Executor.
+        TypeError
+            There are keyword arguments.
         """
         if kwargs:
             raise TypeError(f"task arguments {sorted(kwargs)} must be given by position")
@@ -162,7 +186,17 @@ class RetryingExecutor(Executor):
         return task
 
     def share(self, value: Any) -> Any:
-        """Return what stands for `value` among arguments; see `Workforce.share`."""
+        """Return what stands for `value` among arguments; see `Workforce.share`.
+
+        Parameters
+        ----------
+        value : object
+
+        Returns
+        -------
+        object
+            The value itself where the engine has no ``share``.
+        """
         share = getattr(self._engine, "share", None)
         return value if share is None else share(value)
 

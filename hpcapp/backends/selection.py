@@ -319,6 +319,10 @@ def wrap_communicator(
     workers : int
     policy : str
         One of `POLICIES`.
+
+    Returns
+    -------
+    Backend
     """
 
     def traffic() -> Traffic:

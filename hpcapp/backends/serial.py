@@ -19,7 +19,24 @@ class SerialExecutor(Executor):
     _is_shut_down = False
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Run `fn` now and return its finished future."""
+        """Run `fn` now and return its finished future.
+
+        Parameters
+        ----------
+        fn : callable
+        *args, **kwargs
+            Its arguments.
+
+        Returns
+        -------
+        concurrent.futures.Future
+            Holds what `fn` returned, or the exception that it raised.
+
+        Raises
+        ------
+        RuntimeError
+            After `shutdown`, as every Executor.
+        """
         if self._is_shut_down:
             raise RuntimeError("cannot schedule new futures after shutdown")
         future: Future[T] = Future()
@@ -31,6 +48,12 @@ class SerialExecutor(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Take no more tasks; those that were taken are done."""
+        """Take no more tasks; those that were taken are done.
+
+        Parameters
+        ----------
+        wait, cancel_futures : bool
+            Not used: nothing waits.
+        """
         del wait, cancel_futures
         self._is_shut_down = True

@@ -32,13 +32,34 @@ class Admission:
     banned: dict[str, str] = field(default_factory=dict)
 
     def ban(self, worker: Worker, reason: str) -> None:
-        """Keep a worker out from now on, under its key and under its name."""
+        """Keep a worker out from now on, under its key and under its name.
+
+        Parameters
+        ----------
+        worker : Worker
+        reason : str
+            Told to it when it comes again.
+        """
         self.banned[worker.register.worker] = reason
         if worker.key:
             self.banned[worker.key] = reason
 
     def objection(self, register: Register, key: str, workers: Iterable[Worker]) -> str | None:
-        """Return why a component cannot join `workers`, or None if it can."""
+        """Return why a component cannot join `workers`, or None if it can.
+
+        Parameters
+        ----------
+        register : Register
+            What it says of itself.
+        key : str
+            The public key (Z85) that it came under.
+        workers : iterable of Worker
+            Those that are registered.
+
+        Returns
+        -------
+        str or None
+        """
         reason = self.banned.get(key) or self.banned.get(register.worker)
         if reason is not None:
             return reason

@@ -25,12 +25,29 @@ class Assignments:
         return len(self._owners)
 
     def add(self, worker: Worker) -> int:
-        """Return the number of a new batch for a worker."""
+        """Return the number of a new batch for a worker.
+
+        Parameters
+        ----------
+        worker : Worker
+
+        Returns
+        -------
+        int
+        """
         self._owners.append(worker.identity)
         return self.last
 
     def take_back(self, batch: int, flight: Flight) -> None:
-        """Note that a batch was given up; whoever had it may still answer."""
+        """Note that a batch was given up; whoever had it may still answer.
+
+        Parameters
+        ----------
+        batch : int
+            Its number.
+        flight : Flight
+            What was left of it.
+        """
         if flight.limits:
             self._taken_back[batch] = flight
         if len(self._taken_back) > MOST_TAKEN_BACK:

@@ -104,6 +104,10 @@ def find_closest(
     worker : Worker
     added : container of bytes, optional
         Keys of blobs that will be there before it.
+
+    Returns
+    -------
+    Task
     """
     best, least = None, -1
     for task in islice(source.values(), AFFINITY_WINDOW):
@@ -134,6 +138,10 @@ def find_holder(
     workers : sequence of Worker
     chosen : Worker
         One of them.
+
+    Returns
+    -------
+    Worker
     """
     task = find_closest(source, chosen)
     if not task.blobs:

@@ -165,6 +165,11 @@ class CommunicatorExecutor(Executor):
     def allow(self, public_key: str) -> None:
         """Let the owner of `public_key` connect.
 
+        Parameters
+        ----------
+        public_key : str
+            Z85.
+
         Raises
         ------
         UsageError
@@ -173,16 +178,37 @@ class CommunicatorExecutor(Executor):
         self._door.allow(public_key)
 
     def revoke(self, public_key: str) -> None:
-        """Keep the owner of `public_key` out, and turn its workers away."""
+        """Keep the owner of `public_key` out, and turn its workers away.
+
+        Parameters
+        ----------
+        public_key : str
+            Z85.
+        """
         self._door.forbid(public_key)
         self._engine.post(lambda: self._engine.scheduler.expel(public_key))
 
     def invite(self, worker: str) -> Connection:
-        """Make keys for one worker, allow them, and return what its component must know."""
+        """Make keys for one worker, allow them, and return what its component must know.
+
+        Parameters
+        ----------
+        worker : str
+            Its name, unique within the job.
+
+        Returns
+        -------
+        Connection
+        """
         return self._door.invite(worker)
 
     def wait_for_workers(self, count: int, timeout_s: float) -> None:
         """Wait until `count` workers are registered, less those of which `worker_gone` was told.
+
+        Parameters
+        ----------
+        count : int
+        timeout_s : float
 
         Raises
         ------
@@ -211,7 +237,13 @@ class CommunicatorExecutor(Executor):
             self._engine.roster.notify_all()
 
     def workers_gone(self, reason: str) -> None:
-        """Take the launcher's word that no worker will come (any more), and why."""
+        """Take the launcher's word that no worker will come (any more), and why.
+
+        Parameters
+        ----------
+        reason : str
+            For the errors of the tasks that nobody is left for.
+        """
         with self._engine.roster:
             self._gone = reason
             self._engine.roster.notify_all()

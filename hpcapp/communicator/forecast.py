@@ -33,6 +33,16 @@ class Forecast:
         """Take note of how long a task took, and its way; recent ones weigh more.
 
         The first way to a worker does not count: it may contain the import of the task's module.
+
+        Parameters
+        ----------
+        worker : bytes
+            Its identity.
+        task : Task
+        seconds : float
+            How long its function took.
+        way_s : float, optional
+            What it took besides, in seconds.
         """
         known = self._unit_s.setdefault(task.name, {})
         before = known.get(worker)
@@ -50,7 +60,13 @@ class Forecast:
         self._way_s[task.name] = (self._way_s.get(task.name, way_s) + way_s) / 2.0
 
     def forget(self, worker: bytes) -> None:
-        """Let a lost worker count no more; the last one to know a task leaves what it knew."""
+        """Let a lost worker count no more; the last one to know a task leaves what it knew.
+
+        Parameters
+        ----------
+        worker : bytes
+            Its identity.
+        """
         for name, known in self._unit_s.items():
             if len(known) > 1:
                 known.pop(worker, None)
@@ -58,7 +74,20 @@ class Forecast:
         self._spent_s.pop(worker, None)
 
     def unit_s(self, worker: bytes, name: str) -> float:
-        """Return how long a unit of work of a task is expected to take on a worker."""
+        """Return how long a unit of work of a task is expected to take on a worker.
+
+        Parameters
+        ----------
+        worker : bytes
+            Its identity.
+        name : str
+            Of the task.
+
+        Returns
+        -------
+        float
+            In seconds; infinite where no worker has run such a task.
+        """
         known = self._unit_s.get(name)
         if not known:
             return math.inf
@@ -77,7 +106,17 @@ class Forecast:
         return self._common_s[name]
 
     def slowness(self, worker: bytes) -> float:
-        """Return how many times as long as the first worker a worker takes; 1 if unknown."""
+        """Return how many times as long as the first worker a worker takes; 1 if unknown.
+
+        Parameters
+        ----------
+        worker : bytes
+            Its identity.
+
+        Returns
+        -------
+        float
+        """
         spent_s, common_s = self._spent_s.get(worker, (1.0, 1.0))
         return spent_s / common_s
 
@@ -86,17 +125,49 @@ class Forecast:
 
         To it, in its queue, and back until this process has taken the result: of many at once
         the last one waits for the others.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        float
+            In seconds; 0 where there were none.
         """
         return self._way_s.get(name, 0.0)
 
     def expect(self, worker: bytes, task: Task) -> float:
-        """Return how long a task is expected to take on a worker."""
+        """Return how long a task is expected to take on a worker.
+
+        Parameters
+        ----------
+        worker : bytes
+            Its identity.
+        task : Task
+
+        Returns
+        -------
+        float
+            In seconds; infinite where no worker has run such a task.
+        """
         return self.unit_s(worker, task.name) * task.work
 
     def remaining_s(self, worker: Worker, now: float) -> float:
         """Return how long a worker still has to do with what it holds.
 
         A task that takes longer than expected is expected to take as long again as it has.
+
+        Parameters
+        ----------
+        worker : Worker
+        now : float
+            The present moment of the scheduler's clock, in seconds.
+
+        Returns
+        -------
+        float
+            In seconds; infinite where it holds a task that no worker has run the like of.
         """
         total = 0.0
         first: Task | None = None
@@ -110,13 +181,36 @@ class Forecast:
         return max(0.0, total - min(elapsed, expected)) + (elapsed if elapsed > expected else 0.0)
 
     def estimate(self, worker: Worker, name: str, now: float) -> None:
-        """Tell a worker what a policy is to see of it, where tasks of a name come next."""
+        """Tell a worker what a policy is to see of it, where tasks of a name come next.
+
+        Parameters
+        ----------
+        worker : Worker
+            Its `remaining_s`, `next_s` and `slowness` are set.
+        name : str
+        now : float
+            The present moment of the scheduler's clock, in seconds.
+        """
         worker.remaining_s = self.remaining_s(worker, now)
         worker.next_s = self.unit_s(worker.identity, name)
         worker.slowness = self.slowness(worker.identity)
 
     def ends(self, worker: Worker, now: float) -> Iterator[tuple[Task, float]]:
-        """Yield each task that a worker holds, with how long it will be until it is done."""
+        """Yield each task that a worker holds, with how long it will be until it is done.
+
+        Parameters
+        ----------
+        worker : Worker
+        now : float
+            The present moment of the scheduler's clock, in seconds.
+
+        Yields
+        ------
+        task : Task
+            In the order in which they are run.
+        left_s : float
+            In seconds.
+        """
         left = 0.0
         elapsed: float | None = now - worker.since
         for flight in worker.batches.values():

@@ -82,6 +82,11 @@ class Door:
     def allow(self, public_key: str) -> None:
         """Let the owner of `public_key` connect.
 
+        Parameters
+        ----------
+        public_key : str
+            Z85.
+
         Raises
         ------
         UsageError
@@ -92,11 +97,27 @@ class Door:
         self._allowed.add(public_key)
 
     def forbid(self, public_key: str) -> None:
-        """Keep the owner of `public_key` out from now on."""
+        """Keep the owner of `public_key` out from now on.
+
+        Parameters
+        ----------
+        public_key : str
+            Z85.
+        """
         self._allowed.discard(public_key)
 
     def invite(self, worker: str) -> Connection:
-        """Make keys for one worker, allow them, and return what its component must know."""
+        """Make keys for one worker, allow them, and return what its component must know.
+
+        Parameters
+        ----------
+        worker : str
+            Its name, unique within the job.
+
+        Returns
+        -------
+        Connection
+        """
         keys = make_key_pair()
         self.allow(keys.public)
         return Connection(self.endpoint, self.server_key, keys.public, keys.secret, worker)

@@ -137,14 +137,27 @@ class Engine:
     # -- from any thread -----------------------------------------------------------------------
 
     def post(self, event: Callable[[], list[Action]]) -> None:
-        """Have `event` called on the engine's thread, and the actions it returns carried out."""
+        """Have `event` called on the engine's thread, and the actions it returns carried out.
+
+        Parameters
+        ----------
+        event : callable
+            Takes nothing; returns a list of `Action`.
+        """
         self._inbox.append(event)
         if self._is_asleep:
             self._is_asleep = False  # one waker is enough
             self._transport.wake()
 
     def submit(self, number: int, entry: Entry) -> None:
-        """Take a task."""
+        """Take a task.
+
+        Parameters
+        ----------
+        number : int
+            From the ledger.
+        entry : Entry
+        """
         self.ledger.add(number, entry)
         can_split = entry.traits.split is not None
         self.post(
@@ -162,7 +175,13 @@ class Engine:
             self.ledger.fail_all(self._end)
 
     def cancel(self, number: int) -> None:
-        """Forget a task whose future was cancelled."""
+        """Forget a task whose future was cancelled.
+
+        Parameters
+        ----------
+        number : int
+            Of the task.
+        """
 
         def event() -> list[Action]:
             return self.scheduler.cancel(number) if self.ledger.is_cancelled(number) else []
@@ -170,7 +189,13 @@ class Engine:
         self.post(event)
 
     def close(self, abandon: bool = False) -> None:
-        """End the thread once all tasks are done, or at once, failing those that are not."""
+        """End the thread once all tasks are done, or at once, failing those that are not.
+
+        Parameters
+        ----------
+        abandon : bool, optional
+            Whether to end at once.
+        """
 
         def event() -> list[Action]:
             self._is_closing = True
@@ -180,7 +205,13 @@ class Engine:
         self.post(event)
 
     def join(self, timeout_s: float | None = None) -> None:
-        """Wait until every future is done, and then a little for the sockets to close."""
+        """Wait until every future is done, and then a little for the sockets to close.
+
+        Parameters
+        ----------
+        timeout_s : float, optional
+            How long to wait for the futures, in seconds; until they are done by default.
+        """
         if self._is_over.wait(timeout_s):
             self._thread.join(CLOSE_S)
 

@@ -48,18 +48,43 @@ class Losses:
         self._records: dict[str, _Record] = {}
 
     def blame(self, task: Task, worker: Worker, reason: str) -> None:
-        """Hold the loss of a task against its machine, and against the task."""
+        """Hold the loss of a task against its machine, and against the task.
+
+        Parameters
+        ----------
+        task : Task
+        worker : Worker
+            Who had it.
+        reason : str
+            Why it was lost.
+        """
         self.accuse(worker, reason)
         task.losses[worker.machine] += 1
         if task.is_done:  # it was run twice, and another one has done it
             self._record(worker).spoilt[task.name] += 1
 
     def is_bad(self, worker: Worker) -> bool:
-        """Tell whether the machine of a worker is to be retired, and is not yet."""
+        """Tell whether the machine of a worker is to be retired, and is not yet.
+
+        Parameters
+        ----------
+        worker : Worker
+
+        Returns
+        -------
+        bool
+        """
         return worker.machine not in self.retired and self._record(worker).is_bad()
 
     def accuse(self, worker: Worker, reason: str) -> None:
-        """Hold the loss of a worker against its machine."""
+        """Hold the loss of a worker against its machine.
+
+        Parameters
+        ----------
+        worker : Worker
+        reason : str
+            Why it was lost.
+        """
         record = self._record(worker)
         record.lost += 1
         record.reason, record.is_shaken = reason, True
@@ -91,7 +116,20 @@ class Losses:
         return bad
 
     def retire(self, machine: str, tasks: Iterable[Task]) -> str:
-        """Have a machine get nothing more, take its losses off the tasks, and say why."""
+        """Have a machine get nothing more, take its losses off the tasks, and say why.
+
+        Parameters
+        ----------
+        machine : str
+            Its name; it has lost something.
+        tasks : iterable of Task
+            All that have no result yet.
+
+        Returns
+        -------
+        str
+            What `describe` says of it.
+        """
         self.retired[machine] = self.describe([machine])
         for task in tasks:
             task.losses.pop(machine, None)
@@ -102,20 +140,53 @@ class Losses:
 
         First those on machines that have not lost it, nor another one just now; then those on
         machines that have not lost it; then all.
+
+        Parameters
+        ----------
+        task : Task
+        workers : sequence of Worker
+            Those that may get tasks at all.
+
+        Returns
+        -------
+        list of Worker
+            Empty only where there are none.
         """
         others = [worker for worker in workers if worker.machine not in task.losses]
         steady = [worker for worker in others if not self._record(worker).is_shaken]
         return steady or others or list(workers)
 
     def is_spent(self, task: Task, workers: Iterable[Worker]) -> bool:
-        """Tell whether a task is to be given up, with these workers left."""
+        """Tell whether a task is to be given up, with these workers left.
+
+        Parameters
+        ----------
+        task : Task
+        workers : iterable of Worker
+            Those that may get tasks.
+
+        Returns
+        -------
+        bool
+        """
         if len(task.losses) >= LOSS_BUDGET:
             return True
         others = any(worker.machine not in task.losses for worker in workers)
         return not others and task.losses.total() >= LOSS_BUDGET
 
     def describe(self, machines: Iterable[str] | None = None) -> str:
-        """Say what some machines have lost, and why; by default all that have lost anything."""
+        """Say what some machines have lost, and why; by default all that have lost anything.
+
+        Parameters
+        ----------
+        machines : iterable of str, optional
+            Their names.
+
+        Returns
+        -------
+        str
+            One line; empty where they have lost nothing.
+        """
         said = []
         for machine in self._records if machines is None else machines:
             record = self._records[machine]
@@ -126,7 +197,16 @@ class Losses:
         return "; ".join(said)
 
     def explain(self, task: Task) -> WorkerLostError:
-        """Return the error of a task that is given up."""
+        """Return the error of a task that is given up.
+
+        Parameters
+        ----------
+        task : Task
+
+        Returns
+        -------
+        WorkerLostError
+        """
         return WorkerLostError(
             f"task {task.name!r} lost {task.losses.total()} workers one after the other: "
             f"{self.describe(task.losses)}",
@@ -134,7 +214,18 @@ class Losses:
         )
 
     def explain_absence(self, tasks: int, reason: str) -> NoWorkersError:
-        """Return the error of so many tasks that nobody is left for."""
+        """Return the error of so many tasks that nobody is left for.
+
+        Parameters
+        ----------
+        tasks : int
+        reason : str
+            Why nobody is left.
+
+        Returns
+        -------
+        NoWorkersError
+        """
         lost = self.describe()
         return NoWorkersError(
             f"{tasks} tasks have no worker: {reason}{lost and f' ({lost})'}",

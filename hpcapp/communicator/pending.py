@@ -37,7 +37,14 @@ class Ledger:
         return next(self._numbers)
 
     def add(self, number: int, entry: Entry) -> None:
-        """Take a new entry."""
+        """Take a new entry.
+
+        Parameters
+        ----------
+        number : int
+            From `number`.
+        entry : Entry
+        """
         self._entries[number] = entry
 
     def cancel_all(self) -> None:
@@ -46,7 +53,18 @@ class Ledger:
             entry.future.cancel()
 
     def calls(self, numbers: Iterable[int]) -> tuple[list[Call], list[Buffer]]:
-        """Return what has to be sent for these tasks, and all their buffers in order."""
+        """Return what has to be sent for these tasks, and all their buffers in order.
+
+        Parameters
+        ----------
+        numbers : iterable of int
+            Of tasks that are here.
+
+        Returns
+        -------
+        calls : list of Call
+        buffers : list of bytes-like
+        """
         calls: list[Call] = []
         buffers: list[Buffer] = []
         for number in numbers:
@@ -58,7 +76,18 @@ class Ledger:
         return calls, buffers
 
     def find_changed(self, keys: Iterable[bytes]) -> list[int]:
-        """Return the tasks that name one of these blobs, where its value has been changed."""
+        """Return the tasks that name one of these blobs, where its value has been changed.
+
+        Parameters
+        ----------
+        keys : iterable of bytes
+            Of the blobs.
+
+        Returns
+        -------
+        list of int
+            The tasks' numbers.
+        """
         sought = set(keys)
         changed: dict[bytes, bool] = {}
         found = []
@@ -72,14 +101,34 @@ class Ledger:
         return found
 
     def claim(self, number: int) -> bool:
-        """Mark a task as running, or let it go if its future was cancelled."""
+        """Mark a task as running, or let it go if its future was cancelled.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        bool
+            False where its future was cancelled: the entry is gone.
+        """
         if self._entries[number].claim():
             return True
         del self._entries[number]
         return False
 
     def split(self, number: int) -> list[Task]:
-        """Replace a task by others that together do the same; none if it cannot be split."""
+        """Replace a task by others that together do the same; none if it cannot be split.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        list of Task
+            With new numbers; their entries are here.
+        """
         entry = self._entries[number]
         try:
             parts = split_entry(entry)
@@ -107,15 +156,43 @@ class Ledger:
         return tasks
 
     def is_cancelled(self, number: int) -> bool:
-        """Tell whether a task can be forgotten because its future was cancelled in time."""
+        """Tell whether a task can be forgotten because its future was cancelled in time.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        bool
+            True where it has been forgotten now.
+        """
         return number in self._entries and not self.claim(number)
 
     def find(self, number: int) -> Entry | None:
-        """Return an entry that is still here."""
+        """Return an entry that is still here.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        Entry or None
+        """
         return self._entries.get(number)
 
     def deliver(self, number: int, result: Result, value: Any) -> None:
-        """Set a future's result, which has been checked, or what its task raised."""
+        """Set a future's result, which has been checked, or what its task raised.
+
+        Parameters
+        ----------
+        number : int
+        result : Result
+            What the worker has sent.
+        value : object
+            The value in it; not used where the task raised.
+        """
         entry = self._entries[number]
         if result.failure is not None:
             self.fail(number, _rebuild(result.failure, entry.name))
@@ -124,7 +201,15 @@ class Ledger:
         entry.future.set_result(value)
 
     def fail(self, number: int, error: HpcError) -> None:
-        """Set a future's exception, unless it was cancelled in time."""
+        """Set a future's exception, unless it was cancelled in time.
+
+        Parameters
+        ----------
+        number : int
+            Nothing is done where its entry is gone.
+        error : HpcError
+            A copy of it is set.
+        """
         entry = self._entries.pop(number, None)  # at the end, two threads may come here
         if entry is not None and entry.claim():
             # One exception raised in two places would mix their tracebacks.
@@ -134,7 +219,13 @@ class Ledger:
             entry.future.set_exception(own)
 
     def fail_all(self, error: HpcError) -> None:
-        """Set the exception of every future that is left."""
+        """Set the exception of every future that is left.
+
+        Parameters
+        ----------
+        error : HpcError
+            Each gets a copy of its own.
+        """
         for number in list(self._entries):
             self.fail(number, error)
 

@@ -92,6 +92,16 @@ class Policy(Protocol):
 
         Called until it says nobody, or nothing waits; `loads` is in the order of registration
         and never empty.
+
+        Parameters
+        ----------
+        waiting : int
+            At least 1.
+        loads : sequence of Load
+
+        Returns
+        -------
+        Placement or None
         """
         ...
 
@@ -107,7 +117,19 @@ class EqualPolicy:
     batches_per_worker: ClassVar[int] = 1
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
-        """Choose the worker that has been given the fewest tasks."""
+        """Choose the worker that has been given the fewest tasks.
+
+        Parameters
+        ----------
+        waiting : int
+            Not used.
+        loads : sequence of Load
+            Not empty.
+
+        Returns
+        -------
+        Placement
+        """
         del waiting
         fewest = min(range(len(loads)), key=lambda i: loads[i].placed)
         return Placement(fewest, 1, is_fixed=True)
@@ -132,7 +154,19 @@ class PullPolicy:
         self.depth = depth
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
-        """Choose the worker with the shortest queue, unless that is full too."""
+        """Choose the worker with the shortest queue, unless that is full too.
+
+        Parameters
+        ----------
+        waiting : int
+            How many tasks there are for all workers.
+        loads : sequence of Load
+            Not empty.
+
+        Returns
+        -------
+        Placement or None
+        """
         shortest = min(range(len(loads)), key=lambda i: loads[i].queued)
         if loads[shortest].queued >= self.depth:
             return None
@@ -153,7 +187,19 @@ class AdaptivePolicy:
     batches_per_worker: ClassVar[int] = 4
 
     def place(self, waiting: int, loads: Sequence[Load]) -> Placement | None:
-        """Choose the worker that has the next task done first, if any has room for it."""
+        """Choose the worker that has the next task done first, if any has room for it.
+
+        Parameters
+        ----------
+        waiting : int
+            How many tasks there are for all workers.
+        loads : sequence of Load
+            Not empty.
+
+        Returns
+        -------
+        Placement or None
+        """
         may_queue = waiting >= len(loads)  # the last ones go to whoever is idle first
         free = [
             i

@@ -50,7 +50,16 @@ class Task:
     places: dict[bytes, int] = field(default_factory=dict)
 
     def lacking_bytes(self, worker: Worker) -> int:
-        """Return the size of those of its blobs that are not known to be on `worker`."""
+        """Return the size of those of its blobs that are not known to be on `worker`.
+
+        Parameters
+        ----------
+        worker : Worker
+
+        Returns
+        -------
+        int
+        """
         return sum(blob.size_bytes for blob in self.blobs if blob.key not in worker.blobs)
 
 
@@ -72,7 +81,16 @@ class Flight:
             self.work[task.name] = self.work.get(task.name, 0.0) + task.work
 
     def pop(self, number: int) -> Task | None:
-        """Take a task out, if it is here."""
+        """Take a task out, if it is here.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        Task or None
+        """
         task = self.tasks.pop(number, None)
         if task is not None:
             self.work[task.name] -= task.work

@@ -52,6 +52,22 @@ class Entry:
 def make_entry(future: Future[Any], name: str, arguments: tuple[Any, ...], traits: Traits) -> Entry:
     """Encode a task.
 
+    Parameters
+    ----------
+    future : concurrent.futures.Future
+        Of the task's result.
+    name : str
+        Of the task.
+    arguments : tuple
+        Its positional arguments.
+    traits : Traits
+        What it declares.
+
+    Returns
+    -------
+    Entry
+        Keeps the arguments themselves only where the task declares how it is split.
+
     Raises
     ------
     UsageError
@@ -77,7 +93,18 @@ def make_entry(future: Future[Any], name: str, arguments: tuple[Any, ...], trait
 
 
 def each_traits(traits: Traits) -> Traits:
-    """Return what a task declares when it is run for each item of some columns of arguments."""
+    """Return what a task declares when it is run for each item of some columns of arguments.
+
+    Parameters
+    ----------
+    traits : Traits
+        What it declares for a single item.
+
+    Returns
+    -------
+    Traits
+        Its functions take columns: one list per argument, all of one length.
+    """
     single = traits.cost
 
     def cost(*columns: list[Any]) -> float:
@@ -99,6 +126,11 @@ def each_traits(traits: Traits) -> Traits:
 
 def split_entry(entry: Entry) -> list[Entry]:
     """Cut a task into others whose results are joined to its own.
+
+    Parameters
+    ----------
+    entry : Entry
+        Its future is done with the last of the others, or by the first that fails.
 
     Returns
     -------

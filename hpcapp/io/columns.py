@@ -48,6 +48,16 @@ class Rows:
 def positions_within(lengths: IntArray) -> IntArray:
     """Number the values of each list from 0.
 
+    Parameters
+    ----------
+    lengths : ndarray of int64, shape (n,)
+        How long each list is.
+
+    Returns
+    -------
+    ndarray of int64, shape (lengths.sum(),)
+        List after list.
+
     Examples
     --------
     >>> positions_within(np.array([2, 0, 3]))

@@ -72,6 +72,10 @@ def needs_double(positions: FloatArray, origin: FloatArray) -> bool:
         Relative to `origin`, as they are in memory.
     origin : ndarray of float64, shape (3,)
         Will be added on writing.
+
+    Returns
+    -------
+    bool
     """
     if origin.any():
         return True
@@ -85,7 +89,18 @@ def needs_double(positions: FloatArray, origin: FloatArray) -> bool:
 
 
 def finite_bounds(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Bound the rows that are finite; zeros where there are none."""
+    """Bound the rows that are finite; zeros where there are none.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        Rows with NaN or infinity do not count.
+
+    Returns
+    -------
+    low, high : ndarray of float64, shape (3,)
+        In the frame and the length units of the positions.
+    """
     if not len(positions):
         return np.zeros(3), np.zeros(3)
     # Column by column: four times as fast as a reduction along axis 0.

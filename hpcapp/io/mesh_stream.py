@@ -45,7 +45,17 @@ class MeshStream:
 
 
 def as_stream(mesh: Mesh | MeshStream) -> MeshStream:
-    """Return a mesh in memory as a stream, and a stream as it is."""
+    """Return a mesh in memory as a stream, and a stream as it is.
+
+    Parameters
+    ----------
+    mesh : Mesh or MeshStream
+
+    Returns
+    -------
+    MeshStream
+        Blocks of a mesh in memory have some 65000 rows; vertices and faces are views of it.
+    """
     if isinstance(mesh, MeshStream):
         return mesh
     return MeshStream(

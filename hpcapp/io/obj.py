@@ -93,5 +93,15 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
 
 
 def coordinate_format(origin: FloatArray) -> str:
-    """Return the %-placeholder for a coordinate of a mesh with an origin in a text file."""
+    """Return the %-placeholder for a coordinate of a mesh with an origin in a text file.
+
+    Parameters
+    ----------
+    origin : ndarray of float64, shape (3,)
+        Will be added to the coordinates: they need all their digits where it is not zero.
+
+    Returns
+    -------
+    str
+    """
     return "%.17g" if origin.any() else "%.9g"

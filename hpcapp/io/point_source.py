@@ -124,7 +124,18 @@ def _join(parts: list[NDArray[Number]]) -> NDArray[Number]:
 
 @contextmanager
 def translated(path: Path) -> Iterator[None]:
-    """Turn the system's errors of reading a file into ours."""
+    """Turn the system's errors of reading a file into ours.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for the message.
+
+    Raises
+    ------
+    InputError
+        The block ended by an OSError.
+    """
     try:
         yield
     except OSError as error:

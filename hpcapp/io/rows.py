@@ -36,6 +36,16 @@ _LINES_AT_ONCE = 16384
 def numbered(lines: Iterable[str], first: int = 1) -> Iterator[Line]:
     """Number the lines of a file and leave out the blank ones.
 
+    Parameters
+    ----------
+    lines : iterable of str
+    first : int, optional
+        The number of the first of them.
+
+    Returns
+    -------
+    iterator of (int, str)
+
     Examples
     --------
     >>> list(numbered(["1 2", "", "3 4"]))
@@ -45,12 +55,36 @@ def numbered(lines: Iterable[str], first: int = 1) -> Iterator[Line]:
 
 
 def is_count(word: str) -> bool:
-    """Tell whether a word is a whole number that can count the lines of a file."""
+    """Tell whether a word is a whole number that can count the lines of a file.
+
+    Parameters
+    ----------
+    word : str
+
+    Returns
+    -------
+    bool
+        False beyond 18 digits, too.
+    """
     return word.isascii() and word.isdecimal() and len(word) <= 18
 
 
 def parse_index(word: str) -> int:
-    """Parse an index, perhaps negative; ValueError if it is none, or beyond 64 bits."""
+    """Parse an index, perhaps negative; ValueError if it is none, or beyond 64 bits.
+
+    Parameters
+    ----------
+    word : str
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    ValueError
+        It is no whole number, or takes more than 63 bits.
+    """
     index = int(word)
     if index.bit_length() > 63:
         raise ValueError(word)
@@ -58,12 +92,43 @@ def parse_index(word: str) -> int:
 
 
 def line_error(path: Path, line: Line, problem: str, advice: str) -> InputError:
-    """Make the error that names a line of a file."""
+    """Make the error that names a line of a file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    line : (int, str)
+        Its number is named.
+    problem : str
+        What is wrong with it.
+    advice : str
+        What the user can do.
+
+    Returns
+    -------
+    InputError
+        To be raised.
+    """
     return InputError(f"{path}:{line[0]}: {problem}", advice)
 
 
 def take_lines(lines: Iterator[Line], count: int, path: Path, rows: str) -> Iterator[Line]:
     """Yield the next `count` lines.
+
+    Parameters
+    ----------
+    lines : iterator of (int, str)
+        Is consumed so far.
+    count : int
+    path : Path
+        The file, for the message.
+    rows : str
+        What the lines are, in the plural, for the message.
+
+    Yields
+    ------
+    (int, str)
 
     Raises
     ------

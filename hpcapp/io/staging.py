@@ -32,6 +32,11 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     path : Path
         Where the file shall appear; of a symbolic link, the file it points to.
 
+    Yields
+    ------
+    file
+        Binary, open for writing.
+
     Raises
     ------
     OutputError

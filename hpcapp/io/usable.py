@@ -69,7 +69,22 @@ def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[P
 
 
 def refuse_too_few(points: int, dropped: Dropped, source: str) -> None:
-    """Refuse a cloud of fewer than `FEWEST_POINTS` usable points."""
+    """Refuse a cloud of fewer than `FEWEST_POINTS` usable points.
+
+    Parameters
+    ----------
+    points : int
+        How many are usable.
+    dropped : Dropped
+        What was not, for the message.
+    source : str
+        The file, for the message.
+
+    Raises
+    ------
+    InputError
+        There are fewer.
+    """
     if points >= FEWEST_POINTS:
         return
     without = (
@@ -83,7 +98,22 @@ def refuse_too_few(points: int, dropped: Dropped, source: str) -> None:
 
 
 def refuse_degenerate(low: FloatArray, high: FloatArray, points: int, source: str) -> None:
-    """Refuse a cloud by the box around it: coordinates out of range, or one place."""
+    """Refuse a cloud by the box around it: coordinates out of range, or one place.
+
+    Parameters
+    ----------
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box, in length units of the input.
+    points : int
+        How many there are, for the message.
+    source : str
+        The file, for the message.
+
+    Raises
+    ------
+    InputError
+        The largest coordinate is above 1e60, or below 1e-60 and not zero; or the box has no extent.
+    """
     largest = float(np.abs([low, high]).max())
     if largest > _LARGEST or 0 < largest < _SMALLEST:
         raise InputError(
@@ -108,6 +138,11 @@ def refuse_line(some: Parts, every: Parts, points: int, source: str) -> None:
     points : int
     source : str
         For messages.
+
+    Raises
+    ------
+    InputError
+        They do: their second extent is less than a millionth of the first.
     """
     if _is_line(some) and _is_line(every):
         raise InputError(

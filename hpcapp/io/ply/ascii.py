@@ -54,6 +54,8 @@ def scan_ascii(
 
     Parameters
     ----------
+    path, header, wanted
+        As for `read_ascii`.
     at_once : int
         Rows in a part, at most.
 
@@ -63,6 +65,11 @@ def scan_ascii(
         Of the element.
     rows : Rows
         Its next rows.
+
+    Raises
+    ------
+    InputError
+        As from `read_ascii`; what follows after the last row is looked at in the end.
     """
     with path.open("rb") as file, io.TextIOWrapper(file, "latin-1") as text:
         file.seek(header.body_start)

@@ -59,6 +59,8 @@ def scan_binary(
 
     Parameters
     ----------
+    path, header, wanted
+        As for `read_binary`.
     at_once : int
         Rows in a part, at most.
 
@@ -68,6 +70,11 @@ def scan_binary(
         Of the element.
     rows : Rows
         Its next rows; views of the file, whose memory is given back when the next are asked for.
+
+    Raises
+    ------
+    InputError
+        As from `read_binary`; what follows after the last row is looked at in the end.
     """
     body = np.memmap(path, np.uint8, "r")
     at = header.body_start

@@ -112,7 +112,23 @@ _SINGLE = ("f4", "i1", "u1", "i2", "u2")  # what float32 holds exactly
 
 
 def vertex_of(header: Header, path: Path) -> Element:
-    """Return the element ``vertex`` of a header, which must have coordinates."""
+    """Return the element ``vertex`` of a header, which must have coordinates.
+
+    Parameters
+    ----------
+    header : Header
+    path : Path
+        The file, for messages.
+
+    Returns
+    -------
+    Element
+
+    Raises
+    ------
+    InputError
+        There is no such element, or it has no scalar x, y or z.
+    """
     vertex = next((e for e in header.elements if e.name == "vertex"), None)
     if vertex is None:
         raise InputError(f"{path}: no element 'vertex'", "export the file as a point cloud or mesh")
@@ -127,7 +143,18 @@ def vertex_of(header: Header, path: Path) -> Element:
 
 
 def stack(rows: Rows, names: tuple[str, ...]) -> FloatArray:
-    """Copy scalar properties into the columns of one array, block by block for the cache."""
+    """Copy scalar properties into the columns of one array, block by block for the cache.
+
+    Parameters
+    ----------
+    rows : Rows
+    names : tuple of str
+        Of scalars that the rows have: the columns, in order.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, len(names))
+    """
     columns = [rows.scalars[name] for name in names]
     stacked = np.empty((len(columns[0]), len(columns)))
     for start in range(0, len(stacked), _ROWS_AT_ONCE):
