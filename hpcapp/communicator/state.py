@@ -67,15 +67,17 @@ class Task:
 class Flight:
     """A batch on its way or at work: the tasks that its worker has not answered, in order.
 
-    `work` is how much that is, by the names of the tasks; `limits` how large the answer to each
-    task of the whole batch may be, in bytes.
+    `work` is how much that is, by the names of these tasks, `counts` how many; `limits` how large
+    the answer to each task of the whole batch may be, in bytes.
     """
 
     tasks: dict[int, Task]
     work: dict[str, float] = field(default_factory=dict)
+    counts: Counter[str] = field(default_factory=Counter)
     limits: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self.counts.update(task.name for task in self.tasks.values())
         self.limits = {number: task.limit_bytes for number, task in self.tasks.items()}
         for task in self.tasks.values():
             self.work[task.name] = self.work.get(task.name, 0.0) + task.work
@@ -94,6 +96,9 @@ class Flight:
         task = self.tasks.pop(number, None)
         if task is not None:
             self.work[task.name] -= task.work
+            self.counts[task.name] -= 1
+            if not self.counts[task.name]:  # what rounding left of it is no work
+                del self.work[task.name], self.counts[task.name]
         return task
 
 

@@ -52,6 +52,19 @@ def test_who_was_slow_with_other_tasks_is_expected_to_be_slow_with_new_ones(
     assert forecast.expect(b"a", task(name="fourth")) == 5.0
 
 
+def test_what_is_answered_leaves_nothing_to_wait_for() -> None:
+    """Of tasks that nobody has run the like of, too: the answer may have been a failure."""
+    worker = worker_with(task(0, 0.1), task(1, 0.2), task(2, 0.3), task(3, name="known"))
+    forecast = Forecast()
+    forecast.learn(b"w", task(name="known"), 2.0)
+    assert math.isinf(forecast.remaining_s(worker, 0.0))
+    for number in range(3):
+        worker.batches[1].pop(number)
+    assert forecast.remaining_s(worker, 0.0) == 2.0
+    worker.batches[1].pop(3)
+    assert forecast.remaining_s(worker, 0.0) == 0.0
+
+
 def test_tasks_that_grow_do_not_make_the_only_worker_slow() -> None:
     forecast = Forecast()
     for seconds in (1.0, 2.0, 4.0):
