@@ -28,7 +28,23 @@ _VECTOR_FLAGS = ("sse4", "avx", "fma", "asimd", "sve")  # the few of a hundred t
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb of the command line and return its exit code."""
+    """Run one verb of the command line and return its exit code.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        The arguments; by default those of this process.
+
+    Returns
+    -------
+    int
+        0 where all went well; see `HpcError.exit_code` and `End.exit_code` for others.
+
+    Raises
+    ------
+    SystemExit
+        The arguments are wrong, or only ask for help.
+    """
     arguments = _parser().parse_args(argv)
     try:
         return int(arguments.verb(arguments))
@@ -92,7 +108,18 @@ def _settings(arguments: argparse.Namespace) -> LoaderSettings:
 
 
 def component_argv(settings: LoaderSettings, choice: Choice) -> list[str]:
-    """Return the component's command line, without its lifeline."""
+    """Return the component's command line, without its lifeline.
+
+    Parameters
+    ----------
+    settings : LoaderSettings
+    choice : Choice
+        Whose build the component is.
+
+    Returns
+    -------
+    list of str
+    """
     connection = ["--connection", str(settings.connection), "--build", choice.build.name]
     tasks = [word for task in (*choice.build.tasks, *settings.tasks) for word in ("--task", task)]
     return [*choice.build.argv(), *connection, *tasks]

@@ -48,7 +48,16 @@ class Requirements:
     module: str | None = None
 
     def unmet(self, machine: Machine) -> Iterator[str]:
-        """Yield, in words, each thing that `machine` lacks."""
+        """Yield, in words, each thing that `machine` lacks.
+
+        Parameters
+        ----------
+        machine : Machine
+
+        Yields
+        ------
+        str
+        """
         if self.architecture and machine.architecture not in self.architecture:
             yield f"architecture is {machine.architecture}, not {' or '.join(self.architecture)}"
         missing = [flag for flag in self.cpu_flags if flag not in machine.cpu_flags]

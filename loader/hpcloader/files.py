@@ -32,6 +32,14 @@ _RULE, _ASKED = RestartRule(), Requirements()
 def read_settings(path: Path) -> LoaderSettings:
     """Read ``loader.yaml``; its paths, relative to it, come back absolute.
 
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    LoaderSettings
+
     Raises
     ------
     ConfigError
@@ -51,6 +59,16 @@ def read_settings(path: Path) -> LoaderSettings:
 
 def read_catalogue(path: Path) -> tuple[Build, ...]:
     """Read a catalogue of worker builds.
+
+    Parameters
+    ----------
+    path : Path
+        Of a YAML file.
+
+    Returns
+    -------
+    tuple of Build
+        In the order of the file.
 
     Raises
     ------

@@ -95,7 +95,17 @@ class RestartRule:
     grace_s: float = 5.0
 
     def delay(self, quick_ends: int) -> float:
-        """Return the delay after so many quick ends in a row, in seconds."""
+        """Return the delay after so many quick ends in a row, in seconds.
+
+        Parameters
+        ----------
+        quick_ends : int
+
+        Returns
+        -------
+        float
+            From `first_s` to `cap_s`.
+        """
         doublings = min(max(quick_ends - 1, 0), 60)  # 2**60 is past every cap
         return min(self.cap_s, self.first_s * 2.0**doublings)
 
@@ -138,11 +148,34 @@ class Supervisor:
         self._quick_failures = 0
 
     def start(self, now: float) -> list[Action]:
-        """Take note that the component is wanted; only the first call counts."""
+        """Take note that the component is wanted; only the first call counts.
+
+        Parameters
+        ----------
+        now : float
+            In seconds.
+
+        Returns
+        -------
+        list of Action
+            `Start`, or nothing.
+        """
         return self._run(now) if self.state is State.IDLE else []
 
     def exited(self, now: float, code: int) -> list[Action]:
-        """Take note that the component has ended with exit code `code` (-N: by signal N)."""
+        """Take note that the component has ended with exit code `code` (-N: by signal N).
+
+        Parameters
+        ----------
+        now : float
+            In seconds.
+        code : int
+
+        Returns
+        -------
+        list of Action
+            `End`, or nothing: a further start comes by `tick`.
+        """
         if self.state in (State.STOPPING, State.KILLING):
             return self._end()
         if self.state is not State.RUNNING:
@@ -164,7 +197,18 @@ class Supervisor:
         return []
 
     def tick(self, now: float) -> list[Action]:
-        """Act on a deadline that has passed."""
+        """Act on a deadline that has passed.
+
+        Parameters
+        ----------
+        now : float
+            In seconds.
+
+        Returns
+        -------
+        list of Action
+            `Start`, `Kill`, or nothing.
+        """
         if self.deadline is None or now < self.deadline:
             return []
         if self.state is State.WAITING:
@@ -183,6 +227,11 @@ class Supervisor:
         grace_s : float, optional
             Time to leave by itself, in seconds, instead of the rule's; a later call may
             shorten an earlier one's.
+
+        Returns
+        -------
+        list of Action
+            `Terminate`, `End`, or nothing.
         """
         deadline = now + (self.rule.grace_s if grace_s is None else grace_s)
         if self.state is State.RUNNING:

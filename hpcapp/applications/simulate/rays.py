@@ -120,7 +120,17 @@ def closest_points(
 
 
 def frame_about(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return two unit vectors at right angles to each direction and to each other."""
+    """Return two unit vectors at right angles to each direction and to each other.
+
+    Parameters
+    ----------
+    directions : ndarray of float64, shape (n, 3)
+        Of unit length.
+
+    Returns
+    -------
+    side, up : ndarray of float64, shape (n, 3)
+    """
     helper = np.zeros_like(directions)
     smallest = np.abs(directions).argmin(axis=1)
     helper[np.arange(len(directions)), smallest] = 1.0
@@ -129,7 +139,16 @@ def frame_about(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def unit_vectors(vectors: FloatArray) -> FloatArray:
-    """Return `vectors`, shape (n, 3), scaled to unit length; zero stays zero."""
+    """Return `vectors`, shape (n, 3), scaled to unit length; zero stays zero.
+
+    Parameters
+    ----------
+    vectors : ndarray of float64, shape (n, 3)
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 3)
+    """
     tiny = np.finfo(np.float64).tiny
     unit: FloatArray = vectors / np.maximum(_lengths(vectors), tiny)[:, None]
     return unit

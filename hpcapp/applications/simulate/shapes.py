@@ -89,11 +89,31 @@ class ImplicitShape:
     field: Field
 
     def value(self, points: FloatArray) -> FloatArray:
-        """Return the implicit function at `points`; see `Shape.value`."""
+        """Return the implicit function at `points`; see `Shape.value`.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, 3)
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+            In length units.
+        """
         return self.field(points)[0]
 
     def normal(self, points: FloatArray) -> FloatArray:
-        """Return the unit normals at `points`; see `Shape.normal`."""
+        """Return the unit normals at `points`; see `Shape.normal`.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, 3)
+
+        Returns
+        -------
+        ndarray of float64, shape (n, 3)
+            Zero where the field has no gradient.
+        """
         gradient = self.field(points)[1]
         length = np.sqrt(np.einsum("ij,ij->i", gradient, gradient))
         unit: FloatArray = gradient / np.maximum(length, np.finfo(np.float64).tiny)[:, None]
@@ -101,13 +121,31 @@ class ImplicitShape:
 
 
 def diagonal_of(shape: Shape) -> float:
-    """Return the length of the bounding box's diagonal, in length units of the shape."""
+    """Return the length of the bounding box's diagonal, in length units of the shape.
+
+    Parameters
+    ----------
+    shape : Shape
+
+    Returns
+    -------
+    float
+    """
     low, high = shape.bounds
     return float(np.linalg.norm(high - low))
 
 
 def find_shape(name: str) -> Shape:
     """Return the shape of that name.
+
+    Parameters
+    ----------
+    name : str
+        A key of `SHAPES`.
+
+    Returns
+    -------
+    Shape
 
     Raises
     ------

@@ -67,7 +67,19 @@ def ellipsoid(semi_axes: Sequence[float]) -> Field:
 
 
 def torus(major: float, minor: float) -> Field:
-    """Return a torus about the z axis: the exact distance to its circle, less `minor`."""
+    """Return a torus about the z axis: the exact distance to its circle, less `minor`.
+
+    Parameters
+    ----------
+    major : float
+        Radius of the circle.
+    minor : float
+        Radius of the tube.
+
+    Returns
+    -------
+    Field
+    """
 
     def field(points: FloatArray) -> tuple[FloatArray, FloatArray]:
         radius = np.hypot(points[:, 0], points[:, 1]) + _TINY
@@ -209,22 +221,64 @@ def cylinder(center: Sequence[float], axis: int, radius: float, half: float = np
 
 
 def unite(*fields: Field) -> Field:
-    """Return the union of solids."""
+    """Return the union of solids.
+
+    Parameters
+    ----------
+    *fields : Field
+        At least one.
+
+    Returns
+    -------
+    Field
+    """
     return _select(fields, np.less)
 
 
 def intersect(*fields: Field) -> Field:
-    """Return what is common to solids."""
+    """Return what is common to solids.
+
+    Parameters
+    ----------
+    *fields : Field
+        At least one.
+
+    Returns
+    -------
+    Field
+    """
     return _select(fields, np.greater)
 
 
 def cut(solid: Field, *tools: Field) -> Field:
-    """Return `solid` with every one of `tools` taken away."""
+    """Return `solid` with every one of `tools` taken away.
+
+    Parameters
+    ----------
+    solid : Field
+    *tools : Field
+        What is taken away.
+
+    Returns
+    -------
+    Field
+    """
     return intersect(solid, *(_complement(tool) for tool in tools))
 
 
 def grow(solid: Field, thickness: float) -> Field:
-    """Return `solid` with a layer added all round; convex edges become round."""
+    """Return `solid` with a layer added all round; convex edges become round.
+
+    Parameters
+    ----------
+    solid : Field
+    thickness : float
+        Of the layer, in length units.
+
+    Returns
+    -------
+    Field
+    """
 
     def field(points: FloatArray) -> tuple[FloatArray, FloatArray]:
         value, gradient = solid(points)
@@ -234,7 +288,17 @@ def grow(solid: Field, thickness: float) -> Field:
 
 
 def mirror(octant: Field) -> Field:
-    """Return a solid that is symmetric in x, y and z, given in the octant of positive signs."""
+    """Return a solid that is symmetric in x, y and z, given in the octant of positive signs.
+
+    Parameters
+    ----------
+    octant : Field
+        Only asked for points without negative coordinates.
+
+    Returns
+    -------
+    Field
+    """
 
     def field(points: FloatArray) -> tuple[FloatArray, FloatArray]:
         value, gradient = octant(np.abs(points))

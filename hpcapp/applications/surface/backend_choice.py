@@ -200,7 +200,13 @@ class Opener:
             yield backend, Choice(backend.name, workers, reason, workers_asked=asked)
 
     def approach(self, guess: Job) -> None:
-        """Listen for the workers of the cluster, if they may pay."""
+        """Listen for the workers of the cluster, if they may pay.
+
+        Parameters
+        ----------
+        guess : Job
+            What there is to do, judged before the points are read.
+        """
         if self._choose(guess).backend == "cluster":
             self._listen()
 

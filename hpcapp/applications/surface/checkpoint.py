@@ -34,6 +34,16 @@ POINTS_NOTE = ["points", "loaded"]
 def digest(*values: Any) -> str:
     """Return a hash of some values that could travel.
 
+    Parameters
+    ----------
+    *values : object
+        See `hpccomponent.protocol.codec.encode_values`.
+
+    Returns
+    -------
+    str
+        32 hexadecimal digits.
+
     Examples
     --------
     >>> digest("a", 1) == digest("a", 1) != digest("a", 2)
@@ -107,17 +117,48 @@ class Keeping:
         return self.is_shared and self.is_folder
 
     def name(self, *values: Any) -> str:
-        """Return the name of what is made of some values."""
+        """Return the name of what is made of some values.
+
+        Parameters
+        ----------
+        *values : object
+            See `digest`.
+
+        Returns
+        -------
+        str
+        """
         return f"{self.job}/{digest(*values)}"
 
     def name_sums(self, run: str, tile: int) -> str:
-        """Return the name of a tile's sums in one run of the job."""
+        """Return the name of a tile's sums in one run of the job.
+
+        Parameters
+        ----------
+        run : str
+            Differs from that of any other run.
+        tile : int
+            Index of the tile.
+
+        Returns
+        -------
+        str
+        """
         return f"{self.job}/{SUMS}/{run}-{tile}"
 
     def find(self, name: str) -> Any | None:
         """Return what is kept under a name, None where nothing is or where it is not wanted.
 
         What is damaged is taken away, and named: whoever asked makes it again.
+
+        Parameters
+        ----------
+        name : str
+            See `name`.
+
+        Returns
+        -------
+        object or None
         """
         if not self.resumes:
             return None

@@ -79,6 +79,11 @@ def check_flags(ctx: click.Context) -> None:
     ----------
     ctx : click.Context
         Of `reconstruct`.
+
+    Raises
+    ------
+    UsageError
+        They do, or one of them has a value that cannot be used.
     """
     chosen = [name for name in ("grid", "depth", "voxel_size") if ctx.params[name] is not None]
     if len(chosen) > 1:

@@ -31,7 +31,17 @@ OUTSIDE = 0.02
 
 
 def sample_cloud(cloud: DiskCloud) -> PointCloud:
-    """Return as many points of a cloud, evenly, as are looked at here."""
+    """Return as many points of a cloud, evenly, as are looked at here.
+
+    Parameters
+    ----------
+    cloud : DiskCloud
+
+    Returns
+    -------
+    PointCloud
+        About `SAMPLE` points, or all where there are fewer.
+    """
     return PointCloud(*cloud.take_every(-(-len(cloud) // SAMPLE)))
 
 

@@ -50,6 +50,10 @@ def parse_limit(text: str) -> float:
     text : str
         See `hpccomponent.units.parse_size`.
 
+    Returns
+    -------
+    float
+
     Raises
     ------
     UsageError
@@ -80,6 +84,10 @@ def fits_memory(path: Path, limit: float | None) -> bool:
     path : Path
     limit : float or None
         In bytes; what is available where it is None.
+
+    Returns
+    -------
+    bool
     """
     available = available_memory() if limit is None else limit
     points = count_most_points(path)
@@ -93,6 +101,10 @@ def count_most_points(path: Path) -> int:
     ----------
     path : Path
         None are in one that cannot be read: who reads it says what is wrong.
+
+    Returns
+    -------
+    int
     """
     try:
         return path.stat().st_size // BYTES_PER_RECORD
@@ -109,6 +121,11 @@ def fitting_tile(limit: float, at_once: int) -> int:
         Of the process, in bytes.
     at_once : int
         Tiles in one process.
+
+    Returns
+    -------
+    int
+        From `LEAST_TILE` to `TILE_POINTS`.
     """
     points = (limit - LEAST_MEMORY / 2.0) / at_once / BYTES_PER_TILE_POINT
     return int(min(max(points, LEAST_TILE), TILE_POINTS))

@@ -65,11 +65,39 @@ class MethodSettings(Protocol):
         ...
 
     def estimate_memory(self, grid: int, cloud: PointCloud) -> float:
-        """Return the bytes that a job holds at its peak; `grid` in cells of the longest side."""
+        """Return the bytes that a job holds at its peak; `grid` in cells of the longest side.
+
+        Parameters
+        ----------
+        grid : int
+            Cells along the longest side.
+        cloud : PointCloud
+            The points of the job, in memory.
+
+        Returns
+        -------
+        float
+        """
         ...
 
     def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
-        """Return the strategy for one job; UsageError where options contradict each other."""
+        """Return the strategy for one job; UsageError where options contradict each other.
+
+        Parameters
+        ----------
+        grid : int
+            Cells along the longest side, margins included.
+        resources : Resources
+
+        Returns
+        -------
+        Method
+
+        Raises
+        ------
+        UsageError
+            Options contradict each other.
+        """
         ...
 
 
@@ -77,22 +105,78 @@ class Method(Protocol[PartitionT, QuadricsT]):
     """One way to turn oriented points into a mesh, in three stages."""
 
     def partition(self, cloud: Any, workforce: Workforce) -> PartitionT:
-        """Cut the cloud into parts; clouds that are not in memory are not for every method."""
+        """Cut the cloud into parts; clouds that are not in memory are not for every method.
+
+        Parameters
+        ----------
+        cloud : PointCloud or ArrangedCloud
+            With unit normals.
+        workforce : Workforce
+            Where tasks run.
+
+        Returns
+        -------
+        object
+            The parts, as `fit` and `extract` want them.
+
+        Raises
+        ------
+        InputError
+            The cloud is nothing that a surface can be made of.
+        """
         ...
 
     def fit(self, partition: PartitionT, workforce: Workforce, advance: Advance) -> QuadricsT:
-        """Fit quadrics on the workers: all of them, or what the parts must know of the whole."""
+        """Fit quadrics on the workers: all of them, or what the parts must know of the whole.
+
+        Parameters
+        ----------
+        partition : object
+            What `partition` has returned.
+        workforce : Workforce
+        advance : callable
+            Told (parts done, parts in all).
+
+        Returns
+        -------
+        object
+            The quadrics, as `extract` wants them.
+        """
         ...
 
     def extract(
         self, partition: PartitionT, quadrics: QuadricsT, workforce: Workforce, advance: Advance
     ) -> Surface:
-        """Fit what is left, blend the quadrics and extract the 0-level iso-surface."""
+        """Fit what is left, blend the quadrics and extract the 0-level iso-surface.
+
+        Parameters
+        ----------
+        partition : object
+            What `partition` has returned.
+        quadrics : object
+            What `fit` has returned.
+        workforce : Workforce
+        advance : callable
+            Told (parts done, parts in all).
+
+        Returns
+        -------
+        Surface
+        """
         ...
 
     def facts(self, partition: PartitionT) -> dict[str, Any]:
         """Return what was chosen or found by the way, for the job's report: JSON values.
 
         The key ``patches`` (parts that the quadrics stand for) is always there.
+
+        Parameters
+        ----------
+        partition : object
+            After `extract`.
+
+        Returns
+        -------
+        dict of str to object
         """
         ...

@@ -22,6 +22,12 @@ def find_method(name: str) -> type[MethodSettings]:
     Parameters
     ----------
     name : str
+        A key of `METHODS`.
+
+    Returns
+    -------
+    type
+        A dataclass that is a `MethodSettings`.
 
     Raises
     ------

@@ -67,12 +67,27 @@ def option(
         The words that may be given.
     replaces : tuple of str
         Options that it takes the place of, so that they exclude each other.
+
+    Returns
+    -------
+    dataclasses.Field
     """
     return field(default=default, metadata={_KEY: _Option(help, low, high, choices, replaces)})
 
 
 def option_names(settings: type[Options]) -> tuple[str, ...]:
-    """Return the names of a method's options."""
+    """Return the names of a method's options.
+
+    Parameters
+    ----------
+    settings : type
+        A dataclass of options.
+
+    Returns
+    -------
+    tuple of str
+        In the order of its fields.
+    """
     return tuple(one.name for one in fields(settings))
 
 
@@ -139,6 +154,10 @@ def make_click_options(settings: type[Options], prefix: str) -> Iterator[click.O
     settings : type
     prefix : str
         Stands before each help text.
+
+    Yields
+    ------
+    click.Option
     """
     for name, asked, kind in _options(settings):
         default = settings.__dataclass_fields__[name].default

@@ -29,6 +29,10 @@ def open_output(output: str, points: Path) -> Iterator[Path]:
     points : Path
         The input, which must not be overwritten.
 
+    Yields
+    ------
+    Path
+
     Raises
     ------
     OutputError

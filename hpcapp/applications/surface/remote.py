@@ -19,7 +19,20 @@ OF_THIS_MACHINE = ("points", "output", "cluster", "events", "as_json")
 
 
 def check_points(points: Path) -> None:
-    """Read the points as the job will; InputError where it could not use them."""
+    """Read the points as the job will; InputError where it could not use them.
+
+    Parameters
+    ----------
+    points : Path
+        The file.
+
+    Raises
+    ------
+    UsageError
+        Its suffix is unknown.
+    InputError
+        It cannot be read, or its points cannot be used.
+    """
     drop_unusable(read_points(points), str(points))
 
 

@@ -54,6 +54,15 @@ class Passes:
         """Return into how many pieces a pass through so many points is cut.
 
         No more than memory asks for, so that margins are few, but as many for each worker.
+
+        Parameters
+        ----------
+        points : int
+
+        Returns
+        -------
+        int
+            A multiple of the number of workers that run the pass.
         """
         workers = self._workforce.workers
         return workers * -(-max(points, 1) // (workers * self.points))
@@ -62,15 +71,48 @@ class Passes:
         """Cut the records of a file into ranges.
 
         They have no margins: two for each piece, so that nobody waits long for the last.
+
+        Parameters
+        ----------
+        rows : int
+            How many records there are.
+
+        Returns
+        -------
+        list of slice
         """
         return cut_equal(rows, min(2 * self.count_pieces(rows), max(rows, 1)))
 
     def cut_blocks(self, counts: IntArray) -> list[slice]:
-        """Cut blocks, each with so many points, into runs."""
+        """Cut blocks, each with so many points, into runs.
+
+        Parameters
+        ----------
+        counts : ndarray of int64, shape (b,)
+            Points in each block.
+
+        Returns
+        -------
+        list of slice
+            See `cut_even`.
+        """
         return cut_even(counts, self.count_pieces(int(counts.sum())))
 
     def map(self, task: Callable[..., Any], batches: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Run a task that reads and writes the folder by itself; see `map_batches`."""
+        """Run a task that reads and writes the folder by itself; see `map_batches`.
+
+        Parameters
+        ----------
+        task : callable
+            A registered task.
+        batches : sequence of tuple
+            The positional arguments of each call.
+
+        Returns
+        -------
+        list
+            One result per batch.
+        """
         return map_batches(self._workforce, task, batches)
 
     def map_blocks(
@@ -85,6 +127,11 @@ class Passes:
         dropped : DroppedCells or None
         *more : object
             What the task is given after its points.
+
+        Returns
+        -------
+        list
+            One result per run, in the order of the blocks.
         """
         offered = None if dropped is None else self._workforce.share(dropped)
         runs = [cloud.keys[run] for run in self.cut_blocks(cloud.counts)]
@@ -112,6 +159,12 @@ class Passes:
         dropped : DroppedCells or None
         more : callable
             Given the index of a region, returns what the task is given after its points.
+
+        Yields
+        ------
+        index : int
+            Of the region.
+        result : object
         """
         offered = None if dropped is None else self.workforce.share(dropped)
 
@@ -128,7 +181,21 @@ class Passes:
     def count_cells(
         self, cloud: DiskCloud, origin: FloatArray, size: float
     ) -> tuple[IntArray, IntArray]:
-        """Count the points in the occupied cells of a lattice; see `count_block_cells`."""
+        """Count the points in the occupied cells of a lattice; see `count_block_cells`.
+
+        Parameters
+        ----------
+        cloud : DiskCloud
+        origin : ndarray of float64, shape (3,)
+            Corner of a cell.
+        size : float
+            Of a cell, in length units of the input.
+
+        Returns
+        -------
+        keys, counts : ndarray of int64, shape (c,)
+            Sorted by key.
+        """
         return merge_cells(self.map_blocks(count_block_cells, cloud, None, origin, size))
 
     @property
@@ -150,6 +217,11 @@ def cut_even(counts: IntArray, pieces: int) -> list[slice]:
     pieces : int
         At most; fewer where blocks are few or uneven.
 
+    Returns
+    -------
+    list of slice
+        Of rows of `counts`.
+
     Examples
     --------
     >>> cut_even(np.array([3, 4, 9, 1, 1]), 3)
@@ -163,12 +235,35 @@ def cut_even(counts: IntArray, pieces: int) -> list[slice]:
 
 
 def near_edges(edge: float) -> tuple[float, ...]:
-    """Return the edges of boxes that are counted together: that one, and the next one tried."""
+    """Return the edges of boxes that are counted together: that one, and the next one tried.
+
+    Parameters
+    ----------
+    edge : float
+        In length units of the input.
+
+    Returns
+    -------
+    tuple of float
+    """
     return edge, 2.0 * edge
 
 
 def merge_boxes(edges: Sequence[float], found: Sequence[BoxCounts]) -> Boxes:
-    """Merge what tasks have counted; each gives an entry for each edge."""
+    """Merge what tasks have counted; each gives an entry for each edge.
+
+    Parameters
+    ----------
+    edges : sequence of float
+        In length units of the input.
+    found : sequence of list
+        `BoxCounts` of each task.
+
+    Returns
+    -------
+    dict
+        `Boxes`.
+    """
     return {
         edge: (
             sum(held for held, _ in counted),
@@ -197,6 +292,11 @@ def measure_spacing(
         `DroppedCells`; the points in them do not count.
     known : Boxes, optional
         What has been counted already.
+
+    Returns
+    -------
+    float
+        In length units of the input.
     """
     count, low, high = box
     counted = dict(known or {})

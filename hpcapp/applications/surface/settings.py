@@ -104,6 +104,10 @@ def choose_grid(settings: Settings, low: FloatArray, high: FloatArray) -> int:
     low, high : ndarray of float64, shape (3,)
         Corners of the box around all points, in length units of the input.
 
+    Returns
+    -------
+    int
+
     Raises
     ------
     UsageError
@@ -125,7 +129,17 @@ def choose_grid(settings: Settings, low: FloatArray, high: FloatArray) -> int:
 
 
 def choose_steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:
-    """Return the preprocessing steps that are switched on, in the paper's order."""
+    """Return the preprocessing steps that are switched on, in the paper's order.
+
+    Parameters
+    ----------
+    settings : Settings
+
+    Returns
+    -------
+    tuple of (str, callable)
+        The name of each, and what it does to a cloud in memory.
+    """
     if not (settings.outliers or settings.denoise or settings.resample):
         return ()  # what the steps stand on is heavy
     from hpcapp.applications.surface.paper.preprocess import denoise, remove_outliers, resample
@@ -146,6 +160,11 @@ def choose_local(settings: Settings, points: int) -> tuple[str, int]:
     settings : Settings
         Whose `workers` are the most that may be used.
     points : int
+
+    Returns
+    -------
+    backend : str
+    workers : int
     """
     threads = min(settings.workers or available_cores(), available_cores())
     if points < THREADS_FROM_POINTS or threads == 1:
@@ -154,14 +173,35 @@ def choose_local(settings: Settings, points: int) -> tuple[str, int]:
 
 
 def name_backend(settings: Settings) -> str | None:
-    """Return the backend that the user names; None where it is to be chosen."""
+    """Return the backend that the user names; None where it is to be chosen.
+
+    Parameters
+    ----------
+    settings : Settings
+
+    Returns
+    -------
+    str or None
+        With ``zmq`` and a cluster, the path of the cluster's inventory.
+    """
     if settings.cluster is not None and settings.backend == "zmq":
         return str(settings.cluster)
     return None if settings.backend == "auto" else settings.backend
 
 
 def choose_threads(workforce: Workforce, points: int) -> int:
-    """Return how many threads pay for so many points in this process."""
+    """Return how many threads pay for so many points in this process.
+
+    Parameters
+    ----------
+    workforce : Workforce
+        Where tasks run.
+    points : int
+
+    Returns
+    -------
+    int
+    """
     if points < THREADS_FROM_POINTS:
         return 1
     return workforce.workers if workforce.in_process else available_cores()

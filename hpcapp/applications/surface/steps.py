@@ -129,6 +129,10 @@ def run_loaded(
     clock : StageClock
     keeping : Keeping or None
         Where finished tiles are kept.
+
+    Returns
+    -------
+    Outcome
     """
     workforce, cloud = backend.workforce, loaded.cloud
     threads = choose_threads(workforce, len(cloud))

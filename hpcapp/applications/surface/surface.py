@@ -44,7 +44,17 @@ class Surface(Protocol):
         ...
 
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
-        """Return the share of the vertices that lie outside a box, 0 to 1."""
+        """Return the share of the vertices that lie outside a box, 0 to 1.
+
+        Parameters
+        ----------
+        low, high : ndarray of float64, shape (3,)
+            Corners of the box, in length units of the input, in the local frame.
+
+        Returns
+        -------
+        float
+        """
         ...
 
     def mesh(self) -> Mesh:
@@ -52,7 +62,19 @@ class Surface(Protocol):
         ...
 
     def write(self, path: Path, workforce: Workforce) -> None:
-        """Write it to a file, whose suffix chooses the format."""
+        """Write it to a file, whose suffix chooses the format.
+
+        Parameters
+        ----------
+        path : Path
+        workforce : Workforce
+            Its workers may write their parts themselves.
+
+        Raises
+        ------
+        OutputError
+            The suffix is unknown, or the file cannot be written.
+        """
         ...
 
 
@@ -72,7 +94,17 @@ class WholeSurface:
         return check_mesh(self.whole)
 
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
-        """Return the share of the vertices that lie outside a box, 0 to 1."""
+        """Return the share of the vertices that lie outside a box, 0 to 1.
+
+        Parameters
+        ----------
+        low, high : ndarray of float64, shape (3,)
+            Corners of the box, in length units of the input, in the local frame.
+
+        Returns
+        -------
+        float
+        """
         return _count_outside(self.whole.vertices, low, high) / max(1, len(self.whole.vertices))
 
     def mesh(self) -> Mesh:
@@ -80,7 +112,19 @@ class WholeSurface:
         return self.whole
 
     def write(self, path: Path, workforce: Workforce) -> None:
-        """Write it to a file, whose suffix chooses the format."""
+        """Write it to a file, whose suffix chooses the format.
+
+        Parameters
+        ----------
+        path : Path
+        workforce : Workforce
+            Not needed: the mesh is in this process.
+
+        Raises
+        ------
+        OutputError
+            See `Surface.write`.
+        """
         del workforce  # it is here already
         write_mesh(path, self.whole)
 
@@ -116,7 +160,17 @@ class PartSurface:
         return self._plan
 
     def load(self, index: int) -> MeshPart:
-        """Return a part; the arrays of one that is kept in a folder stay there, mapped."""
+        """Return a part; the arrays of one that is kept in a folder stay there, mapped.
+
+        Parameters
+        ----------
+        index : int
+            Of the part.
+
+        Returns
+        -------
+        MeshPart
+        """
         part = self.parts[index]
         if isinstance(part, MeshPart):
             return part
@@ -131,7 +185,17 @@ class PartSurface:
         return self._topology()
 
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
-        """Return the share of the vertices that lie outside a box, 0 to 1."""
+        """Return the share of the vertices that lie outside a box, 0 to 1.
+
+        Parameters
+        ----------
+        low, high : ndarray of float64, shape (3,)
+            Corners of the box, in length units of the input, in the local frame.
+
+        Returns
+        -------
+        float
+        """
         if (self.plan.box[0] >= low).all() and (self.plan.box[1] <= high).all():
             return 0.0
         outside = total = 0
@@ -151,6 +215,17 @@ class PartSurface:
         Workers write their parts of a PLY, or their tiles, themselves where they have put their
         parts away themselves, and the topology is judged meanwhile; what they do not see, and every
         other format, is written here.
+
+        Parameters
+        ----------
+        path : Path
+        workforce : Workforce
+            Whose workers have made the parts.
+
+        Raises
+        ------
+        OutputError
+            See `Surface.write`.
         """
         suffix = path.suffix.lower()
         if suffix in (".ply", TILES_SUFFIX) and self.keeping is not None and self.keeping.is_shared:

@@ -62,6 +62,11 @@ class Coarse:
         ----------
         cells : ndarray of int64, shape (c,)
             Keys of its coarse cells.
+
+        Returns
+        -------
+        CoarseLevels
+            Of the surroundings of these cells, as far as the tile's quadrics reach.
         """
         plan = self.plan
         reach = HALO_STEPS * plan.step
@@ -106,6 +111,11 @@ def far_level(grid: Grid, cell_size: float, height: int) -> int:
         Edge of the finest cells, in length units of the input.
     height : int
         How many levels there are.
+
+    Returns
+    -------
+    int
+        0 for the finest cells, `height` - 1 at most.
     """
     level = 0
     least = _FAR_CELLS * far_step(*grid.box)

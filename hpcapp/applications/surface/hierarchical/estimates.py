@@ -133,7 +133,18 @@ def _sample_cloud(cloud: PointCloud, spacing: float) -> PointCloud:
 
 
 def first_share(points: int) -> int:
-    """Return how many boxes make one sampled, to begin with; of a small cloud all points are."""
+    """Return how many boxes make one sampled, to begin with; of a small cloud all points are.
+
+    Parameters
+    ----------
+    points : int
+        Of the cloud.
+
+    Returns
+    -------
+    int
+        At least 1.
+    """
     return max(points // _SAMPLED_POINTS, 1)
 
 

@@ -137,6 +137,11 @@ def mesh_regions(
     -------
     PartSurface
         It holds every brick that the surface reaches.
+
+    Raises
+    ------
+    JobError
+        The surface still grows after more rounds than any needs.
     """
     plan = coarse.plan
     regions = _Regions(workforce, origin, keeping)

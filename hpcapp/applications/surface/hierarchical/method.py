@@ -165,7 +165,20 @@ class HierarchicalMethod:
     def fit(
         self, partition: HierarchicalPartition, workforce: Workforce, advance: Advance
     ) -> Coarse | None:
-        """Fit the coarse quadrics; nothing where the cloud is one tile."""
+        """Fit the coarse quadrics; nothing where the cloud is one tile.
+
+        Parameters
+        ----------
+        partition : HierarchicalPartition
+            Its `patches` are counted here.
+        workforce : Workforce
+        advance : callable
+            Told (tiles done, tiles in all).
+
+        Returns
+        -------
+        Coarse or None
+        """
         tiling, plan = partition.tiling, partition.plan
         if tiling is None:
             return None
@@ -198,6 +211,21 @@ class HierarchicalMethod:
         advance: Advance,
     ) -> PartSurface:
         """Fit the fine quadrics and extract the surface, tile by tile on the workers.
+
+        Parameters
+        ----------
+        partition : HierarchicalPartition
+            Where it is one tile, its `patches` are counted here.
+        quadrics : Coarse or None
+            What `fit` has returned.
+        workforce : Workforce
+        advance : callable
+            Told (tiles done, tiles in all); of one tile, slabs.
+
+        Returns
+        -------
+        PartSurface
+            It has faces.
 
         Raises
         ------
@@ -242,7 +270,18 @@ class HierarchicalMethod:
         return workers * max(1, each, -(-needed // workers))  # all of them, equally often
 
     def facts(self, partition: HierarchicalPartition) -> dict[str, Any]:
-        """Return the estimates, and how many cells of the finest level hold points."""
+        """Return the estimates, and how many cells of the finest level hold points.
+
+        Parameters
+        ----------
+        partition : HierarchicalPartition
+            After `extract`.
+
+        Returns
+        -------
+        dict of str to object
+            Lengths in length units of the input.
+        """
         plan = partition.plan
         return {
             "patches": partition.patches,

@@ -58,13 +58,40 @@ class Hierarchical:
         return self.clean
 
     def estimate_memory(self, grid: int, cloud: PointCloud) -> float:
-        """Return what the points and the bricks along their surface take, in bytes."""
+        """Return what the points and the bricks along their surface take, in bytes.
+
+        Parameters
+        ----------
+        grid : int
+            Cells along the longest side.
+        cloud : PointCloud
+
+        Returns
+        -------
+        float
+        """
         from hpcapp.applications.surface.memory import estimate_surface
 
         return estimate_surface(grid, cloud)
 
     def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
-        """Return the strategy."""
+        """Return the strategy.
+
+        Parameters
+        ----------
+        grid : int
+            Cells along the longest side.
+        resources : Resources
+
+        Returns
+        -------
+        HierarchicalMethod
+
+        Raises
+        ------
+        UsageError
+            The grid is too small.
+        """
         from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 
         return HierarchicalMethod(

@@ -90,17 +90,50 @@ class Tiling:
         return len(self._own)
 
     def own(self, index: int) -> IntArray:
-        """Return the coarse cells of a tile."""
+        """Return the coarse cells of a tile.
+
+        Parameters
+        ----------
+        index : int
+            Of the tile.
+
+        Returns
+        -------
+        ndarray of int64, shape (k,)
+            Sorted keys.
+        """
         return self._own[index]
 
     def core(self, index: int) -> CellPoints:
-        """Return the points of a tile, as `sum_tile` is given them."""
+        """Return the points of a tile, as `sum_tile` is given them.
+
+        Parameters
+        ----------
+        index : int
+            Of the tile.
+
+        Returns
+        -------
+        CellPoints
+            Some of it as `Workforce.share` offers it.
+        """
         if self.tickets[index] is not None:
             return self.tile(index)
         return self._give([self.own(index)], index)
 
     def groups(self, index: int) -> list[IntArray]:
-        """Return the cells of a tile, and of its halo: those of tiles before and after it."""
+        """Return the cells of a tile, and of its halo: those of tiles before and after it.
+
+        Parameters
+        ----------
+        index : int
+            Of the tile.
+
+        Returns
+        -------
+        list of ndarray of int64
+            Sorted keys of the three groups.
+        """
         if index not in self._groups:
             own = self.own(index)
             around = self.near(own)
@@ -109,7 +142,18 @@ class Tiling:
         return self._groups[index]
 
     def tile(self, index: int) -> CellPoints:
-        """Return the points in the `groups` of a tile, as a task is given them."""
+        """Return the points in the `groups` of a tile, as a task is given them.
+
+        Parameters
+        ----------
+        index : int
+            Of the tile.
+
+        Returns
+        -------
+        CellPoints
+            All or some of it as `Workforce.share` offers it.
+        """
         if self.tickets[index] is None:
             return self._give(self.groups(index), index)
         if index not in self._shared:  # whoever has summed it is the first to be asked again
@@ -118,11 +162,33 @@ class Tiling:
         return shared
 
     def around(self, cells: IntArray) -> CellPoints:
-        """Return the points in some coarse cells."""
+        """Return the points in some coarse cells.
+
+        Parameters
+        ----------
+        cells : ndarray of int64, shape (k,)
+            Sorted keys.
+
+        Returns
+        -------
+        CellPoints
+            One group.
+        """
         return self._give([cells], None)
 
     def near(self, cells: IntArray) -> NDArray[np.bool_]:
-        """Tell which coarse cells with points lie around some cells, near enough to matter."""
+        """Tell which coarse cells with points lie around some cells, near enough to matter.
+
+        Parameters
+        ----------
+        cells : ndarray of int64, shape (k,)
+            Sorted keys.
+
+        Returns
+        -------
+        ndarray of bool, shape (c,)
+            Of `cells` of the tiling.
+        """
         return mark_near(self.cells, cells, *halo_cells(self._plan, cells))
 
     def _give(self, groups: list[IntArray], index: int | None) -> CellPoints:

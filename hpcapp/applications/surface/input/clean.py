@@ -97,7 +97,18 @@ def drop_far(cloud: PointCloud) -> PointCloud:
 
 
 def even_step(points: int) -> int:
-    """Return the power of two of which every so many-th point of a cloud is in an even sample."""
+    """Return the power of two of which every so many-th point of a cloud is in an even sample.
+
+    Parameters
+    ----------
+    points : int
+        Of the cloud.
+
+    Returns
+    -------
+    int
+        1 where all points are in the sample.
+    """
     step = 1
     while points > _SAMPLE * step:
         step *= 2
@@ -122,7 +133,13 @@ class EvenSample:
         return self._positions
 
     def add(self, positions: FloatArray) -> None:
-        """Take the next points of the cloud, of shape (n, 3)."""
+        """Take the next points of the cloud, of shape (n, 3).
+
+        Parameters
+        ----------
+        positions : ndarray of float64, shape (n, 3)
+            In length units of the input, in the order of the cloud.
+        """
         step = even_step(self._seen + len(positions))
         self._positions, self._step = self._positions[:: step // self._step], step
         taken = positions[-self._seen % self._step :: self._step]

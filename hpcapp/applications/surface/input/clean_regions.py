@@ -105,6 +105,11 @@ def measure_cloud(
         In length units of the input.
     sample : Points, optional
         The first that `estimates.draw_sample` asks for, in any order of blocks.
+
+    Returns
+    -------
+    DiskCloud
+        The same points, in the same folder.
     """
 
     def draw(one_in: int) -> Points:

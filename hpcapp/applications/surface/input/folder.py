@@ -30,7 +30,11 @@ def may_pay_in_folder(settings: JobSettings) -> bool:
 
     Parameters
     ----------
-    settings : Settings
+    settings : JobSettings
+
+    Returns
+    -------
+    bool
     """
     points = count_most_points(settings.points)
     name, place = name_backend(settings), settings.temp_dir
@@ -48,7 +52,18 @@ def may_pay_in_folder(settings: JobSettings) -> bool:
 
 
 def choose_tile(settings: Settings, backend: Backend) -> int | None:
-    """Return how many points a tile may have so that a process keeps to its memory."""
+    """Return how many points a tile may have so that a process keeps to its memory.
+
+    Parameters
+    ----------
+    settings : Settings
+    backend : Backend
+
+    Returns
+    -------
+    int or None
+        None where memory has no limit.
+    """
     if settings.max_memory is None:
         return None
     workforce = backend.workforce
@@ -56,7 +71,18 @@ def choose_tile(settings: Settings, backend: Backend) -> int | None:
 
 
 def all_see_folder(folder: Path, backend: Backend) -> bool:
-    """Find out whether every worker sees a folder, and what is in it."""
+    """Find out whether every worker sees a folder, and what is in it.
+
+    Parameters
+    ----------
+    folder : Path
+        This process can write to it.
+    backend : Backend
+
+    Returns
+    -------
+    bool
+    """
     if backend.is_here:
         return True
     with tempfile.NamedTemporaryFile(dir=folder) as sign:
@@ -75,6 +101,10 @@ def plan_passes(path: Path, folder: Path, backend: Backend, points: int) -> Pass
     backend : Backend
     points : int
         How many a task may hold at most, about.
+
+    Returns
+    -------
+    Passes
     """
     if backend.is_here:
         return Passes(backend.workforce, True, points)

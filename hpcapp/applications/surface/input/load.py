@@ -63,7 +63,13 @@ class Loaded:
         return self.cloud.low, self.cloud.high
 
     def report(self, path: Path) -> None:
-        """Log what was left out of a file."""
+        """Log what was left out of a file.
+
+        Parameters
+        ----------
+        path : Path
+            Of the file, for the messages.
+        """
         dropped, cleaned = self.dropped, self.cleaned
         for count, what in (
             (dropped.non_finite_points, "dropped %d points that are NaN or Inf"),

@@ -76,6 +76,10 @@ def open_room(settings: JobSettings) -> Iterator[Room]:
     ----------
     settings : JobSettings
 
+    Yields
+    ------
+    Room
+
     Raises
     ------
     UsageError, OutputError, CloudError

@@ -125,6 +125,17 @@ class PaperMethod:
     def partition(self, cloud: PointCloud, workforce: Workforce) -> PaperPartition:  # noqa: ARG002 - the protocol's; the tree grows on the master
         """Cut the cloud into patches.
 
+        Parameters
+        ----------
+        cloud : PointCloud
+            With unit normals.
+        workforce : Workforce
+            Not needed: the tree grows in this process.
+
+        Returns
+        -------
+        PaperPartition
+
         Raises
         ------
         InputError
@@ -144,6 +155,14 @@ class PaperMethod:
     def fit(self, partition: PaperPartition, workforce: Workforce, advance: Advance) -> FloatArray:
         """Fit the patches on the workers, as many patches to each batch.
 
+        Parameters
+        ----------
+        partition : PaperPartition
+            Its `fitted` is set here.
+        workforce : Workforce
+        advance : callable
+            Told (batches done, batches in all).
+
         Returns
         -------
         ndarray of float64, shape (p, 10)
@@ -161,7 +180,27 @@ class PaperMethod:
         workforce: Workforce,
         advance: Advance,
     ) -> WholeSurface:
-        """Sample the indicator blend on the grid, and extract its 0-level: here, as the paper."""
+        """Sample the indicator blend on the grid, and extract its 0-level: here, as the paper.
+
+        Parameters
+        ----------
+        partition : PaperPartition
+        quadrics : ndarray of float64, shape (p, 10)
+            What `fit` has returned.
+        workforce : Workforce
+            Not needed.
+        advance : callable
+            Told (patches done, patches in all).
+
+        Returns
+        -------
+        WholeSurface
+
+        Raises
+        ------
+        JobError
+            There is no surface; see `extract_iso_surface`.
+        """
         del workforce
         nodes = plan_grid(partition.patches, self.grid)
         values = sample_indicator_blend(partition.patches, quadrics, nodes, advance)
@@ -169,7 +208,17 @@ class PaperMethod:
         return WholeSurface(extract_iso_surface(values, nodes, partition.points.origin))
 
     def facts(self, partition: PaperPartition) -> dict[str, Any]:
-        """Return the number of patches, the rule that made them, and the fit's residuals."""
+        """Return the number of patches, the rule that made them, and the fit's residuals.
+
+        Parameters
+        ----------
+        partition : PaperPartition
+            After `fit`; before, there are no residuals.
+
+        Returns
+        -------
+        dict of str to object
+        """
         rule: dict[str, Any] = {"root": self.root, "norm": self.norm}
         if self.patches is None:
             rule |= {"delta": self.delta, "cone": self.cone, "max_points": self.max_points}

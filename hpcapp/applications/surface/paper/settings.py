@@ -76,12 +76,36 @@ class Paper:
         return False
 
     def estimate_memory(self, grid: int, cloud: PointCloud) -> float:
-        """Return what the nodes of the grid take, in bytes."""
+        """Return what the nodes of the grid take, in bytes.
+
+        Parameters
+        ----------
+        grid : int
+            Cells along the longest side.
+        cloud : PointCloud
+            Not looked at.
+
+        Returns
+        -------
+        float
+        """
         del cloud
         return _BYTES_PER_NODE * float(grid) ** 3
 
     def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
-        """Return the strategy, whose own grid has no margins."""
+        """Return the strategy, whose own grid has no margins.
+
+        Parameters
+        ----------
+        grid : int
+            Cells along the longest side, margins included.
+        resources : Resources
+            Not needed.
+
+        Returns
+        -------
+        PaperMethod
+        """
         del resources
         from hpcapp.applications.surface.paper.method import PaperMethod
 

@@ -108,7 +108,22 @@ def stream_tiles(
 
 
 def take_tile(plan: WeldPlan, load: LoadPart, origin: FloatArray, index: int) -> MeshStream:
-    """Return one of the tiles of `stream_tiles`, which may have no faces."""
+    """Return one of the tiles of `stream_tiles`, which may have no faces.
+
+    Parameters
+    ----------
+    plan : WeldPlan
+    load : callable
+        Returns the part of an index.
+    origin : ndarray of float64, shape (3,)
+        Of the local frame that the parts' vertices are in.
+    index : int
+        Of the part.
+
+    Returns
+    -------
+    MeshStream
+    """
     vertices, faces = cut_tile(
         load(index),
         plan.places(index),

@@ -65,15 +65,46 @@ class PartBricks:
     mixed_starts: IntArray
 
     def of_part(self, index: int) -> slice:
-        """Return the rows of the bricks of a part."""
+        """Return the rows of the bricks of a part.
+
+        Parameters
+        ----------
+        index : int
+            Of the part.
+
+        Returns
+        -------
+        slice
+        """
         return slice(int(self.parts[index]), int(self.parts[index + 1]))
 
     def part_of(self, bricks: IntArray) -> IntArray:
-        """Return the parts that bricks (rows) are of."""
+        """Return the parts that bricks (rows) are of.
+
+        Parameters
+        ----------
+        bricks : ndarray of int64, shape (k,)
+
+        Returns
+        -------
+        ndarray of int64, shape (k,)
+            Indices of parts.
+        """
         return np.searchsorted(self.parts, bricks, side="right") - 1
 
     def labels_in(self, index: int) -> IntArray:
-        """Return the label of every vertex of a part."""
+        """Return the label of every vertex of a part.
+
+        Parameters
+        ----------
+        index : int
+            Of the part.
+
+        Returns
+        -------
+        ndarray of int64
+            In the order of its vertices.
+        """
         mine = self.of_part(index)
         labels = np.repeat(self.labels[mine], self.vertex_counts[mine])
         several = labels < 0
@@ -82,14 +113,39 @@ class PartBricks:
         return labels
 
     def labels_at(self, bricks: IntArray, numbers: Integers) -> IntArray:
-        """Return the labels of vertices that are known by brick (a row) and number in it."""
+        """Return the labels of vertices that are known by brick (a row) and number in it.
+
+        Parameters
+        ----------
+        bricks : ndarray of int64, shape (k,)
+        numbers : ndarray of int64 or int32, shape (k,)
+
+        Returns
+        -------
+        ndarray of int64, shape (k,)
+        """
         labels = self.labels[bricks]
         several = labels < 0
         labels[several] = self.mixed[(self.mixed_starts[bricks] + numbers)[several]]
         return labels
 
     def ranks_at(self, kept: NDArray[np.bool_], bricks: IntArray, numbers: Integers) -> IntArray:
-        """Return how many vertices of each vertex's brick come before it and have kept labels."""
+        """Return how many vertices of each vertex's brick come before it and have kept labels.
+
+        Parameters
+        ----------
+        kept : ndarray of bool
+            Of each label, whether its vertices stay.
+        bricks : ndarray of int64, shape (k,)
+            Rows.
+        numbers : ndarray of int64 or int32, shape (k,)
+            Of each vertex in its brick.
+
+        Returns
+        -------
+        ndarray of int64, shape (k,)
+            Without meaning where the vertex itself does not stay.
+        """
         ranks = numbers.astype(np.int64)
         several = self.labels[bricks] < 0
         before = starts_of(kept[self.mixed])
@@ -173,6 +229,13 @@ def missing_bricks(summaries: Sequence[PartSummary]) -> IntArray:
 def check_foreign(summaries: Sequence[PartSummary], bricks: PartBricks) -> None:
     """Refuse foreign vertices that no part has.
 
+    Parameters
+    ----------
+    summaries : sequence of PartSummary
+        In the order of the parts.
+    bricks : PartBricks
+        Of the same parts.
+
     Raises
     ------
     JobError
@@ -198,6 +261,13 @@ def join_labels(summaries: Sequence[PartSummary], bricks: PartBricks) -> IntArra
 
     Two labels are pieces of one component where they name the same vertex: a foreign one, or one
     of a brick that several parts have.
+
+    Parameters
+    ----------
+    summaries : sequence of PartSummary
+        In the order of the parts.
+    bricks : PartBricks
+        Of the same parts.
 
     Returns
     -------

@@ -46,11 +46,32 @@ class Components:
     sums: FloatArray
 
     def only(self, chosen: NDArray[np.bool_]) -> Components:
-        """Return some of the entries."""
+        """Return some of the entries.
+
+        Parameters
+        ----------
+        chosen : ndarray of bool, shape (e,)
+
+        Returns
+        -------
+        Components
+        """
         return Components(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def count(self, values: NDArray[np.int32], components: int) -> IntArray:
-        """Sum vertices or faces over each component."""
+        """Sum vertices or faces over each component.
+
+        Parameters
+        ----------
+        values : ndarray of int32, shape (e,)
+            `vertices` or `faces`.
+        components : int
+            How many the mesh has.
+
+        Returns
+        -------
+        ndarray of int64, shape (components,)
+        """
         return np.bincount(self.component, values, components).astype(np.int64)
 
 

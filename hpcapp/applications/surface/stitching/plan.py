@@ -93,6 +93,10 @@ class WeldPlan:
         index : int
             Of the part that refers to them.
         foreign : ndarray of int, shape (m,)
+
+        Returns
+        -------
+        owners, rows : ndarray of int64, shape (m,)
         """
         summary = self.summaries[index]
         wanted, numbers = summary.foreign_bricks[foreign], summary.foreign_numbers[foreign]
@@ -122,6 +126,10 @@ class WeldPlan:
         ----------
         index : int
             Of the part.
+
+        Returns
+        -------
+        PartPlaces
         """
         bricks, summary = self.bricks, self.summaries[index]
         mine = bricks.of_part(index)
