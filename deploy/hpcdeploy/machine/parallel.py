@@ -40,6 +40,10 @@ def run_parallel(
     at_once : int
     name : str
         Of the threads.
+
+    Returns
+    -------
+    list
     """
     todo = deque(range(len(items)))
     done: SimpleQueue[tuple[int, R] | BaseException] = SimpleQueue()
