@@ -117,6 +117,11 @@ def check_wheels(spec: ClusterSpec, base: Path) -> list[Problem]:
     Returns
     -------
     list of Problem
+
+    Raises
+    ------
+    CloudError
+        A requirement or a wheel cannot be read.
     """
     return find_problems(spec, base)
 

@@ -54,6 +54,11 @@ class NodeKeys:
         Returns
         -------
         KeyPair or None
+
+        Raises
+        ------
+        CloudError
+            The file is damaged.
         """
         return _read(path).get(cls.SERVER)
 

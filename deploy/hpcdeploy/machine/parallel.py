@@ -44,6 +44,11 @@ def run_parallel(
     Returns
     -------
     list
+
+    Raises
+    ------
+    Exception
+        What the first call that failed has raised.
     """
     todo = deque(range(len(items)))
     done: SimpleQueue[tuple[int, R] | BaseException] = SimpleQueue()
