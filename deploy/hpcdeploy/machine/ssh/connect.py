@@ -329,7 +329,6 @@ def explain(error: BaseException) -> str:
     Returns
     -------
     str
-        One line, without control characters.
     """
     match error:
         case paramiko.ChannelException():
