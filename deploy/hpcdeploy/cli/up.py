@@ -60,6 +60,20 @@ def down(file: Path, yes: bool, name: str) -> None:
 def ask_name(cluster: Cluster, purpose: str, *, is_asked: bool, given: str = "") -> bool:
     """Let the user name a cluster that was made elsewhere; tell whether it was.
 
+    Parameters
+    ----------
+    cluster : Cluster
+    purpose : str
+        What is done to it, as an infinitive: "take it away".
+    is_asked : bool
+        Whether the user may be asked to type the name.
+    given : str
+        The name from the command line; empty where there is none.
+
+    Returns
+    -------
+    bool
+
     Raises
     ------
     CloudError

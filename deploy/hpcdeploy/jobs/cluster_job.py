@@ -89,6 +89,16 @@ def check_job(
 ) -> None:
     """Let whoever knows the verb look at a job before anything travels.
 
+    Parameters
+    ----------
+    cluster : Cluster
+    verb : str
+        Of `hpcapp`.
+    points, target : pathlib.Path
+        What the verb is to read and write, on this machine.
+    options : sequence of str
+        Of the verb.
+
     Raises
     ------
     UsageError
@@ -123,7 +133,32 @@ def _is_set_up(cluster: Cluster) -> bool:
 
 
 def submit(jobs: Jobs, verb: str, points: Path, mesh: str, options: Sequence[str]) -> JobStatus:
-    """Put a job into the queue, and show how its points travel."""
+    """Put a job into the queue, and show how its points travel.
+
+    Parameters
+    ----------
+    jobs : Jobs
+    verb : str
+        Of `hpcapp`.
+    points : pathlib.Path
+        The input, on this machine.
+    mesh : str
+        The output's name.
+    options : sequence of str
+        Of the verb.
+
+    Returns
+    -------
+    JobStatus
+        Where the job stands in the queue.
+
+    Raises
+    ------
+    InputError
+        The input cannot be read.
+    CloudError
+        The head or the bucket cannot be reached, or does not take it.
+    """
     with open_display(sys.stderr) as display:
         status = jobs.submit(verb, points, mesh, options, partial(display.show_bytes, "send"))
     log.info("job %s of %s is %s", status.job, points, status.state)
@@ -133,10 +168,27 @@ def submit(jobs: Jobs, verb: str, points: Path, mesh: str, options: Sequence[str
 def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, Any]:
     """Fetch a job's mesh, and show how it travels; return the report of its verb.
 
+    Parameters
+    ----------
+    jobs : Jobs
+    status : JobStatus
+        Of a job that has ended.
+    target : pathlib.Path
+        Where the mesh goes, on this machine.
+
+    Returns
+    -------
+    dict
+        The report.
+
     Raises
     ------
     OutputError
         Nothing can be written to `target`.
+    JobError
+        The job is not done; other errors by the exit code of its verb.
+    CloudError
+        The mesh does not come.
     """
     if not os.access(target.parent, os.W_OK | os.X_OK):
         raise OutputError(f"{target}: its folder cannot be written", "choose or make another one")
@@ -146,6 +198,20 @@ def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, Any]:
 
 def watch(cluster: Cluster, jobs: Jobs, status: JobStatus) -> JobStatus:
     """Show a job from its beginning until it has ended; return how.
+
+    Parameters
+    ----------
+    cluster : Cluster
+        Its lost workers are replaced meanwhile.
+    jobs : Jobs
+        Of the cluster.
+    status : JobStatus
+        Of the job.
+
+    Returns
+    -------
+    JobStatus
+        Of the job at its end.
 
     Raises
     ------

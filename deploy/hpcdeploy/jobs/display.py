@@ -19,14 +19,33 @@ class JobDisplay:
     """Shows what a job says, line by line."""
 
     def show_log(self, line: str) -> None:
-        """Show a line that the job has written."""
+        """Show a line that the job has written.
+
+        Parameters
+        ----------
+        line : str
+        """
         log.info("%s", line)
 
     def show_event(self, event: dict[str, Any]) -> None:
-        """Show how far a stage has come."""
+        """Show how far a stage has come.
+
+        Parameters
+        ----------
+        event : dict
+            ``stage``, and how much of it is ``done`` of ``total``.
+        """
 
     def show_bytes(self, stage: str, done: int, total: int) -> None:
-        """Show how much of a file has been sent or fetched."""
+        """Show how much of a file has been sent or fetched.
+
+        Parameters
+        ----------
+        stage : str
+            What the bar is called.
+        done, total : int
+            In bytes.
+        """
         self.show_event({"stage": stage, "done": done, "total": total})
 
 
@@ -38,7 +57,13 @@ class BarDisplay(JobDisplay):
         self._task: TaskID | None = None
 
     def show_event(self, event: dict[str, Any]) -> None:
-        """Move the bar; the next stage takes the place of the one that has ended."""
+        """Move the bar; the next stage takes the place of the one that has ended.
+
+        Parameters
+        ----------
+        event : dict
+            As `JobDisplay.show_event` takes it; without ``done`` the bar stays as it is.
+        """
         if self._task is None:
             self._task = self._bars.add_task("", total=None)
         if "done" in event:
@@ -52,7 +77,17 @@ class BarDisplay(JobDisplay):
 
 @contextmanager
 def open_display(stream: TextIO) -> Iterator[JobDisplay]:
-    """Yield the display that fits `stream`."""
+    """Yield the display that fits `stream`.
+
+    Parameters
+    ----------
+    stream : TextIO
+
+    Yields
+    ------
+    JobDisplay
+        With a bar where `stream` is a terminal.
+    """
     if not stream.isatty():
         yield JobDisplay()
         return

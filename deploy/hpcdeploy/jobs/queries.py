@@ -76,6 +76,11 @@ class Jobs:
         on_progress : callable, optional
             Told (bytes sent, bytes in all).
 
+        Returns
+        -------
+        JobStatus
+            Of the new job.
+
         Raises
         ------
         InputError
@@ -107,6 +112,14 @@ class Jobs:
     def find(self, number: str | None) -> JobStatus:
         """Return one job; the last where there is no number.
 
+        Parameters
+        ----------
+        number : str, optional
+
+        Returns
+        -------
+        JobStatus
+
         Raises
         ------
         UsageError
@@ -125,11 +138,40 @@ class Jobs:
         )
 
     def log(self, number: str) -> list[str]:
-        """Return what a job has said so far."""
+        """Return what a job has said so far.
+
+        Parameters
+        ----------
+        number : str
+            Of the job.
+
+        Returns
+        -------
+        list of str
+            Its lines.
+        """
         return self._ask("log", number)
 
     def follow(self, number: str, display: JobDisplay) -> JobStatus:
-        """Show a job from its beginning until it has ended; return how."""
+        """Show a job from its beginning until it has ended; return how.
+
+        Parameters
+        ----------
+        number : str
+            Of the job.
+        display : JobDisplay
+            Shows its lines and its events.
+
+        Returns
+        -------
+        JobStatus
+            At its end.
+
+        Raises
+        ------
+        CloudError
+            The head stops answering before the job has ended.
+        """
         ended: list[JobStatus] = []
         rest: list[str] = []
 
@@ -157,12 +199,32 @@ class Jobs:
         return ended[-1]
 
     def cancel(self, number: str) -> JobStatus:
-        """End a job, and return its status when nothing of it runs any more."""
+        """End a job, and return its status when nothing of it runs any more.
+
+        Parameters
+        ----------
+        number : str
+            Of the job.
+
+        Returns
+        -------
+        JobStatus
+        """
         [answer] = self._ask("cancel", number)
         return JobStatus.from_json(answer)
 
     def report(self, status: JobStatus) -> dict[str, Any]:
-        """Return what the verb of a finished job reported; its `summary` is for people."""
+        """Return what the verb of a finished job reported; its `summary` is for people.
+
+        Parameters
+        ----------
+        status : JobStatus
+            Of the job.
+
+        Returns
+        -------
+        dict
+        """
         [answer] = self._run(f"cat {shlex.quote(self._folder)}/jobs/{status.job}/report.json")
         report: dict[str, Any] = json.loads(answer)
         return report
@@ -174,6 +236,20 @@ class Jobs:
         on_progress: Callable[[int, int], None] | None = None,
     ) -> dict[str, Any]:
         """Fetch a finished job's mesh; return its report.
+
+        Parameters
+        ----------
+        status : JobStatus
+            Of the job.
+        target : pathlib.Path
+            Where the mesh goes.
+        on_progress : callable, optional
+            Told (bytes fetched, bytes in all); not where the mesh comes from a bucket.
+
+        Returns
+        -------
+        dict
+            What the verb reported.
 
         Raises
         ------
@@ -219,6 +295,14 @@ def _said(lines: Sequence[str], code: int) -> tuple[str, str]:
 def open_jobs(cluster: Cluster) -> Jobs:
     """Return the jobs of a cluster that is up.
 
+    Parameters
+    ----------
+    cluster : Cluster
+
+    Returns
+    -------
+    Jobs
+
     Raises
     ------
     CloudError
@@ -230,7 +314,19 @@ def open_jobs(cluster: Cluster) -> Jobs:
 
 
 def raise_failure(status: JobStatus) -> None:
-    """Raise what ended a job, as the verb itself would have; nothing where it is done."""
+    """Raise what ended a job, as the verb itself would have; nothing where it is done.
+
+    Parameters
+    ----------
+    status : JobStatus
+
+    Raises
+    ------
+    JobError
+        The job has not ended, was cancelled, or failed with a code of no other class.
+    UsageError, InputError, CloudError
+        By the exit code of its verb.
+    """
     if status.state is JobState.DONE:
         return
     if not status.state.is_over:

@@ -54,7 +54,18 @@ class _Cancelled(BaseException):
 
 
 def start(folder: Path, order: JobOrder) -> JobStatus:
-    """Put a job into the queue, and leave a runner behind that sees to it."""
+    """Put a job into the queue, and leave a runner behind that sees to it.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the cluster, on the head.
+    order : JobOrder
+
+    Returns
+    -------
+    JobStatus
+    """
     job, lock = create_job(folder, order)
     try:
         with job.log.open("ab") as log:
@@ -74,7 +85,16 @@ def start(folder: Path, order: JobOrder) -> JobStatus:
 
 
 def run(folder: Path, job: JobFolder, lock: int) -> None:
-    """Wait for the job's turn, run its verb, and write down how it ended."""
+    """Wait for the job's turn, run its verb, and write down how it ended.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the cluster, on the head.
+    job : JobFolder
+    lock : int
+        The descriptor that holds the job's lock; the verb inherits it.
+    """
     signal.signal(signal.SIGTERM, _cancel)
     signal.signal(signal.SIGINT, _cancel)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -169,7 +189,16 @@ def _last_line(log: Path) -> str:
 
 
 def cancel(job: JobFolder) -> JobStatus:
-    """End a job that waits or runs, and return its status when it is gone."""
+    """End a job that waits or runs, and return its status when it is gone.
+
+    Parameters
+    ----------
+    job : JobFolder
+
+    Returns
+    -------
+    JobStatus
+    """
     status = job.read_status()
     deadline = time.monotonic() + KILL_S
     while job.is_alive() and not status.runner and time.monotonic() < deadline:
@@ -216,7 +245,17 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Carry out one command; return the exit code."""
+    """Carry out one command; return the exit code.
+
+    Parameters
+    ----------
+    words : sequence of str, optional
+        By default those of the command line.
+
+    Returns
+    -------
+    int
+    """
     arguments = _arguments(words)
     try:
         for line in _answer(arguments):

@@ -22,7 +22,12 @@ LOOK_S = 0.1  # between two looks at files that grow
 
 
 def follow(job: JobFolder) -> None:
-    """Print what the job says and how far it has come, until it has ended; last its status."""
+    """Print what the job says and how far it has come, until it has ended; last its status.
+
+    Parameters
+    ----------
+    job : JobFolder
+    """
     tails = [_Tail(job.log, _log_line), _Tail(job.events, _event_line)]
     listener = select.poll()
     listener.register(sys.stdout.fileno(), 0)  # tells only that nobody listens any more
@@ -78,6 +83,12 @@ class _Tail:
 
 
 def print_line(line: str) -> None:
-    """Write a line to whoever asked, at once."""
+    """Write a line to whoever asked, at once.
+
+    Parameters
+    ----------
+    line : str
+        Without its end.
+    """
     sys.stdout.write(line + "\n")
     sys.stdout.flush()

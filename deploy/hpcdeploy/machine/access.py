@@ -98,7 +98,13 @@ class Access:
         return Owner(this_user(), _curve_print(NodeKeys(self._folder / "keys.json", ()).server))
 
     def use_key(self, path: Path) -> None:
-        """Log in with a key that is not the cluster's yet."""
+        """Log in with a key that is not the cluster's yet.
+
+        Parameters
+        ----------
+        path : Path
+            Of the private key.
+        """
         self._key = path
 
     def open(self, machine: MachineSeen, timeout_s: float | None = None) -> Shell:
@@ -110,6 +116,11 @@ class Access:
         timeout_s : float, optional
             How long a cloud's machine is waited for until it answers, by default `limits.boot`;
             a host is there, so that for it this is the limit of one attempt.
+
+        Returns
+        -------
+        Shell
+            Closed with this object at the latest.
 
         Raises
         ------
@@ -236,7 +247,20 @@ class Access:
 
 
 def make_access(spec: ClusterSpec, base: Path, provider: Provider) -> Access:
-    """Return the way to the machines of a cluster."""
+    """Return the way to the machines of a cluster.
+
+    Parameters
+    ----------
+    spec : ClusterSpec
+    base : Path
+        The folder of the cluster file, which its paths are relative to.
+    provider : Provider
+        Whose console shows the host keys.
+
+    Returns
+    -------
+    Access
+    """
     return Access(spec, base, provider)
 
 

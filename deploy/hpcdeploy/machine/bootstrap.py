@@ -106,7 +106,23 @@ def set_up(
 
 
 def check_wheels(spec: ClusterSpec, base: Path) -> list[Problem]:
-    """Return what is missing in the wheelhouse, one problem for each wheel."""
+    """Return what is missing in the wheelhouse, one problem for each wheel.
+
+    Parameters
+    ----------
+    spec : ClusterSpec
+    base : Path
+        The folder of the cluster file, which its paths are relative to.
+
+    Returns
+    -------
+    list of Problem
+
+    Raises
+    ------
+    CloudError
+        A requirement or a wheel cannot be read.
+    """
     return find_problems(spec, base)
 
 

@@ -23,7 +23,16 @@ ATTEMPTS = 3
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal digits."""
+    """Return the SHA-256 of a file, in hexadecimal digits.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+    """
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -84,6 +93,18 @@ def send_mesh(order: JobOrder, mesh: Path, say: Callable[[str], None]) -> str:
     """Send a job's mesh; return its SHA-256, or nothing where the bucket does not take it.
 
     The mesh stays on the head as well, so that it can still be fetched from there.
+
+    Parameters
+    ----------
+    order : JobOrder
+        Of the job: it has the address that the mesh is put to.
+    mesh : Path
+    say : callable
+        Takes lines for the user.
+
+    Returns
+    -------
+    str
     """
     say("sending the mesh to the bucket")
     reason = ""

@@ -63,6 +63,15 @@ class HostKeys:
     def find(self, machine_id: str) -> list[paramiko.PKey]:
         """Return the keys that are pinned for a machine.
 
+        Parameters
+        ----------
+        machine_id : str
+
+        Returns
+        -------
+        list of paramiko.PKey
+            Empty where none is pinned.
+
         Raises
         ------
         CloudError
@@ -84,7 +93,14 @@ class HostKeys:
         ]
 
     def pin(self, machine_id: str, keys: list[tuple[str, str]]) -> None:
-        """Write down a machine's keys."""
+        """Write down a machine's keys.
+
+        Parameters
+        ----------
+        machine_id : str
+        keys : list of (str, str)
+            The kind of each key, and the key in base64.
+        """
         lines = "".join(f"{machine_id} {kind} {key}\n" for kind, key in keys)
         with self._lock:
             self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)

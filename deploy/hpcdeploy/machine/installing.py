@@ -19,7 +19,18 @@ _PIP = "install --quiet --no-input --disable-pip-version-check --no-cache-dir --
 
 
 def stamp_of(*parts: object) -> str:
-    """Return a digest that changes when any part does."""
+    """Return a digest that changes when any part does.
+
+    Parameters
+    ----------
+    *parts : object
+        Taken as text.
+
+    Returns
+    -------
+    str
+        SHA-256, in hexadecimal digits.
+    """
     return hashlib.sha256("\\0".join(map(str, parts)).encode()).hexdigest()
 
 
@@ -64,6 +75,14 @@ def install(
 def prepare(shell: Shell, setup: tuple[str, ...], report: Callable[[str], None]) -> None:
     """Run the user's commands.
 
+    Parameters
+    ----------
+    shell : Shell
+    setup : tuple of str
+        The commands.
+    report : callable
+        Takes lines for the user.
+
     Raises
     ------
     CloudError
@@ -75,7 +94,15 @@ def prepare(shell: Shell, setup: tuple[str, ...], report: Callable[[str], None])
 
 
 def install_here(shell: Shell, folder: str) -> None:
-    """Let a node of this machine use the interpreter that runs here."""
+    """Let a node of this machine use the interpreter that runs here.
+
+    Parameters
+    ----------
+    shell : Shell
+        On the node.
+    folder : str
+        Of the cluster, on the node.
+    """
     bin_folder = f"{folder}/venv/bin"
     for name, arguments in (("python", ""), ("hpcapp", " -m hpcapp")):
         text = f'#!/bin/sh\nexec {shlex.quote(sys.executable)}{arguments} "$@"\n'
@@ -84,6 +111,15 @@ def install_here(shell: Shell, folder: str) -> None:
 
 def write_text(shell: Shell, path: str, text: str, *, mode: str = "600") -> None:
     """Write a small file as a whole; what is in it shows in no command line.
+
+    Parameters
+    ----------
+    shell : Shell
+    path : str
+        On the machine; its folder is made.
+    text : str
+    mode : str
+        As chmod takes it.
 
     Raises
     ------

@@ -63,6 +63,16 @@ class Journal:
         """Write a whole command's intent, let it be carried out, write how it went.
 
         Once it is done, nothing that was begun before it is unfinished any more.
+
+        Parameters
+        ----------
+        what : str
+            As the user may read it.
+
+        Returns
+        -------
+        context manager
+            The command is carried out within it.
         """
         return self.step(what, is_command=True)
 
@@ -76,6 +86,11 @@ class Journal:
             What is about to be done, as the user may read it.
         **details
             What the next command needs to know about it.
+
+        Yields
+        ------
+        None
+            While it is carried out.
         """
         self._write({"intent": what, **details})
         try:
@@ -89,7 +104,14 @@ class Journal:
         self._write({"done": what, **details})
 
     def note_bad(self, machine_id: str, reason: str) -> None:
-        """Remember that a machine is of no use, so that the next `up` replaces it at once."""
+        """Remember that a machine is of no use, so that the next `up` replaces it at once.
+
+        Parameters
+        ----------
+        machine_id : str
+        reason : str
+            One line.
+        """
         self._write({"bad": machine_id, "why": reason})
 
     @property
@@ -98,7 +120,14 @@ class Journal:
         return frozenset(entry["bad"] for entry in self._entries if "bad" in entry)
 
     def note_set_up(self, machine_ids: Iterable[str], *, is_done: bool) -> None:
-        """Remember that the set-up of machines begins, or that they are set up."""
+        """Remember that the set-up of machines begins, or that they are set up.
+
+        Parameters
+        ----------
+        machine_ids : iterable of str
+        is_done : bool
+            Whether they are set up, or it only begins.
+        """
         about = "set up" if is_done else "setting up"
         known = {i for entry in self._entries for i in entry.get(about, ())}
         if new := sorted(set(machine_ids) - known):
@@ -119,6 +148,16 @@ class Journal:
         """Return the machines that were asked for, whether or not there was an answer.
 
         Those of earlier releases, which did not write down what is set up, do not count.
+
+        Parameters
+        ----------
+        since_opened : bool
+            Whether only those asked for since the journal was opened.
+
+        Returns
+        -------
+        frozenset of (str, NodeName)
+            Incarnation and name of each.
         """
         return frozenset(
             (entry["incarnation"], NodeName(entry["node"], entry["generation"]))
@@ -132,12 +171,22 @@ class Journal:
         return _lives(self._entries)
 
     def note_place(self, place: str) -> None:
-        """Remember where something is about to be made."""
+        """Remember where something is about to be made.
+
+        Parameters
+        ----------
+        place : str
+        """
         if place not in self.places:
             self._write({"place": place})
 
     def clear_place(self, place: str) -> None:
-        """Remember that nothing is left at a place."""
+        """Remember that nothing is left at a place.
+
+        Parameters
+        ----------
+        place : str
+        """
         if place in self.places:
             self._write({"cleared": place})
 
@@ -171,7 +220,18 @@ class Journal:
         return pending
 
     def attempt(self, incarnation: str, name: NodeName) -> Attempt | None:
-        """Return the launch of a node that was asked for last, unless it was refused."""
+        """Return the launch of a node that was asked for last, unless it was refused.
+
+        Parameters
+        ----------
+        incarnation : str
+            Of the cluster's life.
+        name : NodeName
+
+        Returns
+        -------
+        Attempt or None
+        """
         of_node = {"incarnation": incarnation, "node": name.node, "generation": name.generation}
         for entry in reversed(self._entries):
             if of_node.items() <= entry.items():
@@ -194,6 +254,14 @@ class Journal:
 @contextmanager
 def open_journal(cluster: str) -> Iterator[Journal]:
     """Open the journal of a cluster, for this process alone.
+
+    Parameters
+    ----------
+    cluster : str
+
+    Yields
+    ------
+    Journal
 
     Raises
     ------
@@ -220,7 +288,16 @@ def open_journal(cluster: str) -> Iterator[Journal]:
 
 
 def begun_lives(cluster: str) -> frozenset[str]:
-    """Return the incarnations of a cluster that were begun or used from here; takes no lock."""
+    """Return the incarnations of a cluster that were begun or used from here; takes no lock.
+
+    Parameters
+    ----------
+    cluster : str
+
+    Returns
+    -------
+    frozenset of str
+    """
     path = state_folder(cluster) / "journal.jsonl"
     try:
         lines = path.read_bytes().splitlines()

@@ -101,17 +101,46 @@ echo "$pid $(sed 's/.*) //' /proc/$pid/stat | cut -d' ' -f20)" >loader.pid
 
 
 def is_running_command(cluster: str) -> str:
-    """Return the shell's condition that the loader runs, for use in the cluster's folder."""
+    """Return the shell's condition that the loader runs, for use in the cluster's folder.
+
+    Parameters
+    ----------
+    cluster : str
+
+    Returns
+    -------
+    str
+    """
     return f"{{ systemctl is-active -q {unit_name(cluster)} 2>/dev/null || {_IS_OURS}; }}"
 
 
 def unit_name(cluster: str) -> str:
-    """Return the name of the service of systemd."""
+    """Return the name of the service of systemd.
+
+    Parameters
+    ----------
+    cluster : str
+
+    Returns
+    -------
+    str
+    """
     return f"hpcapp-{cluster}.service"
 
 
 def stop_command(cluster: str, folder: str) -> str:
-    """Return the command that ends the loader, whichever way it was started."""
+    """Return the command that ends the loader, whichever way it was started.
+
+    Parameters
+    ----------
+    cluster : str
+    folder : str
+        Of the cluster, on the machine.
+
+    Returns
+    -------
+    str
+    """
     unit = unit_name(cluster)
     path = f"/etc/systemd/system/{unit}"
     return (
@@ -124,6 +153,17 @@ def start_loader(
     shell: Shell, cluster: str, folder: str, *, user: str, home: str, has_systemd: bool
 ) -> None:
     """Start the loader anew, and see to it that it stays.
+
+    Parameters
+    ----------
+    shell : Shell
+    cluster : str
+    folder : str
+        Of the cluster, on the machine.
+    user, home : str
+        The login user, and its home folder.
+    has_systemd : bool
+        Whether the loader is made a service of systemd; otherwise a process watches over it.
 
     Raises
     ------

@@ -45,12 +45,33 @@ class NodeKeys:
 
     @classmethod
     def read(cls, path: Path) -> KeyPair | None:
-        """Return the master's, where there is one; nothing is made."""
+        """Return the master's, where there is one; nothing is made.
+
+        Parameters
+        ----------
+        path : Path
+
+        Returns
+        -------
+        KeyPair or None
+
+        Raises
+        ------
+        CloudError
+            The file is damaged.
+        """
         return _read(path).get(cls.SERVER)
 
     @staticmethod
     def write(path: Path, pairs: Mapping[str, KeyPair]) -> None:
-        """Keep the keys of the master and of machines, by the machines' ids."""
+        """Keep the keys of the master and of machines, by the machines' ids.
+
+        Parameters
+        ----------
+        path : Path
+            Its folder is made.
+        pairs : mapping of str to KeyPair
+        """
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_secret(path, json.dumps({name: asdict(pair) for name, pair in pairs.items()}))
 
@@ -60,7 +81,16 @@ class NodeKeys:
         return self._pairs[self.SERVER]
 
     def of(self, machine_id: str) -> KeyPair:
-        """Return those of a machine."""
+        """Return those of a machine.
+
+        Parameters
+        ----------
+        machine_id : str
+
+        Returns
+        -------
+        KeyPair
+        """
         return self._pairs[machine_id]
 
 

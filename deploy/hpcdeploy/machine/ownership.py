@@ -58,6 +58,10 @@ def fingerprint(public_key: str) -> str:
     public_key : str
         In OpenSSH's form.
 
+    Returns
+    -------
+    str
+
     Examples
     --------
     >>> fingerprint("ssh-ed25519 AAAA")
@@ -71,6 +75,16 @@ def cloud_fingerprints(public_key: str) -> frozenset[str]:
 
     Amazon and Eucalyptus give the MD5 of the DER form of an RSA key; of an Ed25519 key Amazon
     gives what OpenSSH gives.
+
+    Parameters
+    ----------
+    public_key : str
+        In OpenSSH's form.
+
+    Returns
+    -------
+    frozenset of str
+        Empty where it is no key.
     """
     from cryptography.hazmat.primitives.serialization import (
         Encoding,
@@ -101,6 +115,10 @@ def ours(observed: Observed, held: Held) -> frozenset[str]:
     observed : Observed
         Of one cluster.
     held : Held
+
+    Returns
+    -------
+    frozenset of str
     """
     return frozenset(m.id for m in observed.machines if _is_ours(m, observed, held))
 
@@ -115,6 +133,10 @@ def foreign_owner(observed: Observed, held: Held, now: datetime) -> Owner | None
     held : Held
     now : datetime
         In UTC.
+
+    Returns
+    -------
+    Owner or None
     """
     return next(_foreign(observed, held, now), None)
 

@@ -40,6 +40,15 @@ def run_parallel(
     at_once : int
     name : str
         Of the threads.
+
+    Returns
+    -------
+    list
+
+    Raises
+    ------
+    Exception
+        What the first call that failed has raised.
     """
     todo = deque(range(len(items)))
     done: SimpleQueue[tuple[int, R] | BaseException] = SimpleQueue()

@@ -89,6 +89,10 @@ def probe(
         Which interpreters will do, as ``env.python`` says it.
     timeout_s : float
 
+    Returns
+    -------
+    Probed
+
     Raises
     ------
     CloudError
@@ -138,6 +142,10 @@ def no_python(probed: Probed, python: str) -> CloudError:
     probed : Probed
     python : str
         Which ones will do, as ``env.python`` says it.
+
+    Returns
+    -------
+    CloudError
     """
     return CloudError(
         f"no Python {python} with its venv module (found: {', '.join(probed.pythons) or 'none'})",

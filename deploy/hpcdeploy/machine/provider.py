@@ -106,6 +106,10 @@ class MachineSeen:
         ----------
         kind : str
             ``public``, ``private``, or ``auto``: the public address where there is one.
+
+        Returns
+        -------
+        str
         """
         known = {"public": (self.public_address,), "private": (self.private_address,)}
         return next(filter(None, known.get(kind, (self.public_address, self.private_address))), "")
@@ -246,7 +250,16 @@ class Provider(Protocol):
     """Whether machines are made and paid for, or are there anyway."""
 
     def observe(self, cluster: str | None) -> Observed:
-        """Return all that exists of a cluster of ours, or of every one where None."""
+        """Return all that exists of a cluster of ours, or of every one where None.
+
+        Parameters
+        ----------
+        cluster : str or None
+
+        Returns
+        -------
+        Observed
+        """
         ...
 
     def hosts(self) -> tuple[MachineSeen, ...]:
@@ -258,47 +271,135 @@ class Provider(Protocol):
         ...
 
     def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
-        """Make the key pair of a cluster's life known, or return the one there is."""
+        """Make the key pair of a cluster's life known, or return the one there is.
+
+        Parameters
+        ----------
+        cluster : str
+        incarnation : str
+            Of the cluster's life.
+        public_key : str
+            In OpenSSH's form.
+
+        Returns
+        -------
+        KeyPairSeen
+        """
         ...
 
     def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
-        """Make the security group of a cluster, without rules; or return the one there is."""
+        """Make the security group of a cluster, without rules; or return the one there is.
+
+        Parameters
+        ----------
+        cluster : str
+        incarnation : str
+            Written into the description of a new group.
+        owner : Owner
+            Who makes it.
+
+        Returns
+        -------
+        GroupSeen
+        """
         ...
 
     def mark(
         self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
     ) -> None:
-        """Write down whose some machines and groups are from now on."""
+        """Write down whose some machines and groups are from now on.
+
+        Parameters
+        ----------
+        machines : sequence of MachineSeen
+        groups : sequence of GroupSeen
+        owner : Owner
+        """
         ...
 
     def allow(
         self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
     ) -> None:
-        """Make these the rules of a group: add what is missing, revoke what is too much."""
+        """Make these the rules of a group: add what is missing, revoke what is too much.
+
+        Parameters
+        ----------
+        group : GroupSeen
+        ssh_from : frozenset of str
+            Networks (CIDR) that may reach the SSH port.
+        internal_ports : frozenset of int
+            Ports that machines of the group may reach on one another.
+        """
         ...
 
     def launch(self, launch: Launch) -> MachineSeen:
-        """Start a machine; asked again with the same names, return the one that was started."""
+        """Start a machine; asked again with the same names, return the one that was started.
+
+        Parameters
+        ----------
+        launch : Launch
+
+        Returns
+        -------
+        MachineSeen
+        """
         ...
 
     def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
-        """Write a new end of the lease on some machines."""
+        """Write a new end of the lease on some machines.
+
+        Parameters
+        ----------
+        machines : sequence of MachineSeen
+        lease_until : datetime
+            In UTC.
+        """
         ...
 
     def terminate(self, machines: Sequence[MachineSeen]) -> None:
-        """Begin to end some machines; those that have ended do not matter."""
+        """Begin to end some machines; those that have ended do not matter.
+
+        Parameters
+        ----------
+        machines : sequence of MachineSeen
+        """
         ...
 
     def delete_group(self, group: GroupSeen) -> bool:
-        """Delete a group; False while it is in use."""
+        """Delete a group; False while it is in use.
+
+        Parameters
+        ----------
+        group : GroupSeen
+
+        Returns
+        -------
+        bool
+            Whether it is gone.
+        """
         ...
 
     def delete_key_pair(self, key_pair: KeyPairSeen) -> None:
-        """Delete a key pair; one that is gone does not matter."""
+        """Delete a key pair; one that is gone does not matter.
+
+        Parameters
+        ----------
+        key_pair : KeyPairSeen
+        """
         ...
 
     def console(self, machine: MachineSeen) -> str:
-        """Return what a machine has printed on its console so far."""
+        """Return what a machine has printed on its console so far.
+
+        Parameters
+        ----------
+        machine : MachineSeen
+
+        Returns
+        -------
+        str
+            Empty where there is nothing, or no console.
+        """
         ...
 
     def check(self) -> list[Problem]:

@@ -37,15 +37,49 @@ class Shell(Protocol):
     node: str
 
     def run(self, command: str, *, stdin: bytes = b"", timeout_s: float = 60.0) -> Completed:
-        """Run a POSIX shell command to its end."""
+        """Run a POSIX shell command to its end.
+
+        Parameters
+        ----------
+        command : str
+        stdin : bytes
+            What the command reads.
+        timeout_s : float
+            In seconds; past it `CloudError` is raised.
+
+        Returns
+        -------
+        Completed
+        """
         ...
 
     def follow(self, command: str, on_line: Callable[[str], None]) -> int:
-        """Run a command, hand over every line of its output as it comes, return its exit code."""
+        """Run a command, hand over every line of its output as it comes, return its exit code.
+
+        Parameters
+        ----------
+        command : str
+        on_line : callable
+            Takes a line of output or errors, without its end.
+
+        Returns
+        -------
+        int
+        """
         ...
 
     def interact(self, command: str = "") -> int:
-        """Give the user's terminal to a command, or to a login shell; return its exit code."""
+        """Give the user's terminal to a command, or to a login shell; return its exit code.
+
+        Parameters
+        ----------
+        command : str
+            Empty for a login shell.
+
+        Returns
+        -------
+        int
+        """
         ...
 
     def put(
@@ -56,17 +90,52 @@ class Shell(Protocol):
         mode: int = 0o600,
         on_progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Send a file: what is there already goes on, and the whole is checked by its SHA-256."""
+        """Send a file: what is there already goes on, and the whole is checked by its SHA-256.
+
+        Parameters
+        ----------
+        source : Path
+            On this machine.
+        target : str
+            On the other one.
+        mode : int
+            Permission bits of the target.
+        on_progress : callable, optional
+            Told (bytes sent, bytes in all).
+        """
         ...
 
     def get(
         self, source: str, target: Path, *, on_progress: Callable[[int, int], None] | None = None
     ) -> None:
-        """Fetch a file, in the same manner."""
+        """Fetch a file, in the same manner.
+
+        Parameters
+        ----------
+        source : str
+            On the other machine.
+        target : Path
+            On this one.
+        on_progress : callable, optional
+            Told (bytes fetched, bytes in all).
+        """
         ...
 
     def forward(self, address: str, port: int) -> int:
-        """Forward a local port on loopback to an address the machine reaches; return the port."""
+        """Forward a local port on loopback to an address the machine reaches; return the port.
+
+        Parameters
+        ----------
+        address : str
+            As the machine names it.
+        port : int
+            At that address.
+
+        Returns
+        -------
+        int
+            The local one.
+        """
         ...
 
     def close(self) -> None:

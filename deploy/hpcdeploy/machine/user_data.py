@@ -38,6 +38,10 @@ def user_data(spec: ClusterSpec, market: str, lease_until: datetime) -> str:
         ``on_demand`` or ``spot``: a spot machine that is told of its end drains its worker.
     lease_until : datetime
         When the machine ends by itself.
+
+    Returns
+    -------
+    str
     """
     values = {
         "LEASE_UNTIL": int(lease_until.timestamp()),
@@ -56,6 +60,13 @@ def user_data(spec: ClusterSpec, market: str, lease_until: datetime) -> str:
 
 def extend_lease(shell: Shell, lease_until: datetime) -> None:
     """Tell the guard of a machine a new end of the lease; where none runs, nothing happens.
+
+    Parameters
+    ----------
+    shell : Shell
+        On the machine.
+    lease_until : datetime
+        With its time zone.
 
     Raises
     ------

@@ -29,6 +29,10 @@ def open_provider(spec: ClusterSpec, base: Path) -> Provider:
     base : Path
         The folder of the cluster file, which its paths are relative to.
 
+    Returns
+    -------
+    Provider
+
     Raises
     ------
     CloudError

@@ -70,6 +70,10 @@ class Bucket:
         on_progress : callable, optional
             Told (bytes sent, bytes in all).
 
+        Returns
+        -------
+        JobOrder
+
         Raises
         ------
         CloudError
@@ -89,6 +93,13 @@ class Bucket:
 
     def fetch(self, status: JobStatus, target: Path) -> None:
         """Fetch a job's mesh, check it, and take it out of the bucket.
+
+        Parameters
+        ----------
+        status : JobStatus
+            Of the job, with the mesh's key and SHA-256.
+        target : pathlib.Path
+            Where the mesh goes.
 
         Raises
         ------
@@ -238,6 +249,10 @@ def open_bucket(spec: ClusterSpec, base: Path) -> Bucket | None:
     spec : ClusterSpec
     base : pathlib.Path
         The folder of the cluster file.
+
+    Returns
+    -------
+    Bucket or None
 
     Raises
     ------

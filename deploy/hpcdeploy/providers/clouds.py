@@ -27,6 +27,14 @@ def place_of(spec: ClusterSpec) -> str:
     """Return in words where a cluster file's machines are made; empty where none are made.
 
     The account is told by the profile of the keys only: keys themselves come and go.
+
+    Parameters
+    ----------
+    spec : ClusterSpec
+
+    Returns
+    -------
+    str
     """
     cloud = spec.provider.cloud
     if cloud is None:
@@ -41,6 +49,14 @@ def open_clouds(files: Sequence[Path]) -> list[tuple[str, Provider]]:
     """Return the clouds of some cluster files, each once, with a name to print.
 
     Without a file, the AWS account and region of the environment.
+
+    Parameters
+    ----------
+    files : sequence of Path
+
+    Returns
+    -------
+    list of (str, Provider)
 
     Raises
     ------

@@ -36,7 +36,18 @@ _NODES = "nodes"
 
 
 def open_local(spec: ClusterSpec, base: Path) -> LocalProvider:
-    """Return the provider of this machine."""
+    """Return the provider of this machine.
+
+    Parameters
+    ----------
+    spec : ClusterSpec
+    base : Path
+        As every opener is given; not looked at.
+
+    Returns
+    -------
+    LocalProvider
+    """
     del spec, base
     return LocalProvider()
 

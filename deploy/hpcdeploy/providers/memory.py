@@ -195,7 +195,14 @@ class MemoryProvider:
         return []
 
     def interrupt(self, node: str, reason: str = "Server.SpotInstanceTermination") -> None:
-        """Take the machines of a node away, as a cloud does with spot machines."""
+        """Take the machines of a node away, as a cloud does with spot machines.
+
+        Parameters
+        ----------
+        node : str
+        reason : str
+            Why, as the cloud says it.
+        """
         for machine in self._machines.values():
             if machine.seen.name.node == node and machine.ended is None:
                 machine.ended, machine.seen = self._now(), replace(machine.seen, reason=reason)

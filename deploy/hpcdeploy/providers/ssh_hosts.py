@@ -44,7 +44,18 @@ _CLAIM = "machine.json"
 
 
 def open_ssh_hosts(spec: ClusterSpec, base: Path) -> SshHosts:
-    """Return the provider of the hosts of a cluster file."""
+    """Return the provider of the hosts of a cluster file.
+
+    Parameters
+    ----------
+    spec : ClusterSpec
+    base : Path
+        The folder of the cluster file.
+
+    Returns
+    -------
+    SshHosts
+    """
     return SshHosts(spec, base)
 
 

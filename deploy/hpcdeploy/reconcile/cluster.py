@@ -70,7 +70,17 @@ class Cluster:
 
 
 def node_order(machine: MachineSeen) -> tuple[bool, int, str, int]:
-    """Order machines as people count them: worker-2 comes before worker-10."""
+    """Order machines as people count them: worker-2 comes before worker-10.
+
+    Parameters
+    ----------
+    machine : MachineSeen
+
+    Returns
+    -------
+    tuple
+        The key to sort by: the head comes first.
+    """
     node = machine.name.node
     return node != HEAD, len(node), node, machine.name.generation
 
@@ -82,6 +92,10 @@ def open_cluster(path: Path) -> Iterator[Cluster]:
     Parameters
     ----------
     path : Path
+
+    Yields
+    ------
+    Cluster
 
     Raises
     ------
@@ -128,7 +142,21 @@ def require_ours(cluster: Cluster, observed: Observed, now: datetime | None = No
 
 
 def describe_foreign(name: str, owner: Owner, held: Held) -> str:
-    """Say whose a cluster is, and what is held here, in one line."""
+    """Say whose a cluster is, and what is held here, in one line.
+
+    Parameters
+    ----------
+    name : str
+        Of the cluster.
+    owner : Owner
+        Of the cluster.
+    held : Held
+        What this machine holds of it.
+
+    Returns
+    -------
+    str
+    """
     by = owner.user or "somebody"
     key = f"with the key {owner.key}" if owner.key else "without a trace of its key"
     here = f"the key here is {held.owner.key}" if held.owner.key else "there is no key of it here"

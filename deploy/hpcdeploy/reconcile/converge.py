@@ -40,6 +40,14 @@ __all__ = ["bring_up", "look_ahead", "replace_lost", "take_down"]
 def look_ahead(cluster: Cluster) -> Plan:
     """Return what `bring_up` would do now; nothing is changed.
 
+    Parameters
+    ----------
+    cluster : Cluster
+
+    Returns
+    -------
+    Plan
+
     Raises
     ------
     CloudError
@@ -113,6 +121,13 @@ def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) 
 
     Nothing else is changed, so that it may be called while a job runs; a worker that is not to be
     had is done without.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    report : callable
+        Takes lines for the user.
+    pace : Pace, optional
 
     Raises
     ------

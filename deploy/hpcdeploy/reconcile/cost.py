@@ -114,6 +114,12 @@ def _hourly(cloud: CloudSpec, profile: Profile, instance_type: str) -> float | N
 def check_limits(spec: ClusterSpec, cost: Cost) -> None:
     """Hold a cluster to the limits of its file.
 
+    Parameters
+    ----------
+    spec : ClusterSpec
+    cost : Cost
+        Of the cluster.
+
     Raises
     ------
     UsageError
@@ -141,7 +147,16 @@ def check_limits(spec: ClusterSpec, cost: Cost) -> None:
 
 
 def describe_cost(cost: Cost) -> list[str]:
-    """Return the lines in which people read it."""
+    """Return the lines in which people read it.
+
+    Parameters
+    ----------
+    cost : Cost
+
+    Returns
+    -------
+    list of str
+    """
     if not cost.lines:
         return ["cost: none that is known of: the machines are there anyway"]
     lines = [

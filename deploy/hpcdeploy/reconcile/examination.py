@@ -63,6 +63,10 @@ def examine(
         Takes a line for each thing that has been looked at.
     wait_s, answer_s : float
         How long a machine may take to let us in, and to answer.
+
+    Yields
+    ------
+    Problem
     """
     yield from _told("state folder", list(_state_problems(cluster)), "", report)
     machines = cluster.provider.hosts()
@@ -87,7 +91,20 @@ def visit(
     wait_s: float = WAIT_S,
     answer_s: float = ANSWER_S,
 ) -> list[Visit]:
-    """Log in to machines, several at once, and look at each; nothing is changed."""
+    """Log in to machines, several at once, and look at each; nothing is changed.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    machines : sequence of MachineSeen
+    wait_s, answer_s : float
+        How long a machine may take to let us in, and to answer, in seconds.
+
+    Returns
+    -------
+    list of Visit
+        In the order of the machines.
+    """
 
     def look(machine: MachineSeen) -> Visit:
         return _visit(cluster, machine, wait_s, answer_s)

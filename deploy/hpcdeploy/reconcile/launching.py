@@ -138,6 +138,21 @@ def launch_nodes(
 ) -> tuple[list[MachineSeen], list[Shortage]]:
     """Start the machines of some nodes; without a head, no worker is started.
 
+    Parameters
+    ----------
+    spec : ClusterSpec
+    provider : Provider
+    journal : Journal
+        Of the cluster.
+    actions : sequence of LaunchNode
+    incarnation : str
+        Of the cluster's life.
+    owner : Owner
+        Us.
+    report : callable
+        Takes lines for the user, from several threads.
+    pace : Pace
+
     Returns
     -------
     list of MachineSeen

@@ -167,6 +167,11 @@ def launch_choices(
         Of the cloud; where it has none, a fallback is all there is.
     subnets : tuple of str
         Of the cluster file; each lies in a zone, so that several take the place of zones.
+
+    Returns
+    -------
+    tuple of LaunchChoice
+        Never empty.
     """
     if profile is None:
         return (LaunchChoice("", "on_demand"),)
@@ -207,6 +212,10 @@ def make_plan(
         Ids of machines that are to be replaced.
     owner : Owner
         Us, for what is ours and bears no key of an owner; without a key nothing is marked.
+
+    Returns
+    -------
+    Plan
     """
     machines = [machine for machine in observed.machines if machine.cluster == spec.cluster]
     actions: list[Action] = []

@@ -45,6 +45,18 @@ class PriceTable(ConfigModel):
     def hourly(self, instance_type: str, region: str, disk_gb: int | None = None) -> float | None:
         """Return what a machine costs an hour with its disk and address; None if not known.
 
+        Parameters
+        ----------
+        instance_type : str
+        region : str
+        disk_gb : int, optional
+            Of the root disk, 10^9 bytes; by default what an image has that says nothing else.
+
+        Returns
+        -------
+        float or None
+            In dollars.
+
         Examples
         --------
         >>> round(read_prices().hourly("m6i.2xlarge", "us-east-1", disk_gb=20), 4)

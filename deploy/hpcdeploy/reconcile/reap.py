@@ -26,6 +26,13 @@ __all__ = ["overdue", "reap", "without_lease"]
 def reap(provider: Provider, report: Callable[[str], None], pace: Pace | None = None) -> None:
     """Remove what is overdue from a cloud, whoever made it.
 
+    Parameters
+    ----------
+    provider : Provider
+    report : callable
+        Takes lines for the user.
+    pace : Pace, optional
+
     Raises
     ------
     LeftoverError
@@ -58,6 +65,11 @@ def overdue(observed: Observed, now: datetime) -> Observed:
         Of all clusters.
     now : datetime
         In UTC.
+
+    Returns
+    -------
+    Observed
+        What is to go.
     """
     alive = [machine for machine in observed.machines if machine.state is not State.GONE]
     going = [machine for machine in alive if is_overdue(machine, now)]
@@ -81,7 +93,18 @@ def overdue(observed: Observed, now: datetime) -> Observed:
 
 
 def without_lease(observed: Observed, now: datetime) -> list[MachineSeen]:
-    """Return the machines that run without a lease although they are not being made any more."""
+    """Return the machines that run without a lease although they are not being made any more.
+
+    Parameters
+    ----------
+    observed : Observed
+    now : datetime
+        In UTC.
+
+    Returns
+    -------
+    list of MachineSeen
+    """
     return [
         machine
         for machine in observed.machines

@@ -73,7 +73,17 @@ def remove(
 
 
 def describe(observed: Observed) -> str:
-    """Name all that was observed, in one line."""
+    """Name all that was observed, in one line.
+
+    Parameters
+    ----------
+    observed : Observed
+
+    Returns
+    -------
+    str
+        Empty where there is nothing.
+    """
     return ", ".join(
         [f"{machine.name.node} {machine.id} ({machine.state})" for machine in observed.machines]
         + [f"security group {group.name}" for group in observed.groups]

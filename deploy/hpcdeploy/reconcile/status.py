@@ -34,6 +34,10 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> dict[str, A
     cluster : Cluster
     ask_machines : bool
         Whether to ask every machine for its loader, over SSH.
+
+    Returns
+    -------
+    dict
     """
     now = utc_now()
     seen = cluster.provider.observe(cluster.spec.cluster)
@@ -56,7 +60,20 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> dict[str, A
 
 
 def list_clusters(where: str, observed: Observed) -> list[dict[str, Any]]:
-    """Return a line for every cluster of a cloud."""
+    """Return a line for every cluster of a cloud.
+
+    Parameters
+    ----------
+    where : str
+        What the cloud is called in the lines.
+    observed : Observed
+        Of all clusters of the cloud.
+
+    Returns
+    -------
+    list of dict
+        Sorted by the cluster's name.
+    """
     alive = [machine for machine in observed.machines if machine.state is not State.GONE]
     names = {m.cluster for m in alive} | {g.cluster for g in observed.groups}
     now = utc_now()
@@ -77,7 +94,17 @@ def list_clusters(where: str, observed: Observed) -> list[dict[str, Any]]:
 
 
 def write_table(found: dict[str, Any]) -> str:
-    """Write what `describe_cluster` returns for people."""
+    """Write what `describe_cluster` returns for people.
+
+    Parameters
+    ----------
+    found : dict
+
+    Returns
+    -------
+    str
+        Lines.
+    """
     texts = ("node", "state", "instance_type", "market", "public_address", "private_address")
     lines = [("NODE", "STATE", "TYPE", "MARKET", "PUBLIC", "PRIVATE", "AGE", "LEASE", "LOADER")] + [
         (
@@ -112,7 +139,17 @@ def _verdict(found: dict[str, Any]) -> str:
 
 
 def write_list(rows: list[dict[str, Any]]) -> str:
-    """Write what `list_clusters` returns for people."""
+    """Write what `list_clusters` returns for people.
+
+    Parameters
+    ----------
+    rows : list of dict
+
+    Returns
+    -------
+    str
+        Lines.
+    """
     if not rows:
         return "no clusters"
     lines = [("CLUSTER", "CLOUD", "MACHINES", "TYPES", "LEASE")]

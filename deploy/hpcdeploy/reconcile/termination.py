@@ -70,6 +70,10 @@ def may_terminate(machine: MachineSeen, reason: Reason, proof: Proof) -> bool:
         As the cloud describes it now.
     reason : Reason
     proof : Proof
+
+    Returns
+    -------
+    bool
     """
     is_ours = machine.id in proof.ours
     match reason:
@@ -91,6 +95,16 @@ def is_overdue(machine: MachineSeen, now: datetime) -> bool:
     """Tell whether a machine's own lease, or its own end, proves that nobody uses it.
 
     Without a lease in sight it runs on: the guard on it knows its lease, and shuts it down.
+
+    Parameters
+    ----------
+    machine : MachineSeen
+    now : datetime
+        In UTC.
+
+    Returns
+    -------
+    bool
     """
     if machine.state is State.STOPPED:
         is_old = machine.launched is not None and machine.launched + MAKING < now
@@ -100,6 +114,13 @@ def is_overdue(machine: MachineSeen, now: datetime) -> bool:
 
 def end(provider: Provider, machines: Sequence[MachineSeen], reason: Reason, proof: Proof) -> None:
     """Begin to end machines; nothing is ended where one of them may not be.
+
+    Parameters
+    ----------
+    provider : Provider
+    machines : sequence of MachineSeen
+    reason : Reason
+    proof : Proof
 
     Raises
     ------

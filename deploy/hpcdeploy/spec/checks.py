@@ -26,6 +26,11 @@ def find_misfits(spec: ClusterSpec, base: Path) -> Iterator[Misfit]:
     spec : ClusterSpec
     base : Path
         The folder of the cluster file, which its paths are relative to.
+
+    Yields
+    ------
+    Misfit
+        One for each mistake.
     """
     yield from _numbers(spec)
     if spec.provider.fixed_hosts:

@@ -37,6 +37,15 @@ __all__ = [
 def parse_network(text: str) -> str:
     """Return a network as clouds write it; ``auto`` stays.
 
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+        In CIDR form.
+
     Raises
     ------
     ValueError
@@ -58,7 +67,21 @@ def parse_network(text: str) -> str:
 
 
 def check_python(text: str) -> str:
-    """Return a requirement of Python that hpcapp can do with; raise ValueError for another."""
+    """Return a requirement of Python that hpcapp can do with; raise ValueError for another.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    ValueError
+        It is not ``>=3.N`` with N of 11 or more.
+    """
     match = re.fullmatch(r">=3\.(\d{1,2})", text)
     if match is None or int(match[1]) < 11:
         raise ValueError('should be ">=3.11" or a later one, hpcapp needs 3.11')
@@ -66,7 +89,21 @@ def check_python(text: str) -> str:
 
 
 def check_tag(key: str) -> str:
-    """Return the key of a user's own tag; raise ValueError where it is ours or the cloud's."""
+    """Return the key of a user's own tag; raise ValueError where it is ours or the cloud's.
+
+    Parameters
+    ----------
+    key : str
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    ValueError
+        It begins with a reserved prefix, or is empty or longer than 127 characters.
+    """
     if key.lower().startswith(("hpcapp:", "aws:", "euca:")) or not 0 < len(key) <= 127:
         raise ValueError("should be 1 to 127 characters and not begin with hpcapp:, aws: or euca:")
     return key
@@ -76,7 +113,21 @@ Duration = Annotated[float, BeforeValidator(parse_duration)]
 
 
 def check_jump(text: str) -> str:
-    """Return a machine on the way as it is; raise ValueError where it is none."""
+    """Return a machine on the way as it is; raise ValueError where it is none.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    ValueError
+        It is not ``[USER@]HOST[:PORT]``.
+    """
     found = re.fullmatch(JUMP, text)
     if found is None or not 0 < int(found["port"] or 22) < 65536:
         raise ValueError("should be [USER@]HOST[:PORT], an IPv6 address in brackets")
@@ -246,13 +297,32 @@ class ClusterSpec(ConfigModel):
         return {} if cloud is None else cloud.profiles
 
     def profile_name(self, node: str) -> str:
-        """Return the profile of ``head`` or ``worker-1``, ...; empty where there are none."""
+        """Return the profile of ``head`` or ``worker-1``, ...; empty where there are none.
+
+        Parameters
+        ----------
+        node : str
+
+        Returns
+        -------
+        str
+        """
         chosen = self.head.profile if node == HEAD else self.workers.profile
         profiles = self.profiles()
         return (chosen or next(iter(profiles))) if profiles else ""
 
     def profile(self, node: str) -> Profile | None:
-        """Return the profile of a node; None where the provider has none."""
+        """Return the profile of a node; None where the provider has none.
+
+        Parameters
+        ----------
+        node : str
+            ``head`` or ``worker-1``, ...
+
+        Returns
+        -------
+        Profile or None
+        """
         return self.profiles().get(self.profile_name(node))
 
     @property
@@ -275,6 +345,14 @@ class ClusterSpec(ConfigModel):
 
 def read_spec(path: Path) -> ClusterSpec:
     """Read a cluster file, check that its values fit together and its files are there.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    ClusterSpec
 
     Raises
     ------

@@ -136,7 +136,16 @@ class JobStatus:
 
     @classmethod
     def from_json(cls, text: str) -> JobStatus:
-        """Read what `to_json` wrote; what a later release added is left out."""
+        """Read what `to_json` wrote; what a later release added is left out.
+
+        Parameters
+        ----------
+        text : str
+
+        Returns
+        -------
+        JobStatus
+        """
         known = {item.name for item in fields(cls)}
         entries = {key: value for key, value in json.loads(text).items() if key in known}
         return cls(**entries | {"state": JobState(entries["state"])})
@@ -170,18 +179,39 @@ class JobFolder:
         return JobOrder(**entries | {"options": tuple(entries["options"])})
 
     def write_order(self, order: JobOrder) -> None:
-        """Write what the job is to do, for its owner only."""
+        """Write what the job is to do, for its owner only.
+
+        Parameters
+        ----------
+        order : JobOrder
+        """
         self._write(self._order, json.dumps(asdict(order)))
 
     def link_points(self, points: Path) -> str:
-        """Give the job its points under the name that the user calls them; return that name."""
+        """Give the job its points under the name that the user calls them; return that name.
+
+        Parameters
+        ----------
+        points : Path
+            The file, on the head.
+
+        Returns
+        -------
+        str
+            Of the link, in the job's folder.
+        """
         order = self.read_order()
         name = order.title if order.title != order.mesh else f"points-{order.title}"
         (self.path / name).symlink_to(points)
         return name
 
     def write_status(self, status: JobStatus) -> None:
-        """Replace the status as a whole."""
+        """Replace the status as a whole.
+
+        Parameters
+        ----------
+        status : JobStatus
+        """
         self._write(self._status, status.to_json())
 
     def read_status(self) -> JobStatus:
@@ -236,13 +266,29 @@ class JobFolder:
 
 
 def all_jobs(folder: Path) -> list[JobFolder]:
-    """Return the jobs of a cluster's folder, in the order of their numbers."""
+    """Return the jobs of a cluster's folder, in the order of their numbers.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the cluster, on the head.
+
+    Returns
+    -------
+    list of JobFolder
+    """
     found = [path for path in (folder / "jobs").glob("[0-9]*") if (path / "status.json").exists()]
     return [JobFolder(path) for path in sorted(found, key=lambda path: int(path.name))]
 
 
 def create_job(folder: Path, order: JobOrder) -> tuple[JobFolder, int]:
     """Give a job its number and its place in the queue.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the cluster, on the head.
+    order : JobOrder
 
     Returns
     -------

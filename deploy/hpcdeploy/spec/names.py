@@ -100,6 +100,14 @@ NOBODY = Owner()
 def read_owner(text: str) -> Owner:
     """Return whom the text of the tag names; earlier releases wrote no key.
 
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    Owner
+
     Examples
     --------
     >>> read_owner("anna@lab SHA256:abc")
@@ -121,7 +129,16 @@ def this_user() -> str:
 
 
 def group_name(cluster: str) -> str:
-    """Return the name of the security group of a cluster."""
+    """Return the name of the security group of a cluster.
+
+    Parameters
+    ----------
+    cluster : str
+
+    Returns
+    -------
+    str
+    """
     return PREFIX + cluster
 
 
@@ -130,12 +147,32 @@ def key_pair_name(cluster: str, incarnation: str) -> str:
 
     Not every cloud can tag a key pair: what tells ours from a user's own is that it is named
     after the life that the description of a group of ours remembers.
+
+    Parameters
+    ----------
+    cluster : str
+    incarnation : str
+        Of the cluster's life.
+
+    Returns
+    -------
+    str
     """
     return f"{PREFIX}{cluster}-{incarnation}"
 
 
 def draw_incarnation(now: datetime) -> str:
     """Draw the name of a new life of a cluster; it tells when that life began.
+
+    Parameters
+    ----------
+    now : datetime
+        With its time zone.
+
+    Returns
+    -------
+    str
+        12 hexadecimal digits.
 
     Examples
     --------
@@ -147,7 +184,16 @@ def draw_incarnation(now: datetime) -> str:
 
 
 def incarnation_began(incarnation: str) -> datetime | None:
-    """Return when the life of a cluster began, in UTC; None where its name does not tell."""
+    """Return when the life of a cluster began, in UTC; None where its name does not tell.
+
+    Parameters
+    ----------
+    incarnation : str
+
+    Returns
+    -------
+    datetime or None
+    """
     if re.fullmatch(r"[0-9a-f]{12}", incarnation) is None:
         return None
     return datetime.fromtimestamp(int(incarnation[:8], 16), UTC)
@@ -190,6 +236,15 @@ def read_client_token(token: str) -> tuple[str, NodeName] | None:
 
     So a machine is known whose tags were never written.
 
+    Parameters
+    ----------
+    token : str
+        Of a launch.
+
+    Returns
+    -------
+    tuple of (str, NodeName), or None
+
     Examples
     --------
     >>> read_client_token("hpcapp-bunny-a1b2c3-worker-2-1")
@@ -201,6 +256,16 @@ def read_client_token(token: str) -> tuple[str, NodeName] | None:
 
 def without_node(text: str, node: str) -> str:
     """Return a message without the node that it begins with, for whoever names the node anyway.
+
+    Parameters
+    ----------
+    text : str
+        The message.
+    node : str
+
+    Returns
+    -------
+    str
 
     Examples
     --------

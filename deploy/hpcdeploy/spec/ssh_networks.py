@@ -29,6 +29,17 @@ def ssh_networks(
     ``auto`` is this machine's address as the cloud sees it: of the interface towards an endpoint
     in a private network, and else the public one, which a service on the internet tells.
 
+    Parameters
+    ----------
+    spec : ClusterSpec
+    ask_public_address : callable
+        Returns this machine's public IPv4 address.
+
+    Returns
+    -------
+    frozenset of str
+        Empty where there is no cloud.
+
     Raises
     ------
     CloudError

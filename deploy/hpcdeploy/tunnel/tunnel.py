@@ -77,6 +77,11 @@ def lead_workers(shell: Shell, folder: str, endpoint: str) -> Iterator[None]:
     endpoint : str
         ``tcp://127.0.0.1:PORT``, where the master listens.
 
+    Yields
+    ------
+    None
+        While the workers are led there.
+
     Raises
     ------
     CloudError

@@ -38,6 +38,11 @@ def connect(target: Target, closer: ExitStack, patience: Patience | None = None)
         Given what must be closed in the end.
     patience : Patience, optional
 
+    Returns
+    -------
+    Connection
+        To the target itself.
+
     Raises
     ------
     ReachError
@@ -315,7 +320,16 @@ def _quote(said: bytes) -> str:
 
 
 def explain(error: BaseException) -> str:
-    """Say in words why a connection failed or ended."""
+    """Say in words why a connection failed or ended.
+
+    Parameters
+    ----------
+    error : BaseException
+
+    Returns
+    -------
+    str
+    """
     match error:
         case paramiko.ChannelException():
             return f"the channel was refused ({error.text})"

@@ -74,6 +74,10 @@ def read_key(path: Path) -> paramiko.PKey:
     ----------
     path : Path
 
+    Returns
+    -------
+    paramiko.PKey
+
     Raises
     ------
     ReachError
@@ -120,6 +124,10 @@ def public_key(path: Path) -> str:
     path : Path
         With a passphrase, the agent must hold it.
 
+    Returns
+    -------
+    str
+
     Raises
     ------
     CloudError
@@ -147,6 +155,10 @@ def find_identities(files: Sequence[str], *, are_own: bool, closer: ExitStack) -
         Whether all keys of the agent are offered too and, without `files`, those in ``~/.ssh``.
     closer : ExitStack
         Closes the agent, which signs as long as it is open.
+
+    Returns
+    -------
+    Identities
 
     Raises
     ------

@@ -79,12 +79,35 @@ class Target:
 
 
 def host_id(host: Host) -> str:
-    """Return what tells a host of the cluster file from the others."""
+    """Return what tells a host of the cluster file from the others.
+
+    Parameters
+    ----------
+    host : Host
+
+    Returns
+    -------
+    str
+    """
     return host.address if host.port is None else f"{host.address}:{host.port}"
 
 
 def host_address(host: Host) -> str:
-    """Return the address of a host, following ``~/.ssh/config``."""
+    """Return the address of a host, following ``~/.ssh/config``.
+
+    Parameters
+    ----------
+    host : Host
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    ConfigError
+        The configuration cannot be read.
+    """
     return str(_read_config().lookup(host.address).get("hostname", host.address))
 
 
@@ -98,6 +121,11 @@ def host_target(host: Host, auth: Auth, key_files: tuple[str, ...]) -> Target:
         Its user and port are used where neither the host nor the configuration has one.
     key_files : tuple of str
         The file's own; by default the configuration's.
+
+    Returns
+    -------
+    Target
+        With the machines on the way.
 
     Raises
     ------
@@ -127,6 +155,10 @@ def jump_targets(auth: Auth, key_files: tuple[str, ...] = ()) -> tuple[Target, .
     auth : Auth
     key_files : tuple of str
         Tried first.
+
+    Returns
+    -------
+    tuple of Target
 
     Raises
     ------

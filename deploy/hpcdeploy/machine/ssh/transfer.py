@@ -38,6 +38,20 @@ def send_file(
 ) -> None:
     """Send a file; see `Shell.put`.
 
+    Parameters
+    ----------
+    shell : Shell
+        On the machine.
+    sftp : paramiko.SFTPClient
+        To the same machine.
+    source : Path
+    target : str
+        On the machine.
+    mode : int
+        Permission bits of the target.
+    on_progress : callable, optional
+        Told (bytes sent, bytes in all).
+
     Raises
     ------
     CloudError
@@ -68,6 +82,18 @@ def fetch_file(
     shell: Shell, sftp: paramiko.SFTPClient, source: str, target: Path, on_progress: Progress
 ) -> None:
     """Fetch a file; see `Shell.get`.
+
+    Parameters
+    ----------
+    shell : Shell
+        On the machine.
+    sftp : paramiko.SFTPClient
+        To the same machine.
+    source : str
+        On the machine.
+    target : Path
+    on_progress : callable, optional
+        Told (bytes fetched, bytes in all).
 
     Raises
     ------

@@ -79,7 +79,22 @@ class Way:
         self.said.clear()
 
     def recv(self, size: int) -> bytes:
-        """Read some bytes; TimeoutError where there are none yet."""
+        """Read some bytes; TimeoutError where there are none yet.
+
+        Parameters
+        ----------
+        size : int
+            Bytes at most.
+
+        Returns
+        -------
+        bytes
+
+        Raises
+        ------
+        OSError
+            The connection is lost, silent for too long, or says more than any login needs.
+        """
         try:
             chunk = self._way.recv(min(size, _CHUNK))
         except OSError as error:
@@ -93,7 +108,22 @@ class Way:
         return chunk
 
     def send(self, content: bytes) -> int:
-        """Write some bytes."""
+        """Write some bytes.
+
+        Parameters
+        ----------
+        content : bytes
+
+        Returns
+        -------
+        int
+            How many bytes were written.
+
+        Raises
+        ------
+        OSError
+            The connection is lost; TimeoutError where nothing can be written yet.
+        """
         try:
             return self._way.send(content)
         except OSError as error:
@@ -102,7 +132,13 @@ class Way:
             raise _numbered(error) from error
 
     def settimeout(self, timeout_s: float | None) -> None:
-        """Set how long one call may take."""
+        """Set how long one call may take.
+
+        Parameters
+        ----------
+        timeout_s : float or None
+            In seconds; None for any time.
+        """
         self._way.settimeout(timeout_s)
 
     def close(self) -> None:
@@ -167,7 +203,14 @@ class Connection(paramiko.Transport):
                 event.set()
 
     def keep_alive(self, beat_s: float, closer: ExitStack) -> None:
-        """Ask the other end from time to time for an answer, whichever, until `closer` closes."""
+        """Ask the other end from time to time for an answer, whichever, until `closer` closes.
+
+        Parameters
+        ----------
+        beat_s : float
+            Between two questions, in seconds.
+        closer : ExitStack
+        """
         is_over = threading.Event()
         closer.callback(is_over.set)
         threading.Thread(

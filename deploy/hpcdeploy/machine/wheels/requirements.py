@@ -63,6 +63,11 @@ def choose_release(spec: ClusterSpec, base: Path, kinds: list[Kind]) -> Path | s
     kinds : list of Kind
         Of all machines: the native build is taken only where it fits all of them, because a job's
         machines must compute the same bits.
+
+    Returns
+    -------
+    Path or str
+        A wheel's file, or a requirement.
     """
     if spec.env.package != "auto":
         path = base / expand_home(spec.env.package)
@@ -90,6 +95,17 @@ def needs_of(
         Of the machine.
     is_head : bool
         A worker gets only what a component and a loader import.
+
+    Returns
+    -------
+    needs : Needs
+    missing : tuple of str
+        Requirements that no wheel of the wheelhouse fulfils; empty without one.
+
+    Raises
+    ------
+    CloudError
+        A requirement or a wheel cannot be read.
     """
     local = [path for text in spec.env.packages if (path := base / text).is_file()]
     named = [text for text in spec.env.packages if not (base / text).is_file()]
@@ -117,6 +133,21 @@ def find_problems(spec: ClusterSpec, base: Path) -> list[Problem]:
 
     Before the machines are there, the wheelhouse itself says which machines it is for: each kind
     that it has compiled wheels for should be complete. Where none is, `up` would fail.
+
+    Parameters
+    ----------
+    spec : ClusterSpec
+    base : Path
+        The folder of the cluster file.
+
+    Returns
+    -------
+    list of Problem
+
+    Raises
+    ------
+    CloudError
+        A requirement or a wheel cannot be read.
     """
     if spec.env.wheelhouse is None or spec.provider.is_here:
         return []
@@ -142,7 +173,28 @@ def find_problems(spec: ClusterSpec, base: Path) -> list[Problem]:
 
 
 def missing_wheels(spec: ClusterSpec, base: Path, kind: Kind, *, is_head: bool) -> tuple[str, ...]:
-    """Return what the wheelhouse lacks for a machine of a kind; nothing where there is none."""
+    """Return what the wheelhouse lacks for a machine of a kind; nothing where there is none.
+
+    Parameters
+    ----------
+    spec : ClusterSpec
+    base : Path
+        The folder of the cluster file.
+    kind : Kind
+        Of the machine.
+    is_head : bool
+        A worker needs only what a component and a loader import.
+
+    Returns
+    -------
+    tuple of str
+        Requirements.
+
+    Raises
+    ------
+    CloudError
+        A requirement or a wheel cannot be read.
+    """
     package = spec.env.package if spec.env.package != "auto" else Path(f"{DISTRIBUTION}.whl")
     return needs_of(spec, base, package, kind, is_head=is_head)[1]
 

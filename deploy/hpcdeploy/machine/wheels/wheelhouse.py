@@ -89,7 +89,18 @@ def _platforms(kind: Kind) -> Iterator[str]:
 
 
 def fits(wheel: Path, kind: Kind) -> bool:
-    """Tell whether a wheel runs on machines of a kind."""
+    """Tell whether a wheel runs on machines of a kind.
+
+    Parameters
+    ----------
+    wheel : Path
+        Only its name is read.
+    kind : Kind
+
+    Returns
+    -------
+    bool
+    """
     return bool(parse_wheel_filename(wheel.name)[3] & set(kind.tags()))
 
 
@@ -124,6 +135,11 @@ def select_wheels(
     is_deep : bool
         Whether what the wheels require is needed too.
 
+    Returns
+    -------
+    Selection
+        The wheels, and the requirements that none fulfils.
+
     Raises
     ------
     CloudError
@@ -155,6 +171,14 @@ def select_wheels(
 def read_requirements(wheel: Path) -> list[str]:
     """Return what a wheel requires, extras left out.
 
+    Parameters
+    ----------
+    wheel : Path
+
+    Returns
+    -------
+    list of str
+
     Raises
     ------
     CloudError
@@ -173,7 +197,17 @@ def read_requirements(wheel: Path) -> list[str]:
 
 
 def kinds_of(folder: Path) -> list[Kind]:
-    """Return the kinds of machines that the compiled wheels of a folder are for."""
+    """Return the kinds of machines that the compiled wheels of a folder are for.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    list of Kind
+        Sorted, each once.
+    """
     found = set()
     for path in folder.glob("*.whl"):
         for tag in _tags_of(path):

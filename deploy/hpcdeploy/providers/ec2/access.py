@@ -47,6 +47,10 @@ class KeyPairKeeper:
         cluster : str, optional
         groups : iterable of GroupSeen
             Our groups: where a cloud has no tags for key pairs, theirs alone are ours.
+
+        Returns
+        -------
+        list of KeyPairSeen
         """
         clusters = {key_pair_name(g.cluster, g.incarnation): g.cluster for g in groups}
         described = self._calls.call(
@@ -61,7 +65,26 @@ class KeyPairKeeper:
         return [pair for pair in seen if pair is not None and cluster in (None, pair.cluster)]
 
     def create(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
-        """Import a public key; a pair of this name is from an earlier try of the same life."""
+        """Import a public key; a pair of this name is from an earlier try of the same life.
+
+        Parameters
+        ----------
+        cluster : str
+        incarnation : str
+            Of the cluster's life.
+        public_key : str
+            In OpenSSH's form.
+
+        Returns
+        -------
+        KeyPairSeen
+            Without a fingerprint.
+
+        Raises
+        ------
+        CloudError
+            The cloud refuses.
+        """
         name = key_pair_name(cluster, incarnation)
         parameters: dict[str, Any] = {"KeyName": name, "PublicKeyMaterial": public_key.encode()}
         if self._by_tag:
@@ -75,7 +98,17 @@ class KeyPairKeeper:
         return KeyPairSeen(cluster, name, incarnation)
 
     def delete(self, key_pair: KeyPairSeen) -> None:
-        """Delete one; one that is gone is no error."""
+        """Delete one; one that is gone is no error.
+
+        Parameters
+        ----------
+        key_pair : KeyPairSeen
+
+        Raises
+        ------
+        CloudError
+            The cloud refuses.
+        """
         try:
             self._calls.call(
                 "delete_key_pair", f"delete key pair {key_pair.name}", KeyName=key_pair.name
@@ -106,7 +139,16 @@ class GroupKeeper:
         self._subnets = subnets
 
     def find(self, name: str) -> list[GroupSeen]:
-        """Return those of a name, which may hold ``*``."""
+        """Return those of a name, which may hold ``*``.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        list of GroupSeen
+        """
         described = self._calls.all_of(
             "describe_security_groups",
             "SecurityGroups",
@@ -120,6 +162,23 @@ class GroupKeeper:
         """Make a group without rules, or return the one that is there.
 
         Where tags cannot be set at once its owner is empty.
+
+        Parameters
+        ----------
+        cluster : str
+        incarnation : str
+            Written into the description of a new group.
+        owner : Owner
+            Who makes it.
+
+        Returns
+        -------
+        GroupSeen
+
+        Raises
+        ------
+        CloudError
+            A group of this name is not hpcapp's, or the cloud refuses.
         """
         name = group_name(cluster)
         parameters: dict[str, Any] = {
@@ -155,7 +214,21 @@ class GroupKeeper:
     def allow(
         self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
     ) -> None:
-        """Make these the ways in; the ways out stay as they are."""
+        """Make these the ways in; the ways out stay as they are.
+
+        Parameters
+        ----------
+        group : GroupSeen
+        ssh_from : frozenset of str
+            Networks (CIDR) that may reach the SSH port.
+        internal_ports : frozenset of int
+            Ports that machines of the group may reach on one another.
+
+        Raises
+        ------
+        CloudError
+            The cloud refuses.
+        """
         described = self._calls.call(
             "describe_security_groups",
             f"read security group {group.name}",
@@ -199,7 +272,22 @@ class GroupKeeper:
                 raise
 
     def delete(self, group: GroupSeen) -> bool:
-        """Delete a group; False while it is in use."""
+        """Delete a group; False while it is in use.
+
+        Parameters
+        ----------
+        group : GroupSeen
+
+        Returns
+        -------
+        bool
+            Whether it is gone.
+
+        Raises
+        ------
+        CloudError
+            The cloud refuses.
+        """
         try:
             self._calls.call(
                 "delete_security_group", f"delete security group {group.name}", GroupId=group.id

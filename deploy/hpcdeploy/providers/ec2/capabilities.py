@@ -81,5 +81,14 @@ _TABLE = {
 
 
 def capabilities_of(cloud: CloudSpec) -> Capabilities:
-    """Return what a cloud knows; ``auto`` is the least of its type."""
+    """Return what a cloud knows; ``auto`` is the least of its type.
+
+    Parameters
+    ----------
+    cloud : CloudSpec
+
+    Returns
+    -------
+    Capabilities
+    """
     return _TABLE[cloud.known_capabilities]

@@ -24,6 +24,18 @@ def check_cloud(
 
     A cloud that cannot be reached, or does not let us in, is the only problem named: all others
     follow from it.
+
+    Parameters
+    ----------
+    calls : Calls
+    cloud : CloudSpec
+    capabilities : Capabilities
+        Of the cloud: what it lacks is not looked at.
+    images : ImageKeeper
+
+    Returns
+    -------
+    list of Problem
     """
     try:
         zones = calls.call("describe_availability_zones", "list the zones")["AvailabilityZones"]

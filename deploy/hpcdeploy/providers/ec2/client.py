@@ -35,7 +35,16 @@ FIRST_WAIT_S = 0.5  # doubled each time: 7.5 s at most in all
 
 
 def cloud_name(cloud: CloudSpec) -> str:
-    """Return what users call their cloud."""
+    """Return what users call their cloud.
+
+    Parameters
+    ----------
+    cloud : CloudSpec
+
+    Returns
+    -------
+    str
+    """
     return f"{cloud.type} ({cloud.endpoint_url or cloud.region})"
 
 
@@ -52,6 +61,10 @@ def open_client(
     base : Path
         The folder of the cluster file.
     patience : Patience, optional
+
+    Returns
+    -------
+    botocore.client.BaseClient
 
     Raises
     ------
@@ -71,6 +84,24 @@ def open_calls(
     """Return the calls of a cloud's EC2; see `open_client` for the rest.
 
     Where its keys have expired in mid-work, those that lie where they came from are taken.
+
+    Parameters
+    ----------
+    cloud : CloudSpec
+    base : Path
+        The folder of the cluster file.
+    patience : Patience, optional
+    sleep : callable
+        Waits for so many seconds.
+
+    Returns
+    -------
+    Calls
+
+    Raises
+    ------
+    CloudError
+        Keys or endpoint are not to be found.
     """
     way = _Way(cloud, base, patience or Patience())
     return Calls(
@@ -85,6 +116,18 @@ def open_calls(
 
 def read_parameter(cloud: CloudSpec, base: Path, name: str) -> str:
     """Return the value of a parameter in the parameter store (SSM).
+
+    Parameters
+    ----------
+    cloud : CloudSpec
+    base : Path
+        The folder of the cluster file.
+    name : str
+        Of the parameter.
+
+    Returns
+    -------
+    str
 
     Raises
     ------
@@ -252,6 +295,13 @@ class Calls:
             What it is for, in the words of an error.
         not_yet : collection of str
             Codes that a cloud gives until it has noticed its own last change: waited out.
+        **parameters
+            Of the operation, as boto3 takes them.
+
+        Returns
+        -------
+        dict
+            The reply.
 
         Raises
         ------
@@ -296,7 +346,28 @@ class Calls:
         yield True
 
     def all_of(self, operation: str, key: str, doing: str, **parameters: Any) -> list[Any]:
-        """Return all entries of a list, page by page."""
+        """Return all entries of a list, page by page.
+
+        Parameters
+        ----------
+        operation : str
+            In boto3's spelling.
+        key : str
+            Of the list in each reply.
+        doing : str
+            What it is for, in the words of an error.
+        **parameters
+            Of the operation.
+
+        Returns
+        -------
+        list
+
+        Raises
+        ------
+        CloudError
+            As `call`.
+        """
         found: list[Any] = []
         while True:
             reply = self.call(operation, doing, **parameters)

@@ -50,6 +50,11 @@ def find_keys(cloud: CloudSpec, base: Path, environment: Mapping[str, str]) -> C
     environment : mapping of str to str
         Looked into where the file names no place.
 
+    Returns
+    -------
+    CloudKeys
+        Empty where boto3 is to find them by itself.
+
     Raises
     ------
     CloudError

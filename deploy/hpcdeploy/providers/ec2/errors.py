@@ -97,7 +97,16 @@ _ADVICE = {
 
 
 def code_of(error: BaseException | None) -> str:
-    """Return the code that a cloud gave its error, translated or not; empty for any other."""
+    """Return the code that a cloud gave its error, translated or not; empty for any other.
+
+    Parameters
+    ----------
+    error : BaseException, optional
+
+    Returns
+    -------
+    str
+    """
     if isinstance(error, CloudError):
         return code_of(error.__cause__)
     if isinstance(error, boto.ClientError):
@@ -106,19 +115,46 @@ def code_of(error: BaseException | None) -> str:
 
 
 def is_throttled(error: Exception) -> bool:
-    """Tell whether a cloud asks for patience."""
+    """Tell whether a cloud asks for patience.
+
+    Parameters
+    ----------
+    error : Exception
+
+    Returns
+    -------
+    bool
+    """
     return code_of(error) in _THROTTLED
 
 
 def has_expired(error: Exception) -> bool:
-    """Tell whether the keys were good once, so that newer ones may lie where they came from."""
+    """Tell whether the keys were good once, so that newer ones may lie where they came from.
+
+    Parameters
+    ----------
+    error : Exception
+
+    Returns
+    -------
+    bool
+    """
     return code_of(error) in _EXPIRED or isinstance(
         error.__cause__, boto.RefreshWithMFAUnsupportedError
     )
 
 
 def is_lost_answer(error: Exception) -> bool:
-    """Tell whether a request may have been done though no answer came."""
+    """Tell whether a request may have been done though no answer came.
+
+    Parameters
+    ----------
+    error : Exception
+
+    Returns
+    -------
+    bool
+    """
     if isinstance(error, boto.ClientError):
         status = error.response.get("ResponseMetadata", {}).get("HTTPStatusCode", 0)
         return status >= 500 and code_of(error) not in _CAPACITY
@@ -136,6 +172,11 @@ def translate(error: Exception, doing: str, place: str) -> CloudError:
         What was asked for: "launch worker-2 (m5.large, spot)".
     place : str
         The cloud, as the user calls it.
+
+    Returns
+    -------
+    CloudError
+        A `CapacityError` where another type, market or zone may still be had.
     """
     if isinstance(error, ResponseParserError):
         return CloudError(f"{place}: cannot {doing}: the answer is no EC2 answer", _advise(error))

@@ -36,6 +36,15 @@ class ImageKeeper:
     def find(self, image: Image) -> dict[str, Any]:
         """Return an image as the cloud describes it.
 
+        Parameters
+        ----------
+        image : Image
+
+        Returns
+        -------
+        dict
+            As DescribeImages describes it.
+
         Raises
         ------
         CloudError
@@ -47,7 +56,22 @@ class ImageKeeper:
             return self._found[image]
 
     def decided(self, cloud: CloudSpec) -> tuple[str, ...]:
-        """Say which images were found for profiles that name none by its id."""
+        """Say which images were found for profiles that name none by its id.
+
+        Parameters
+        ----------
+        cloud : CloudSpec
+
+        Returns
+        -------
+        tuple of str
+            One line for each profile.
+
+        Raises
+        ------
+        CloudError
+            As `find`.
+        """
         return tuple(
             f"image of profile {name}: {found['ImageId']} ({found.get('Name', 'without a name')}), "
             f"{describe_image(profile.image)}"
@@ -87,7 +111,16 @@ class ImageKeeper:
 
 
 def describe_image(image: Image) -> str:
-    """Say how a cluster file names an image."""
+    """Say how a cluster file names an image.
+
+    Parameters
+    ----------
+    image : Image
+
+    Returns
+    -------
+    str
+    """
     if image.ssm is not None:
         return f"by the parameter {image.ssm}"
     if image.name is not None:

@@ -43,7 +43,18 @@ class Source:
 
     @classmethod
     def of(cls, session: Any, named: str | None) -> Source:
-        """Return what a session of botocore has read."""
+        """Return what a session of botocore has read.
+
+        Parameters
+        ----------
+        session : botocore.session.Session
+        named : str, optional
+            The profile that the cluster file names.
+
+        Returns
+        -------
+        Source
+        """
         profile = named or os.environ.get("AWS_PROFILE") or os.environ.get("AWS_DEFAULT_PROFILE")
         return cls(profile, session.full_config.get("profiles", {}))
 
@@ -68,7 +79,16 @@ class Source:
             name = str(self.profiles[name].get("source_profile", ""))
 
     def setting(self, key: str) -> str:
-        """Return the first of its profiles' values of a key; empty where there is none."""
+        """Return the first of its profiles' values of a key; empty where there is none.
+
+        Parameters
+        ----------
+        key : str
+
+        Returns
+        -------
+        str
+        """
         return next((str(each[key]) for each in self.settings if key in each), "")
 
     @property
@@ -87,6 +107,10 @@ def explain_keys(error: Exception, source: Source, place: str) -> CloudError:
     source : Source
     place : str
         The cloud, as the user calls it.
+
+    Returns
+    -------
+    CloudError
     """
     if isinstance(error, CloudError):
         return error

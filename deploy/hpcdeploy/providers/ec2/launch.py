@@ -22,12 +22,36 @@ USER_DATA_LIMIT = 16384
 
 
 def attempt_of(launch: Launch) -> str:
-    """Return what tells one launch of a node from the next that is tried."""
+    """Return what tells one launch of a node from the next that is tried.
+
+    Parameters
+    ----------
+    launch : Launch
+
+    Returns
+    -------
+    str
+    """
     return "-".join(filter(None, (launch.instance_type, launch.market, launch.place)))
 
 
 def profile_of(cloud: CloudSpec, name: str) -> Profile:
-    """Return a profile of the cluster file."""
+    """Return a profile of the cluster file.
+
+    Parameters
+    ----------
+    cloud : CloudSpec
+    name : str
+
+    Returns
+    -------
+    Profile
+
+    Raises
+    ------
+    CloudError
+        There is none of this name.
+    """
     try:
         return cloud.profiles[name]
     except KeyError:
@@ -36,7 +60,16 @@ def profile_of(cloud: CloudSpec, name: str) -> Profile:
 
 
 def launch_tags(launch: Launch) -> dict[str, str]:
-    """Return the tags of a machine: the user's own, and ours over them."""
+    """Return the tags of a machine: the user's own, and ours over them.
+
+    Parameters
+    ----------
+    launch : Launch
+
+    Returns
+    -------
+    dict of str to str
+    """
     tags = launch.tags | identity_tags(launch.cluster, launch.incarnation, launch.name)
     if launch.lease_until is not None:
         tags[LEASE_TAG] = lease_text(launch.lease_until)
@@ -61,6 +94,11 @@ def launch_parameters(
         Of the cluster's security group.
     image : mapping
         As DescribeImages describes it.
+
+    Returns
+    -------
+    dict
+        The parameters.
 
     Raises
     ------
@@ -162,6 +200,23 @@ def root_disk(image: Mapping[str, Any], disk_gb: int | None) -> dict[str, Any] |
     """Return how the root disk is to differ from the image's; None where it need not.
 
     A disk that outlives its machine would be left behind, so none does.
+
+    Parameters
+    ----------
+    image : mapping
+        As DescribeImages describes it.
+    disk_gb : int, optional
+        The size that is wanted, 10^9 bytes; by default the image's own.
+
+    Returns
+    -------
+    dict or None
+        A block device mapping.
+
+    Raises
+    ------
+    CloudError
+        The image has no root volume.
     """
     root = image.get("RootDeviceName")
     volumes = {m.get("DeviceName"): m.get("Ebs", {}) for m in image.get("BlockDeviceMappings", [])}

@@ -106,6 +106,10 @@ class Login:
         service : str
         **settings
             As `boto3.session.Session.client` takes them.
+
+        Returns
+        -------
+        botocore.client.BaseClient
         """
         self.check()
         client = self._session.client(service, **settings)

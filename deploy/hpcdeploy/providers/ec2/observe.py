@@ -54,17 +54,50 @@ _DESCRIPTION = re.compile(r"hpcapp cluster ([a-z][a-z0-9-]*) life ([0-9a-z]+)")
 
 
 def group_description(cluster: str, incarnation: str) -> str:
-    """Return the text by which a group is known as ours, and its incarnation remembered."""
+    """Return the text by which a group is known as ours, and its incarnation remembered.
+
+    Parameters
+    ----------
+    cluster : str
+    incarnation : str
+        Of the cluster's life.
+
+    Returns
+    -------
+    str
+    """
     return f"hpcapp cluster {cluster} life {incarnation}"
 
 
 def lease_text(lease_until: datetime) -> str:
-    """Return the end of a lease as its tag says it."""
+    """Return the end of a lease as its tag says it.
+
+    Parameters
+    ----------
+    lease_until : datetime
+        With its time zone.
+
+    Returns
+    -------
+    str
+    """
     return lease_until.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def identity_tags(cluster: str, incarnation: str, name: NodeName) -> dict[str, str]:
-    """Return the tags that say which machine one is."""
+    """Return the tags that say which machine one is.
+
+    Parameters
+    ----------
+    cluster : str
+    incarnation : str
+        Of the cluster's life.
+    name : NodeName
+
+    Returns
+    -------
+    dict of str to str
+    """
     return {
         "Name": f"{PREFIX}{cluster}-{name.node}",
         CLUSTER_TAG: cluster,
@@ -75,7 +108,17 @@ def identity_tags(cluster: str, incarnation: str, name: NodeName) -> dict[str, s
 
 
 def read_machine(described: Mapping[str, Any]) -> MachineSeen | None:
-    """Return an instance as a machine of ours, or None where it is none."""
+    """Return an instance as a machine of ours, or None where it is none.
+
+    Parameters
+    ----------
+    described : mapping
+        As DescribeInstances describes it.
+
+    Returns
+    -------
+    MachineSeen or None
+    """
     known = _known_by_tags(_tags(described)) or _known_by_token(described)
     return None if known is None else as_machine(described, *known)
 
@@ -83,7 +126,21 @@ def read_machine(described: Mapping[str, Any]) -> MachineSeen | None:
 def as_machine(
     described: Mapping[str, Any], cluster: str, incarnation: str, name: NodeName
 ) -> MachineSeen:
-    """Return an instance as the machine that it is known to be."""
+    """Return an instance as the machine that it is known to be.
+
+    Parameters
+    ----------
+    described : mapping
+        As DescribeInstances describes it.
+    cluster : str
+    incarnation : str
+        Of the cluster's life.
+    name : NodeName
+
+    Returns
+    -------
+    MachineSeen
+    """
     reason = described.get("StateReason", {}).get("Message")
     return MachineSeen(
         id=described["InstanceId"],
@@ -131,7 +188,19 @@ def _read_lease(text: str) -> datetime | None:
 
 
 def read_group(described: Mapping[str, Any], ssh_port: int) -> GroupSeen | None:
-    """Return a security group as one of ours, or None where it is none."""
+    """Return a security group as one of ours, or None where it is none.
+
+    Parameters
+    ----------
+    described : mapping
+        As DescribeSecurityGroups describes it.
+    ssh_port : int
+        The port whose networks are `ssh_from`.
+
+    Returns
+    -------
+    GroupSeen or None
+    """
     match = _DESCRIPTION.fullmatch(described.get("Description", ""))
     if match is None or described["GroupName"] != PREFIX + match[1]:
         return None
@@ -157,7 +226,19 @@ def read_group(described: Mapping[str, Any], ssh_port: int) -> GroupSeen | None:
 
 
 def ingress_rules(described: Mapping[str, Any]) -> set[Rule]:
-    """Return the rules of a group, one for each source."""
+    """Return the rules of a group, one for each source.
+
+    Parameters
+    ----------
+    described : mapping
+        As DescribeSecurityGroups describes it.
+
+    Returns
+    -------
+    set of tuple
+        Protocol, first and last port, kind of source (``cidr``, ``group`` or ``prefix_list``),
+        source.
+    """
     rules = set()
     for permission in described.get("IpPermissions", []):
         ports = (
@@ -184,6 +265,10 @@ def read_key_pair(described: Mapping[str, Any], cluster: str | None) -> KeyPairS
     described : mapping
     cluster : str, optional
         Whose it is known to be by its name, empty where nobody's; None where its tags tell.
+
+    Returns
+    -------
+    KeyPairSeen or None
     """
     name = str(described["KeyName"])
     if cluster is None:

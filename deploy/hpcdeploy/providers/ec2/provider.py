@@ -69,6 +69,10 @@ def open_ec2(spec: ClusterSpec, base: Path) -> Ec2Provider:
     base : Path
         The folder of the cluster file.
 
+    Returns
+    -------
+    Ec2Provider
+
     Raises
     ------
     CloudError
