@@ -21,6 +21,9 @@ from hpccomponent.inventory import Inventory, InventoryWorker, dump_inventory
 from hpccomponent.protocol.connection import Connection, write_connection
 from hpccomponent.protocol.keys import make_key_pair, write_secret
 
+# They are imported by their names: to look for doctests there would import them once more.
+collect_ignore = ["helpers"]
+
 # A shell takes SIGINT away from what it starts in the background; tests send it, and so do commands
 # that tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
