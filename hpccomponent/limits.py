@@ -207,7 +207,18 @@ def total_memory(root: Path = _ROOT) -> int:
 
 
 def memory_limit(group: Path) -> int | None:
-    """Return the bytes that the processes of a control group may use; None for no limit."""
+    """Return the bytes that the processes of a control group may use.
+
+    Parameters
+    ----------
+    group : Path
+        Its folder in the file system of control groups.
+
+    Returns
+    -------
+    int or None
+        None for no limit.
+    """
     for name in ("memory.max", "memory.limit_in_bytes"):  # version 2, then version 1
         limit = read_text(group / name).strip()
         if limit.isdigit():  # not "max"
@@ -222,7 +233,17 @@ def _read_fields(path: Path) -> dict[str, int]:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file, or nothing where it cannot be read."""
+    """Return the text of a file, or nothing where it cannot be read.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+        What is no UTF-8 is replaced.
+    """
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:

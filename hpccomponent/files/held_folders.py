@@ -188,7 +188,18 @@ def hold(path: Path, *, waits: bool = False) -> HeldFolder | None:
 
 
 def read_owner(path: Path) -> Owner | None:
-    """Return who has said of itself that it holds a folder of this user; None where nobody has."""
+    """Return who has said of itself that it holds a folder of this user.
+
+    Parameters
+    ----------
+    path : Path
+        Of the folder.
+
+    Returns
+    -------
+    Owner or None
+        None where nobody has.
+    """
     with _opened(path) as folder:
         if folder is None:
             return None

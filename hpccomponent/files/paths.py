@@ -119,7 +119,22 @@ def read_regular(path: Path, most: int = -1) -> bytes:
 
 
 def refuse_special(mode: int, path: Path) -> None:
-    """Raise OSError, whose `strerror` says so, where a mode is not that of a regular file."""
+    """Raise OSError, whose `strerror` says so, where a mode is not that of a regular file.
+
+    Parameters
+    ----------
+    mode : int
+        As `os.stat` tells it.
+    path : Path
+        For the message.
+
+    Raises
+    ------
+    IsADirectoryError
+        It is that of a folder.
+    OSError
+        It is that of a pipe, a socket or a device.
+    """
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     for is_kind, words in _KINDS:
