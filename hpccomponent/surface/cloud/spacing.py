@@ -117,6 +117,16 @@ def sample_box_keys(
 
     Counts of several groups of points add up, and their boxes unite, to those of all.
 
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    low : ndarray of float64, shape (3,)
+        Corner of a box.
+    edge : float
+        Of a box, in length units of the input.
+    one_in : int
+        About one box in so many is in the sample.
+
     Returns
     -------
     points : int
