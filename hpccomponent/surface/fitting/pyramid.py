@@ -153,7 +153,17 @@ class Parents:
     variances: Float32Array
 
     def between(self, first: int, last: int) -> Parents:
-        """Return those whose x lies in a range, both ends included; nothing is copied."""
+        """Return those whose x lies in a range, both ends included; nothing is copied.
+
+        Parameters
+        ----------
+        first, last : int
+            In cells of this level.
+
+        Returns
+        -------
+        Parents
+        """
         run = find_layers(self.keys, first, last)
         return Parents(
             self.keys[run], self.coefficients[run], self.support[run], self.variances[run]
