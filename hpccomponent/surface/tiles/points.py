@@ -77,7 +77,19 @@ class TilePoints:
     groups: ByteArray
 
     def seed_bricks(self, grid: Grid, group: int) -> IntArray:
-        """Return the sorted keys of the bricks that hold a point of a group."""
+        """Return the bricks that hold a point of a group.
+
+        Parameters
+        ----------
+        grid : Grid
+        group : int
+            The number that `groups` has for it.
+
+        Returns
+        -------
+        ndarray of int64, shape (b,)
+            Sorted keys.
+        """
         points = self.finest.points
         assert isinstance(points, SortedPoints)  # noqa: S101 - the finest level has points
         return points.held.seed_bricks(grid, points.offsets, self.groups == group)

@@ -104,7 +104,21 @@ def unpack_within(
     low: FloatArray,
     high: FloatArray,
 ) -> tuple[FloatArray, IntArray]:
-    """Return the packed positions in a box, and which they are, in numpy; see `unpack_records`."""
+    """Return the packed positions in a box, and which they are, in numpy.
+
+    Parameters
+    ----------
+    records, counts, corners, edge
+        See `unpack_records`.
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box, which belong to it; in length units of the input.
+
+    Returns
+    -------
+    positions : ndarray of float64, shape (m, 3)
+    rows : ndarray of int64, shape (m,)
+        Rising.
+    """
     positions, _ = unpack_records(records, counts, corners, edge)
     rows = np.flatnonzero(((positions >= low) & (positions <= high)).all(axis=1))
     return positions[rows], rows
