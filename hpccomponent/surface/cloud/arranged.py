@@ -69,6 +69,11 @@ class ArrangedCloud(Protocol):
         ----------
         keys : ndarray of int64, shape (k,)
             Sorted, unique; those of blocks without points are passed over.
+
+        Returns
+        -------
+        positions, normals : ndarray of float64, shape (m, 3)
+            See `Points`.
         """
 
     def groups(self, points: int) -> Iterator[Points]:

@@ -106,6 +106,12 @@ def guess_boxes(points: int, longest: float) -> tuple[float, int]:
     points : int
     longest : float
         Longest side of the box around them, in length units of the input.
+
+    Returns
+    -------
+    edge : float
+        In length units of the input.
+    one_in : int
     """
     return longest * min(0.5, 3.0 / sqrt(points)), points // _SAMPLED_POINTS + 1
 

@@ -148,6 +148,11 @@ class CellRows(Protocol):
         rows : slice
         origin, cell_size
             Of the lattice.
+
+        Returns
+        -------
+        local, normals : ndarray of float64, shape (n, 3)
+            The positions in cells.
         """
 
     def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: BoolArray) -> IntArray:
@@ -160,6 +165,11 @@ class CellRows(Protocol):
             Cell i holds the points offsets[i] to offsets[i + 1], and these are all.
         wanted : ndarray of bool, shape (c,)
             Which cells.
+
+        Returns
+        -------
+        ndarray of int64, shape (b,)
+            Sorted, unique keys.
         """
 
 

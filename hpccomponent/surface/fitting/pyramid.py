@@ -179,6 +179,10 @@ def count_levels(longest: float, cell_size: float) -> int:
         Longest side of the cloud, in length units of the input.
     cell_size : float
         Edge of the finest cells, in length units of the input.
+
+    Returns
+    -------
+    int
     """
     return 1 + max(0, int(np.floor(np.log2(longest / cell_size / _COARSEST_CELLS))))
 

@@ -138,6 +138,11 @@ def find_tolerance(kurtosis: float) -> float:
     kurtosis : float
         Of the residuals.
 
+    Returns
+    -------
+    float
+        Infinite where all points count alike.
+
     Notes
     -----
     Student's t distribution with d degrees of freedom has a kurtosis of 3 + 6 / (d - 4), and d - 2

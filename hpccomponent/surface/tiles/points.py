@@ -136,6 +136,10 @@ def take_points(points: CellPoints, plan: Plan) -> TilePoints:
         There may be none.
     plan : Plan
         Of the whole cloud.
+
+    Returns
+    -------
+    TilePoints
     """
     if isinstance(points, PointsThere):
         where, cells = points.cloud, list(points.groups)
@@ -215,6 +219,10 @@ def pack_cloud(arrangement: Arrangement, cloud: PointCloud) -> PackedPoints:
     arrangement : Arrangement
     cloud : PointCloud
         Arranged, with normals.
+
+    Returns
+    -------
+    PackedPoints
     """
     if not len(cloud):
         none = np.empty(0, np.int64)
