@@ -63,6 +63,10 @@ def compose(text: str, name: str) -> yaml.MappingNode:
     name : str
         What messages call the text.
 
+    Returns
+    -------
+    yaml.MappingNode
+
     Raises
     ------
     ConfigError

@@ -127,6 +127,10 @@ def create_held(path: Path) -> HeldFolder:
     path : Path
         Nothing may be there; folders above it are made.
 
+    Returns
+    -------
+    HeldFolder
+
     Raises
     ------
     OutputError

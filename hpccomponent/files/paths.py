@@ -47,6 +47,10 @@ def expand_home(path: str | Path) -> Path:
     ----------
     path : str or Path
 
+    Returns
+    -------
+    Path
+
     Raises
     ------
     UsageError
@@ -103,6 +107,10 @@ def read_regular(path: Path, most: int = -1) -> bytes:
     path : Path
     most : int
         Bytes that are read at most; by default all.
+
+    Returns
+    -------
+    bytes
 
     Raises
     ------

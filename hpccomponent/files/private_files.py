@@ -54,6 +54,11 @@ def create_private(path: Path, buffering: int = -1) -> BinaryIO:
     buffering : int
         As for `open`.
 
+    Returns
+    -------
+    file
+        Binary.
+
     Raises
     ------
     OSError

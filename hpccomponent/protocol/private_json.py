@@ -29,6 +29,10 @@ def read_private_json(path: Path, version: int, keys: Collection[str]) -> dict[s
     keys : collection of str
         All keys, ``version`` among them.
 
+    Returns
+    -------
+    dict of str to object
+
     Raises
     ------
     ConfigError

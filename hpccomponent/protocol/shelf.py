@@ -95,6 +95,11 @@ class Shelf:
         ----------
         needed : collection of bytes
             Keys of what batches need: it stays.
+
+        Returns
+        -------
+        list of bytes
+            The keys of those that are gone.
         """
         gone = [key for key in self._forgotten if key not in needed]
         for key in gone:
