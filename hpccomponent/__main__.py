@@ -19,7 +19,18 @@ __all__ = ["main"]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a component and return its exit code (see `ExitCode`)."""
+    """Run a component.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Of the command line; by default those of this process.
+
+    Returns
+    -------
+    int
+        The exit code; see `ExitCode`.
+    """
     options = _parse(arguments)
     logging.basicConfig(
         stream=sys.stderr, format=f"hpccomponent[{os.getpid()}] %(levelname)s %(message)s"

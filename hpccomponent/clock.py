@@ -43,5 +43,10 @@ class ManualClock:
         return self._now
 
     def advance(self, seconds: float) -> None:
-        """Turn the clock forward by `seconds`."""
+        """Turn the clock forward by `seconds`.
+
+        Parameters
+        ----------
+        seconds : float
+        """
         self._now += seconds

@@ -10,6 +10,17 @@ __all__ = ["cut_equal"]
 def cut_equal(rows: int, batches: int) -> list[slice]:
     """Cut `rows` rows into at most `batches` runs, equal to within one row, none empty.
 
+    Parameters
+    ----------
+    rows : int
+        0 or more.
+    batches : int
+
+    Returns
+    -------
+    list of slice
+        In order; none where there are no rows.
+
     Examples
     --------
     >>> cut_equal(5, 2)

@@ -72,6 +72,15 @@ class HpcError(Exception):
 def write_block(excerpt: str) -> str:
     r"""Write an excerpt as a block: indented, without what a terminal would take for orders.
 
+    Parameters
+    ----------
+    excerpt : str
+
+    Returns
+    -------
+    str
+        Its lines, without those that are blank.
+
     Examples
     --------
     >>> print(write_block("Kernel panic\n\n\x1b[2Jnot syncing"))

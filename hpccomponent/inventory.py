@@ -75,12 +75,30 @@ class Inventory:
 
 
 def dump_inventory(inventory: Inventory) -> str:
-    """Return the text of an inventory's file, which must be for its owner only (0600)."""
+    """Return the text of an inventory's file, which must be for its owner only (0600).
+
+    Parameters
+    ----------
+    inventory : Inventory
+
+    Returns
+    -------
+    str
+        JSON.
+    """
     return json.dumps(asdict(inventory), indent=2) + "\n"
 
 
 def read_inventory(path: Path | str) -> Inventory:
     """Read an inventory, and trust it only if nobody else can read it.
+
+    Parameters
+    ----------
+    path : Path or str
+
+    Returns
+    -------
+    Inventory
 
     Raises
     ------

@@ -39,6 +39,10 @@ def control_groups(controller: str, root: Path = _ROOT) -> Iterator[Path]:
         ``cpu``, ``memory`` or ``pids``: what the groups limit; in version 2 they limit everything.
     root : Path
         Where ``proc`` and ``sys`` lie.
+
+    Yields
+    ------
+    Path
     """
     mounts = root / "sys/fs/cgroup"
     for line in read_text(root / "proc/self/cgroup").splitlines():
@@ -62,6 +66,10 @@ def available_cores(root: Path = _ROOT) -> int:
     ----------
     root : Path
         Where ``proc`` and ``sys`` lie.
+
+    Returns
+    -------
+    int
     """
     if hasattr(os, "sched_getaffinity"):
         cores = float(len(os.sched_getaffinity(0)))
@@ -79,7 +87,7 @@ def available_cores(root: Path = _ROOT) -> int:
 
 
 def available_memory(root: Path = _ROOT) -> float | None:
-    """Return the memory that can still be had, in bytes; None where the system does not say.
+    """Return the memory that can still be had.
 
     Of the machine, and of each control group with a limit: what it holds of files that nobody has
     used lately is given back before anything else, and counts as free.
@@ -88,6 +96,11 @@ def available_memory(root: Path = _ROOT) -> float | None:
     ----------
     root : Path
         Where ``proc`` and ``sys`` lie.
+
+    Returns
+    -------
+    float or None
+        In bytes; None where the system does not say.
     """
     fields = _read_fields(root / "proc/meminfo")
     free = [1024.0 * fields["MemAvailable:"]] if "MemAvailable:" in fields else []
@@ -192,14 +205,19 @@ def _count_tasks_of_user(root: Path) -> int:
 
 
 def total_memory(root: Path = _ROOT) -> int:
-    """Return the memory that there is for this process, used or not, in bytes.
+    """Return the memory that there is for this process, used or not.
 
-    That of the machine, or the lowest limit of its control groups; 0 where nothing is known.
+    That of the machine, or the lowest limit of its control groups.
 
     Parameters
     ----------
     root : Path
         Where ``proc`` and ``sys`` lie.
+
+    Returns
+    -------
+    int
+        In bytes; 0 where nothing is known.
     """
     limits = [memory_limit(group) for group in control_groups("memory", root)]
     sizes = [1024 * size for size in [_read_fields(root / "proc/meminfo").get("MemTotal:")] if size]
@@ -207,7 +225,18 @@ def total_memory(root: Path = _ROOT) -> int:
 
 
 def memory_limit(group: Path) -> int | None:
-    """Return the bytes that the processes of a control group may use; None for no limit."""
+    """Return the bytes that the processes of a control group may use.
+
+    Parameters
+    ----------
+    group : Path
+        Its folder in the file system of control groups.
+
+    Returns
+    -------
+    int or None
+        None for no limit.
+    """
     for name in ("memory.max", "memory.limit_in_bytes"):  # version 2, then version 1
         limit = read_text(group / name).strip()
         if limit.isdigit():  # not "max"
@@ -222,7 +251,17 @@ def _read_fields(path: Path) -> dict[str, int]:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file, or nothing where it cannot be read."""
+    """Return the text of a file, or nothing where it cannot be read.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+        What is no UTF-8 is replaced.
+    """
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -37,7 +37,20 @@ Problem = tuple[yaml.Node, Location, str]
 
 
 def problems_error(name: str, problems: list[Problem]) -> ConfigError:
-    """Write one line per place, in the order of the text; what a union says twice is joined."""
+    """Write one line per place, in the order of the text; what a union says twice is joined.
+
+    Parameters
+    ----------
+    name : str
+        What messages call the text.
+    problems : list of tuple
+        `Problem`, in any order; the first 100 places are told.
+
+    Returns
+    -------
+    ConfigError
+        To be raised.
+    """
     lines: dict[tuple[int, int, str], list[str]] = {}
     for node, location, message in problems:
         mark = node.start_mark
@@ -60,7 +73,17 @@ def _dotted(location: Location) -> str:
 
 
 def show(node: yaml.Node) -> str:
-    """Show a node as the user wrote it, cut to a readable length."""
+    """Show a node as the user wrote it, cut to a readable length.
+
+    Parameters
+    ----------
+    node : yaml.Node
+
+    Returns
+    -------
+    str
+        Of a collection what it is; of an address without its password.
+    """
     if node.tag in COLLECTION:
         return COLLECTION[node.tag]
     if node.tag == TAG + "null":
@@ -71,7 +94,22 @@ def show(node: yaml.Node) -> str:
 
 
 def place_finding(detail: ErrorDetails, root: yaml.MappingNode, model: type[BaseModel]) -> Problem:
-    """Put one of pydantic's findings into our words, at its place in the text."""
+    """Put one of pydantic's findings into our words, at its place in the text.
+
+    Parameters
+    ----------
+    detail : pydantic_core.ErrorDetails
+        The finding.
+    root : yaml.MappingNode
+        The text.
+    model : type
+        The class of `pydantic.BaseModel` that it was checked against.
+
+    Returns
+    -------
+    tuple
+        `Problem`: the node, its path, and what is said of it.
+    """
     kind, context = detail["type"], detail.get("ctx", {})
     loc: Location = detail["loc"]
     if kind == "union_tag_invalid":
@@ -97,7 +135,24 @@ def place_finding(detail: ErrorDetails, root: yaml.MappingNode, model: type[Base
 def place_misfit(
     location: Location, message: str, choices: Collection[str], root: yaml.MappingNode
 ) -> Problem:
-    """Put a misfit at its place in the text, or where the longest part of its path is."""
+    """Put a misfit at its place in the text, or where the longest part of its path is.
+
+    Parameters
+    ----------
+    location : tuple of str or int
+        The path of what does not fit.
+    message : str
+        What is wrong.
+    choices : collection of str
+        What would fit; the nearest is named, or all of them.
+    root : yaml.MappingNode
+        The text.
+
+    Returns
+    -------
+    tuple
+        `Problem`: the node, its path, and what is said of it.
+    """
     for end in range(len(location), -1, -1):
         key, value, path = _locate(root, location[:end])
         if path == location[:end]:

@@ -63,6 +63,10 @@ def compose(text: str, name: str) -> yaml.MappingNode:
     name : str
         What messages call the text.
 
+    Returns
+    -------
+    yaml.MappingNode
+
     Raises
     ------
     ConfigError
@@ -98,7 +102,19 @@ def compose(text: str, name: str) -> yaml.MappingNode:
 
 
 def refuse_length(text: str, name: str) -> NoReturn:
-    """Refuse a text of more than `MOST_BYTES`, at the line that goes beyond."""
+    """Refuse a text of more than `MOST_BYTES`, at the line that goes beyond.
+
+    Parameters
+    ----------
+    text : str
+    name : str
+        What messages call the text.
+
+    Raises
+    ------
+    ConfigError
+        Always.
+    """
     line = text.count("\n", 0, MOST_BYTES) + 1
     raise ConfigError(
         f"{name}:{line}: here the file is longer than {MOST_BYTES // 1024} KiB, which is the most",

@@ -127,6 +127,10 @@ def create_held(path: Path) -> HeldFolder:
     path : Path
         Nothing may be there; folders above it are made.
 
+    Returns
+    -------
+    HeldFolder
+
     Raises
     ------
     OutputError
@@ -188,7 +192,18 @@ def hold(path: Path, *, waits: bool = False) -> HeldFolder | None:
 
 
 def read_owner(path: Path) -> Owner | None:
-    """Return who has said of itself that it holds a folder of this user; None where nobody has."""
+    """Return who has said of itself that it holds a folder of this user.
+
+    Parameters
+    ----------
+    path : Path
+        Of the folder.
+
+    Returns
+    -------
+    Owner or None
+        None where nobody has.
+    """
     with _opened(path) as folder:
         if folder is None:
             return None

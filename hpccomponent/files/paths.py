@@ -47,6 +47,10 @@ def expand_home(path: str | Path) -> Path:
     ----------
     path : str or Path
 
+    Returns
+    -------
+    Path
+
     Raises
     ------
     UsageError
@@ -104,6 +108,10 @@ def read_regular(path: Path, most: int = -1) -> bytes:
     most : int
         Bytes that are read at most; by default all.
 
+    Returns
+    -------
+    bytes
+
     Raises
     ------
     OSError
@@ -119,7 +127,22 @@ def read_regular(path: Path, most: int = -1) -> bytes:
 
 
 def refuse_special(mode: int, path: Path) -> None:
-    """Raise OSError, whose `strerror` says so, where a mode is not that of a regular file."""
+    """Raise OSError, whose `strerror` says so, where a mode is not that of a regular file.
+
+    Parameters
+    ----------
+    mode : int
+        As `os.stat` tells it.
+    path : Path
+        For the message.
+
+    Raises
+    ------
+    IsADirectoryError
+        It is that of a folder.
+    OSError
+        It is that of a pipe, a socket or a device.
+    """
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     for is_kind, words in _KINDS:

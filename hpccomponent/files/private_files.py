@@ -54,6 +54,11 @@ def create_private(path: Path, buffering: int = -1) -> BinaryIO:
     buffering : int
         As for `open`.
 
+    Returns
+    -------
+    file
+        Binary.
+
     Raises
     ------
     OSError
@@ -75,7 +80,19 @@ def create_private(path: Path, buffering: int = -1) -> BinaryIO:
 
 
 def open_at_once(name: str, flags: int) -> int:
-    """Open a file, as an `opener` of `open` does; a pipe that has its name is not waited for."""
+    """Open a file, as an `opener` of `open` does; a pipe that has its name is not waited for.
+
+    Parameters
+    ----------
+    name : str
+    flags : int
+        See `os.open`.
+
+    Returns
+    -------
+    int
+        The descriptor.
+    """
     return os.open(name, flags | os.O_NONBLOCK)
 
 
@@ -84,6 +101,11 @@ def remove_path(path: Path) -> None:
 
     Folders that their owner may not look into are no obstacle; what belongs to others is, and is
     left without a word.
+
+    Parameters
+    ----------
+    path : Path
+        There may be nothing.
     """
 
     def try_again(remove: Callable[..., Any], name: str, _error: object) -> None:

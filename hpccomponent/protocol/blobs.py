@@ -48,6 +48,17 @@ class Blob:
 def make_blob(header: bytes, buffers: Sequence[Buffer]) -> Blob:
     """Name an encoded value by its content.
 
+    Parameters
+    ----------
+    header : bytes
+        Of the value.
+    buffers : sequence of buffer
+        Those of the value, which the blob refers to without a copy.
+
+    Returns
+    -------
+    Blob
+
     Examples
     --------
     >>> make_blob(b"h", [b"abc"]).key == make_blob(b"h", [bytearray(b"abc")]).key

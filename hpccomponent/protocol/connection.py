@@ -45,6 +45,11 @@ class Connection:
 def write_connection(path: Path | str, connection: Connection) -> None:
     """Write `connection` to `path` as JSON, readable by its owner only.
 
+    Parameters
+    ----------
+    path : Path or str
+    connection : Connection
+
     Raises
     ------
     OutputError

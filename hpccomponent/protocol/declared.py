@@ -73,6 +73,12 @@ class Declared(Protocol):
 def check_result(declared: Declared, value: Any) -> None:
     """Make sure that a result is what its task declares.
 
+    Parameters
+    ----------
+    declared : Declared
+    value : object
+        As the codec has decoded it.
+
     Raises
     ------
     ProtocolError
@@ -99,7 +105,13 @@ class Anything:
     """Any value that may travel: what a task returns that declares nothing."""
 
     def check(self, value: Any, place: str, extents: Extents) -> None:
-        """Let everything pass."""
+        """Let everything pass.
+
+        Parameters
+        ----------
+        value, place, extents
+            See `Declared.check`.
+        """
 
 
 ANYTHING = Anything()

@@ -34,6 +34,16 @@ def split_buffers(buffers: Sequence[Buffer], largest: int) -> list[memoryview]:
 
     An empty buffer gets no frame.
 
+    Parameters
+    ----------
+    buffers : sequence of buffer
+    largest : int
+        In bytes.
+
+    Returns
+    -------
+    list of memoryview
+
     Examples
     --------
     >>> [bytes(frame) for frame in split_buffers([b"abcde", b"", b"f"], 2)]

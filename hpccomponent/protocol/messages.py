@@ -250,12 +250,30 @@ _component_decoder: msgspec.msgpack.Decoder[ComponentMessage] = msgspec.msgpack.
 
 
 def encode_message(message: MasterMessage | ComponentMessage) -> bytes:
-    """Encode a message as the first frame of a wire message."""
+    """Encode a message as the first frame of a wire message.
+
+    Parameters
+    ----------
+    message : MasterMessage or ComponentMessage
+
+    Returns
+    -------
+    bytes
+    """
     return _encoder.encode(message)
 
 
 def decode_master_message(frame: bytes | memoryview) -> MasterMessage:
     """Decode what a master sent.
+
+    Parameters
+    ----------
+    frame : bytes or memoryview
+        The first of a wire message.
+
+    Returns
+    -------
+    MasterMessage
 
     Raises
     ------
@@ -270,6 +288,15 @@ def decode_master_message(frame: bytes | memoryview) -> MasterMessage:
 
 def decode_component_message(frame: bytes | memoryview) -> ComponentMessage:
     """Decode what a component sent.
+
+    Parameters
+    ----------
+    frame : bytes or memoryview
+        The first of a wire message.
+
+    Returns
+    -------
+    ComponentMessage
 
     Raises
     ------

@@ -29,6 +29,10 @@ def read_private_json(path: Path, version: int, keys: Collection[str]) -> dict[s
     keys : collection of str
         All keys, ``version`` among them.
 
+    Returns
+    -------
+    dict of str to object
+
     Raises
     ------
     ConfigError
@@ -50,7 +54,22 @@ def read_private_json(path: Path, version: int, keys: Collection[str]) -> dict[s
 
 
 def check_keys(where: str, entries: dict[str, Any], keys: Collection[str]) -> None:
-    """Raise ConfigError for a key that is missing, or too many."""
+    """Raise ConfigError for a key that is missing, or too many.
+
+    Parameters
+    ----------
+    where : str
+        What the message names first, such as the file.
+    entries : dict of str to object
+        What was read.
+    keys : collection of str
+        Those that it must have.
+
+    Raises
+    ------
+    ConfigError
+        There is one.
+    """
     for key in sorted(set(keys) ^ entries.keys()):
         verdict = "is missing" if key in keys else "is not known"
         raise ConfigError(f"{where}: {key}: {verdict}", ADVICE)

@@ -86,12 +86,32 @@ def record(name: str) -> Callable[[type[T]], type[T]]:
 
 
 def find_record(kind: type) -> RecordType | None:
-    """Return how values of a class travel; None where it is not registered."""
+    """Return how values of a class travel.
+
+    Parameters
+    ----------
+    kind : type
+
+    Returns
+    -------
+    RecordType or None
+        None where the class is not registered.
+    """
     return _BY_KIND.get(kind)
 
 
 def make_record(name: str, values: Mapping[str, Any]) -> Any:
     """Return the record of a name and its fields.
+
+    Parameters
+    ----------
+    name : str
+    values : mapping of str to object
+        The fields, in the order of the class.
+
+    Returns
+    -------
+    object
 
     Raises
     ------

@@ -173,7 +173,20 @@ class WorkerSession:
         return [Send(self._register), StartWorker(0.0)]
 
     def receive(self, message: MasterMessage, frames: Sequence[Buffer], now: float) -> list[Action]:
-        """Take a message of the master; one of another session is dropped and counted."""
+        """Take a message of the master; one of another session is dropped and counted.
+
+        Parameters
+        ----------
+        message : MasterMessage
+        frames : sequence of buffer
+            That came with it.
+        now : float
+            In seconds, as for the class.
+
+        Returns
+        -------
+        list of Action
+        """
         if self.state is State.STOPPED:
             return []
         if isinstance(message, Registered):
@@ -214,7 +227,20 @@ class WorkerSession:
     def worker_results(
         self, results: Results, buffers: Sequence[Buffer], now: float
     ) -> list[Action]:
-        """Take results of the worker, and pass them on."""
+        """Take results of the worker, and pass them on.
+
+        Parameters
+        ----------
+        results : Results
+        buffers : sequence of buffer
+            That came with them.
+        now : float
+            In seconds, as for the class.
+
+        Returns
+        -------
+        list of Action
+        """
         self.progress += len(results.results)
         if results.is_finished:
             self._held.pop(results.batch, None)
@@ -224,7 +250,17 @@ class WorkerSession:
         return actions + self._feed() + self._leave_if_drained()
 
     def worker_died(self, reason: str) -> list[Action]:
-        """Take the news that the worker process is gone: its batches are lost."""
+        """Take the news that the worker process is gone: its batches are lost.
+
+        Parameters
+        ----------
+        reason : str
+            For the master; its first 1000 characters are sent.
+
+        Returns
+        -------
+        list of Action
+        """
         self._worker_is_up = False
         self._shelf.worker_has.clear()
         if self.state is State.STOPPED:
@@ -244,7 +280,17 @@ class WorkerSession:
         return [*actions, StartWorker(min(delay_s, LONGEST_BACKOFF_S))]
 
     def tick(self, now: float) -> list[Action]:
-        """Take the time: heartbeats, registration anew, and an end to a silent master."""
+        """Take the time: heartbeats, registration anew, and an end to a silent master.
+
+        Parameters
+        ----------
+        now : float
+            In seconds, as for the class.
+
+        Returns
+        -------
+        list of Action
+        """
         if self.state is State.STOPPED:
             return []
         if now - self._heard > self._silence_s:
@@ -263,7 +309,18 @@ class WorkerSession:
         return min(self._said + interval, self._heard + self._silence_s + 0.001)
 
     def terminate(self, reason: str) -> list[Action]:
-        """Leave at once; the master gives unfinished batches to others, without blame."""
+        """Leave at once; the master gives unfinished batches to others, without blame.
+
+        Parameters
+        ----------
+        reason : str
+            For the master; its first 1000 characters are sent.
+
+        Returns
+        -------
+        list of Action
+            Empty where the session has stopped.
+        """
         return self._depart(ExitCode.DONE, reason)
 
     def _join(self, message: Registered, now: float) -> None:

@@ -29,7 +29,18 @@ class Shelf:
         self._forgotten: set[bytes] = set()
 
     def put(self, blob: Share) -> bool:
-        """Take a blob in; False if it is here already."""
+        """Take a blob in.
+
+        Parameters
+        ----------
+        blob : Share
+            Its message.
+
+        Returns
+        -------
+        bool
+            False if it is here already.
+        """
         self._forgotten.discard(blob.key)
         if blob.key in self._sizes:
             return False
@@ -38,7 +49,17 @@ class Shelf:
         return True
 
     def use(self, keys: Iterable[bytes]) -> list[bytes]:
-        """Note that a batch names these blobs, and return those that are not here."""
+        """Note that a batch names these blobs.
+
+        Parameters
+        ----------
+        keys : iterable of bytes
+
+        Returns
+        -------
+        list of bytes
+            The keys of those that are not here.
+        """
         missing = []
         for key in keys:
             if key in self._sizes:
@@ -48,7 +69,17 @@ class Shelf:
         return missing
 
     def hand_over(self, keys: Iterable[bytes]) -> list[bytes]:
-        """Return those that the worker process lacks; from now on it has them."""
+        """Return those that the worker process lacks; from now on it has them.
+
+        Parameters
+        ----------
+        keys : iterable of bytes
+
+        Returns
+        -------
+        list of bytes
+            In the order of `keys`.
+        """
         lacking = [key for key in keys if key not in self.worker_has]
         self.worker_has.update(lacking)
         return lacking
@@ -64,6 +95,11 @@ class Shelf:
         ----------
         needed : collection of bytes
             Keys of what batches need: it stays.
+
+        Returns
+        -------
+        list of bytes
+            The keys of those that are gone.
         """
         gone = [key for key in self._forgotten if key not in needed]
         for key in gone:
@@ -76,7 +112,13 @@ class Shelf:
         return gone
 
     def forget(self, keys: Iterable[bytes]) -> None:
-        """Note that nobody will name these blobs again: they are the next to go."""
+        """Note that nobody will name these blobs again: they are the next to go.
+
+        Parameters
+        ----------
+        keys : iterable of bytes
+            Those of blobs that are not here are passed over.
+        """
         self._forgotten.update(key for key in keys if key in self._sizes)
 
     def _is_over(self) -> bool:

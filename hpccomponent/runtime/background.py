@@ -67,7 +67,17 @@ class Background:
             self._steps.append(step)
 
     def defer(self, find: Callable[[], Result]) -> Deferred[Result]:
-        """Leave a value to be found; see `Deferred`."""
+        """Leave a value to be found; see `Deferred`.
+
+        Parameters
+        ----------
+        find : callable
+            Finds it, without arguments.
+
+        Returns
+        -------
+        Deferred
+        """
         deferred = Deferred(find)
 
         def step() -> bool:
@@ -90,7 +100,13 @@ class Background:
             self._steps.popleft()
 
     def run_until(self, futures: Iterable[Future[Any]]) -> None:
-        """Do steps as long as none of some futures is done."""
+        """Do steps as long as none of some futures is done.
+
+        Parameters
+        ----------
+        futures : iterable of Future
+            Is gone through before each step.
+        """
         while self and not any(future.done() for future in futures):
             self.run_one()
 

@@ -109,6 +109,10 @@ class Channel:
     def send_file(self, file: MemoryFile) -> None:
         """Send a message that lies in a memory file, without copying it.
 
+        Parameters
+        ----------
+        file : MemoryFile
+
         Raises
         ------
         ChannelClosedError
@@ -177,6 +181,16 @@ class Channel:
 
 def cut_payload(payload: memoryview, sizes: Iterable[int]) -> list[memoryview]:
     """Cut what `Channel.receive` returned into buffers of these sizes, without copying.
+
+    Parameters
+    ----------
+    payload : memoryview
+    sizes : iterable of int
+        In bytes.
+
+    Returns
+    -------
+    list of memoryview
 
     Raises
     ------

@@ -52,6 +52,11 @@ def exit_at_end_of_pipe(descriptor: int, code: int) -> threading.Thread:
         Reading end of the pipe; nothing is ever written to the other.
     code : int
         Exit code of the process.
+
+    Returns
+    -------
+    threading.Thread
+        It runs, and keeps no process alive.
     """
 
     def watch() -> None:

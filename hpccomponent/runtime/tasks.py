@@ -69,11 +69,32 @@ class Traits:
     limit: int | Callable[..., int] = DEFAULT_RESULT_BYTES
 
     def result_of(self, arguments: tuple[Any, ...]) -> Declared:
-        """Return what the result of one call must be."""
+        """Return what the result of one call must be.
+
+        Parameters
+        ----------
+        arguments : tuple
+            Of the call.
+
+        Returns
+        -------
+        Declared
+        """
         return self.result(*arguments) if callable(self.result) else self.result
 
     def limit_of(self, arguments: tuple[Any, ...]) -> int:
-        """Return how large the encoded result of one call may be, in bytes."""
+        """Return how large the encoded result of one call may be.
+
+        Parameters
+        ----------
+        arguments : tuple
+            Of the call.
+
+        Returns
+        -------
+        int
+            In bytes.
+        """
         return int(self.limit(*arguments)) if callable(self.limit) else self.limit
 
     def __post_init__(self) -> None:
@@ -95,7 +116,20 @@ def declare(
 ) -> Callable[[FunctionT], FunctionT]:
     """Declare what a task costs, returns, and how to split it; the function stays what it is.
 
-    Parameters are those of `Traits`.
+    Parameters
+    ----------
+    cost, split, join, result, limit
+        See `Traits`.
+
+    Returns
+    -------
+    callable
+        The decorator.
+
+    Raises
+    ------
+    UsageError
+        Only one of `split` and `join` is given.
 
     Examples
     --------
@@ -115,7 +149,17 @@ def declare(
 
 
 def traits_of(task: Callable[..., Any] | str) -> Traits:
-    """Return what a task declares; nothing if only its name is given."""
+    """Return what a task declares; nothing if only its name is given.
+
+    Parameters
+    ----------
+    task : callable or str
+        The function, or its name.
+
+    Returns
+    -------
+    Traits
+    """
     traits: Traits = getattr(task, "task_traits", PLAIN)
     return traits
 
@@ -169,6 +213,15 @@ class TaskRegistry:
     def resolve(self, name: str) -> Callable[..., Any]:
         """Import and return the task's function.
 
+        Parameters
+        ----------
+        name : str
+            With `EACH` before it: of a task that is run for each item of its columns.
+
+        Returns
+        -------
+        callable
+
         Raises
         ------
         UsageError
@@ -204,6 +257,14 @@ class TaskRegistry:
     def name_of(self, task: Callable[..., Any] | str) -> str:
         """Return the name under which a function, or a name itself, is registered.
 
+        Parameters
+        ----------
+        task : callable or str
+
+        Returns
+        -------
+        str
+
         Raises
         ------
         UsageError
@@ -227,7 +288,18 @@ class TaskRegistry:
 
 
 def each_result(single: Traits) -> Callable[..., Declared]:
-    """Return what is declared of the results of a task that is run for each item of columns."""
+    """Return what is declared of the results of a task that is run for each item of columns.
+
+    Parameters
+    ----------
+    single : Traits
+        Of the task, for one item.
+
+    Returns
+    -------
+    callable
+        From the columns of arguments to what their results must be.
+    """
 
     def result(*columns: list[Any]) -> Declared:
         if not callable(single.result):

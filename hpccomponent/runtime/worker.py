@@ -119,7 +119,26 @@ def run_batch(
     channel: Channel,
     blobs: Mapping[bytes, Any] = NO_BLOBS,
 ) -> None:
-    """Run the tasks of a batch and send results as they become ready, cheap ones together."""
+    """Run the tasks of a batch and send results as they become ready, cheap ones together.
+
+    Parameters
+    ----------
+    batch : Batch
+    payload : memoryview
+        That came with it; see `Channel.receive`.
+    tasks : TaskRegistry
+    channel : Channel
+        Where results go.
+    blobs : mapping of bytes to object, optional
+        The values of blobs, by their keys.
+
+    Raises
+    ------
+    ChannelClosedError
+        The other end is gone.
+    ProtocolError
+        The payload is too short.
+    """
     buffers = iter(cut_payload(payload, [size for call in batch.calls for size in call.sizes]))
     ready: list[Result] = []
     output: list[Buffer] = []
@@ -183,7 +202,18 @@ def _describe(error: BaseException) -> Failure:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Serve the channel until the component closes it; returns the exit code."""
+    """Serve the channel until the component closes it.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Of the command line; by default those of this process.
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's Ctrl-C is for the master only
     parser = argparse.ArgumentParser(prog="hpccomponent.runtime.worker", allow_abbrev=False)
     parser.add_argument("--channel-fd", type=int, required=True)

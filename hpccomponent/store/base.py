@@ -49,8 +49,18 @@ class Store(Protocol):
     def get(self, name: str) -> Any:
         """Return a value; its large arrays are read-only.
 
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        object
+
         Raises
         ------
+        UsageError
+            The name is none.
         JobError
             It is not there, or not as it was stored.
         CloudError
@@ -58,17 +68,71 @@ class Store(Protocol):
         """
 
     def has(self, name: str) -> bool:
-        """Tell whether there is a value of a name."""
+        """Tell whether there is a value of a name.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        bool
+
+        Raises
+        ------
+        UsageError
+            The name is none.
+        CloudError
+            The bucket does not answer.
+        """
 
     def list(self, prefix: str = "") -> list[str]:
-        """Return the names that begin so, sorted."""
+        """Return the names that begin so.
+
+        Parameters
+        ----------
+        prefix : str
+            By default all do.
+
+        Returns
+        -------
+        list of str
+            Sorted.
+
+        Raises
+        ------
+        CloudError
+            The bucket does not answer.
+        """
 
     def delete(self, name: str) -> None:
-        """Take a value away, if it is there."""
+        """Take a value away, if it is there.
+
+        Parameters
+        ----------
+        name : str
+
+        Raises
+        ------
+        UsageError
+            The name is none.
+        OutputError, CloudError
+            It cannot be taken away.
+        """
 
 
 def check_name(name: str) -> None:
-    """Raise UsageError where a name is none; see `Store`."""
+    """Raise UsageError where a name is none; see `Store`.
+
+    Parameters
+    ----------
+    name : str
+
+    Raises
+    ------
+    UsageError
+        It is none.
+    """
     if not _NAME.fullmatch(name):
         raise UsageError(
             f"{name!r} cannot be the name of a value",

@@ -69,5 +69,9 @@ def hold_store(place: str) -> Store:
     ----------
     place : str
         As for `open_store`, which raises the same.
+
+    Returns
+    -------
+    Store
     """
     return open_store(place, makes_folders=False)

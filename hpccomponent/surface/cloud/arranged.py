@@ -69,10 +69,26 @@ class ArrangedCloud(Protocol):
         ----------
         keys : ndarray of int64, shape (k,)
             Sorted, unique; those of blocks without points are passed over.
+
+        Returns
+        -------
+        positions, normals : ndarray of float64, shape (m, 3)
+            See `Points`.
         """
 
     def groups(self, points: int) -> Iterator[Points]:
-        """Yield all points in runs of whole blocks, about so many at a time."""
+        """Yield all points in runs of whole blocks.
+
+        Parameters
+        ----------
+        points : int
+            About so many at a time.
+
+        Yields
+        ------
+        positions, normals : ndarray of float64, shape (m, 3)
+            See `Points`.
+        """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +148,17 @@ class MemoryCloud:
             yield self.take_blocks(self.keys[run])
 
     def select(self, kept: BoolArray) -> MemoryCloud:
-        """Return the points that a mask names, in the same blocks."""
+        """Return the points that a mask names, in the same blocks.
+
+        Parameters
+        ----------
+        kept : ndarray of bool, shape (n,)
+
+        Returns
+        -------
+        MemoryCloud
+            Without the blocks that are left empty.
+        """
         counts = np.add.reduceat(kept, self.offsets[:-1], dtype=np.int64)
         offsets = np.append(0, np.cumsum(counts[counts > 0]))
         return MemoryCloud(self.cloud.take(kept), self.arrangement, self.keys[counts > 0], offsets)
@@ -205,7 +231,16 @@ def cut_blocks(counts: IntArray, points: int) -> list[slice]:
 
 
 def find_runs(rows: IntArray) -> list[slice]:
-    """Return the runs of consecutive numbers among rising ones."""
+    """Return the runs of consecutive numbers among rising ones.
+
+    Parameters
+    ----------
+    rows : ndarray of int64, shape (k,)
+
+    Returns
+    -------
+    list of slice
+    """
     if not len(rows):
         return []
     breaks = np.flatnonzero(np.diff(rows) != 1) + 1

@@ -93,7 +93,20 @@ class PackedPoints:
 
     @classmethod
     def from_records(cls, keys: IntArray, counts: IntArray, records: Float32Array) -> PackedPoints:
-        """Return points whose offsets and normals lie side by side, as they do on disk (n, 6)."""
+        """Return points whose offsets and normals lie side by side, as they do on disk.
+
+        Parameters
+        ----------
+        keys, counts : ndarray of int64, shape (b,)
+            See the class.
+        records : ndarray of float32, shape (n, 6)
+            Offset and normal of each point.
+
+        Returns
+        -------
+        PackedPoints
+            Views of the records.
+        """
         return cls(keys, counts, records[:, :3], records[:, 3:])
 
     def to_records(self) -> Float32Array:
@@ -189,7 +202,24 @@ def pack_points(
 def pack_snapped(
     arrangement: Arrangement, snapped: FloatArray, normals: FloatArray
 ) -> PackedPoints:
-    """Pack points that have been snapped; see `pack_points`."""
+    """Pack points that have been snapped; see `pack_points`.
+
+    Parameters
+    ----------
+    arrangement : Arrangement
+    snapped, normals : ndarray of float64, shape (n, 3)
+        At least one point; the positions in length units of the input.
+
+    Returns
+    -------
+    PackedPoints
+        Within a block the points keep their order.
+
+    Raises
+    ------
+    InputError, ValueError
+        A point lies more than 2^20 blocks away.
+    """
     points = np.ascontiguousarray(snapped, np.float64), np.ascontiguousarray(normals, np.float64)
     return PackedPoints.from_records(
         *kernels.pack_records(*points, arrangement.origin, arrangement.edge)

@@ -80,11 +80,34 @@ class Part:
 
     @classmethod
     def whole(cls, number: int, keys: IntArray, counts: IntArray) -> Part:
-        """Return all that `write_part` has written as a part of this number."""
+        """Return all that `write_part` has written as a part of this number.
+
+        Parameters
+        ----------
+        number : int
+        keys, counts : ndarray of int64, shape (b,)
+            Sorted keys of the blocks, and the points in each.
+
+        Returns
+        -------
+        Part
+        """
         return cls(_name_part(number), keys, counts, np.cumsum(counts) - counts)
 
     def without(self, keys: IntArray, folder: str) -> Part:
-        """Return it without some blocks, for an index from which its folder is called so."""
+        """Return it without some blocks, for an index from which its folder is called so.
+
+        Parameters
+        ----------
+        keys : ndarray of int64, shape (k,)
+            Sorted keys of the blocks that go.
+        folder : str
+            The path of its folder from that of the index.
+
+        Returns
+        -------
+        Part
+        """
         kept = np.flatnonzero(find_keys(keys, self.keys) == len(keys))
         columns = (column[kept] for column in (self.keys, self.counts, self.starts))
         return Part(os.path.join(folder, self.file), *columns)
@@ -135,7 +158,16 @@ class DiskCloud:
         return int(self.counts.sum())
 
     def uses(self, folder: Path) -> bool:
-        """Tell whether parts of it lie in some folder."""
+        """Tell whether parts of it lie in some folder.
+
+        Parameters
+        ----------
+        folder : Path
+
+        Returns
+        -------
+        bool
+        """
         names = {os.path.normpath((self.folder / part.file).parent) for part in self.parts}
         return os.path.normpath(folder) in names
 
@@ -157,6 +189,15 @@ class DiskCloud:
 
     def take_packed(self, keys: IntArray) -> PackedPoints:
         """Return the points in some blocks as they lie there; see `take_blocks`.
+
+        Parameters
+        ----------
+        keys : ndarray of int64, shape (k,)
+            Sorted, unique; those of blocks without points are passed over.
+
+        Returns
+        -------
+        PackedPoints
 
         Raises
         ------
@@ -188,7 +229,23 @@ class DiskCloud:
         return PackedPoints.from_records(self.keys[rows], counts, records)
 
     def take_every(self, step: int) -> Points:
-        """Return every so many-th point of each part, in the order of the parts."""
+        """Return every so many-th point of each part, in the order of the parts.
+
+        Parameters
+        ----------
+        step : int
+            1 for all.
+
+        Returns
+        -------
+        positions, normals : ndarray of float64, shape (m, 3)
+            See `Points`.
+
+        Raises
+        ------
+        JobError
+            The folder is not there any more, or not whole.
+        """
         keys, found = [], []
         for part in self.parts:
             ends = np.cumsum(part.counts)

@@ -114,7 +114,17 @@ def rank_region(
 
 
 def has_sparse(ranks: RegionRanks) -> bool:
-    """Tell whether some of a region's own points lie in cells of higher ranks than most do."""
+    """Tell whether some of a region's own points lie in cells of higher ranks than most do.
+
+    Parameters
+    ----------
+    ranks : tuple
+        What `rank_region` returned.
+
+    Returns
+    -------
+    bool
+    """
     by_rank = ranks[0]
     return bool(by_rank[find_base(by_rank) + 1 :].any())
 

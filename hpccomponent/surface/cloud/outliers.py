@@ -114,7 +114,20 @@ def find_outlying_cells(keys: IntArray, counts: IntArray) -> BoolArray:
 
 
 def coarsen(keys: IntArray, counts: IntArray, wanted: int | None = None) -> list[Level]:
-    """Return the finest cells and their parents: so many levels, or up to one that holds all."""
+    """Return the finest cells and their parents.
+
+    Parameters
+    ----------
+    keys, counts : ndarray of int64, shape (c,)
+        Of the finest occupied cells, sorted, and the points in each.
+    wanted : int, optional
+        So many levels; by default up to one where a single cell holds all.
+
+    Returns
+    -------
+    list of Level
+        From the finest.
+    """
     levels = [Level(keys, counts, np.arange(len(keys)))]
     while len(levels) < wanted if wanted else len(levels[-1].keys) > 1:
         below = levels[-1]
@@ -166,7 +179,16 @@ def _distinct(rows: IntArray, length: int) -> IntArray:
 
 
 def find_base(points_by_rank: IntArray) -> int:
-    """Return the rank of most points, the median."""
+    """Return the rank of most points, the median.
+
+    Parameters
+    ----------
+    points_by_rank : ndarray of int64, shape (r,)
+
+    Returns
+    -------
+    int
+    """
     summed = np.cumsum(points_by_rank)
     return int(np.searchsorted(summed, 0.5 * summed[-1]))
 

@@ -31,6 +31,10 @@ def with_check(pieces: Iterable[memoryview], path: Path) -> Iterator[memoryview 
         Of whole pages each (see `stored_value.PAGE`), but for the last.
     path : Path
         Of the file.
+
+    Yields
+    ------
+    memoryview or bytes
     """
     length = check = 0
     for piece in pieces:

@@ -103,6 +103,10 @@ class Region:
         Parameters
         ----------
         turned : ndarray of bool, shape (n,)
+
+        Returns
+        -------
+        PackedPoints
         """
         own = np.flatnonzero(self.own)
         rows = self.rows.take(own)
@@ -124,6 +128,10 @@ def pack_region(cloud: DiskCloud, blocks: IntArray, margin: float) -> SentBlocks
         Sorted keys.
     margin : float
         In length units of the input.
+
+    Returns
+    -------
+    SentBlocks
     """
     return SentBlocks(cloud.arrangement, _take_near(cloud, blocks, margin))
 
@@ -170,6 +178,10 @@ def find_kept(dropped: DroppedCells | None, positions: FloatArray) -> BoolArray:
     ----------
     dropped : DroppedCells or None
     positions : ndarray of float64, shape (n, 3)
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
     """
     if dropped is None:
         return np.ones(len(positions), np.bool_)

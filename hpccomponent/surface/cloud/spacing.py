@@ -106,6 +106,12 @@ def guess_boxes(points: int, longest: float) -> tuple[float, int]:
     points : int
     longest : float
         Longest side of the box around them, in length units of the input.
+
+    Returns
+    -------
+    edge : float
+        In length units of the input.
+    one_in : int
     """
     return longest * min(0.5, 3.0 / sqrt(points)), points // _SAMPLED_POINTS + 1
 
@@ -116,6 +122,16 @@ def sample_box_keys(
     """Count points in a sample of boxes, and name the boxes: see `count_boxes`.
 
     Counts of several groups of points add up, and their boxes unite, to those of all.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    low : ndarray of float64, shape (3,)
+        Corner of a box.
+    edge : float
+        Of a box, in length units of the input.
+    one_in : int
+        About one box in so many is in the sample.
 
     Returns
     -------

@@ -59,11 +59,31 @@ class Reach:
     distance: float
 
     def holds(self, low: FloatArray, high: FloatArray) -> bool:
-        """Tell whether all of a box lies within."""
+        """Tell whether all of a box lies within.
+
+        Parameters
+        ----------
+        low, high : ndarray of float64, shape (3,)
+            Its corners, in length units of the input.
+
+        Returns
+        -------
+        bool
+        """
         return bool((np.abs(np.stack([low, high]) - self.middle) <= self.distance).all())
 
     def find_near(self, positions: FloatArray) -> BoolArray:
-        """Tell which points (n, 3) lie within."""
+        """Tell which points lie within.
+
+        Parameters
+        ----------
+        positions : ndarray of float64, shape (n, 3)
+            In length units of the input.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
         away: FloatArray = np.abs(positions - self.middle)
         near: BoolArray = np.all(away <= self.distance, axis=1)
         return near
@@ -124,7 +144,18 @@ def _normalize_rows(normals: FloatArray) -> tuple[FloatArray, BoolArray]:
 
 
 def refuse_without_normals(source: str) -> NoReturn:
-    """Raise the `InputError` of a cloud that has no normals."""
+    """Raise the `InputError` of a cloud that has no normals.
+
+    Parameters
+    ----------
+    source : str
+        The file it came from.
+
+    Raises
+    ------
+    InputError
+        Always.
+    """
     raise InputError(
         f"{source} has no normals (nx, ny, nz)",
         "estimate them first, e.g. in CloudCompare or MeshLab",
@@ -132,7 +163,16 @@ def refuse_without_normals(source: str) -> NoReturn:
 
 
 def are_usable(cloud: PointCloud) -> bool:
-    """Tell whether all points are surely usable; where it does not, `select_usable` finds out."""
+    """Tell whether all points are surely usable; where it does not, `select_usable` finds out.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+
+    Returns
+    -------
+    bool
+    """
     if cloud.normals is None or not np.isfinite(cloud.positions.sum()):
         return False
     squares = np.einsum("ij,ij->i", cloud.normals, cloud.normals)

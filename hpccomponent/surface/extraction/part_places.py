@@ -60,7 +60,17 @@ class Runs:
         return zip(starts, starts[1:], self.numbers.tolist(), strict=False)
 
     def put(self, rows: NDArray[Any], mesh: NDArray[Any], before: int = 0) -> None:
-        """Put rows to their places in the mesh, or in a piece of it that begins after some."""
+        """Put rows to their places in the mesh, or in a piece of it.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (m, ...)
+            In the order of the runs.
+        mesh : ndarray, shape (k, ...)
+            Is written to.
+        before : int
+            Rows of the mesh in front of the piece.
+        """
         for first, last, number in self:
             mesh[number - before : number - before + last - first] = rows[first:last]
 
@@ -123,7 +133,17 @@ def place_faces(
 
 
 def starts_of(counts: NDArray[np.integer[Any] | np.bool_]) -> IntArray:
-    """Return where each brick's rows begin, and the last one's end, shape (b + 1,)."""
+    """Return where each brick's rows begin, and the last one's end.
+
+    Parameters
+    ----------
+    counts : ndarray of int or bool, shape (b,)
+        Rows of each brick.
+
+    Returns
+    -------
+    ndarray of int64, shape (b + 1,)
+    """
     starts = np.zeros(len(counts) + 1, np.int64)
     np.cumsum(counts, out=starts[1:])
     return starts

@@ -66,7 +66,17 @@ class CellMoments:
         return np.concatenate(counts, dtype=np.float64)
 
     def sum(self, cells: slice) -> FloatArray:
-        """Return the moments of a run of cells."""
+        """Return the moments of a run of cells.
+
+        Parameters
+        ----------
+        cells : slice
+            With start and stop.
+
+        Returns
+        -------
+        ndarray of float64, shape (k, 44)
+        """
         found: list[FloatArray | Float32Array] = [np.empty((0, COLUMNS))]
         start = 0
         for piece in self.pieces:
@@ -105,7 +115,17 @@ class PartMoments:
         return counts
 
     def sum(self, cells: slice) -> FloatArray:
-        """Return the moments of a run of cells."""
+        """Return the moments of a run of cells.
+
+        Parameters
+        ----------
+        cells : slice
+            With start and stop.
+
+        Returns
+        -------
+        ndarray of float64, shape (k, 44)
+        """
         sums = np.empty((cells.stop - cells.start, COLUMNS))
         for moments, rows in zip(self.parts, self.rows, strict=True):
             first, end = np.searchsorted(rows, (cells.start, cells.stop))
@@ -128,6 +148,11 @@ class CellRows(Protocol):
         rows : slice
         origin, cell_size
             Of the lattice.
+
+        Returns
+        -------
+        local, normals : ndarray of float64, shape (n, 3)
+            The positions in cells.
         """
 
     def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: BoolArray) -> IntArray:
@@ -140,6 +165,11 @@ class CellRows(Protocol):
             Cell i holds the points offsets[i] to offsets[i + 1], and these are all.
         wanted : ndarray of bool, shape (c,)
             Which cells.
+
+        Returns
+        -------
+        ndarray of int64, shape (b,)
+            Sorted, unique keys.
         """
 
 
@@ -205,18 +235,52 @@ class SortedPoints:
         return np.diff(self.offsets).astype(np.float64)
 
     def sum(self, cells: slice) -> FloatArray:
-        """Return the moments of a run of cells."""
+        """Return the moments of a run of cells.
+
+        Parameters
+        ----------
+        cells : slice
+            With start and stop.
+
+        Returns
+        -------
+        ndarray of float64, shape (k, 44)
+        """
         local, normals, offsets = self.place(cells)
         start, stop = self.offsets[cells.start], self.offsets[cells.stop]
         weights = None if self.weights is None else self.weights[start:stop]
         return kernels.accumulate_moments(local, normals, offsets, weights)
 
     def run(self, cells: slice) -> SortedPoints:
-        """Return the points in a run of cells alone; nothing is copied."""
+        """Return the points in a run of cells alone; nothing is copied.
+
+        Parameters
+        ----------
+        cells : slice
+            With start and stop.
+
+        Returns
+        -------
+        SortedPoints
+        """
         return replace(self, offsets=self.offsets[cells.start : cells.stop + 1])
 
     def place(self, cells: slice) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Return the points in a run of cells, relative to these, with normals and offsets."""
+        """Return the points in a run of cells, relative to these.
+
+        Parameters
+        ----------
+        cells : slice
+            With start and stop.
+
+        Returns
+        -------
+        local : ndarray of float64, shape (n, 3)
+            Relative to the centre of the point's cell, in cells.
+        normals : ndarray of float64, shape (n, 3)
+        offsets : ndarray of int64, shape (k + 1,)
+            Cell i of the run holds the points offsets[i] to offsets[i + 1].
+        """
         offsets = self.offsets[cells.start : cells.stop + 1]
         rows = slice(int(offsets[0]), int(offsets[-1]))
         local, normals = self.held.place(rows, self.origin, self.cell_size)

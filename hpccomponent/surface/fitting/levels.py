@@ -136,6 +136,10 @@ class SlabFields:
         ----------
         first, end : int
             Layers of bricks along x, from `first` to before `end`.
+
+        Returns
+        -------
+        Field
         """
         pyramid, grid = self.pyramid, self.grid
         nodes = BRICK * np.array([first - 1, end + 1]) * grid.step

@@ -153,7 +153,17 @@ class Parents:
     variances: Float32Array
 
     def between(self, first: int, last: int) -> Parents:
-        """Return those whose x lies in a range, both ends included; nothing is copied."""
+        """Return those whose x lies in a range, both ends included; nothing is copied.
+
+        Parameters
+        ----------
+        first, last : int
+            In cells of this level.
+
+        Returns
+        -------
+        Parents
+        """
         run = find_layers(self.keys, first, last)
         return Parents(
             self.keys[run], self.coefficients[run], self.support[run], self.variances[run]
@@ -169,6 +179,10 @@ def count_levels(longest: float, cell_size: float) -> int:
         Longest side of the cloud, in length units of the input.
     cell_size : float
         Edge of the finest cells, in length units of the input.
+
+    Returns
+    -------
+    int
     """
     return 1 + max(0, int(np.floor(np.log2(longest / cell_size / _COARSEST_CELLS))))
 

@@ -42,7 +42,26 @@ _LEAST_TOLERANCE, _TO_TOLERANCE = 2.0, 4.0
 def measure_points(
     cells: IntArray, points: SortedPoints, part: slice, depth: int, blend: Blend
 ) -> FloatArray:
-    """Return `rate_points` of a run of cells, see `kernels`."""
+    """Return `rate_points` of a run of cells, see `kernels`.
+
+    Parameters
+    ----------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the finest cells.
+    points : SortedPoints
+        In these.
+    part : slice
+        The run.
+    depth : int
+        So many levels further up is the level that is blended.
+    blend : tuple
+        See `Blend`; of that level.
+
+    Returns
+    -------
+    ndarray of float64, shape (n,)
+        Squared distances, in variances.
+    """
     local, _, offsets = points.place(part)
     given = local, offsets, cells[part], depth, *blend
     return kernels.rate_points(*given)
@@ -118,6 +137,11 @@ def find_tolerance(kurtosis: float) -> float:
     ----------
     kurtosis : float
         Of the residuals.
+
+    Returns
+    -------
+    float
+        Infinite where all points count alike.
 
     Notes
     -----

@@ -24,6 +24,10 @@ def run_batches(
     batches : sequence
     threads : int
         How many calls run at once.
+
+    Returns
+    -------
+    list
     """
     if threads <= 1 or len(batches) <= 1:
         return [function(batch) for batch in batches]

@@ -142,13 +142,38 @@ def count_block_cells(
 def count_cells(
     positions: FloatArray, origin: FloatArray, size: float
 ) -> tuple[IntArray, IntArray]:
-    """Count points, one or more, in the cells of a lattice; see `count_block_cells`."""
+    """Count points, one or more, in the cells of a lattice; see `count_block_cells`.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    origin : ndarray of float64, shape (3,)
+        Corner of a cell.
+    size : float
+        Of a cell, in length units of the input.
+
+    Returns
+    -------
+    keys, counts : ndarray of int64, shape (c,)
+        Sorted by key.
+    """
     cells, offsets, _ = kernels.sort_points(positions, origin, size)
     return cells, np.diff(offsets)
 
 
 def merge_cells(counted: list[tuple[IntArray, IntArray]]) -> tuple[IntArray, IntArray]:
-    """Merge what was counted of several runs of blocks."""
+    """Merge what was counted of several runs of blocks.
+
+    Parameters
+    ----------
+    counted : list of tuple
+        Keys and counts of each run, as `count_cells` returns them.
+
+    Returns
+    -------
+    keys, counts : ndarray of int64, shape (c,)
+        Sorted by key.
+    """
     keys, counts = (np.concatenate(column) for column in zip(*counted, strict=True))
     return merge_counts(keys, counts)
 

@@ -84,6 +84,11 @@ def judge_blocks(points: RegionPoints, low: FloatArray, spacing: float, base: in
         `RegionPoints`, with a margin of `outlier_regions.MARGIN` spacings.
     low, spacing, base
         As for `judge_region`, whose result this is.
+
+    Returns
+    -------
+    ndarray of int64, shape (s,)
+        Sorted keys of finest cells.
     """
     region = take_region(points)
     return judge_region(region.positions, region.own, low, spacing, base)

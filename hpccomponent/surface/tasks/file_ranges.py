@@ -262,6 +262,16 @@ def _bound(positions: FloatArray) -> FloatArray:
 
 
 def unite_boxes(boxes: Sequence[FloatArray]) -> FloatArray:
-    """Return the box (2, 3) around some boxes."""
+    """Return the box around some boxes.
+
+    Parameters
+    ----------
+    boxes : sequence of ndarray of float64, shape (2, 3)
+        One or more.
+
+    Returns
+    -------
+    ndarray of float64, shape (2, 3)
+    """
     columns = np.stack(boxes)
     return np.stack([columns[:, 0].min(axis=0), columns[:, 1].max(axis=0)])

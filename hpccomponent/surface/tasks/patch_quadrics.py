@@ -167,7 +167,16 @@ def gradient_quadrics(coefficients: FloatArray, local: FloatArray) -> FloatArray
 
 
 def basis(local: FloatArray) -> FloatArray:
-    """Return the ten monomials of points in patch coordinates, shape (n, 10)."""
+    """Return the ten monomials of points in patch coordinates.
+
+    Parameters
+    ----------
+    local : ndarray of float64, shape (n, 3)
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 10)
+    """
     x, y, z = local.T
     columns = [np.ones_like(x), x, y, z, x * x, y * y, z * z, x * y, y * z, x * z]
     return np.stack(columns, axis=1)

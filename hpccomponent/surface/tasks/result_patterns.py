@@ -96,37 +96,102 @@ MENDED = Fixed(
 
 
 def count_range(points: Any) -> int:
-    """Return how many points a range of a file holds (see `file_ranges.FilePoints`)."""
+    """Return how many points a range of a file holds (see `file_ranges.FilePoints`).
+
+    Parameters
+    ----------
+    points : FileRange or SentRange
+
+    Returns
+    -------
+    int
+    """
     return len(points)
 
 
 def surveyed_range(points: Any, _before: int, _step: int) -> Declared:
-    """Return the pattern of what `file_ranges.survey_range` finds."""
+    """Return the pattern of what `file_ranges.survey_range` finds.
+
+    Parameters
+    ----------
+    points : FileRange or SentRange
+    _before, _step : int
+        Not looked at.
+
+    Returns
+    -------
+    Declared
+    """
     some = Whole(0, count_range(points))
     return Fixed(some, some, some, BOX, BOX, Array("<f8", "s", 3))
 
 
 def bounded_range(points: Any, *_: Any) -> Declared:
-    """Return the pattern of what `file_ranges.bound_range` finds."""
+    """Return the pattern of what `file_ranges.bound_range` finds.
+
+    Parameters
+    ----------
+    points : FileRange or SentRange
+    *_ : object
+        Not looked at.
+
+    Returns
+    -------
+    Declared
+    """
     return Fixed(Whole(0, count_range(points)), BOX)
 
 
 def arranged_range(
     points: Any, _origin: Any, _reach: Any, _arrangement: Any, _target: Any, boxes: Any
 ) -> Declared:
-    """Return the pattern of what `file_ranges.arrange_range` writes."""
+    """Return the pattern of what `file_ranges.arrange_range` writes.
+
+    Parameters
+    ----------
+    points : FileRange or SentRange
+    _origin, _reach, _arrangement, _target : object
+        Not looked at.
+    boxes : tuple
+        As `arrange_range` is given them.
+
+    Returns
+    -------
+    Declared
+    """
     most = count_range(points)
     counts = Array("<i8", "b", low=1, high=most)
     return Fixed(_KEYS, counts, Each(Fixed(Whole(0, most), _KEYS), len(boxes[1])))
 
 
 def range_bytes(points: Any, *_: Any) -> int:
-    """Return how large what is found in a range of a file may be, in bytes."""
+    """Return how large what is found in a range of a file may be.
+
+    Parameters
+    ----------
+    points : FileRange or SentRange
+    *_ : object
+        Not looked at.
+
+    Returns
+    -------
+    int
+        In bytes.
+    """
     return SMALL_BYTES + 256 * count_range(points)
 
 
 def far_field(nodes: int) -> Declared:
-    """Return the pattern of a `FarFieldPart` with so many nodes along a side."""
+    """Return the pattern of a `FarFieldPart` with so many nodes along a side.
+
+    Parameters
+    ----------
+    nodes : int
+
+    Returns
+    -------
+    Declared
+    """
     box, first = Array("<f4", "x", "y", "z"), Array("<i8", 3, low=0, high=nodes)
     return Where(
         Record(
@@ -143,14 +208,39 @@ def far_field(nodes: int) -> Declared:
 
 
 def surface_bytes(work: float) -> int:
-    """Return how large the surface of a tile of so much work may be, in bytes."""
+    """Return how large the surface of a tile of so much work may be.
+
+    Parameters
+    ----------
+    work : float
+        See `points.estimate_work`.
+
+    Returns
+    -------
+    int
+        In bytes.
+    """
     return DEFAULT_RESULT_BYTES + 4096 * int(work)
 
 
 def summed_tile(
     _plan: Any, _points: Any, _ticket: Any = None, keep: tuple[str, str] | None = None, *_: Any
 ) -> Declared:
-    """Return the pattern of what `region.sum_tile` returns, or keeps."""
+    """Return the pattern of what `region.sum_tile` returns, or keeps.
+
+    Parameters
+    ----------
+    _plan, _points, _ticket : object, optional
+        Not looked at.
+    keep : tuple of str, optional
+        A store and a name, where it is kept.
+    *_ : object
+        Not looked at.
+
+    Returns
+    -------
+    Declared
+    """
     if keep is not None:
         place, name = keep
         return Fixed(Nothing(), Exactly((place, f"{name}-far")), Whole(0, _MOST))
@@ -167,7 +257,17 @@ def summed_tile(
 
 
 def tile_surface(keep: tuple[str, str] | None) -> Declared:
-    """Return the pattern of what `region.mesh_tile` returns, or keeps."""
+    """Return the pattern of what `region.mesh_tile` returns, or keeps.
+
+    Parameters
+    ----------
+    keep : tuple of str or None
+        A store and a name, where it is kept.
+
+    Returns
+    -------
+    Declared
+    """
     return Fixed(_PART if keep is None else Nothing(), _SUMMARY, Array("<i8", "exits", low=0))
 
 

@@ -79,13 +79,34 @@ class SharedPly:
 
 
 def ply_header(element_lines: list[str]) -> bytes:
-    """Return the header of a binary little-endian PLY file, of what its elements are."""
+    """Return the header of a binary little-endian PLY file.
+
+    Parameters
+    ----------
+    element_lines : list of str
+        What its elements are.
+
+    Returns
+    -------
+    bytes
+    """
     start = ["ply", "format binary_little_endian 1.0", "comment hpcapp"]
     return "\n".join([*start, *element_lines, "end_header", ""]).encode("ascii")
 
 
 def mesh_header(vertex_count: int, face_count: int, is_double: bool) -> bytes:
-    """Return the header of a mesh."""
+    """Return the header of a mesh.
+
+    Parameters
+    ----------
+    vertex_count, face_count : int
+    is_double : bool
+        Whether coordinates are float64, not float32.
+
+    Returns
+    -------
+    bytes
+    """
     kind = "double" if is_double else "float"
     return ply_header(
         [
@@ -98,7 +119,17 @@ def mesh_header(vertex_count: int, face_count: int, is_double: bool) -> bytes:
 
 
 def vertex_size(is_double: bool) -> int:
-    """Return the bytes of a vertex."""
+    """Return the bytes of a vertex.
+
+    Parameters
+    ----------
+    is_double : bool
+        Whether coordinates are float64, not float32.
+
+    Returns
+    -------
+    int
+    """
     return 24 if is_double else 12
 
 

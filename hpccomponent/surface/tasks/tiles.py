@@ -172,6 +172,10 @@ def find_far(plan: Plan, samples: Samples, threads: int) -> FarField:
         Of the whole cloud, sorted by key.
     threads : int
         The result does not depend on it.
+
+    Returns
+    -------
+    FarField
     """
     size = plan.cell_size * 2.0**plan.far
     sums = samples.sums

@@ -24,20 +24,46 @@ class TileCache:
         return len(self._tiles)
 
     def put(self, ticket: str, tile: PreparedTile) -> None:
-        """Keep a tile; where there is no room the oldest goes."""
+        """Keep a tile; where there is no room the oldest goes.
+
+        Parameters
+        ----------
+        ticket : str
+        tile : PreparedTile
+        """
         while len(self._tiles) >= self._capacity:
             self._tiles.pop(next(iter(self._tiles), ""), None)
         self._tiles[ticket] = tile
 
     def pop(self, ticket: str | None) -> PreparedTile | None:
-        """Take a tile out, if it is still here."""
+        """Take a tile out.
+
+        Parameters
+        ----------
+        ticket : str or None
+            None for no tile.
+
+        Returns
+        -------
+        PreparedTile or None
+            None where it is not here any more.
+        """
         return None if ticket is None else self._tiles.pop(ticket, None)
 
     def advance(self, ticket: str) -> bool:
-        """Do a step of a tile ahead of time; return whether there are more.
+        """Do a step of a tile ahead of time.
 
         A step that fails gives the tile up: who asks for it prepares it anew, and meets the error
         if it stays.
+
+        Parameters
+        ----------
+        ticket : str
+
+        Returns
+        -------
+        bool
+            Whether there are more.
         """
         if ticket not in self._tiles:
             return False

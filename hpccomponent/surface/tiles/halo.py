@@ -59,6 +59,11 @@ def plan_whole(grid: Grid, positions: FloatArray) -> BrickKinds:
     grid : Grid
     positions : ndarray of float64, shape (n, 3)
         Of all points, in length units of the input.
+
+    Returns
+    -------
+    BrickKinds
+        Of all bricks of the grid: `OWN` or `OPEN`.
     """
     kinds = BrickKinds(np.zeros(3, np.int64), np.full(grid.bricks, OPEN, np.uint8))
     kinds.mark(kernels.seed_bricks(grid, positions), OWN)

@@ -115,5 +115,10 @@ def count_points(
     packed : PackedPoints
     origin, cell_size
         See `count_packed`, whose results these are.
+
+    Returns
+    -------
+    cells, counts : ndarray of int64, shape (c,)
+        Sorted keys, and the points in each.
     """
     return kernels.count_packed(*unpacking_arguments(arrangement, packed), origin, cell_size)

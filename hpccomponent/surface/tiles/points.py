@@ -77,7 +77,19 @@ class TilePoints:
     groups: ByteArray
 
     def seed_bricks(self, grid: Grid, group: int) -> IntArray:
-        """Return the sorted keys of the bricks that hold a point of a group."""
+        """Return the bricks that hold a point of a group.
+
+        Parameters
+        ----------
+        grid : Grid
+        group : int
+            The number that `groups` has for it.
+
+        Returns
+        -------
+        ndarray of int64, shape (b,)
+            Sorted keys.
+        """
         points = self.finest.points
         assert isinstance(points, SortedPoints)  # noqa: S101 - the finest level has points
         return points.held.seed_bricks(grid, points.offsets, self.groups == group)
@@ -124,6 +136,10 @@ def take_points(points: CellPoints, plan: Plan) -> TilePoints:
         There may be none.
     plan : Plan
         Of the whole cloud.
+
+    Returns
+    -------
+    TilePoints
     """
     if isinstance(points, PointsThere):
         where, cells = points.cloud, list(points.groups)
@@ -203,6 +219,10 @@ def pack_cloud(arrangement: Arrangement, cloud: PointCloud) -> PackedPoints:
     arrangement : Arrangement
     cloud : PointCloud
         Arranged, with normals.
+
+    Returns
+    -------
+    PackedPoints
     """
     if not len(cloud):
         none = np.empty(0, np.int64)

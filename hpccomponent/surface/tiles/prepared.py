@@ -135,7 +135,17 @@ def lay_corners(plan: Plan, cells: IntArray, kinds: BrickKinds) -> Generator[str
 
 
 def finish(steps: Generator[object, None, Found]) -> Found:
-    """Do all that is left of some steps, and return what they return."""
+    """Do all that is left of some steps.
+
+    Parameters
+    ----------
+    steps : generator
+
+    Returns
+    -------
+    object
+        What the generator returns.
+    """
     while True:
         try:
             next(steps)

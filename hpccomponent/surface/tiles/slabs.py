@@ -33,7 +33,19 @@ SLAB_QUADRICS = 1_000_000
 
 
 def cut_slabs(fields: SlabFields, kinds: BrickKinds) -> list[int]:
-    """Return the bounds of the slabs that some bricks are cut into, layers along x."""
+    """Return the bounds of the slabs that some bricks are cut into, layers along x.
+
+    Parameters
+    ----------
+    fields : SlabFields
+    kinds : BrickKinds
+        Of the bricks.
+
+    Returns
+    -------
+    list of int
+        The bounds of the slabs, in layers of bricks.
+    """
     first = int(kinds.first[0])
     return fields.cut(first, first + len(kinds.kinds), SLAB_QUADRICS)
 

@@ -63,7 +63,16 @@ class BrickKinds:
     kinds: ByteArray
 
     def at(self, keys: IntArray) -> ByteArray:
-        """Return the kinds of some bricks."""
+        """Return the kinds of some bricks.
+
+        Parameters
+        ----------
+        keys : ndarray of int64, shape (k,)
+
+        Returns
+        -------
+        ndarray of uint8, shape (k,)
+        """
         places = unpack_keys(keys) - self.first
         inside = ((places >= 0) & (places < self.kinds.shape)).all(axis=1)
         found = np.full(len(keys), OUT, np.uint8)
@@ -72,7 +81,14 @@ class BrickKinds:
         return found
 
     def mark(self, keys: IntArray, kind: int) -> None:
-        """Set the kind of some bricks; of those outside the box it is `OUT`, whatever is set."""
+        """Set the kind of some bricks; of those outside the box it is `OUT`, whatever is set.
+
+        Parameters
+        ----------
+        keys : ndarray of int64, shape (k,)
+        kind : int
+            Such as `OWN`.
+        """
         places = unpack_keys(keys) - self.first
         places = places[((places >= 0) & (places < self.kinds.shape)).all(axis=1)]
         self.kinds[tuple(places.T)] = kind

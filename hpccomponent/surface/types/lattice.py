@@ -189,6 +189,10 @@ def find_layers(keys: IntArray, first: int, last: int) -> slice:
     first, last : int
         Of the range, both included.
 
+    Returns
+    -------
+    slice
+
     Examples
     --------
     >>> keys = pack_places(np.array([[-1, 5, 0], [2, -7, 1], [2, 3, 0], [4, 0, 0]]))

@@ -140,7 +140,21 @@ def _next_corner(side: IntArray) -> IntArray:
 
 
 def join_nodes(left: IntArray, right: IntArray, nodes: int) -> tuple[int, IntArray]:
-    """Return the count and labels of the components of an undirected graph."""
+    """Return the count and labels of the components of an undirected graph.
+
+    Parameters
+    ----------
+    left, right : ndarray of int64, shape (e,)
+        The ends of each edge, from 0.
+    nodes : int
+        How many there are.
+
+    Returns
+    -------
+    count : int
+    label : ndarray of int, shape (nodes,)
+        From 0.
+    """
     from scipy.sparse import coo_array  # heavy modules: the native build does without them
     from scipy.sparse.csgraph import connected_components
 

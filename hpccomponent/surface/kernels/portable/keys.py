@@ -10,6 +10,20 @@ __all__ = ["find_keys", "spread_keys", "unite_keys"]
 
 
 def find_keys(keys: IntArray, wanted: IntArray, threads: int = 1) -> IntArray:
-    """Return where each of some keys stands among sorted keys; see `lattice.find_keys`."""
+    """Return where each of some keys stands among sorted keys; see `lattice.find_keys`.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+        Sorted, unique.
+    wanted : ndarray of int64, shape (...)
+    threads : int
+        Has no effect here.
+
+    Returns
+    -------
+    ndarray of int64, shape (...)
+        The row in `keys`, and k where a key is missing.
+    """
     del threads  # numpy runs on one
     return lattice.find_keys(keys, wanted)

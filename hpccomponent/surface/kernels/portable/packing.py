@@ -104,7 +104,21 @@ def unpack_within(
     low: FloatArray,
     high: FloatArray,
 ) -> tuple[FloatArray, IntArray]:
-    """Return the packed positions in a box, and which they are, in numpy; see `unpack_records`."""
+    """Return the packed positions in a box, and which they are, in numpy.
+
+    Parameters
+    ----------
+    records, counts, corners, edge
+        See `unpack_records`.
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box, which belong to it; in length units of the input.
+
+    Returns
+    -------
+    positions : ndarray of float64, shape (m, 3)
+    rows : ndarray of int64, shape (m,)
+        Rising.
+    """
     positions, _ = unpack_records(records, counts, corners, edge)
     rows = np.flatnonzero(((positions >= low) & (positions <= high)).all(axis=1))
     return positions[rows], rows
@@ -166,6 +180,19 @@ def sort_packed(
         Sorted keys of coarse cells.
     numbers : ndarray of uint8, shape (w,)
         A number of each.
+
+    Returns
+    -------
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the occupied finest cells.
+    offsets : ndarray of int64, shape (c + 1,)
+        Cell i holds the points offsets[i] to offsets[i + 1].
+    taken : ndarray of float32, shape (m, 6)
+        The records of these points.
+    blocks : ndarray of uint32, shape (m,)
+        The block that each lies in: a row of `corners`.
+    groups : ndarray of uint8, shape (c,)
+        The number of the coarse cell that each lies in.
     """
     positions, _ = unpack_records(records, counts, corners, edge)
     places = np.floor(cells_of(positions, origin, cell_size)).astype(np.int64)
@@ -197,6 +224,11 @@ def place_packed(
         See `PackedRows`.
     origin, cell_size
         See `cells.gather_points`, whose results these are.
+
+    Returns
+    -------
+    local, normals : ndarray of float64, shape (n, 3)
+        The positions in cells.
     """
     places = cells_of(_unpack_rows(records, blocks, corners, edge), origin, cell_size)
     return places - np.floor(places) - 0.5, records[:, 3:].astype(np.float64)
