@@ -13,4 +13,4 @@ LARGE_TILE = 1_000_000
 """Points: smaller tiles cost more for their halos than is gained by handing them out freely."""
 TILES_EACH = 2
 """Of a worker, where they are as large as that; one at least. Each more costs halos, and more than
-`region.KEPT_TILES` are prepared twice."""
+`tiles.KEPT_TILES` are prepared twice."""

@@ -226,7 +226,7 @@ def surface_bytes(work: float) -> int:
 def summed_tile(
     _plan: Any, _points: Any, _ticket: Any = None, keep: tuple[str, str] | None = None, *_: Any
 ) -> Declared:
-    """Return the pattern of what `region.sum_tile` returns, or keeps.
+    """Return the pattern of what `tiles.sum_tile` returns, or keeps.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def summed_tile(
 
 
 def tile_surface(keep: tuple[str, str] | None) -> Declared:
-    """Return the pattern of what `region.mesh_tile` returns, or keeps.
+    """Return the pattern of what `tiles.mesh_tile` returns, or keeps.
 
     Parameters
     ----------

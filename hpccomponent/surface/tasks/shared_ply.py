@@ -205,7 +205,7 @@ def write_kept(kept: tuple[str, str], places: PartPlaces, shared: SharedPly) -> 
     Parameters
     ----------
     kept : tuple of str
-        The store (see `store.places`) and the name of what `region.mesh_tile` put there.
+        The store (see `store.places`) and the name of what `tiles.mesh_tile` put there.
     places : PartPlaces
     shared : SharedPly
 

@@ -66,7 +66,7 @@ def write_kept_tile(
     Parameters
     ----------
     kept : tuple of str
-        The store (see `store.places`) and the name of what `region.mesh_tile` put there.
+        The store (see `store.places`) and the name of what `tiles.mesh_tile` put there.
     places : PartPlaces
     foreign : tuple
         Names of other parts, and of each foreign vertex which of them has it, and in which row.

@@ -139,7 +139,7 @@ def fit_coarse(
     ----------
     plan : Plan
     lattices, samples : list
-        What `region.sum_tile` gave of each tile, in any order. The first list is emptied: most of
+        What `tiles.sum_tile` gave of each tile, in any order. The first list is emptied: most of
         it is needed but once.
     workforce : Workforce
     threads : int

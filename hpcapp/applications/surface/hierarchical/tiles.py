@@ -47,7 +47,7 @@ class Tiling:
         Whether tasks read their points where the cloud lies; else these are sent.
     is_short : bool
         Whether memory is: of tiles, which then have about as many points each instead of as much
-        work, a worker keeps one prepared until it is meshed, and else `region.KEPT_TILES`.
+        work, a worker keeps one prepared until it is meshed, and else `tiles.KEPT_TILES`.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Tiling:
         Sorted keys of the coarse cells that hold points.
     tickets : list of str or None
         Of the tiles, where workers may keep them: each prepares its points once then (see
-        `region.sum_tile`). Not where they are sent from a disk, which is done twice.
+        `tiles.sum_tile`). Not where they are sent from a disk, which is done twice.
     """
 
     def __init__(
