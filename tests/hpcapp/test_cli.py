@@ -125,6 +125,7 @@ HEADER = "ply\nformat ascii 1.0\nelement vertex {}\n" + "".join(
 ROW = "0.5 1 2 0 0 1\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "content", "code", "words"),
     [

@@ -143,6 +143,7 @@ def test_the_first_step_is_before_anything_is_imported_or_said(
     assert len(list(counting.glob("*.died"))) == 2
 
 
+@pytest.mark.slow
 def test_a_component_that_always_dies_before_it_registers_costs_its_machine(
     counting: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -90,6 +90,7 @@ def test_a_mesh_does_not_replace_the_standard_output(place: Path) -> None:
     assert "give -o - for a PLY there" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("home", ["", "/proc"])
 def test_a_home_that_is_empty_or_cannot_be_written(place: Path, home: str) -> None:
     (place / "cluster.yaml").write_text(LOCAL)

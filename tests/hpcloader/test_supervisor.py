@@ -97,6 +97,7 @@ events = st.one_of(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=2000, deadline=None)
 @given(st.lists(events, max_size=40), st.booleans())
 def test_no_life_of_a_component_breaks_the_rules(

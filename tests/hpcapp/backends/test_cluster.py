@@ -34,6 +34,7 @@ def estimate(backend: Any) -> list[float]:
     return submit(backend).result(30).ravel().tolist()  # type: ignore[no-any-return]
 
 
+@pytest.mark.slow
 def test_a_cluster_is_an_executor(
     standing_cluster: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -85,6 +86,7 @@ def test_what_a_cluster_cannot_have_is_refused(standing_cluster: Callable[..., A
         pass
 
 
+@pytest.mark.slow
 def test_a_machine_that_joins_the_inventory_joins_the_job(
     standing_cluster: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

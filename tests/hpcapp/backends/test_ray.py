@@ -87,6 +87,7 @@ def test_tasks_of_a_killed_worker_run_again(
     assert "died" not in "".join(capfd.readouterr())
 
 
+@pytest.mark.slow
 def test_a_task_that_kills_its_workers_is_given_up(backend: Backend, tasks: Any) -> None:
     with pytest.raises(WorkerLostError, match=r"4 worker\(s\) died .*; look at Ray's logs"):
         map_batches(backend.workforce, tasks.kill_worker, [()])

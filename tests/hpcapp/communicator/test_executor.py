@@ -235,6 +235,7 @@ def test_the_task_of_a_worker_that_hangs_is_run_again_and_its_late_answer_droppe
     assert counts["losses"] == counts["dropped"] == 0
 
 
+@pytest.mark.slow
 def test_a_task_that_kills_every_worker_is_given_up(executor, start_component) -> None:
     start_component()
     poison = executor.submit("contract.kill_worker")

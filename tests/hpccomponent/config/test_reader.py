@@ -334,6 +334,7 @@ MERGES = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize(
     ("text", "said"),

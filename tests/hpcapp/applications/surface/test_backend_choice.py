@@ -84,6 +84,7 @@ def test_what_is_asked_for_is_not_chosen(sphere_file: Path) -> None:
     assert "paper" in report["choice"]["reason"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("hopeful", "standing_helpers")
 def test_workers_that_pay_are_started(sphere_file: Path) -> None:
     _, alone = run(sphere_file, backend="serial")

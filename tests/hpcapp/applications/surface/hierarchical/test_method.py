@@ -179,6 +179,7 @@ def test_any_tiling_gives_the_same_bits(shape, grid):
         assert mesh.faces.tobytes() == whole.faces.tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tiles", [None, 3])
 @pytest.mark.parametrize("grid", [40, 96])
 @pytest.mark.parametrize("shape", [torus, rough_torus, tailed_torus, half_torus, sheet])

@@ -32,6 +32,7 @@ def test_outliers_are_dropped_and_the_surface_is_not(name: str) -> None:
     assert len(cloud) - len(kept) == cleaned.outliers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fingers", "plates", "shaft"])
 @pytest.mark.parametrize("points", [5_000, 20_000])
 def test_clean_scans_come_through_as_they_are(name: str, points: int) -> None:

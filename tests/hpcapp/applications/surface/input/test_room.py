@@ -121,6 +121,7 @@ def commands(tmp_path: Path, scan: Path) -> Iterator[Commands]:
         process.communicate()
 
 
+@pytest.mark.slow
 def test_two_jobs_of_one_input_have_a_folder_each(commands: Commands, whole: bytes) -> None:
     first = commands.pause("first.ply")
     told = commands.run("second.ply")
@@ -132,6 +133,7 @@ def test_two_jobs_of_one_input_have_a_folder_each(commands: Commands, whole: byt
     assert commands.left() == []
 
 
+@pytest.mark.slow
 def test_to_resume_a_job_that_runs_waits_for_it_and_goes_on(
     commands: Commands, whole: bytes
 ) -> None:
@@ -174,6 +176,7 @@ def test_who_waits_can_be_interrupted(commands: Commands) -> None:
     assert second.returncode == 130
 
 
+@pytest.mark.slow
 def test_nobody_else_may_look_into_what_lies_there(commands: Commands) -> None:
     """Whatever the umask says: the paused command has none."""
     commands.pause("mesh.ply")
