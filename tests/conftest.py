@@ -56,6 +56,12 @@ def children() -> set[int]:
     return found
 
 
+def pytest_collection_finish() -> None:
+    """Set aside what is imported by now: after each test it would be looked through again."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture(autouse=True)
 def no_leaks(request: pytest.FixtureRequest) -> Iterator[None]:
     if not PROC.exists() or request.node.get_closest_marker("leaks_allowed"):
