@@ -36,7 +36,6 @@ def tasks() -> Iterator[Any]:
     patch.setenv("PYTHONPATH", os.pathsep.join([TASKS, *_python_path()]))
     yield import_module("contract_tasks")
     patch.undo()
-    sys.modules.pop("contract_tasks", None)
 
 
 def _python_path() -> list[str]:
@@ -113,7 +112,7 @@ def start_dask(
         cluster.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="session", autouse=True)
 def standing_helpers() -> None:
     """Start what lives as long as the interpreter, before leaks are counted.
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import zmq
 
 from hpcapp.backends.selection import Backend, open_backend, open_executor
 from hpcapp.workforce import Workforce, map_batches
@@ -37,11 +36,6 @@ HERE = ["serial", "threads", "processes", "zmq", DASK, RAY, "loky:ProcessPoolExe
 def executor(
     request: pytest.FixtureRequest, tasks: Any, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Executor]:
-    with zmq.Context() as context, context.socket(zmq.PAIR) as one, context.socket(zmq.PAIR) as two:
-        one.bind("inproc://warm-up")  # pyzmq keeps a thread from its first zero-copy send on
-        two.connect("inproc://warm-up")
-        one.send(bytes(1 << 20), copy=False)
-        two.recv()
     with open_named(request, tasks) as backend:
         # Pools start their workers with the first tasks: let them, before leaks are counted.
         released = tmp_path_factory.mktemp("start") / "released"

@@ -14,7 +14,6 @@ from hpcapp.workforce import Workforce
 from hpccomponent.runtime.visible_files import sees_files
 
 
-@pytest.mark.usefixtures("standing_helpers")
 @pytest.mark.parametrize("name", ["serial", "processes", "zmq"])
 def test_workers_of_this_machine_see_its_files(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

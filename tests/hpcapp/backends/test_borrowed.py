@@ -36,7 +36,6 @@ def test_it_tells_how_many_workers_it_has_or_is_told() -> None:
             assert backend.workforce.workers == 7
 
 
-@pytest.mark.usefixtures("standing_helpers")
 @pytest.mark.parametrize("name", ["serial", "processes", "zmq"])
 def test_our_own_are_taken_as_they_are(name: str) -> None:
     with open_executor(name, workers=1) as backend, open_backend(backend.executor) as borrowed:
@@ -53,7 +52,6 @@ def test_what_is_no_executor_is_refused(thing: Any) -> None:
         pass
 
 
-@pytest.mark.usefixtures("standing_helpers")
 def test_a_pool_that_breaks_is_its_owners_to_open_anew() -> None:
     with open_processes(1) as pool, open_backend(pool) as backend:
         pid = backend.executor.submit(os.getpid).result()

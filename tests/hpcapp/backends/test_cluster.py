@@ -21,8 +21,6 @@ from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.inventory import dump_inventory, read_inventory
 from hpccomponent.protocol.keys import write_secret
 
-pytestmark = pytest.mark.usefixtures("standing_helpers")
-
 TASK = "quadrature.estimate"
 
 

@@ -104,7 +104,6 @@ def test_addresses_are_no_names_of_functions() -> None:
         assert not is_factory(name)
 
 
-@pytest.mark.usefixtures("standing_helpers")
 @pytest.mark.leaks_allowed  # loky keeps its resource tracker
 def test_a_pool_of_loky_that_has_lost_a_worker_is_made_anew(tasks: Any) -> None:
     pytest.importorskip("loky", reason="loky is not installed")

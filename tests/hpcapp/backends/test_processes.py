@@ -16,7 +16,6 @@ from hpcapp.backends.selection import open_executor
 from hpccomponent.errors import WorkerLostError
 
 
-@pytest.mark.usefixtures("standing_helpers")
 def test_a_worker_that_dies_while_it_writes_its_result_is_noticed() -> None:
     with open_processes(2) as pool:
         assert isinstance(pool, ProcessPoolExecutor)
@@ -29,7 +28,6 @@ def test_a_worker_that_dies_while_it_writes_its_result_is_noticed() -> None:
             waiting.result()
 
 
-@pytest.mark.usefixtures("standing_helpers")
 def test_the_pipe_that_the_watcher_closes_is_not_closed_a_second_time_meanwhile(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -106,7 +104,6 @@ def fail_at_work(pipe: Path, writers: list[int], running: list[Future[bytes]]) -
         raise ValueError("mine")
 
 
-@pytest.mark.usefixtures("standing_helpers")
 def test_an_error_in_the_block_does_not_wait_for_what_runs(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     writers: list[int] = []

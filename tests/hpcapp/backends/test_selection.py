@@ -65,7 +65,6 @@ def test_the_serial_executor_keeps_errors_in_their_futures() -> None:
     assert isinstance(SerialExecutor().submit(divmod, 7, 0).exception(), ZeroDivisionError)
 
 
-@pytest.mark.usefixtures("standing_helpers")
 def test_a_pool_that_has_lost_a_worker_is_opened_anew(tasks: Any, tmp_path: Path) -> None:
     started, released = tmp_path / "started", tmp_path / "released"
     with open_executor("processes", workers=1) as backend:
@@ -79,7 +78,6 @@ def test_a_pool_that_has_lost_a_worker_is_opened_anew(tasks: Any, tmp_path: Path
         assert [future.result() for future in waiting] == [2**power for power in range(8)]
 
 
-@pytest.mark.usefixtures("standing_helpers")
 def test_a_task_that_kills_every_worker_is_given_up(tasks: Any) -> None:
     with open_executor("processes", workers=1) as backend:
         with pytest.raises(
@@ -89,13 +87,11 @@ def test_a_task_that_kills_every_worker_is_given_up(tasks: Any) -> None:
         assert backend.executor.submit(pow, 2, 3).result() == 8
 
 
-@pytest.mark.usefixtures("standing_helpers")
 def test_processes_compute_on_one_thread() -> None:
     with open_executor("processes", workers=1) as backend:
         assert backend.executor.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
 
 
-@pytest.mark.usefixtures("standing_helpers")
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks here")
 def test_a_pool_is_deaf_to_interrupts_and_leaves_the_masters_mask_alone() -> None:
     before = signal.pthread_sigmask(signal.SIG_BLOCK, set())

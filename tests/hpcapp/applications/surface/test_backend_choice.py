@@ -85,7 +85,7 @@ def test_what_is_asked_for_is_not_chosen(sphere_file: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("hopeful", "standing_helpers")
+@pytest.mark.usefixtures("hopeful")
 def test_workers_that_pay_are_started(sphere_file: Path) -> None:
     _, alone = run(sphere_file, backend="serial")
     report, mesh = run(sphere_file, workers=4)

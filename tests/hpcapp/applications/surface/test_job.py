@@ -24,7 +24,6 @@ WriteCloud = Callable[..., Path]
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("standing_helpers")
 @pytest.mark.parametrize("method", [Hierarchical(), Paper()], ids=["hierarchical", "paper"])
 def test_every_backend_writes_the_same_bytes(
     method: MethodSettings, sphere_file: Path, tmp_path: Path

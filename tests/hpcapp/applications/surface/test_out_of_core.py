@@ -79,7 +79,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("small", "standing_helpers")
+@pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("backend", ["serial", "threads", "processes", "zmq"])
 def test_a_cloud_on_disk_gives_the_bytes_of_one_in_memory(
     backend: str, scan: Path, whole: bytes, tmp_path: Path
@@ -97,7 +97,6 @@ def test_a_cloud_on_disk_gives_the_bytes_of_one_in_memory(
     assert list(room.rglob("*")) == []  # what was kept is taken away
 
 
-@pytest.mark.usefixtures("standing_helpers")
 def test_workers_read_a_cloud_that_memory_would_hold(
     scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -117,7 +116,7 @@ def test_without_a_folder_it_goes_into_a_temporary_one(
     assert output.read_bytes() == whole
 
 
-@pytest.mark.usefixtures("small", "standing_helpers")
+@pytest.mark.usefixtures("small")
 @pytest.mark.leaks_allowed  # loky keeps its resource tracker
 def test_workers_that_see_no_folder_are_sent_points_and_give_tiles_back(
     scan: Path, whole: bytes, tmp_path: Path
@@ -129,7 +128,7 @@ def test_workers_that_see_no_folder_are_sent_points_and_give_tiles_back(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("small", "standing_helpers")
+@pytest.mark.usefixtures("small")
 @pytest.mark.leaks_allowed  # boto3 closes its connections when it is collected
 @pytest.mark.parametrize("backend", ["serial", "zmq"])
 def test_tiles_are_kept_in_a_bucket(
@@ -230,7 +229,7 @@ def _kept(room: Path) -> list[Path]:
     return [path for path in room.rglob("*") if path.is_file() and not path.name.startswith(".")]
 
 
-@pytest.mark.usefixtures("small", "standing_helpers")
+@pytest.mark.usefixtures("small")
 def test_workers_write_the_mesh_themselves(
     scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -259,7 +258,7 @@ class Memory(SilentProgress):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("small", "standing_helpers")
+@pytest.mark.usefixtures("small")
 def test_the_memory_does_not_grow_with_the_mesh(scan: Path, tmp_path: Path) -> None:
     output = tmp_path / "mesh.ply"
     sizes, growths = [], []
@@ -309,7 +308,7 @@ def test_a_full_disk_leaves_the_old_mesh(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("bucket", "standing_helpers")
+@pytest.mark.usefixtures("bucket")
 @pytest.mark.leaks_allowed  # boto3 closes its connections when it is collected
 @pytest.mark.parametrize("name", ["mesh.obj", "mesh.tiles"])
 def test_what_is_kept_is_written_in_other_formats_too(

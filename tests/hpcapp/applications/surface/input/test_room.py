@@ -457,7 +457,6 @@ def test_different_inputs_in_one_folder_do_not_touch_each_other(
 
 @pytest.mark.slow
 @pytest.mark.leaks_allowed  # boto3 closes its connections when it is collected
-@pytest.mark.usefixtures("standing_helpers")
 def test_jobs_of_one_input_share_a_bucket(
     scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bucket: Any
 ) -> None:
