@@ -14,9 +14,7 @@ job run the same one (see `build`).
 from typing import TYPE_CHECKING
 
 from hpccomponent.surface.build import load_native
-from hpccomponent.surface.kernels.portable.hermite import BASIS
-from hpccomponent.surface.kernels.portable.moments import COLUMNS
-from hpccomponent.surface.kernels.portable.normals import FINE, UNSURE, WRONG
+from hpccomponent.surface.kernels.constants import BASIS, COLUMNS, FINE, UNSURE, WRONG
 
 if TYPE_CHECKING or load_native() is not None:
     from hpccomponent.surface.kernels.native import *  # noqa: F403

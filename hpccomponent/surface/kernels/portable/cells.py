@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hpccomponent.surface.kernels.constants import BASIS, COLUMNS
 from hpccomponent.surface.kernels.portable.hermite import (
-    BASIS,
     fit_vertices,
     inherit_quadrics,
     residual_variances,
     weigh_priors,
 )
-from hpccomponent.surface.kernels.portable.moments import COLUMNS, scale_moments, shift_moments
+from hpccomponent.surface.kernels.portable.moments import scale_moments, shift_moments
 from hpccomponent.surface.types.lattice import (
     OCTANTS,
     cells_of,

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpccomponent.surface.kernels.portable.moments import EXPONENTS, MONOMIALS
+from hpccomponent.surface.kernels.constants import BASIS, MONOMIALS
+from hpccomponent.surface.kernels.portable.moments import EXPONENTS
 from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
 __all__ = [
-    "BASIS",
     "evaluate_residuals",
     "evaluate_slopes",
     "fit_vertices",
@@ -22,7 +22,6 @@ __all__ = [
     "weigh_priors",
 ]
 
-BASIS = 10
 _RIDGE = 1e-9
 _LEAST_SLOPE = 0.05  # of the mean square of a prior's gradient, which is about 1
 _LEAST_EXCESS = 1e-12

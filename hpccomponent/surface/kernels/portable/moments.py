@@ -17,12 +17,11 @@ from math import comb
 
 import numpy as np
 
+from hpccomponent.surface.kernels.constants import COLUMNS
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = [
-    "COLUMNS",
     "EXPONENTS",
-    "MONOMIALS",
     "accumulate_moments",
     "scale_moments",
     "shift_moments",
@@ -45,8 +44,6 @@ def _ordered_exponents() -> tuple[Exponent, ...]:
 
 
 EXPONENTS = _ordered_exponents()
-MONOMIALS = len(EXPONENTS)
-COLUMNS = MONOMIALS + 9
 _COLUMN_OF = {exponent: column for column, exponent in enumerate(EXPONENTS)}
 _CHUNK_POINTS = 1 << 14
 _CHUNK_ROWS = 1 << 12

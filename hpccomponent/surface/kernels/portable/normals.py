@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from hpccomponent.surface.kernels.constants import FINE, UNSURE, WRONG
 from hpccomponent.surface.types.lattice import NEIGHBOURS, find_keys, step_keys
 from hpccomponent.surface.types.points import ByteArray, Float32Array, FloatArray, IntArray
 
-__all__ = ["FINE", "UNSURE", "WRONG", "poll_normals"]
-
-FINE, UNSURE, WRONG = 0, 1, 2
-"""What `poll_normals` finds of a normal."""
-
+__all__ = ["poll_normals"]
 
 _ALIKE = 0.5  # cosine from which normals agree; below its negative they oppose
 

@@ -3,14 +3,17 @@ import itertools
 import numpy as np
 import pytest
 
+from hpccomponent.surface.kernels.constants import COLUMNS, MONOMIALS
 from hpccomponent.surface.kernels.portable.moments import (
-    COLUMNS,
     EXPONENTS,
-    MONOMIALS,
     accumulate_moments,
     scale_moments,
     shift_moments,
 )
+
+
+def test_there_are_as_many_monomials_as_the_kernels_go_by():
+    assert len(EXPONENTS) == MONOMIALS == COLUMNS - 9
 
 
 @pytest.fixture

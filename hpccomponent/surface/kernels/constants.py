@@ -1,0 +1,17 @@
+"""Numbers that both builds of the kernels, and those who call them, go by."""
+
+from __future__ import annotations
+
+__all__ = ["BASIS", "COLUMNS", "FINE", "MONOMIALS", "UNSURE", "WRONG"]
+
+BASIS = 10
+"""Coefficients of a quadric."""
+
+MONOMIALS = 35
+"""Of three coordinates, of degree 4 and less."""
+
+COLUMNS = MONOMIALS + 9
+"""Of the moments: the monomials, and what normals add to them."""
+
+FINE, UNSURE, WRONG = 0, 1, 2
+"""What `poll_normals` finds of a normal."""
