@@ -36,25 +36,7 @@ class LocalShell:
         self._home = home
 
     def run(self, command: str, *, stdin: bytes = b"", timeout_s: float = 60.0) -> Completed:
-        """Run a POSIX shell command to its end.
-
-        Parameters
-        ----------
-        command : str
-        stdin : bytes
-            What the command reads.
-        timeout_s : float
-            In seconds.
-
-        Returns
-        -------
-        Completed
-
-        Raises
-        ------
-        CloudError
-            The command does not end in time.
-        """
+        """See `Shell.run`."""
         with self._start(command, subprocess.PIPE, subprocess.PIPE) as process:
             try:
                 output, errors = process.communicate(stdin, timeout_s)
@@ -71,18 +53,7 @@ class LocalShell:
         )
 
     def follow(self, command: str, on_line: Callable[[str], None]) -> int:
-        """Run a command, hand over every line of its output as it comes, return its exit code.
-
-        Parameters
-        ----------
-        command : str
-        on_line : callable
-            Takes a line of output or errors, without its end.
-
-        Returns
-        -------
-        int
-        """
+        """See `Shell.follow`."""
         with self._start(command, subprocess.DEVNULL, subprocess.STDOUT) as process:
             assert process.stdout is not None  # noqa: S101 - for mypy
             try:
@@ -94,17 +65,7 @@ class LocalShell:
         return _exit_code(process.returncode)
 
     def interact(self, command: str = "") -> int:
-        """Give the user's terminal to a command, or to a login shell; return its exit code.
-
-        Parameters
-        ----------
-        command : str
-            Empty for a shell.
-
-        Returns
-        -------
-        int
-        """
+        """See `Shell.interact`."""
         arguments = ["/bin/sh", "-c", command] if command else ["/bin/sh"]
         process = subprocess.run(  # noqa: S603 - it is the user's own command
             arguments, cwd=self._home, env=self._environment(), check=False
@@ -119,57 +80,17 @@ class LocalShell:
         mode: int = 0o600,
         on_progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Copy a file to the node.
-
-        Parameters
-        ----------
-        source : Path
-        target : str
-            Relative to the node's home.
-        mode : int
-            Permission bits of the target.
-        on_progress : callable, optional
-            Told (bytes copied, bytes in all).
-
-        Raises
-        ------
-        CloudError
-            A file cannot be read or written.
-        """
+        """See `Shell.put`."""
         self._copy(source, self._home / target, mode, on_progress)
 
     def get(
         self, source: str, target: Path, *, on_progress: Callable[[int, int], None] | None = None
     ) -> None:
-        """Copy a file from the node.
-
-        Parameters
-        ----------
-        source : str
-            Relative to the node's home.
-        target : Path
-        on_progress : callable, optional
-            Told (bytes copied, bytes in all).
-
-        Raises
-        ------
-        CloudError
-            A file cannot be read or written.
-        """
+        """See `Shell.get`."""
         self._copy(self._home / source, target, None, on_progress)
 
     def forward(self, address: str, port: int) -> int:
-        """Return the port: what the node reaches, this machine reaches.
-
-        Parameters
-        ----------
-        address : str
-        port : int
-
-        Returns
-        -------
-        int
-        """
+        """See `Shell.forward`."""
         del address
         return port
 

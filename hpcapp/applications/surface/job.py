@@ -57,7 +57,7 @@ def run_job(
     progress : Progress
         Where stages are announced.
     machines : LocalMachines, optional
-        What `backends.start_early` has started for the job.
+        What `selection.start_early` has started for the job.
 
     Returns
     -------

@@ -118,7 +118,7 @@ class Passes:
     def map_blocks(
         self, task: Callable[..., Any], cloud: DiskCloud, dropped: DroppedCells | None, *more: Any
     ) -> list[Any]:
-        """Run a task over runs of blocks (see `block_tasks`), given more arguments.
+        """Run a task over runs of blocks (see `tasks.blocks`), given more arguments.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ class Passes:
         dropped: DroppedCells | None,
         more: Callable[[int], tuple[Any, ...]],
     ) -> Iterator[tuple[int, Any]]:
-        """Run a task over regions (see `region_tasks`) and yield results as they come.
+        """Run a task over regions (see `tasks.cleaning`) and yield results as they come.
 
         Parameters
         ----------

@@ -111,7 +111,7 @@ def mend_blocks(
     low, spacing
         As for `normals.find_turned`.
     target : tuple of (str, int), or None
-        The folder, and the number of the part: see `disk_cloud.write_part`. None where the worker
+        The folder, and the number of the part: see `disk.write_part`. None where the worker
         does not see it.
     sampled : tuple of (float, int)
         The edge of boxes, and how many of them make one sampled: see `kernels.sample_boxes`.

@@ -205,7 +205,7 @@ def arrange_range(
         Points beyond it are left out.
     arrangement : Arrangement
     target : tuple of (str, int)
-        The folder, and the number of the part: see `disk_cloud.write_part`.
+        The folder, and the number of the part: see `disk.write_part`.
     boxes : tuple
         The least coordinates of the arranged cloud, the edges of boxes to be counted, and how
         many boxes make one sampled.

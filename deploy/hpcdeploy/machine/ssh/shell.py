@@ -49,25 +49,7 @@ class SshShell:
         self._sftp: paramiko.SFTPClient | None = None
 
     def run(self, command: str, *, stdin: bytes = b"", timeout_s: float = 60.0) -> Completed:
-        """Run a POSIX shell command to its end.
-
-        Parameters
-        ----------
-        command : str
-        stdin : bytes
-            What the command reads.
-        timeout_s : float
-            In seconds.
-
-        Returns
-        -------
-        Completed
-
-        Raises
-        ------
-        CloudError
-            The machine cannot be reached, or the command does not end in time.
-        """
+        """See `Shell.run`."""
         deadline = time.monotonic() + timeout_s
         errors: list[bytes] = []
         with self._channel(command, timeout_s) as channel:
@@ -89,23 +71,7 @@ class SshShell:
         )
 
     def follow(self, command: str, on_line: Callable[[str], None]) -> int:
-        """Run a command, hand over every line of its output as it comes, return its exit code.
-
-        Parameters
-        ----------
-        command : str
-        on_line : callable
-            Takes a line of output or errors, without its end.
-
-        Returns
-        -------
-        int
-
-        Raises
-        ------
-        CloudError
-            The machine cannot be reached.
-        """
+        """See `Shell.follow`."""
         with (
             self._channel(command, None, is_combined=True) as channel,
             channel.makefile("rb") as lines,
@@ -116,22 +82,7 @@ class SshShell:
             return self._exit_code(channel, None)
 
     def interact(self, command: str = "") -> int:
-        """Give the user's terminal to a command, or to a login shell; return its exit code.
-
-        Parameters
-        ----------
-        command : str
-            Empty for a login shell.
-
-        Returns
-        -------
-        int
-
-        Raises
-        ------
-        CloudError
-            The machine cannot be reached.
-        """
+        """See `Shell.interact`."""
         with self._border(), self._transport.open_session() as channel:
             give_terminal(channel, command)
             return self._exit_code(channel, None)
@@ -144,64 +95,19 @@ class SshShell:
         mode: int = 0o600,
         on_progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Send a file: what is there already goes on, and the whole is checked by its SHA-256.
-
-        Parameters
-        ----------
-        source : Path
-            On this machine.
-        target : str
-            On the other one.
-        mode : int
-            Permission bits of the target.
-        on_progress : callable, optional
-            Told (bytes sent, bytes in all).
-
-        Raises
-        ------
-        CloudError
-            See `send_file`.
-        """
+        """See `Shell.put`."""
         with self._border():
             send_file(self, self._files(), source, target, mode, on_progress)
 
     def get(
         self, source: str, target: Path, *, on_progress: Callable[[int, int], None] | None = None
     ) -> None:
-        """Fetch a file, in the same manner.
-
-        Parameters
-        ----------
-        source : str
-            On the other machine.
-        target : Path
-            On this one.
-        on_progress : callable, optional
-            Told (bytes fetched, bytes in all).
-
-        Raises
-        ------
-        CloudError
-            See `fetch_file`.
-        """
+        """See `Shell.get`."""
         with self._border():
             fetch_file(self, self._files(), source, target, on_progress)
 
     def forward(self, address: str, port: int) -> int:
-        """Forward a local port on loopback to an address the machine reaches; return the port.
-
-        Parameters
-        ----------
-        address : str
-            As the machine names it.
-        port : int
-            At that address.
-
-        Returns
-        -------
-        int
-            The local one.
-        """
+        """See `Shell.forward`."""
         forwarder = Forwarder(self._transport, address, port)
         self._closer.callback(forwarder.close)
         return forwarder.port

@@ -2,15 +2,15 @@
 
 ::
 
-    ec2.py ── ec2_observe   descriptions -> what is ours
-       │ ──── ec2_access    key pair, security group and its rules
-       │ ──── ec2_launch    parameters of a launch
-       │ ──── ec2_images    which image a profile boots
-       │ ──── ec2_check     what would make `up` fail
+    provider ── observe   descriptions -> what is ours
+       │ ────── access    key pair, security group and its rules
+       │ ────── launch    parameters of a launch
+       │ ────── images    which image a profile boots
+       │ ────── check     what would make `up` fail
        │          │
-       │      ec2_client ── ec2_login ── ec2_key_errors
-       │           └─────── ec2_credentials, ec2_errors
-       └──── ec2_capabilities   which cloud knows which call and parameter
+       │       client ── login ── key_errors
+       │          └───── credentials, errors
+       └────── capabilities   which cloud knows which call and parameter
 """
 
 from __future__ import annotations
