@@ -83,7 +83,7 @@ class StandingDask:
         self.address = _read_address(contact)
 
     def _start(self, role: str, *options: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "dask", role, "--host=127.0.0.1", *options]
+        command = [sys.executable, "-P", "-m", "dask", role, "--host=127.0.0.1", *options]
         with (self._folder / f"{role}.log").open("ab") as log:
             return subprocess.Popen(
                 command, env=self._environment, cwd=self._folder, stdout=log, stderr=log
@@ -158,7 +158,7 @@ def start_command(tmp_path: Path) -> StartCommand:
 
     def start(*arguments: str, **settings: object) -> subprocess.Popen[str]:
         return subprocess.Popen(
-            [sys.executable, "-m", "hpcapp", *arguments],
+            [sys.executable, "-P", "-m", "hpcapp", *arguments],
             cwd=tmp_path,
             env={**os.environ, "TMPDIR": str(tmp_path)},
             text=True,
@@ -180,7 +180,7 @@ def run_mpi(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
         command = ["mpiexec", "--oversubscribe", "-n", str(processes)]
         if os.geteuid() == 0:
             command.append("--allow-run-as-root")
-        command += [sys.executable, "-m", "mpi4py.futures", *arguments]
+        command += [sys.executable, "-P", "-m", "mpi4py.futures", *arguments]
         return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
 
     return run

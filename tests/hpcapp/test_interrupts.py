@@ -137,7 +137,7 @@ cli.main()
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="a mutex of the C library is what it waits for")
 def test_a_call_that_never_returns_does_not_hold_up_the_second_signal() -> None:
-    command = [sys.executable, "-c", STUCK, "stuck"]
+    command = [sys.executable, "-P", "-c", STUCK, "stuck"]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:

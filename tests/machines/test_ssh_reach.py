@@ -157,7 +157,10 @@ def test_1200_hosts_are_looked_at_under_a_low_limit_of_descriptors(
         places = [f"127.1.{n // 200}.{n % 200 + 1}" for n in range(1200)]
         write_hosts(file, [{"address": place, "port": port} for place in places])
         done = subprocess.run(
-            [sys.executable, "-c", MANY, str(file)], capture_output=True, text=True, check=False
+            [sys.executable, "-P", "-c", MANY, str(file)],
+            capture_output=True,
+            text=True,
+            check=False,
         )
     assert (done.stdout.strip(), done.stderr) == ("1200|does not speak SSH", "")
 
@@ -175,7 +178,9 @@ def test_ctrl_c_while_connecting_ends_at_once_and_says_one_line(
     with open_rude(act) as port:
         write_hosts(file, [{"address": "127.0.0.1", "port": port, "user": USER}])
         with subprocess.Popen(
-            [sys.executable, "-m", "hpcapp", "status", str(file)], stderr=subprocess.PIPE, text=True
+            [sys.executable, "-P", "-m", "hpcapp", "status", str(file)],
+            stderr=subprocess.PIPE,
+            text=True,
         ) as process:
             assert connected.wait(60)
             process.send_signal(signal.SIGINT)

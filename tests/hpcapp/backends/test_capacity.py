@@ -203,7 +203,7 @@ def test_a_master_of_1200_workers_raises_its_low_soft_limit(tmp_path: Path) -> N
     inventory = Inventory("many", endpoint, master.public, master.secret, workers)
     path = tmp_path / "inventory.json"
     write_secret(path, dump_inventory(inventory))
-    command = [sys.executable, "-c", MASTER, str(path), str(MANY)]
+    command = [sys.executable, "-P", "-c", MASTER, str(path), str(MANY)]
     with (
         subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process,
         ExitStack() as stack,
@@ -228,7 +228,7 @@ def test_a_hard_limit_below_the_workers_of_a_cluster_is_named(tmp_path: Path) ->
     write_secret(path, dump_inventory(inventory))
     script = MASTER.replace("(128, resource.getrlimit(resource.RLIMIT_NOFILE)[1])", "(100, 100)")
     done = subprocess.run(
-        [sys.executable, "-c", script, str(path), "100"], capture_output=True, text=True
+        [sys.executable, "-P", "-c", script, str(path), "100"], capture_output=True, text=True
     )
     assert done.stderr.splitlines()[-1].startswith(
         "hpccomponent.errors.UsageError: a master of 100 workers needs 140 more open files, and "

@@ -102,7 +102,7 @@ from hpccomponent.protocol.connection import write_connection
 door = Door()
 write_connection(sys.argv[1], door.invite("flood"))
 transport = door.answer()
-flood = subprocess.Popen([sys.executable, "-c", sys.argv[2], sys.argv[1]])
+flood = subprocess.Popen([sys.executable, "-P", "-c", sys.argv[2], sys.argv[1]])
 while transport.receive() is None:
     transport.wait(1.0)
 print(flood.wait(), flush=True)
@@ -119,7 +119,7 @@ def test_a_peer_that_breaks_off_while_its_messages_wait_does_not_abort_the_maste
     tmp_path: Path,
 ) -> None:
     with subprocess.Popen(
-        [sys.executable, "-c", MASTER, str(tmp_path / "flood.json"), FLOOD],
+        [sys.executable, "-P", "-c", MASTER, str(tmp_path / "flood.json"), FLOOD],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -66,7 +66,7 @@ def test_a_machine_that_vanishes_is_noticed_long_before_its_heartbeats_are_misse
     if reason:
         pytest.skip(f"no network namespaces here: {reason}")
     done = subprocess.run(
-        ["unshare", "--net", sys.executable, "-c", MASTER, str(tmp_path / "far.json")],
+        ["unshare", "--net", sys.executable, "-P", "-c", MASTER, str(tmp_path / "far.json")],
         capture_output=True,
         text=True,
         timeout=60.0,

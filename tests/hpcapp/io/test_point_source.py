@@ -226,7 +226,7 @@ def test_memory_does_not_grow_with_the_file(make_ply: Make, where: str) -> None:
     elements = f"element vertex {points}\n{VERTEX}element face {faces}\n{FACE}"
     body = bytes(18 * points) + struct.pack("<B3i", 3, 0, 1, 2) * faces
     path = make_ply("binary_little_endian", elements, body)
-    command = [sys.executable, "-c", _MEASURE, str(path)]
+    command = [sys.executable, "-P", "-c", _MEASURE, str(path)]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     read, kibibytes = map(int, done.stdout.split())
     assert read == points

@@ -44,7 +44,7 @@ def start_holder() -> Iterator[Holder]:
     started: list[subprocess.Popen[str]] = []
 
     def start(path: Path, umask: str = "022") -> subprocess.Popen[str]:
-        command = [sys.executable, "-c", HOLDER, str(path), umask]
+        command = [sys.executable, "-P", "-c", HOLDER, str(path), umask]
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )

@@ -13,7 +13,7 @@ print(json.dumps([len(gc.get_objects()) < 1000, gc.get_freeze_count() > 20_000])
 
 
 def test_a_program_collects_rarely_and_not_at_its_exit() -> None:
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, check=True)
+    done = subprocess.run([sys.executable, "-P", "-c", PROGRAM], capture_output=True, check=True)
     inside, after = map(json.loads, done.stdout.decode().splitlines())
     assert inside == [True, 0]
     assert after == [True, True]

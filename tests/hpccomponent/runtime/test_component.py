@@ -183,7 +183,7 @@ def test_usage_and_configuration_errors_exit_2(start: Start, tmp_path: Path) -> 
 def test_start_up_imports_nothing_heavy(module: str) -> None:
     code = f"import sys, {module}; print(*sys.modules)"
     listed = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        [sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()
     heavy = {"scipy", "pydantic", "skimage", "rich", "click", "yaml", "asyncio"}
     if "worker" not in module:

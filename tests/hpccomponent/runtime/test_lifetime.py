@@ -14,7 +14,7 @@ def test_the_end_of_a_pipe_ends_a_process_that_computes() -> None:
         f"exit_at_end_of_pipe({reading}, 7)\n"
         "while True: pass"
     )
-    process = subprocess.Popen([sys.executable, "-c", code], pass_fds=(reading,))
+    process = subprocess.Popen([sys.executable, "-P", "-c", code], pass_fds=(reading,))
     os.close(reading)
     os.close(writing)
     assert process.wait() == 7
@@ -27,4 +27,4 @@ def test_a_parent_that_is_gone_already_ends_the_process() -> None:
         "from hpccomponent.runtime.lifetime import die_with_parent\n"
         "die_with_parent(os.getppid() + 1, signal.SIGKILL)"
     )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -9
+    assert subprocess.run([sys.executable, "-P", "-c", code], check=False).returncode == -9

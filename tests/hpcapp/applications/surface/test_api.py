@@ -158,7 +158,7 @@ def test_importing_the_package_imports_nothing_heavy() -> None:
         "import sys, hpcapp; print(dir(hpcapp)); "
         "sys.exit(bool({'numpy', 'zmq', 'click', 'hpccomponent'} & set(sys.modules)))"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    found = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True)
     assert found.returncode == 0, found.stderr
     assert "'reconstruct'" in found.stdout
     with pytest.raises(AttributeError, match="no attribute 'reconstrukt'"):

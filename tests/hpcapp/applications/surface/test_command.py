@@ -35,7 +35,7 @@ def test_help_imports_nothing_heavy() -> None:
         "hpcapp.main(['reconstruct', '--help'], standalone_mode=False)\n"
         "assert not {'numpy', 'scipy', 'zmq', 'rich', 'yaml'} & set(sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
+    subprocess.run([sys.executable, "-P", "-c", script], check=True, capture_output=True)
 
 
 def test_a_default_is_no_contradiction(sphere_file: Path, tmp_path: Path) -> None:

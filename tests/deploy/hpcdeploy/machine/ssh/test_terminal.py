@@ -52,7 +52,7 @@ class Terminal:
         self.said = b""
         arguments = [str(target.port), target.user, target.key_files[0], str(hosts), command]
         self.program = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM, *arguments],
+            [sys.executable, "-P", "-c", PROGRAM, *arguments],
             stdin=self.screen,
             stdout=self.screen,
             stderr=self.screen,

@@ -89,7 +89,7 @@ def test_the_terminal_shows_one_line_and_no_traceback(ways: BrokenWays) -> None:
         provider = cloud(fault).model_dump(mode="json", exclude_none=True)
         file.write_text(json.dumps({"version": 1, "cluster": "bunny", "provider": provider}))
         done = subprocess.run(
-            [sys.executable, "-m", "hpcapp", "status", str(file)],
+            [sys.executable, "-P", "-m", "hpcapp", "status", str(file)],
             env={**os.environ, **environment},
             stdin=subprocess.DEVNULL,
             capture_output=True,

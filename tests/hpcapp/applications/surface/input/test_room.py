@@ -207,7 +207,7 @@ def test_what_a_killed_command_leaves_the_next_one_removes(
     first.wait()
     assert len(living) == 2
     done = subprocess.run(
-        [sys.executable, "-m", "hpcapp", "info", str(commands.scan)],
+        [sys.executable, "-P", "-m", "hpcapp", "info", str(commands.scan)],
         env={**os.environ, "TMPDIR": str(commands.temporary)}, capture_output=True, check=True,
     )  # fmt: skip
     assert done.stdout
