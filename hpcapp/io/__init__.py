@@ -13,11 +13,11 @@ from hpcapp.io.formats import (
     write_points,
 )
 from hpcapp.io.frame import needs_double
-from hpcapp.io.mesh_stream import MeshStream
+from hpcapp.io.meshes.mesh_stream import MeshStream
+from hpcapp.io.meshes.tiles import TILES_SUFFIX, shared_tiles, write_tiles
 from hpcapp.io.ply.format import shared_ply
-from hpcapp.io.point_source import PointSource
-from hpcapp.io.tiles import TILES_SUFFIX, shared_tiles, write_tiles
-from hpcapp.io.usable import Dropped, drop_unusable
+from hpcapp.io.points.point_source import PointSource
+from hpcapp.io.points.usable import Dropped, drop_unusable
 
 __all__ = [
     "TILES_SUFFIX",

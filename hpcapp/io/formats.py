@@ -8,16 +8,16 @@ from os import PathLike
 from pathlib import Path
 from typing import Literal, TypeVar
 
-from hpcapp.io.mesh_stream import MeshStream, as_stream
-from hpcapp.io.obj import read_obj, write_obj
-from hpcapp.io.off import read_off, write_off
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.io.meshes.obj import read_obj, write_obj
+from hpcapp.io.meshes.off import read_off, write_off
+from hpcapp.io.meshes.stl import read_stl, write_stl
+from hpcapp.io.meshes.tiles import TILES_SUFFIX, check_tiles, write_tiles
 from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh, write_ply_points
-from hpcapp.io.ply.points import open_ply
-from hpcapp.io.point_source import PointSource, read_whole, translated
+from hpcapp.io.points.point_source import PointSource, read_whole, translated
+from hpcapp.io.points.registry import find_point_format
+from hpcapp.io.points.text import write_text_points
 from hpcapp.io.staging import check_place
-from hpcapp.io.stl import read_stl, write_stl
-from hpcapp.io.text import open_text, write_text_points
-from hpcapp.io.tiles import TILES_SUFFIX, check_tiles, write_tiles
 from hpccomponent.errors import InputError, OutputError, UsageError
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import PointCloud
@@ -36,10 +36,6 @@ Chosen = TypeVar("Chosen")
 _STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
 
 _TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")
-_POINT_SOURCES: dict[str, Callable[[Path], PointSource]] = {
-    ".ply": open_ply,
-    **dict.fromkeys(_TEXT_SUFFIXES, open_text),
-}
 _POINT_WRITERS: dict[str, Callable[[Path, PointCloud], None]] = {
     ".ply": write_ply_points,
     **dict.fromkeys(_TEXT_SUFFIXES, write_text_points),
@@ -107,10 +103,10 @@ def open_points(path: str | PathLike[str]) -> PointSource:
         raise UsageError(
             f"{path}: points are not read from the standard input", "write them to a file first"
         )
-    open_ = _choose(_POINT_SOURCES, Path(path), UsageError, "a point cloud is read from")
+    point_format = find_point_format(Path(path))
     with translated(Path(path)):
         _refuse_special(Path(path))
-        return open_(Path(path))
+        return point_format.open(Path(path))
 
 
 def read_mesh(path: str | PathLike[str]) -> Mesh:

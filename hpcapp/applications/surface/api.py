@@ -30,7 +30,7 @@ from hpcapp.applications.surface.settings import (
 from hpcapp.applications.surface.steps import run_memory
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
-from hpcapp.io.usable import Dropped
+from hpcapp.io.points.usable import Dropped
 from hpcapp.progress import Progress, SilentProgress, StageClock
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.types.mesh import Mesh

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.io.frame import needs_double
-from hpcapp.io.mesh_stream import MeshStream, as_stream
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpcapp.io.ply.ascii import read_ascii
 from hpcapp.io.ply.binary import read_binary
 from hpcapp.io.ply.header import read_header
 from hpcapp.io.ply.points import AXES, COLORS, NORMALS, stack, vertex_of
-from hpcapp.io.polygons import mesh_of_polygons
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError, OutputError
 from hpccomponent.surface.tasks.shared_ply import (
@@ -107,8 +107,8 @@ def write_ply_points(path: Path, cloud: PointCloud) -> None:
     columns = _coordinate_columns(cloud.positions, cloud.origin)
     if cloud.normals is not None:
         columns += _plain_columns(NORMALS, "<f4", cloud.normals)
-    if cloud.colors is not None:
-        columns += _plain_columns(COLORS, "u1", cloud.colors)
+    if cloud.colours is not None:
+        columns += _plain_columns(COLORS, "u1", cloud.colours)
     with replacing(path) as file:
         file.write(ply_header(_vertex_lines(columns)))
         _write_columns(file, columns)

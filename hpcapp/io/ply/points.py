@@ -11,7 +11,7 @@ from hpcapp.io.columns import Rows
 from hpcapp.io.ply.ascii import scan_ascii
 from hpcapp.io.ply.binary import find_records, scan_binary
 from hpcapp.io.ply.header import Element, Header, read_header
-from hpcapp.io.point_source import PointSource
+from hpcapp.io.points.point_source import PointSource
 from hpccomponent.errors import InputError
 from hpccomponent.surface.cloud.point_records import Column, PointRecords
 from hpccomponent.surface.types.points import FloatArray, PointCloud
@@ -96,11 +96,11 @@ def _find_points(path: Path, header: Header, vertex: Element) -> PointRecords | 
             assert dtype.fields is not None  # noqa: S101 - it has these
             kind, offset = dtype.fields[f"v{number}"][:2]
             columns[p.name] = (int(offset), kind.str)
-    has_colors = all(columns.get(name, (0, ""))[1] == "|u1" for name in COLORS)
+    has_colours = all(columns.get(name, (0, ""))[1] == "|u1" for name in COLORS)
     return PointRecords(
         str(path), start, dtype.itemsize, vertex.count, _pick(columns, AXES),
         _pick(columns, NORMALS) if NORMALS[0] in columns else (),
-        _pick(columns, COLORS) if has_colors else (),
+        _pick(columns, COLORS) if has_colours else (),
     )  # fmt: skip
 
 
@@ -165,8 +165,8 @@ def stack(rows: Rows, names: tuple[str, ...]) -> FloatArray:
 
 
 def _points(vertex: Rows) -> PointCloud:
-    colors = None
+    colours = None
     if all(name in vertex.scalars and vertex.scalars[name].dtype == np.uint8 for name in COLORS):
-        colors = np.stack([vertex.scalars[name] for name in COLORS], axis=1)
+        colours = np.stack([vertex.scalars[name] for name in COLORS], axis=1)
     normals = stack(vertex, NORMALS) if NORMALS[0] in vertex.scalars else None
-    return PointCloud(stack(vertex, AXES), normals, colors)
+    return PointCloud(stack(vertex, AXES), normals, colours)

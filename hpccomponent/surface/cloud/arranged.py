@@ -187,8 +187,9 @@ def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
     positions = snapped.take(rows, axis=0)
     del snapped  # makes room for the normals
     normals = None if cloud.normals is None else _take_singles(cloud.normals, rows)
-    colors = None if cloud.colors is None else cloud.colors.take(rows, axis=0)
-    arranged = PointCloud(positions, normals, colors, cloud.origin)
+    colours = None if cloud.colours is None else cloud.colours.take(rows, axis=0)
+    attributes = {name: column.take(rows) for name, column in cloud.attributes.items()}
+    arranged = PointCloud(positions, normals, colours, attributes, cloud.origin)
     return MemoryCloud(arranged, arrangement, keys, offsets)
 
 

@@ -39,7 +39,7 @@ class PointRecords:
         Of a record, in bytes.
     count : int
         Of the records.
-    positions, normals, colors : tuple of Column
+    positions, normals, colours : tuple of Column
         Three columns each; the last two none where the file has none.
     """
 
@@ -49,7 +49,7 @@ class PointRecords:
     count: int
     positions: tuple[Column, ...]
     normals: tuple[Column, ...] = ()
-    colors: tuple[Column, ...] = ()
+    colours: tuple[Column, ...] = ()
 
     def read(self, start: int, stop: int) -> PointCloud:
         """Read a run of points.
@@ -73,7 +73,7 @@ class PointRecords:
         columns = [
             np.empty((wanted, 3)),
             np.empty((wanted, 3)) if self.normals else None,
-            np.empty((wanted, 3), np.uint8) if self.colors else None,
+            np.empty((wanted, 3), np.uint8) if self.colours else None,
         ]
         step = max(1, _BYTES_AT_ONCE // self.length)
         buffer = np.empty(min(step, wanted) * self.length, np.uint8)
@@ -93,7 +93,7 @@ class PointRecords:
         return PointCloud(*columns)  # type: ignore[arg-type] # positions are never None
 
     def _sources(self) -> tuple[tuple[Column, ...], ...]:
-        return self.positions, self.normals, self.colors
+        return self.positions, self.normals, self.colours
 
     def _fill(self, file: Any, buffer: ByteArray) -> None:
         view = buffer.data

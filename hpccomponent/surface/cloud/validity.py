@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NoReturn
 
 import numpy as np
@@ -116,7 +116,7 @@ def select_usable(cloud: PointCloud, source: str) -> tuple[PointCloud, Dropped]:
     finite = np.logical_and.reduce([np.isfinite(column) for column in cloud.positions.T])
     units, directed = _normalized(cloud.normals)
     dropped = Dropped(int((~finite).sum()), int((finite & ~directed).sum()))
-    usable = PointCloud(cloud.positions, units, cloud.colors, cloud.origin)
+    usable = replace(cloud, normals=units)
     return usable.take(finite & directed) if dropped.total else usable, dropped
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -36,15 +37,18 @@ class PointCloud:
         In length units of the input, relative to `origin`.
     normals : ndarray of float64, shape (n, 3), or None
         Unit length, pointing out of the object (towards the scanner).
-    colors : ndarray of uint8, shape (n, 3), or None
+    colours : ndarray of uint8, shape (n, 3), or None
         Red, green, blue.
+    attributes : dict of str to ndarray, shape (n,)
+        Any other numeric columns, by name.
     origin : ndarray of float64, shape (3,)
         What was subtracted from the input's coordinates; zero unless they are georeferenced.
     """
 
     positions: FloatArray
     normals: FloatArray | None = None
-    colors: NDArray[np.uint8] | None = None
+    colours: NDArray[np.uint8] | None = None
+    attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     origin: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def __len__(self) -> int:
@@ -68,6 +72,7 @@ class PointCloud:
         return PointCloud(
             self.positions.take(rows, axis=0),
             None if self.normals is None else self.normals.take(rows, axis=0),
-            None if self.colors is None else self.colors.take(rows, axis=0),
+            None if self.colours is None else self.colours.take(rows, axis=0),
+            {name: column.take(rows) for name, column in self.attributes.items()},
             self.origin,
         )

@@ -53,7 +53,7 @@ def test_a_cloud_comes_back_in_every_format(tmp_path: Path, cloud: PointCloud, s
     again = read_points(tmp_path / f"cloud{suffix}")
     assert (again.positions == cloud.positions).all()
     np.testing.assert_array_equal(again.normals, cloud.normals)
-    np.testing.assert_array_equal(again.colors, cloud.colors)
+    np.testing.assert_array_equal(again.colours, cloud.colours)
 
 
 def test_unknown_suffixes_are_answered_with_the_known(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -202,5 +202,5 @@ def clean_cloud(cloud: PointCloud, threads: int = 1) -> tuple[PointCloud, Cleane
     if kept.normals is not None:
         normals, flipped = mend_normals(kept.positions, kept.normals, spacing, threads)
         if flipped:
-            kept = PointCloud(kept.positions, normals, kept.colors, kept.origin)
+            kept = replace(kept, normals=normals)
     return kept, Cleaned(len(cloud) - len(kept), flipped)

@@ -26,7 +26,7 @@ def describe(cloud: PointCloud) -> dict[str, Any]:
     Returns
     -------
     dict
-        JSON values. ``points``: how many; ``has_normals``, ``has_colors``; ``bounds`` (lowest
+        JSON values. ``points``: how many; ``has_normals``, ``has_colours``; ``bounds`` (lowest
         and highest corner, in the input's coordinates), ``extent`` (per axis), ``diagonal`` and
         ``spacing`` (median distance to the nearest neighbour that is not a duplicate), in
         length units of the input, over finite points and None where there are too few;
@@ -44,7 +44,7 @@ def describe(cloud: PointCloud) -> dict[str, Any]:
     return {
         "points": len(cloud),
         "has_normals": cloud.normals is not None,
-        "has_colors": cloud.colors is not None,
+        "has_colours": cloud.colours is not None,
         **_measure(finite, cloud.origin),
         "origin": cloud.origin.tolist(),
         "non_finite_points": len(cloud) - len(finite),

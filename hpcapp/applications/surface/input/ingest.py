@@ -23,8 +23,8 @@ import numpy as np
 from hpcapp.applications.surface.input.clean import EvenSample, even_step, find_reach
 from hpcapp.applications.surface.scans import Boxes, Passes, merge_boxes, near_edges
 from hpcapp.io.frame import choose_origin
-from hpcapp.io.point_source import PointSource
-from hpcapp.io.usable import (
+from hpcapp.io.points.point_source import PointSource
+from hpcapp.io.points.usable import (
     refuse_degenerate,
     refuse_line,
     refuse_too_few,

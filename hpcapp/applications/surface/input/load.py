@@ -17,7 +17,7 @@ from hpcapp.applications.surface.input.ingest import ingest_file
 from hpcapp.applications.surface.scans import Passes, measure_spacing
 from hpcapp.applications.surface.settings import JobSettings, Settings
 from hpcapp.io import drop_unusable, open_points, read_points
-from hpcapp.io.usable import Dropped
+from hpcapp.io.points.usable import Dropped
 from hpcapp.progress import StageClock
 from hpccomponent.errors import JobError
 from hpccomponent.files.private_files import make_private_folder, remove_path

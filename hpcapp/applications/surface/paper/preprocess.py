@@ -6,6 +6,8 @@ same bits.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -98,7 +100,7 @@ def denoise(cloud: PointCloud, neighbours: int = 24) -> PointCloud:
         rows = np.arange(start, min(start + CHUNK, len(cloud)))
         distances, near = tree.query(positions[rows], k=k)
         moved[rows], turned[rows] = _project(positions, normals, rows, near, distances)
-    return PointCloud(moved, turned, cloud.colors, cloud.origin)
+    return replace(cloud, positions=moved, normals=turned)
 
 
 def resample(cloud: PointCloud, spacing: float | None = None) -> PointCloud:

@@ -26,9 +26,9 @@ def test_everything_of_a_cloud_comes_back(tmp_path: Path, cloud: PointCloud) -> 
     again = read_points(tmp_path / "cloud.ply")
     assert (again.positions == cloud.positions).all()
     np.testing.assert_array_equal(again.normals, cloud.normals)
-    np.testing.assert_array_equal(again.colors, cloud.colors)
-    assert again.colors is not None
-    assert again.colors.dtype == np.uint8
+    np.testing.assert_array_equal(again.colours, cloud.colours)
+    assert again.colours is not None
+    assert again.colours.dtype == np.uint8
 
 
 @settings(
@@ -147,9 +147,9 @@ def test_a_mesh_needs_faces_of_its_vertices(
 
 
 def test_colours_that_are_no_bytes_are_passed_over(make_ply: Make) -> None:
-    colors = "property float red\nproperty float green\nproperty float blue\n"
-    path = make_ply("ascii", f"element vertex 1\n{XYZ}{colors}", "1 2 3 0.5 0.5 0.5\n")
-    assert read_points(path).colors is None
+    colours = "property float red\nproperty float green\nproperty float blue\n"
+    path = make_ply("ascii", f"element vertex 1\n{XYZ}{colours}", "1 2 3 0.5 0.5 0.5\n")
+    assert read_points(path).colours is None
 
 
 def test_more_vertices_than_a_face_can_name_are_refused(tmp_path: Path) -> None:

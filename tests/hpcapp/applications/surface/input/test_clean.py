@@ -69,25 +69,25 @@ def test_a_marker_for_no_echo_does_not_spoil_the_rest() -> None:
 def test_colours_and_origin_stay_with_their_points() -> None:
     random = np.random.default_rng(0)
     cloud = simulate_scan(SHAPES["sphere"], ScanSettings(points=3_000, outliers=0.03))
-    colors = random.integers(0, 255, (len(cloud), 3)).astype(np.uint8)
-    coloured = PointCloud(cloud.positions, None, colors, np.array([7.0, 8.0, 9.0]))
+    colours = random.integers(0, 255, (len(cloud), 3)).astype(np.uint8)
+    coloured = PointCloud(cloud.positions, None, colours, origin=np.array([7.0, 8.0, 9.0]))
     kept, cleaned = clean_cloud(coloured)
     assert cleaned.outliers > 0
     assert cleaned.flipped == 0
     assert kept.normals is None
-    assert kept.colors is not None
+    assert kept.colours is not None
     np.testing.assert_array_equal(kept.origin, coloured.origin)
     row = {tuple(place): i for i, place in enumerate(cloud.positions.tolist())}
     rows = [row[tuple(place)] for place in kept.positions.tolist()]
     assert rows == sorted(rows)
-    np.testing.assert_array_equal(kept.colors, colors[rows])
+    np.testing.assert_array_equal(kept.colours, colours[rows])
 
 
 def test_points_are_rounded_sorted_by_block_and_keep_their_order_within() -> None:
     random = np.random.default_rng(0)
     positions = random.random((20_000, 3)) * (1.0, 0.1, 0.1)
-    colors = random.integers(0, 255, (len(positions), 3)).astype(np.uint8)
-    cloud = PointCloud(positions, positions + 1.0, colors, np.array([7.0, 8.0, 9.0]))
+    colours = random.integers(0, 255, (len(positions), 3)).astype(np.uint8)
+    cloud = PointCloud(positions, positions + 1.0, colours, origin=np.array([7.0, 8.0, 9.0]))
     arranged = arrange_points(cloud)
     arrangement = choose_arrangement(positions.min(axis=0), positions.max(axis=0))
     snapped = snap_points(arrangement, positions)
@@ -101,9 +101,9 @@ def test_points_are_rounded_sorted_by_block_and_keep_their_order_within() -> Non
     assert sum(same) > len(cloud) // 2
     assert (np.diff(rows)[same] > 0).all()
     assert arranged.normals is not None
-    assert arranged.colors is not None
+    assert arranged.colours is not None
     np.testing.assert_array_equal(arranged.normals, (positions[rows] + 1.0).astype(np.float32))
-    np.testing.assert_array_equal(arranged.colors, colors[rows])
+    np.testing.assert_array_equal(arranged.colours, colours[rows])
     np.testing.assert_array_equal(arranged.origin, cloud.origin)
 
 

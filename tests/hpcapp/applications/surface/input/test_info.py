@@ -21,7 +21,7 @@ def test_a_grid_is_measured() -> None:
     assert facts["spacing"] == pytest.approx(0.25)
     assert facts["duplicates"] == 0
     assert not facts["has_normals"]
-    assert not facts["has_colors"]
+    assert not facts["has_colours"]
 
 
 def test_bounds_are_in_the_coordinates_of_the_input() -> None:
@@ -35,8 +35,8 @@ def test_what_is_wrong_is_counted_and_does_not_disturb() -> None:
     normals = np.ones((len(positions), 3))
     normals[[3, 4, 5]] = 0.0
     normals[7, 1] = np.nan
-    colors = np.zeros((len(positions), 3), np.uint8)
-    facts = describe(PointCloud(positions, normals, colors))
+    colours = np.zeros((len(positions), 3), np.uint8)
+    facts = describe(PointCloud(positions, normals, colours))
     assert facts["points"] == 737
     assert facts["non_finite_points"] == 2
     assert facts["non_finite_normals"] == 1
@@ -45,7 +45,7 @@ def test_what_is_wrong_is_counted_and_does_not_disturb() -> None:
     assert facts["spacing"] == pytest.approx(0.25)
     assert facts["bounds"] == [[0, 0, 0], [2, 2, 2]]
     assert facts["has_normals"]
-    assert facts["has_colors"]
+    assert facts["has_colours"]
 
 
 def test_many_points_are_measured_from_some() -> None:

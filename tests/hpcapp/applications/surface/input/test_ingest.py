@@ -38,17 +38,17 @@ def _spoil(scan: PointCloud) -> PointCloud:
     positions[7, 1] = np.nan
     positions[4_000] = np.inf
     normals[[9, 3_333]] = 0.0
-    return PointCloud(positions, normals, None, scan.origin)
+    return PointCloud(positions, normals, origin=scan.origin)
 
 
 def _mark(scan: PointCloud) -> PointCloud:
     positions = scan.positions.copy()
     positions[[0, 2_000]] = [[1e5, 0.0, 0.0], [-9e4, -9e4, -9e4]]
-    return PointCloud(positions, scan.normals, None, scan.origin)
+    return PointCloud(positions, scan.normals, origin=scan.origin)
 
 
 def _move(scan: PointCloud) -> PointCloud:
-    return PointCloud(scan.positions, scan.normals, None, np.array([5.4e6, 3.5e5, 0.0]))
+    return PointCloud(scan.positions, scan.normals, origin=np.array([5.4e6, 3.5e5, 0.0]))
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".xyz"])

@@ -20,7 +20,7 @@ def ignore(done, total):
 def sphere(n=4000):
     normals = np.random.default_rng(13).normal(size=(n, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return PointCloud(RADIUS * normals, normals, None, np.array([1e6, 2e6, 0.0]))
+    return PointCloud(RADIUS * normals, normals, origin=np.array([1e6, 2e6, 0.0]))
 
 
 @pytest.fixture

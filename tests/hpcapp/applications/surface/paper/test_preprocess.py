@@ -20,8 +20,8 @@ def sphere(n=3000, noise=0.0, seed=0):
     flat = np.sqrt(1.0 - z * z)
     normals = np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
     heights = 1.0 + noise * np.random.default_rng(seed).normal(size=(n, 1))
-    colors = np.random.default_rng(seed).integers(0, 255, (n, 3), dtype=np.uint8)
-    return PointCloud(normals * heights, normals, colors, np.array([5.0, 6.0, 7.0]))
+    colours = np.random.default_rng(seed).integers(0, 255, (n, 3), dtype=np.uint8)
+    return PointCloud(normals * heights, normals, colours, origin=np.array([5.0, 6.0, 7.0]))
 
 
 def errors(cloud):
@@ -44,7 +44,7 @@ def test_an_even_cloud_has_few_outliers_and_keeps_its_order():
     _, rows = cKDTree(cloud.positions).query(kept.positions)
     assert len(kept) > 0.98 * len(cloud)
     assert (np.diff(rows) > 0).all()
-    assert np.array_equal(kept.colors, cloud.colors[rows])
+    assert np.array_equal(kept.colours, cloud.colours[rows])
 
 
 def test_too_few_points_have_no_outliers():
@@ -56,7 +56,7 @@ def test_denoising_moves_points_towards_the_surface():
     noisy = sphere(noise=0.01)
     smooth = denoise(noisy)
     assert np.sqrt(np.mean(errors(smooth) ** 2)) < 0.6 * np.sqrt(np.mean(errors(noisy) ** 2))
-    assert np.array_equal(smooth.colors, noisy.colors)
+    assert np.array_equal(smooth.colours, noisy.colours)
     assert smooth.origin.tolist() == noisy.origin.tolist()
 
 

@@ -1,13 +1,13 @@
 """A file of points that is read in parts: a cloud may be larger than memory.
 
-Used by `ply_points` and `text`, which make the sources, and by `formats`, which opens them.
+Readers make the sources, `formats` opens them, and `recognition` says what their columns are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,13 +17,70 @@ from numpy.typing import NDArray
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
 from hpccomponent.surface.cloud.point_records import PointRecords
-from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
-__all__ = ["PointSource", "read_whole", "translated"]
+__all__ = ["Findings", "PointSource", "Scan", "read_whole", "translated"]
 
 Number = TypeVar("Number", bound=np.generic)
 
 _ROWS_AT_ONCE = 1 << 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """One set-up of a scanner, where a file tells them apart.
+
+    Parameters
+    ----------
+    points : int or None
+        How many it has; None where the file says nothing.
+    scanner : ndarray of float64, shape (3,), or None
+        Where the scanner stood, in the file's coordinates.
+    grid : tuple of int or None
+        Width and height of an organised scan, whose points have the attributes ``column`` and
+        ``row``: points side by side in it are neighbours.
+    """
+
+    points: int | None = None
+    scanner: FloatArray | None = None
+    grid: tuple[int, int] | None = None
+
+
+@dataclass(slots=True, eq=False)
+class Findings:
+    """What a reader has to say; complete when all points were read.
+
+    Parameters
+    ----------
+    warnings : list of str
+        One line each, without the file's name: what is odd, and what was done about it.
+    dropped : dict of str to int
+        Points that the reader left out, by reason.
+    """
+
+    warnings: list[str] = field(default_factory=list)
+    dropped: dict[str, int] = field(default_factory=dict)
+
+    def warn(self, warning: str) -> None:
+        """Add a warning, once.
+
+        Parameters
+        ----------
+        warning : str
+        """
+        if warning not in self.warnings:
+            self.warnings.append(warning)
+
+    def drop(self, reason: str, points: int) -> None:
+        """Count points that are left out.
+
+        Parameters
+        ----------
+        reason : str
+        points : int
+        """
+        if points:
+            self.dropped[reason] = self.dropped.get(reason, 0) + points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +104,19 @@ class PointSource:
     check_rest : callable
         Finds out whether all of the file is as it should be, the points set aside; there with
         `records` only, and part of `scan`.
+    format : str
+        What the file is, for people: ``PLY, binary``.
+    columns : tuple of str
+        Its columns as the file names them, in its order.
+    scans : tuple of Scan
+        One where the file does not tell scans apart. Points of more than one have the
+        attribute ``scan``, their number from 0.
+    crs : str or None
+        Coordinate reference system, as WKT or an EPSG code.
+    unit : str or None
+        Of the coordinates: ``m``, ``ft``, ``US ft``, ``mm``, ``degree``.
+    findings : Findings
+        What is odd about the file.
     """
 
     path: Path
@@ -56,6 +126,12 @@ class PointSource:
     scan: Callable[[int], Iterator[PointCloud]]
     records: PointRecords | None = None
     check_rest: Callable[[], None] | None = None
+    format: str = ""
+    columns: tuple[str, ...] = ()
+    scans: tuple[Scan, ...] = (Scan(),)
+    crs: str | None = None
+    unit: str | None = None
+    findings: Findings = field(default_factory=Findings)
 
     def chunks(self, rows: int) -> Iterator[PointCloud]:
         """Yield the points in parts.
@@ -111,10 +187,17 @@ def read_whole(source: PointSource) -> PointCloud:
     parts = list(source.chunks(at_once))
     positions = _join([part.positions for part in parts])
     normals = [part.normals for part in parts if part.normals is not None]
-    colors = [part.colors for part in parts if part.colors is not None]
+    colours = [part.colours for part in parts if part.colours is not None]
+    attributes = {
+        name: _join([part.attributes[name] for part in parts]) for name in parts[0].attributes
+    }
     positions, origin = to_local(positions)
     return PointCloud(
-        positions, _join(normals) if normals else None, _join(colors) if colors else None, origin
+        positions,
+        _join(normals) if normals else None,
+        _join(colours) if colours else None,
+        attributes,
+        origin,
     )
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.io.stl import read_stl, write_stl
+from hpcapp.io.meshes.stl import read_stl, write_stl
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.mesh import Mesh
 

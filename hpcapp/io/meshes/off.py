@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.io.columns import Ragged
-from hpcapp.io.mesh_stream import MeshStream, as_stream
-from hpcapp.io.obj import coordinate_format
-from hpcapp.io.polygons import mesh_of_polygons
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.io.meshes.obj import coordinate_format
+from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpcapp.io.rows import (
     Line,
     is_count,

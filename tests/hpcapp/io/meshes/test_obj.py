@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from hpcapp.io.obj import read_obj
+from hpcapp.io.meshes.obj import read_obj
 from hpccomponent.errors import InputError
 
 Make = Callable[..., Path]

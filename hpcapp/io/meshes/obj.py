@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.io.columns import Ragged
-from hpcapp.io.mesh_stream import MeshStream, as_stream
-from hpcapp.io.polygons import mesh_of_polygons
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpcapp.io.rows import Line, line_error, numbered, parse_index, parse_table, write_rows
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError

@@ -28,7 +28,7 @@ def _join(source: PointSource, rows: int) -> PointCloud:
     parts = list(source.chunks(rows))
     assert all(len(part) == rows for part in parts[:-1])
     assert len(parts[-1]) <= rows
-    columns = [[part.positions, part.normals, part.colors] for part in parts]
+    columns = [[part.positions, part.normals, part.colours] for part in parts]
     joined = [
         np.concatenate(some) if some[0] is not None else None for some in zip(*columns, strict=True)
     ]
@@ -37,7 +37,7 @@ def _join(source: PointSource, rows: int) -> PointCloud:
 
 def _assert_same(one: PointCloud, other: PointCloud) -> None:
     assert one.positions.tobytes() == (other.positions + other.origin).tobytes()
-    for mine, its in ((one.normals, other.normals), (one.colors, other.colors)):
+    for mine, its in ((one.normals, other.normals), (one.colours, other.colours)):
         assert (mine is None) == (its is None)
         if mine is not None and its is not None:
             assert mine.tobytes() == its.tobytes()
@@ -60,7 +60,7 @@ def test_parts_are_the_whole(
     some = PointCloud(
         cloud.positions,
         cloud.normals if with_normals else None,
-        cloud.colors if with_colors else None,
+        cloud.colours if with_colors else None,
     )
     write_points(path, some)
     source = open_points(path)
@@ -187,18 +187,18 @@ def test_a_file_without_points_is_one_empty_part(make_ply: Make) -> None:
 
 
 @pytest.mark.parametrize(
-    ("late", "normals", "colors"),
+    ("late", "normals", "colours"),
     [("0.5", True, False), ("7", False, True)],
 )
 def test_colours_are_told_from_normals_by_all_lines(
-    make_file: Make, late: str, normals: bool, colors: bool
+    make_file: Make, late: str, normals: bool, colours: bool
 ) -> None:
     path = make_file("a.xyz", "1 2 3 1 0 2\n" * 9_000 + f"1 2 3 1 0 {late}\n")
     source = open_points(path)
     parts = list(source.chunks(100))
     assert source.has_normals == normals
     assert all((part.normals is not None) == normals for part in parts)
-    assert all((part.colors is not None) == colors for part in parts)
+    assert all((part.colours is not None) == colours for part in parts)
 
 
 def test_a_file_that_goes_away_is_named(tmp_path: Path, cloud: PointCloud) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from hpcapp.io.mesh_stream import MeshStream
+from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.io.ply.format import write_ply_mesh
 from hpccomponent.errors import OutputError
 from hpccomponent.files.private_files import make_private_folder

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hpcapp.io.usable import Dropped, drop_unusable
+from hpcapp.io.points.usable import Dropped, drop_unusable
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.points import PointCloud
 
@@ -24,14 +24,14 @@ def test_bad_points_and_normals_are_dropped_and_counted_once() -> None:
     good.positions[[1, 5, 6], [0, 1, 2]] = [np.nan, np.inf, -np.inf]
     good.normals[[5, 7]] = 0.0
     good.normals[[8, 9], [0, 1]] = [np.nan, np.inf]
-    colors = np.arange(120, dtype=np.uint8).reshape(40, 3)
-    marked = PointCloud(good.positions, good.normals, colors, np.array([7.0, 0, 0]))
+    colours = np.arange(120, dtype=np.uint8).reshape(40, 3)
+    marked = PointCloud(good.positions, good.normals, colours, origin=np.array([7.0, 0, 0]))
     cloud, dropped = drop_unusable(marked)
     assert dropped == Dropped(non_finite_points=3, bad_normals=3)
     assert dropped.total == 6
     assert len(cloud) == 34
-    assert cloud.colors is not None
-    assert cloud.colors[:, 0].tolist() == [3 * i for i in range(40) if i not in (1, 5, 6, 7, 8, 9)]
+    assert cloud.colours is not None
+    assert cloud.colours[:, 0].tolist() == [3 * i for i in range(40) if i not in (1, 5, 6, 7, 8, 9)]
     assert cloud.origin[0] == 7
 
 

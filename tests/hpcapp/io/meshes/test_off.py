@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from hpcapp.io.off import read_off
+from hpcapp.io.meshes.off import read_off
 from hpccomponent.errors import InputError
 
 Make = Callable[..., Path]

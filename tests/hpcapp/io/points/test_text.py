@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hpcapp.io.formats import read_points
-from hpcapp.io.text import write_text_points
+from hpcapp.io.points.text import write_text_points
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.points import PointCloud
 
@@ -48,15 +48,15 @@ def test_columns_tell_what_they_are(
     assert (cloud.normals is None) == (normal is None)
     if cloud.normals is not None:
         assert cloud.normals.tolist() == [normal] * 2
-    assert (cloud.colors is None) == (color is None)
-    if cloud.colors is not None:
-        assert cloud.colors.tolist() == [color] * 2
+    assert (cloud.colours is None) == (color is None)
+    if cloud.colours is not None:
+        assert cloud.colours.tolist() == [color] * 2
 
 
 def test_a_count_line_announces_the_points(make_file: Make) -> None:
     cloud = read_points(make_file("a.pts", "2\n1 2 3 -7 10 20 30\n4 5 6 8 40 50 60\n"))
     assert cloud.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
-    np.testing.assert_array_equal(cloud.colors, [[10, 20, 30], [40, 50, 60]])
+    np.testing.assert_array_equal(cloud.colours, [[10, 20, 30], [40, 50, 60]])
 
 
 @pytest.mark.parametrize(
@@ -101,13 +101,13 @@ def test_what_is_written_comes_back(
     some = PointCloud(
         cloud.positions / 3,
         cloud.normals if with_normals else None,
-        cloud.colors if with_colors else None,
+        cloud.colours if with_colors else None,
     )
     write_text_points(tmp_path / "a.xyz", some)
     again = read_points(tmp_path / "a.xyz")
     assert (again.positions == some.positions).all()
     np.testing.assert_array_equal(again.normals, some.normals)
-    np.testing.assert_array_equal(again.colors, some.colors)
+    np.testing.assert_array_equal(again.colours, some.colours)
 
 
 def test_georeferenced_millimetres_survive(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.point_source import PointSource
+from hpcapp.io.points.point_source import PointSource
 from hpcapp.io.rows import Line, is_count, line_error, numbered, parse_table, take_lines, write_rows
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
@@ -80,7 +80,7 @@ def open_text(path: Path) -> PointSource:
         The file cannot be read.
     """
     layout = _find_layout(path)
-    normals, colors = _tell_groups(path, layout)
+    normals, colours = _tell_groups(path, layout)
 
     def scan(rows: int) -> Iterator[PointCloud]:
         first = 0
@@ -88,7 +88,7 @@ def open_text(path: Path) -> PointSource:
             yield PointCloud(
                 np.ascontiguousarray(table[:, :3]),
                 None if normals is None else table[:, normals].copy(),
-                None if colors is None else _as_colors(table[:, colors], path, first),
+                None if colours is None else _as_colors(table[:, colours], path, first),
             )
             first += len(table)
 
@@ -165,8 +165,8 @@ def _tell_groups(path: Path, layout: _Layout) -> tuple[slice | None, slice | Non
     colored = [b and a for b, a in zip(bytes_only, above_one, strict=True)]
     if columns == 6:
         return (None, groups[0]) if colored[0] else (groups[0], None)
-    normals, colors = groups[::-1] if colored == [True, False] else groups
-    return normals, colors
+    normals, colours = groups[::-1] if colored == [True, False] else groups
+    return normals, colours
 
 
 def _without_comments(file: TextIO) -> Iterator[str]:
@@ -214,11 +214,11 @@ def write_text_points(path: Path, cloud: PointCloud) -> None:
     columns: list[NDArray[np.float64] | NDArray[np.uint8]] = [cloud.positions + cloud.origin]
     if cloud.normals is not None:
         columns.append(cloud.normals)
-    elif cloud.colors is not None:
+    elif cloud.colours is not None:
         columns.append(np.zeros((len(cloud), 1), np.uint8))  # an intensity: 6 columns mean normals
     template = " ".join(["%.17g"] * (6 if cloud.normals is not None else 3))
-    if cloud.colors is not None:
-        columns.append(cloud.colors)
+    if cloud.colours is not None:
+        columns.append(cloud.colours)
         template += " %d" * (3 if cloud.normals is not None else 4)
     with replacing(path) as file:
         file.writelines(write_rows(template + "\n", np.hstack(columns)))

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hpcapp.io.columns import Ragged
-from hpcapp.io.polygons import mesh_of_polygons
+from hpcapp.io.meshes.polygons import mesh_of_polygons
 
 
 @settings(deadline=None)  # a busy machine is no fault

@@ -1,0 +1,135 @@
+"""What a column is, by its name and by its values.
+
+Programs spell the same columns in many ways, and many files have no names at all. Readers ask
+for the role of a name; who has unnamed columns, or doubts a name, asks what the values can be.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface.types.points import FloatArray
+
+__all__ = [
+    "AXES",
+    "COLOURS",
+    "NORMALS",
+    "ColourScale",
+    "find_role",
+    "judge_colours",
+    "judge_normals",
+]
+
+AXES = ("x", "y", "z")
+NORMALS = ("nx", "ny", "nz")
+COLOURS = ("red", "green", "blue")
+
+ColourScale = Literal["8 bit", "16 bit", "float"]
+"""Whole numbers to 255, whole numbers to 65535, or numbers from 0 to 1."""
+
+NormalKind = Literal["unit", "encoded", "any length", "zero", "one octant", "none"]
+"""Unit vectors; (n + 1) / 2; vectors of other lengths on all sides; zeros; vectors of which no
+component is negative, as no closed cloud has them; or none of these: no normals."""
+
+_SPELLINGS = {
+    **dict.fromkeys(("x", "px", "pointx", "coordx", "xcoordinate", "easting", "east"), "x"),
+    **dict.fromkeys(("y", "py", "pointy", "coordy", "ycoordinate", "northing", "north"), "y"),
+    **dict.fromkeys(("z", "pz", "pointz", "coordz", "zcoordinate", "elevation", "height"), "z"),
+    **{f"{stem}{axis}": f"n{axis}" for stem in ("n", "normal", "normals", "nor") for axis in "xyz"},
+    **{f"{stem}red": "red" for stem in ("", "diffuse", "color", "colour")},
+    **{f"{stem}green": "green" for stem in ("", "diffuse", "color", "colour")},
+    **{f"{stem}blue": "blue" for stem in ("", "diffuse", "color", "colour")},
+    "r": "red",
+    "g": "green",
+    "b": "blue",
+    "rf": "red",
+    "gf": "green",
+    "bf": "blue",
+    **dict.fromkeys(("a", "alpha", "diffusealpha"), "alpha"),
+    **dict.fromkeys(("intensity", "i", "scalarintensity"), "intensity"),
+    **dict.fromkeys(("class", "classification", "scalarclassification"), "classification"),
+}
+_UNIT = 0.05  # how far from 1 the length of a unit vector may be: two decimals of each component
+_MOST = 0.9  # share of the rows that decide: a file may have some bad ones
+
+
+def find_role(name: str) -> str:
+    """Return the name of a column as we call it.
+
+    Parameters
+    ----------
+    name : str
+        As the file spells it.
+
+    Returns
+    -------
+    str
+        ``x``, ``y``, ``z``, ``nx``, ``ny``, ``nz``, ``red``, ``green``, ``blue``, ``alpha``,
+        ``intensity`` or ``classification``; another name as the file has it, without quotes and
+        blanks around it.
+
+    Examples
+    --------
+    >>> [find_role(name) for name in ("//X", '"Normal_Y"', "diffuse_red", "OffsetTime")]
+    ['x', 'ny', 'red', 'OffsetTime']
+    """
+    stripped = name.strip().strip("\"'").strip()
+    return _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", stripped.lower()), stripped)
+
+
+def judge_colours(values: NDArray[Any]) -> ColourScale | None:
+    """Tell which colours some columns can hold.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, k)
+        Of all rows, or of a sample.
+
+    Returns
+    -------
+    ColourScale or None
+        None where a value is negative, NaN, or too large for any of them. All zeros are 8 bit;
+        zeros and ones alone are 8 bit where they are whole numbers by their type.
+    """
+    if not len(values) or not np.isfinite(values).all() or values.min() < 0:
+        return None
+    most = values.max()
+    if values.dtype.kind == "f" and 0 < most <= 1:
+        return "float"
+    if most > 65535 or not (values == np.rint(values)).all():
+        return None
+    return "8 bit" if most <= 255 else "16 bit"
+
+
+def judge_normals(values: FloatArray) -> NormalKind:
+    """Tell which normals three columns can hold.
+
+    Parameters
+    ----------
+    values : ndarray of float64, shape (n, 3)
+        Of all rows, or of a sample.
+
+    Returns
+    -------
+    NormalKind
+        Rows with NaN or infinity do not count.
+    """
+    finite = values[np.isfinite(values).all(axis=1)]
+    if not len(finite) or not finite.any():
+        return "zero"
+    lengths = np.linalg.norm(finite, axis=1)
+    directed = lengths > 0
+    is_unit = (np.abs(lengths[directed] - 1) < _UNIT).mean() > _MOST
+    if finite.min() >= 0:
+        decoded = np.linalg.norm(2 * finite - 1, axis=1)
+        if finite.max() <= 1 and (np.abs(decoded - 1) < _UNIT).mean() > _MOST:
+            return "encoded"
+        return "one octant" if is_unit else "none"
+    if is_unit:
+        return "unit"
+    # Without unit length only vectors on all sides are taken for normals.
+    return "any length" if (finite.min(axis=0) < 0).all() else "none"

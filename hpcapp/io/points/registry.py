@@ -1,0 +1,98 @@
+"""Point formats: one line each.
+
+A format names its suffixes and the function that opens a file of it, which is imported when a
+file of it is opened. A how-to page shows how to add one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import cast
+
+from hpcapp.io.points.point_source import PointSource
+from hpccomponent.errors import UsageError
+
+__all__ = ["POINT_FORMATS", "PointFormat", "find_point_format"]
+
+
+@dataclass(frozen=True, slots=True)
+class PointFormat:
+    """A format that points are read from.
+
+    Parameters
+    ----------
+    name : str
+        For people.
+    suffixes : tuple of str
+        In lower case, with the dot.
+    opener : str
+        ``module:function``: given a path, it returns a `PointSource`.
+    least_bytes : float
+        Fewest bytes of the file that a point takes: a bound of how many there can be.
+    streams : bool
+        Whether it is read in parts, so that a file may be larger than memory.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    opener: str
+    least_bytes: float
+    streams: bool = True
+
+    def open(self, path: Path) -> PointSource:
+        """Open a file of this format.
+
+        Parameters
+        ----------
+        path : Path
+
+        Returns
+        -------
+        PointSource
+
+        Raises
+        ------
+        InputError
+            The file is damaged.
+        UsageError
+            The library that reads it is not installed; the message says how to install it.
+        OSError
+            The file cannot be read.
+        """
+        module, _, name = self.opener.partition(":")
+        opener = cast(Callable[[Path], PointSource], getattr(import_module(module), name))
+        return opener(path)
+
+
+POINT_FORMATS = (
+    PointFormat("PLY", (".ply",), "hpcapp.io.ply.points:open_ply", 3),
+    PointFormat("text", (".xyz", ".txt", ".asc", ".pts"), "hpcapp.io.points.text:open_text", 6),
+)
+
+
+def find_point_format(path: Path) -> PointFormat:
+    """Return the format of a file by its suffix, in any case.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    PointFormat
+
+    Raises
+    ------
+    UsageError
+        The suffix is unknown.
+    """
+    suffix = path.suffix.lower()
+    for known in POINT_FORMATS:
+        if suffix in known.suffixes:
+            return known
+    suffixes = [suffix for known in POINT_FORMATS for suffix in known.suffixes]
+    named = f"suffix {path.suffix!r}" if path.suffix else "no suffix"
+    raise UsageError(f"{path}: {named}", f"a point cloud is read from {', '.join(suffixes)}")
