@@ -9,6 +9,7 @@ Users call it as ``hpcapp.reconstruct``.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hpcapp.applications.surface.backend_choice import approach_workers
-from hpcapp.applications.surface.input.load import Loaded, arrange_usable, clean_points
+from hpcapp.applications.surface.input.load import (
+    Loaded,
+    arrange_usable,
+    clean_points,
+    orient_points,
+)
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
 from hpcapp.applications.surface.options import option_names
@@ -41,12 +47,14 @@ if TYPE_CHECKING:
 
 __all__ = ["reconstruct"]
 
+log = logging.getLogger("hpcapp")
+
 Report = Callable[[str, int, int], object]
 
 
 def reconstruct(
     points: ArrayLike,
-    normals: ArrayLike,
+    normals: ArrayLike | None = None,
     grid: int = DEFAULT_GRID,
     *,
     voxel_size: float | None = None,
@@ -58,14 +66,14 @@ def reconstruct(
     workers: int | None = None,
     progress: Report | None = None,
 ) -> Mesh:
-    """Turn oriented points into a watertight mesh, the one that ``hpcapp reconstruct`` writes.
+    """Turn points into a watertight mesh, the one that ``hpcapp reconstruct`` writes.
 
     Parameters
     ----------
     points : array_like, shape (n, 3)
         Coordinates in any unit and any frame, georeferenced ones too.
-    normals : array_like, shape (n, 3)
-        Pointing out of the object, of any length but zero.
+    normals : array_like, shape (n, 3), optional
+        Pointing out of the object, of any length but zero. Estimated where there are none.
     grid : int
         Cells along the longest side, 16 to 4096.
     voxel_size : float, optional
@@ -120,8 +128,11 @@ def reconstruct(
     given = None if isinstance(executor, str) else executor
     with approach_workers(settings) as opener:
         cloud, far = arrange_usable(settings, cloud, clock)
+        cloud, oriented = orient_points(cloud, None, clock)
+        for warning in oriented.warnings:
+            log.warning("warning: %s", warning)
         cloud, cleaned = clean_points(settings, cloud, far, clock)
-        loaded = Loaded(cloud, Dropped(0, 0), cleaned)
+        loaded = Loaded(cloud, Dropped(0, 0), cleaned, oriented)
         with run_memory(settings, loaded, opener, clock, executor=given) as outcome:
             mesh = outcome.result.surface.mesh()
     return Mesh(mesh.vertices + mesh.origin, mesh.faces)
@@ -184,10 +195,11 @@ def _check_range(name: str, value: Any, low: float, high: float) -> None:
         raise UsageError(f"{name} is {value!r}", f"give a number from {low:g} to {high:g}")
 
 
-def _check_cloud(points: ArrayLike, normals: ArrayLike) -> PointCloud:
+def _check_cloud(points: ArrayLike, normals: ArrayLike | None) -> PointCloud:
     """Return the arrays as a cloud in its local frame; InputError names the argument at fault."""
-    positions, directions = _check_rows("points", points), _check_rows("normals", normals)
-    if len(positions) != len(directions):
+    positions = _check_rows("points", points)
+    directions = None if normals is None else _check_rows("normals", normals)
+    if directions is not None and len(positions) != len(directions):
         raise InputError(
             f"points has {len(positions)} rows and normals {len(directions)}",
             "give one normal for each point",
@@ -196,7 +208,7 @@ def _check_cloud(points: ArrayLike, normals: ArrayLike) -> PointCloud:
     cloud, dropped = drop_unusable(PointCloud(local, directions, origin=origin), "points")
     if dropped.total:
         raise InputError(
-            f"normals has {dropped.total} of {len(directions)} rows of length zero",
+            f"normals has {dropped.total} of {len(positions)} rows of length zero",
             "leave those points out",
         )
     return cloud

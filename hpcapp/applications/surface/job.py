@@ -152,13 +152,14 @@ def _write(
     with clock.stage("check"):  # most of it is done while workers write
         topology = outcome.result.surface.check()
     report = _describe(settings, outcome, topology)
-    report["warnings"] = outcome.warnings
+    report["warnings"] = loaded.oriented.warnings + outcome.warnings
     report["dropped"] = {
         "non_finite_points": loaded.dropped.non_finite_points,
         "bad_normals": loaded.dropped.bad_normals,
         "outliers": loaded.cleaned.outliers,
     }
     report["turned_normals"] = loaded.cleaned.flipped
+    report["normals"] = loaded.oriented.to_json()
     return report
 
 

@@ -61,6 +61,11 @@ class Settings:
         Whether to go on from what an earlier run left in `temp_dir`.
     outliers, denoise, resample : bool
         The paper's preprocessing, step by step.
+    normals : str
+        ``auto`` estimates those that are missing and mends the others, ``file`` takes those of the
+        input as they are, ``estimate`` takes none of them.
+    viewpoints : tuple of tuple of float
+        Where scanners stood, in the coordinates of the input.
     """
 
     method: MethodSettings = field(default_factory=Hierarchical)
@@ -77,6 +82,8 @@ class Settings:
     outliers: bool = False
     denoise: bool = False
     resample: bool = False
+    normals: str = "auto"
+    viewpoints: tuple[tuple[float, float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

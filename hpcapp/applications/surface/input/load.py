@@ -11,15 +11,19 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
+
 from hpcapp.applications.surface.checkpoint import POINTS_NOTE
 from hpcapp.applications.surface.input.clean import Cleaned, arrange_points, clean_cloud, drop_far
 from hpcapp.applications.surface.input.ingest import ingest_file
+from hpcapp.applications.surface.input.normals import FROM_FILE, Oriented, orient_cloud
 from hpcapp.applications.surface.scans import Passes, measure_spacing
 from hpcapp.applications.surface.settings import JobSettings, Settings
-from hpcapp.io import drop_unusable, open_points, read_points
+from hpcapp.io import drop_unusable, open_points
+from hpcapp.io.points.point_source import PointSource, read_whole
 from hpcapp.io.points.usable import Dropped
 from hpcapp.progress import StageClock
-from hpccomponent.errors import JobError
+from hpccomponent.errors import InputError, JobError
 from hpccomponent.files.private_files import make_private_folder, remove_path
 from hpccomponent.store.base import FolderStore
 from hpccomponent.store.value import DamagedError
@@ -27,7 +31,14 @@ from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
-__all__ = ["Loaded", "arrange_usable", "clean_points", "load_folder", "load_memory"]
+__all__ = [
+    "Loaded",
+    "arrange_usable",
+    "clean_points",
+    "load_folder",
+    "load_memory",
+    "orient_points",
+]
 
 log = logging.getLogger("hpcapp")
 
@@ -49,11 +60,14 @@ class Loaded:
     cloud : PointCloud or DiskCloud
     dropped : Dropped
     cleaned : Cleaned
+    oriented : Oriented
+        How its normals came about.
     """
 
     cloud: PointCloud | DiskCloud
     dropped: Dropped
     cleaned: Cleaned
+    oriented: Oriented = FROM_FILE
 
     @property
     def box(self) -> tuple[FloatArray, FloatArray]:
@@ -79,6 +93,7 @@ class Loaded:
         ):
             if count:
                 log.warning(f"%s: {what}", path, count)
+        self.oriented.report(path)
 
 
 def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
@@ -94,10 +109,50 @@ def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
     Loaded
     """
     with clock.stage("read"):
-        cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
+        source = _open_source(settings)
+        cloud, dropped = drop_unusable(read_whole(source), str(settings.points))
     cloud, far = arrange_usable(settings, cloud, clock)
+    cloud, oriented = orient_points(cloud, _find_scanners(settings, source), clock)
     cloud, cleaned = clean_points(settings, cloud, far, clock)
-    return Loaded(cloud, dropped, cleaned)
+    return Loaded(cloud, dropped, cleaned, oriented)
+
+
+def _open_source(settings: JobSettings) -> PointSource:
+    """Open the file, without its normals where they are not wanted."""
+    source = open_points(settings.points)
+    return source.without_normals() if settings.normals == "estimate" else source
+
+
+def _find_scanners(settings: JobSettings, source: PointSource) -> FloatArray | None:
+    """Return where scanners stood, in the file's coordinates; None where nobody knows."""
+    if settings.viewpoints:
+        return np.array(settings.viewpoints)
+    known = [scan.scanner for scan in source.scans if scan.scanner is not None]
+    return np.array(known) if len(known) == len(source.scans) else None
+
+
+def orient_points(
+    cloud: PointCloud, scanners: FloatArray | None, clock: StageClock
+) -> tuple[PointCloud, Oriented]:
+    """Give points normals, where they have none.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Arranged, where the method wants that.
+    scanners : ndarray of float64, shape (s, 3), or None
+        Where scanners stood, in the file's coordinates.
+    clock : StageClock
+
+    Returns
+    -------
+    cloud : PointCloud
+    oriented : Oriented
+    """
+    if cloud.normals is not None:
+        return cloud, FROM_FILE
+    with clock.stage("normals"):
+        return orient_cloud(cloud, None if scanners is None else scanners - cloud.origin)
 
 
 def arrange_usable(
@@ -179,10 +234,11 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
     make_private_folder(arranged)
     for module in _LATER:
         passes.workforce.defer(partial(import_module, module))
+    source = _open_source(settings)
+    if not source.has_normals:
+        raise InputError(f"{settings.points} has no normals", "give more memory")
     with clock.stage("read"):
-        read = ingest_file(
-            open_points(settings.points), arranged, passes, drop_far=settings.method.cleans
-        )
+        read = ingest_file(source, arranged, passes, drop_far=settings.method.cleans)
     from hpcapp.applications.surface.input.clean_regions import clean_regions, measure_cloud
 
     cloud, cleaned = read.cloud, Cleaned(0, 0)
