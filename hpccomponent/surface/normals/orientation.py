@@ -9,18 +9,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import cg
 
 from hpccomponent.surface.kernels import integrate_normals, sample_grid
-from hpccomponent.surface.normals.patches import CELL, Links, Patches
+from hpccomponent.surface.normals.patches import CELL, Links, Patches, Sides
 from hpccomponent.surface.normals.visibility import poll_views, surround
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
-__all__ = ["SURE", "Orientation", "orient_patches"]
+__all__ = ["SURE", "orient_patches"]
 
 SURE = 0.3
 """From this confidence on the side of a patch counts as sure."""
@@ -40,25 +38,9 @@ _TOLERANCE = 1e-4
 _STEPS = 300
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Orientation:
-    """The side of each patch.
-
-    Parameters
-    ----------
-    signs : ndarray of float64, shape (p,)
-        1 where the patch's normal points out of the object already, else -1.
-    confidences : ndarray of float64, shape (p,)
-        0 to 1: how far all that speaks for the side outweighs what speaks against it.
-    """
-
-    signs: FloatArray
-    confidences: FloatArray
-
-
 def orient_patches(
     patches: Patches, links: Links, spacing: float, scanners: FloatArray | None = None
-) -> Orientation:
+) -> Sides:
     """Find the side of each patch.
 
     Parameters
@@ -75,7 +57,7 @@ def orient_patches(
 
     Returns
     -------
-    Orientation
+    Sides
 
     Notes
     -----
@@ -110,7 +92,8 @@ def orient_patches(
         changed = np.count_nonzero(signs != np.where(sides < 0.0, -1.0, 1.0))
         if changed <= _SETTLED * len(patches):
             break
-    return Orientation(np.where(sides < 0.0, -1.0, 1.0), np.minimum(np.abs(sides), 1.0))
+    values = np.clip(sides, -1.0, 1.0).astype(np.float32)
+    return Sides(patches.keys, patches.ranks, values)
 
 
 def _rate_links(patches: Patches, links: Links) -> FloatArray:

@@ -12,16 +12,34 @@ points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from hpccomponent.protocol.records import record
-from hpccomponent.surface.types.lattice import cells_of, find_first, number_keys, pack_places
+from hpccomponent.surface.types.lattice import (
+    cells_of,
+    find_first,
+    find_keys,
+    merge_counts,
+    number_keys,
+    pack_places,
+    unique_keys,
+)
 from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
 
-__all__ = ["CELL", "MARGIN", "Grouped", "Links", "Patches", "group_points", "link_patches"]
+__all__ = [
+    "CELL",
+    "MARGIN",
+    "Links",
+    "Patches",
+    "Sides",
+    "find_patches",
+    "merge_patches",
+    "turn_points",
+]
 
 CELL = 4.0
 """Spacings: the edge of the cells that patches are made in."""
@@ -105,8 +123,42 @@ class Links:
     contacts: IntArray
 
 
+@record("surface.patch_sides")
 @dataclass(frozen=True, slots=True, eq=False)
-class Grouped:
+class Sides:
+    """On which side patches have their normals.
+
+    Parameters
+    ----------
+    keys, ranks : ndarray of int64, shape (p,)
+        See `Patches`.
+    values : ndarray of float32, shape (p,)
+        Above 0 where the patch's normal points out of the object, below it where it points
+        inwards; the confidence, 0 to 1, is how far from 0.
+    """
+
+    keys: IntArray
+    ranks: IntArray
+    values: Float32Array
+
+    def take(self, wanted: Patches) -> Sides:
+        """Return those of some patches.
+
+        Parameters
+        ----------
+        wanted : Patches
+            Among those whose sides these are.
+
+        Returns
+        -------
+        Sides
+        """
+        rows = _find_names(self, wanted)
+        return Sides(self.keys[rows], self.ranks[rows], self.values[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grouped:
     """Points in patches.
 
     Parameters
@@ -123,17 +175,19 @@ class Grouped:
     is_opposed: BoolArray
 
 
-def group_points(
-    positions: FloatArray, vectors: Float32Array, low: FloatArray, spacing: float
-) -> Grouped:
-    """Group the points of whole cells.
+def find_patches(
+    positions: FloatArray, vectors: Float32Array, own: BoolArray, low: FloatArray, spacing: float
+) -> tuple[Patches, Links]:
+    """Find the patches that points belong to, and what these touch.
 
     Parameters
     ----------
     positions : ndarray of float64, shape (n, 3)
-        In length units of the input, in the order of the cloud.
+        Of a cloud, or of a region of it and all points within `MARGIN`; in its order.
     vectors : ndarray of float32, shape (n, 3)
         What `estimation.estimate_normals` has returned of them.
+    own : ndarray of bool, shape (n,)
+        The points of the region.
     low : ndarray of float64, shape (3,)
         The least coordinates of the cloud.
     spacing : float
@@ -141,9 +195,96 @@ def group_points(
 
     Returns
     -------
-    Grouped
-        Patches of cells that are not whole are none.
+    patches : Patches
+        Those of the points, and those they touch.
+    links : Links
+        Between them.
     """
+    grouped = _group_points(positions, vectors, low, spacing)
+    links = _link_patches(positions, own, grouped.patch_of, spacing)
+    wanted = np.zeros(len(grouped.patches), np.bool_)
+    for rows in (grouped.patch_of[own], links.first, links.second):
+        wanted[rows] = True
+    row_of = np.cumsum(wanted) - 1
+    kept = Links(row_of[links.first], row_of[links.second], links.contacts)
+    return grouped.patches.take(np.flatnonzero(wanted)), kept
+
+
+def merge_patches(found: Sequence[tuple[Patches, Links]]) -> tuple[Patches, Links]:
+    """Put together what was found in the regions of a cloud.
+
+    Parameters
+    ----------
+    found : sequence of tuple
+        What `find_patches` has returned of each; one or more.
+
+    Returns
+    -------
+    patches : Patches
+        Each once.
+    links : Links
+        Each once, sorted.
+    """
+    parts = [patches for patches, _ in found]
+    keys = np.concatenate([part.keys for part in parts])
+    names = number_keys(keys)[1] * _SHEETS + np.concatenate([part.ranks for part in parts])
+    kept, first_rows = find_first(names)
+    row_of = np.searchsorted(kept, names)
+    starts = np.cumsum([0, *(len(part) for part in parts[:-1])])
+    ends = []
+    for side in ("first", "second"):
+        rows = zip((getattr(links, side) for _, links in found), starts, strict=True)
+        ends.append(row_of[np.concatenate([local + start for local, start in rows])])
+    contacts = np.concatenate([links.contacts for _, links in found])
+    every, sums = merge_counts(ends[0] * len(kept) + ends[1], contacts)
+    columns = [
+        np.concatenate([getattr(part, field.name) for part in parts])[first_rows]
+        for field in fields(Patches)
+    ]
+    return Patches(*columns), Links(every // len(kept), every % len(kept), sums)
+
+
+def turn_points(
+    positions: FloatArray,
+    vectors: Float32Array,
+    low: FloatArray,
+    spacing: float,
+    sides: Sides,
+) -> tuple[Float32Array, Float32Array]:
+    """Turn normals to the sides of their patches.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+        Of a cloud, or of a region of it and all points within `MARGIN`; in its order.
+    vectors : ndarray of float32, shape (n, 3)
+        What `estimation.estimate_normals` has returned of them.
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
+    spacing : float
+        Of the cloud, in length units of the input.
+    sides : Sides
+        Of all patches that points of the region belong to.
+
+    Returns
+    -------
+    normals : ndarray of float32, shape (n, 3)
+        Unit length.
+    confidences : ndarray of float32, shape (n,)
+        0 to 1; 0 for points of other patches.
+    """
+    grouped = _group_points(positions, vectors, low, spacing)
+    rows = _find_names(sides, grouped.patches)
+    values = np.append(sides.values, np.float32(0.0))[rows][grouped.patch_of]
+    is_turned = (values < 0.0) != grouped.is_opposed
+    _, normals = _split(vectors)
+    return np.where(is_turned[:, None], -normals, normals).astype(np.float32), np.abs(values)
+
+
+def _group_points(
+    positions: FloatArray, vectors: Float32Array, low: FloatArray, spacing: float
+) -> _Grouped:
+    """Group the points of whole cells; what comes of cells that are not is no patch."""
     noise, normals = _split(vectors)
     places = np.floor(cells_of(positions, low, CELL * spacing)).astype(np.int64)
     keys, cell_of = number_keys(pack_places(places))
@@ -172,30 +313,13 @@ def group_points(
         np.where(opposed[:, None], -normals, normals),
         noise,
     )
-    return Grouped(patches, patch_of, opposed)
+    return _Grouped(patches, patch_of, opposed)
 
 
-def link_patches(
+def _link_patches(
     positions: FloatArray, own: BoolArray, patch_of: IntArray, spacing: float
 ) -> Links:
-    """Find out which patches touch.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Of a cloud, or of a region of it and all points within `MARGIN`; in its order.
-    own : ndarray of bool, shape (n,)
-        The points whose neighbours are looked at.
-    patch_of : ndarray of int64, shape (n,)
-        See `Grouped`.
-    spacing : float
-        Of the cloud, in length units of the input.
-
-    Returns
-    -------
-    Links
-        Those of several regions add up to those of the cloud.
-    """
+    """Find the patches that lie among the neighbours of a region's own points."""
     rows = np.flatnonzero(own)
     tree, found = cKDTree(positions), [np.zeros(0, np.int64)]
     patches = int(patch_of.max(initial=-1)) + 1
@@ -211,6 +335,13 @@ def link_patches(
     names, link_of = number_keys(np.concatenate(found))
     contacts = np.bincount(link_of, minlength=len(names))
     return Links(names // max(patches, 1), names % max(patches, 1), contacts)
+
+
+def _find_names(sides: Sides, wanted: Patches) -> IntArray:
+    """Return where patches stand among those with sides; beyond the last where they do not."""
+    keys = unique_keys(sides.keys)
+    names = find_keys(keys, sides.keys) * _SHEETS + sides.ranks
+    return find_keys(names, find_keys(keys, wanted.keys) * _SHEETS + wanted.ranks)
 
 
 def _split(vectors: Float32Array) -> tuple[FloatArray, FloatArray]:

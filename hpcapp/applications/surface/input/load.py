@@ -16,14 +16,19 @@ import numpy as np
 from hpcapp.applications.surface.checkpoint import POINTS_NOTE
 from hpcapp.applications.surface.input.clean import Cleaned, arrange_points, clean_cloud, drop_far
 from hpcapp.applications.surface.input.ingest import ingest_file
-from hpcapp.applications.surface.input.normals import FROM_FILE, Oriented, orient_cloud
+from hpcapp.applications.surface.input.normals import (
+    FROM_FILE,
+    Oriented,
+    orient_cloud,
+    orient_regions,
+)
 from hpcapp.applications.surface.scans import Passes, measure_spacing
 from hpcapp.applications.surface.settings import JobSettings, Settings
 from hpcapp.io import drop_unusable, open_points
 from hpcapp.io.points.point_source import PointSource, read_whole
 from hpcapp.io.points.usable import Dropped
 from hpcapp.progress import StageClock
-from hpccomponent.errors import InputError, JobError
+from hpccomponent.errors import JobError
 from hpccomponent.files.private_files import make_private_folder, remove_path
 from hpccomponent.store.base import FolderStore
 from hpccomponent.store.value import DamagedError
@@ -235,28 +240,42 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
     for module in _LATER:
         passes.workforce.defer(partial(import_module, module))
     source = _open_source(settings)
-    if not source.has_normals:
-        raise InputError(f"{settings.points} has no normals", "give more memory")
     with clock.stage("read"):
         read = ingest_file(source, arranged, passes, drop_far=settings.method.cleans)
     from hpcapp.applications.surface.input.clean_regions import clean_regions, measure_cloud
 
     cloud, cleaned = read.cloud, Cleaned(0, 0)
+    oriented = FROM_FILE
+    if not source.has_normals:
+        estimated, turned = folder / f"estimated-{run}", folder / f"oriented-{run}"
+        make_private_folder(estimated)
+        make_private_folder(turned)
+        with clock.stage("normals"):
+            box = len(cloud), cloud.low, cloud.high
+            spacing = measure_spacing(cloud, passes, box, None, read.boxes)
+            scanners = _find_scanners(settings, source)
+            local = None if scanners is None else scanners - cloud.origin
+            cloud, oriented = orient_regions(cloud, (estimated, turned), passes, spacing, local)
+        for done in (arranged, estimated):
+            shutil.rmtree(done, ignore_errors=True)  # one may write there still
+        arranged = turned
     if settings.method.cleans:
         make_private_folder(cleaned_folder)
         with clock.stage("clean"):
             cloud, cleaned = clean_regions(cloud, cleaned_folder, passes, read.boxes)
         if not cloud.uses(arranged):
-            shutil.rmtree(arranged, ignore_errors=True)  # one may write there still
+            shutil.rmtree(arranged, ignore_errors=True)
     else:
         box = len(cloud), cloud.low, cloud.high
         spacing = measure_spacing(cloud, passes, box, None, read.boxes)
         cloud = measure_cloud(cloud, passes, spacing)
-    loaded = Loaded(cloud, read.dropped, replace(cleaned, outliers=read.far + cleaned.outliers))
+    cleaned = replace(cleaned, outliers=read.far + cleaned.outliers)
+    loaded = Loaded(cloud, read.dropped, cleaned, oriented)
     told = {
         "cloud": cloud.folder.name,
         "dropped": asdict(loaded.dropped),
         "cleaned": asdict(loaded.cleaned),
+        "oriented": asdict(loaded.oriented),
     }
     FolderStore(folder).put(_NOTE, told)
     return loaded
@@ -279,4 +298,9 @@ def _find_loaded(folder: Path) -> Loaded | None:
         problem = error.problem if isinstance(error, JobError) else str(error)
         log.warning("warning: %s: the points are read again", problem)
         return None
-    return Loaded(cloud, Dropped(**told["dropped"]), Cleaned(**told["cleaned"]))
+    return Loaded(
+        cloud,
+        Dropped(**told["dropped"]),
+        Cleaned(**told["cleaned"]),
+        Oriented(**told["oriented"]),
+    )

@@ -1,4 +1,12 @@
-"""Normals for points that have none: estimated, and turned to one side over the whole object."""
+"""Normals for points that have none: estimated, and turned to one side over the whole object.
+
+::
+
+    regions ── estimate ──> normals without a side ── patches, links ──> sides ── turn ──> normals
+
+In memory and in a folder the points come to the same normals, bit for bit: each step is a pure
+function of a region's points and of a margin around it, and `orientation` sees the same patches.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +17,29 @@ from typing import Any
 
 import numpy as np
 
+from hpcapp.applications.surface.input.clean_regions import cut_regions
+from hpcapp.applications.surface.scans import Passes
+from hpccomponent.surface.cloud.arrangement import PackedPoints
+from hpccomponent.surface.cloud.disk import DiskCloud, Part, write_index, write_part
 from hpccomponent.surface.cloud.spacing import estimate_spacing
 from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.normals.estimation import estimate_normals
+from hpccomponent.surface.normals import estimation, patches
 from hpccomponent.surface.normals.orientation import SURE, orient_patches
-from hpccomponent.surface.normals.patches import group_points, link_patches
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpccomponent.surface.tasks.normals import (
+    CONFIDENCE_BINS,
+    Replaced,
+    estimate_blocks,
+    group_blocks,
+    turn_blocks,
+)
+from hpccomponent.surface.types.lattice import find_keys
+from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
 
-__all__ = ["FROM_FILE", "Oriented", "orient_cloud"]
+__all__ = ["FROM_FILE", "Oriented", "orient_cloud", "orient_regions"]
 
 log = logging.getLogger("hpcapp")
 
+_AT_ONCE = 1 << 19  # points of a region
 _DOUBTFUL = 0.9  # share of points whose side is sure, below which somebody should look
 
 
@@ -72,7 +92,7 @@ FROM_FILE = Oriented("file", 1.0)
 
 
 def orient_cloud(cloud: PointCloud, scanners: FloatArray | None) -> tuple[PointCloud, Oriented]:
-    """Estimate normals and turn them to one side.
+    """Estimate the normals of points in memory and turn them to one side.
 
     Parameters
     ----------
@@ -94,16 +114,128 @@ def orient_cloud(cloud: PointCloud, scanners: FloatArray | None) -> tuple[PointC
     """
     positions = cloud.positions
     spacing, (low, _) = estimate_spacing(positions), bound_points(positions)
-    every = np.ones(len(cloud), np.bool_)
-    vectors = estimate_normals(positions, every, low, spacing)
-    grouped = group_points(positions, vectors, low, spacing)
-    links = link_patches(positions, every, grouped.patch_of, spacing)
-    found = orient_patches(grouped.patches, links, spacing, scanners)
-    signs = np.where(grouped.is_opposed, -1.0, 1.0) * found.signs[grouped.patch_of]
-    wide = vectors.astype(np.float64)
-    lengths = np.sqrt(np.einsum("ij,ij->i", wide, wide))
-    normals = (wide * (signs / lengths)[:, None]).astype(np.float32).astype(np.float64)
-    confidences = found.confidences[grouped.patch_of]
+    regions = _cut_boxes(positions, np.arange(len(positions)))
+    vectors = np.empty((len(positions), 3), np.float32)
+    for rows in regions:
+        near, own = _find_near(positions, rows, estimation.MARGIN * spacing)
+        vectors[near[own]] = estimation.estimate_normals(positions[near], own, low, spacing)
+    found = []
+    for rows in regions:
+        near, own = _find_near(positions, rows, patches.MARGIN * spacing)
+        found.append(patches.find_patches(positions[near], vectors[near], own, low, spacing))
+    sides = orient_patches(*patches.merge_patches(found), spacing, scanners)
+    normals, confidences = np.empty_like(positions), np.empty(len(positions), np.float32)
+    for rows in regions:
+        near, own = _find_near(positions, rows, patches.MARGIN * spacing)
+        turned = patches.turn_points(positions[near], vectors[near], low, spacing, sides)
+        normals[near[own]], confidences[near[own]] = (column[own] for column in turned)
     sure = float(np.count_nonzero(confidences >= SURE)) / len(cloud)
-    attributes = {**cloud.attributes, "confidence": confidences.astype(np.float32)}
+    attributes = {**cloud.attributes, "confidence": confidences}
     return replace(cloud, normals=normals, attributes=attributes), Oriented("estimated", sure)
+
+
+def orient_regions(
+    cloud: DiskCloud,
+    folders: tuple[Path, Path],
+    passes: Passes,
+    spacing: float,
+    scanners: FloatArray | None,
+) -> tuple[DiskCloud, Oriented]:
+    """Do to a cloud in a folder what `orient_cloud` does to one in memory.
+
+    Parameters
+    ----------
+    cloud : DiskCloud
+        Its normals do not count.
+    folders : tuple of two Path
+        Where the normals are put: at first without a side, then with one. They exist and hold no
+        cloud.
+    passes : Passes
+        The result does not depend on it.
+    spacing : float
+        Of the cloud, in length units of the input.
+    scanners : ndarray of float64, shape (s, 3), or None
+        Where scanners stood, in the frame of the positions.
+
+    Returns
+    -------
+    cloud : DiskCloud
+        In the second folder.
+    oriented : Oriented
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    regions = cut_regions(cloud.keys, cloud.counts, passes.count_pieces(len(cloud)))
+    common = cloud.low, spacing
+
+    def tell(folder: Path, region: int) -> tuple[str, int] | None:
+        return (str(folder), region) if passes.workers_see else None
+
+    margin = estimation.MARGIN * spacing
+    parts: dict[int, Part] = {}
+    for region, result in passes.map_regions(
+        estimate_blocks, cloud, regions, margin, None, lambda i: (*common, tell(folders[0], i))
+    ):
+        parts[region] = _keep(result, region, folders[0])
+    estimated = _write(cloud, folders[0], parts)
+    margin = patches.MARGIN * spacing
+    found = dict(
+        passes.map_regions(group_blocks, estimated, regions, margin, None, lambda _: common)
+    )
+    every = [found[region] for region in range(len(regions))]
+    sides = orient_patches(*patches.merge_patches(every), spacing, scanners)
+    asked = [sides.take(part) for part, _ in every]
+    del found, every
+    counts = np.zeros(CONFIDENCE_BINS, np.int64)
+    for region, (result, binned) in passes.map_regions(
+        turn_blocks,
+        estimated,
+        regions,
+        margin,
+        None,
+        lambda i: (*common, asked[i], tell(folders[1], i)),
+    ):
+        parts[region] = _keep(result, region, folders[1])
+        counts += binned
+    sure = float(counts[round(SURE * CONFIDENCE_BINS) :].sum()) / len(cloud)
+    return _write(cloud, folders[1], parts), Oriented("estimated", sure)
+
+
+def _keep(result: Replaced, region: int, folder: Path) -> Part:
+    """Return the part that a region has become; its points are written if no task could."""
+    if isinstance(result, PackedPoints):
+        result = write_part(folder, region, [result])
+    return Part.whole(region, *result)
+
+
+def _write(cloud: DiskCloud, folder: Path, parts: dict[int, Part]) -> DiskCloud:
+    box = cloud.low, cloud.high
+    written = [parts[region] for region in sorted(parts)]
+    return write_index(folder, cloud.arrangement, cloud.origin, box, written)
+
+
+def _cut_boxes(positions: FloatArray, rows: IntArray) -> list[IntArray]:
+    """Cut points into boxes of a few each, by halving across the longest side."""
+    if len(rows) <= _AT_ONCE:
+        return [rows]
+    low, high = bound_points(positions[rows])
+    column = positions[rows, int(np.argmax(high - low))]
+    is_below = column < np.median(column)
+    if is_below.all() or not is_below.any():
+        return [rows]
+    halves = rows[is_below], rows[~is_below]
+    return [box for half in halves for box in _cut_boxes(positions, half)]
+
+
+def _find_near(positions: FloatArray, rows: IntArray, margin: float) -> tuple[IntArray, BoolArray]:
+    """Return some points and those around them, in their order, and which are the points."""
+    if len(rows) == len(positions):
+        return rows, np.ones(len(rows), np.bool_)
+    low, high = bound_points(positions[rows])
+    columns = zip(positions.T, low - margin, high + margin, strict=True)
+    is_near = np.logical_and.reduce([(column >= a) & (column <= b) for column, a, b in columns])
+    near = np.flatnonzero(is_near)
+    return near, find_keys(rows, near) < len(rows)
