@@ -128,7 +128,7 @@ def reconstruct(
     given = None if isinstance(executor, str) else executor
     with approach_workers(settings) as opener:
         cloud, far = arrange_usable(settings, cloud, clock)
-        cloud, oriented = orient_points(cloud, None, clock)
+        cloud, oriented = orient_points(settings, cloud, None, clock)
         for warning in oriented.warnings:
             log.warning("warning: %s", warning)
         cloud, cleaned = clean_points(settings, cloud, far, clock)

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from hpccomponent.surface.types.lattice import cells_of, number_keys, pack_places
 from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
 
-__all__ = ["MARGIN", "estimate_normals"]
+__all__ = ["MARGIN", "estimate_normals", "keep_directions"]
 
 _COUNTS = (8, 12, 17, 24, 34, 48)
 _MORE_COUNTS = (68, 96)
@@ -83,6 +83,26 @@ def estimate_normals(
         more = search.fit(rows[some], _COUNTS[-1:] + _MORE_COUNTS)
         vectors[some] = more.take(_choose(more, noise[some]), _TINY * spacing)
     return vectors[asked[rows]].astype(np.float32)
+
+
+def keep_directions(vectors: Float32Array, normals: FloatArray | Float32Array) -> Float32Array:
+    """Give normals that are known already the lengths of estimated ones.
+
+    Parameters
+    ----------
+    vectors : ndarray of float32, shape (m, 3)
+        What `estimate_normals` has returned.
+    normals : ndarray of float64 or float32, shape (m, 3)
+        Unit length.
+
+    Returns
+    -------
+    ndarray of float32, shape (m, 3)
+    """
+    wide = vectors.astype(np.float64)
+    lengths = np.sqrt(np.einsum("ij,ij->i", wide, wide))
+    kept: Float32Array = (normals * lengths[:, None]).astype(np.float32)
+    return kept
 
 
 class _Search:

@@ -250,7 +250,7 @@ def turn_points(
     low: FloatArray,
     spacing: float,
     sides: Sides,
-) -> tuple[Float32Array, Float32Array]:
+) -> tuple[Float32Array, BoolArray, Float32Array]:
     """Turn normals to the sides of their patches.
 
     Parameters
@@ -270,6 +270,8 @@ def turn_points(
     -------
     normals : ndarray of float32, shape (n, 3)
         Unit length.
+    is_turned : ndarray of bool, shape (n,)
+        Whether they are the opposites of the vectors.
     confidences : ndarray of float32, shape (n,)
         0 to 1; 0 for points of other patches.
     """
@@ -278,7 +280,8 @@ def turn_points(
     values = np.append(sides.values, np.float32(0.0))[rows][grouped.patch_of]
     is_turned = (values < 0.0) != grouped.is_opposed
     _, normals = _split(vectors)
-    return np.where(is_turned[:, None], -normals, normals).astype(np.float32), np.abs(values)
+    turned = np.where(is_turned[:, None], -normals, normals).astype(np.float32)
+    return turned, is_turned, np.abs(values)
 
 
 def _group_points(

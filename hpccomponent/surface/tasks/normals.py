@@ -17,7 +17,7 @@ from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface.cloud.arrangement import PackedPoints
 from hpccomponent.surface.cloud.disk import write_part
 from hpccomponent.surface.cloud.regions import RegionPoints, take_region
-from hpccomponent.surface.normals.estimation import estimate_normals
+from hpccomponent.surface.normals.estimation import estimate_normals, keep_directions
 from hpccomponent.surface.normals.patches import (
     Links,
     Patches,
@@ -25,7 +25,7 @@ from hpccomponent.surface.normals.patches import (
     find_patches,
     turn_points,
 )
-from hpccomponent.surface.tasks.result_patterns import CONFIDENCES, PATCHES, REPLACED
+from hpccomponent.surface.tasks.result_patterns import PATCHES, REPLACED, TURNED
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["CONFIDENCE_BINS", "Replaced", "estimate_blocks", "group_blocks", "turn_blocks"]
@@ -43,7 +43,7 @@ see it."""
 
 @declare(result=REPLACED)
 def estimate_blocks(
-    points: RegionPoints, low: FloatArray, spacing: float, target: Target
+    points: RegionPoints, low: FloatArray, spacing: float, keeps: bool, target: Target
 ) -> Replaced:
     """Estimate the normals of a region (a task).
 
@@ -53,6 +53,8 @@ def estimate_blocks(
         `RegionPoints`, with a margin of `estimation.MARGIN` spacings.
     low, spacing
         As for `estimation.estimate_normals`.
+    keeps : bool
+        Whether the directions that are there stay, and only lengths are estimated.
     target : tuple of (str, int), or None
         See `Target`.
 
@@ -68,6 +70,8 @@ def estimate_blocks(
     """
     region = take_region(points)
     vectors = estimate_normals(region.positions, region.own, low, spacing)
+    if keeps:
+        vectors = keep_directions(vectors, region.normals[region.own])
     return _put(region.pack_with(vectors), target)
 
 
@@ -92,10 +96,10 @@ def group_blocks(points: RegionPoints, low: FloatArray, spacing: float) -> tuple
     return find_patches(region.positions, region.normals, region.own, low, spacing)
 
 
-@declare(result=CONFIDENCES)
+@declare(result=TURNED)
 def turn_blocks(
     points: RegionPoints, low: FloatArray, spacing: float, sides: Sides, target: Target
-) -> tuple[Replaced, IntArray]:
+) -> tuple[Replaced, int, IntArray]:
     """Turn the normals of a region to their side (a task); see `patches.turn_points`.
 
     Parameters
@@ -112,6 +116,8 @@ def turn_blocks(
     -------
     replaced : PackedPoints or tuple
         See `Replaced`; with unit normals.
+    turned : int
+        How many of these are the opposites of what they were.
     confidences : ndarray of int64, shape (100,)
         How many points have a confidence of 0 to 0.01, 0.01 to 0.02 ...
 
@@ -121,11 +127,14 @@ def turn_blocks(
         The disk is full, or the folder cannot be written.
     """
     region = take_region(points)
-    normals, confidences = turn_points(region.positions, region.normals, low, spacing, sides)
+    normals, is_turned, confidences = turn_points(
+        region.positions, region.normals, low, spacing, sides
+    )
     own = region.own
     bins = np.minimum((confidences[own] * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
     counts = np.bincount(bins, minlength=CONFIDENCE_BINS)
-    return _put(region.pack_with(normals[own]), target), counts
+    turned = int(np.count_nonzero(is_turned[own]))
+    return _put(region.pack_with(normals[own]), target), turned, counts
 
 
 def _put(packed: PackedPoints, target: Target) -> Replaced:

@@ -35,7 +35,6 @@ __all__ = [
     "BOX",
     "BOX_COUNTS",
     "CELL_COUNTS",
-    "CONFIDENCES",
     "MENDED",
     "PATCHES",
     "RANKS",
@@ -43,6 +42,7 @@ __all__ = [
     "SAMPLE",
     "SMALL_BYTES",
     "STRAY_CELLS",
+    "TURNED",
     "WRITTEN",
     "arranged_range",
     "bounded_range",
@@ -90,7 +90,7 @@ _PACKED = Where(
     "there are not as many points as are counted",
 )
 REPLACED = Either(Fixed(_KEYS, _COUNTS), _PACKED)
-CONFIDENCES = Fixed(REPLACED, Array("<i8", 100, low=0, high=_MOST))
+TURNED = Fixed(REPLACED, Whole(0, _MOST), Array("<i8", 100, low=0, high=_MOST))
 PATCHES = Where(
     Fixed(
         Record(

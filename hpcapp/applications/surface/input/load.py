@@ -19,6 +19,8 @@ from hpcapp.applications.surface.input.ingest import ingest_file
 from hpcapp.applications.surface.input.normals import (
     FROM_FILE,
     Oriented,
+    is_contradicting,
+    is_contradicting_there,
     orient_cloud,
     orient_regions,
 )
@@ -117,7 +119,7 @@ def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
         source = _open_source(settings)
         cloud, dropped = drop_unusable(read_whole(source), str(settings.points))
     cloud, far = arrange_usable(settings, cloud, clock)
-    cloud, oriented = orient_points(cloud, _find_scanners(settings, source), clock)
+    cloud, oriented = orient_points(settings, cloud, _find_scanners(settings, source), clock)
     cloud, cleaned = clean_points(settings, cloud, far, clock)
     return Loaded(cloud, dropped, cleaned, oriented)
 
@@ -137,12 +139,13 @@ def _find_scanners(settings: JobSettings, source: PointSource) -> FloatArray | N
 
 
 def orient_points(
-    cloud: PointCloud, scanners: FloatArray | None, clock: StageClock
+    settings: Settings, cloud: PointCloud, scanners: FloatArray | None, clock: StageClock
 ) -> tuple[PointCloud, Oriented]:
-    """Give points normals, where they have none.
+    """Give points normals where they have none, or such that contradict each other.
 
     Parameters
     ----------
+    settings : Settings
     cloud : PointCloud
         Arranged, where the method wants that.
     scanners : ndarray of float64, shape (s, 3), or None
@@ -154,7 +157,7 @@ def orient_points(
     cloud : PointCloud
     oriented : Oriented
     """
-    if cloud.normals is not None:
+    if cloud.normals is not None and (settings.normals == "file" or not is_contradicting(cloud)):
         return cloud, FROM_FILE
     with clock.stage("normals"):
         return orient_cloud(cloud, None if scanners is None else scanners - cloud.origin)
@@ -246,16 +249,19 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
 
     cloud, cleaned = read.cloud, Cleaned(0, 0)
     oriented = FROM_FILE
-    if not source.has_normals:
+    box = len(cloud), cloud.low, cloud.high
+    spacing = measure_spacing(cloud, passes, box, None, read.boxes)
+    is_asked = settings.normals == "auto" and source.has_normals
+    if not source.has_normals or (is_asked and is_contradicting_there(cloud, passes, spacing)):
         estimated, turned = folder / f"estimated-{run}", folder / f"oriented-{run}"
         make_private_folder(estimated)
         make_private_folder(turned)
         with clock.stage("normals"):
-            box = len(cloud), cloud.low, cloud.high
-            spacing = measure_spacing(cloud, passes, box, None, read.boxes)
             scanners = _find_scanners(settings, source)
             local = None if scanners is None else scanners - cloud.origin
-            cloud, oriented = orient_regions(cloud, (estimated, turned), passes, spacing, local)
+            cloud, oriented = orient_regions(
+                cloud, source.has_normals, (estimated, turned), passes, spacing, local
+            )
         for done in (arranged, estimated):
             shutil.rmtree(done, ignore_errors=True)  # one may write there still
         arranged = turned
@@ -266,8 +272,6 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
         if not cloud.uses(arranged):
             shutil.rmtree(arranged, ignore_errors=True)
     else:
-        box = len(cloud), cloud.low, cloud.high
-        spacing = measure_spacing(cloud, passes, box, None, read.boxes)
         cloud = measure_cloud(cloud, passes, spacing)
     cleaned = replace(cleaned, outliers=read.far + cleaned.outliers)
     loaded = Loaded(cloud, read.dropped, cleaned, oriented)

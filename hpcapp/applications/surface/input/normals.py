@@ -22,9 +22,11 @@ from hpcapp.applications.surface.scans import Passes
 from hpccomponent.surface.cloud.arrangement import PackedPoints
 from hpccomponent.surface.cloud.disk import DiskCloud, Part, write_index, write_part
 from hpccomponent.surface.cloud.spacing import estimate_spacing
-from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.kernels import bound_points, sample_boxes
 from hpccomponent.surface.normals import estimation, patches
+from hpccomponent.surface.normals.consistency import share_opposed
 from hpccomponent.surface.normals.orientation import SURE, orient_patches
+from hpccomponent.surface.tasks.blocks import sample_blocks
 from hpccomponent.surface.tasks.normals import (
     CONFIDENCE_BINS,
     Replaced,
@@ -35,11 +37,20 @@ from hpccomponent.surface.tasks.normals import (
 from hpccomponent.surface.types.lattice import find_keys
 from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
 
-__all__ = ["FROM_FILE", "Oriented", "orient_cloud", "orient_regions"]
+__all__ = [
+    "FROM_FILE",
+    "Oriented",
+    "is_contradicting",
+    "is_contradicting_there",
+    "orient_cloud",
+    "orient_regions",
+]
 
 log = logging.getLogger("hpcapp")
 
 _AT_ONCE = 1 << 19  # points of a region
+_SAMPLE = 20_000  # points that show whether normals contradict each other
+_CONTRADICTING = 0.12  # share of opposite pairs: 6 in 100 turned round
 _DOUBTFUL = 0.9  # share of points whose side is sure, below which somebody should look
 
 
@@ -53,20 +64,29 @@ class Oriented:
         ``file`` or ``estimated``.
     sure : float
         Share of the points whose side is sure, 0 to 1.
+    turned : int
+        How many normals of the file were turned round, patch by patch.
     """
 
     source: str
     sure: float
+    turned: int = 0
 
     @property
     def warnings(self) -> list[str]:
         """What should make the user doubt them."""
-        if self.sure >= _DOUBTFUL:
-            return []
-        return [
-            f"the side of {100.0 * (1.0 - self.sure):.1f} % of the normals is unsure: give "
-            "--viewpoint, or normals"
-        ]
+        found = []
+        if self.turned:
+            found.append(
+                f"the normals contradict each other: {self.turned} were turned round, so that all "
+                "are on one side; --normals file takes them as they are"
+            )
+        if self.sure < _DOUBTFUL:
+            found.append(
+                f"the side of {100.0 * (1.0 - self.sure):.1f} % of the normals is unsure: say "
+                "where the scanner stood (--viewpoint)"
+            )
+        return found
 
     def report(self, path: Path) -> None:
         """Log how they came about.
@@ -84,7 +104,7 @@ class Oriented:
 
     def to_json(self) -> dict[str, Any]:
         """Return the same for the job's report."""
-        return {"source": self.source, "sure": round(self.sure, 4)}
+        return {"source": self.source, "sure": round(self.sure, 4), "turned": self.turned}
 
 
 FROM_FILE = Oriented("file", 1.0)
@@ -92,7 +112,7 @@ FROM_FILE = Oriented("file", 1.0)
 
 
 def orient_cloud(cloud: PointCloud, scanners: FloatArray | None) -> tuple[PointCloud, Oriented]:
-    """Estimate the normals of points in memory and turn them to one side.
+    """Turn the normals of points in memory to one side; estimate them where there are none.
 
     Parameters
     ----------
@@ -112,30 +132,86 @@ def orient_cloud(cloud: PointCloud, scanners: FloatArray | None) -> tuple[PointC
     InputError
         All points are the same.
     """
-    positions = cloud.positions
+    positions, given = cloud.positions, cloud.normals
     spacing, (low, _) = estimate_spacing(positions), bound_points(positions)
     regions = _cut_boxes(positions, np.arange(len(positions)))
     vectors = np.empty((len(positions), 3), np.float32)
     for rows in regions:
         near, own = _find_near(positions, rows, estimation.MARGIN * spacing)
-        vectors[near[own]] = estimation.estimate_normals(positions[near], own, low, spacing)
+        some = estimation.estimate_normals(positions[near], own, low, spacing)
+        if given is not None:
+            some = estimation.keep_directions(some, given[rows])
+        vectors[rows] = some
     found = []
     for rows in regions:
         near, own = _find_near(positions, rows, patches.MARGIN * spacing)
         found.append(patches.find_patches(positions[near], vectors[near], own, low, spacing))
     sides = orient_patches(*patches.merge_patches(found), spacing, scanners)
     normals, confidences = np.empty_like(positions), np.empty(len(positions), np.float32)
+    is_turned = np.empty(len(positions), np.bool_)
     for rows in regions:
         near, own = _find_near(positions, rows, patches.MARGIN * spacing)
         turned = patches.turn_points(positions[near], vectors[near], low, spacing, sides)
-        normals[near[own]], confidences[near[own]] = (column[own] for column in turned)
+        normals[rows], is_turned[rows], confidences[rows] = (column[own] for column in turned)
     sure = float(np.count_nonzero(confidences >= SURE)) / len(cloud)
     attributes = {**cloud.attributes, "confidence": confidences}
-    return replace(cloud, normals=normals, attributes=attributes), Oriented("estimated", sure)
+    oriented = _tell(given is not None, sure, int(np.count_nonzero(is_turned)))
+    return replace(cloud, normals=normals, attributes=attributes), oriented
+
+
+def is_contradicting(cloud: PointCloud) -> bool:
+    """Tell whether the normals of points in memory contradict each other.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Finite positions, and unit normals.
+
+    Returns
+    -------
+    bool
+        Whether more than a twentieth of them, or so, is turned round.
+    """
+    assert cloud.normals is not None  # noqa: S101 - or there is nothing to ask
+    spacing, (low, _) = estimate_spacing(cloud.positions), bound_points(cloud.positions)
+    edge = patches.CELL * spacing
+    rows = sample_boxes(cloud.positions, low, edge, _sample_step(len(cloud)))
+    some = cloud.positions[rows], cloud.normals[rows]
+    return share_opposed(*some, low, edge, spacing) > _CONTRADICTING
+
+
+def is_contradicting_there(cloud: DiskCloud, passes: Passes, spacing: float) -> bool:
+    """Tell of a cloud in a folder what `is_contradicting` tells of one in memory.
+
+    Parameters
+    ----------
+    cloud : DiskCloud
+    passes : Passes
+    spacing : float
+        Of the cloud, in length units of the input.
+
+    Returns
+    -------
+    bool
+    """
+    edge = patches.CELL * spacing
+    step = _sample_step(len(cloud))
+    found = passes.map_blocks(sample_blocks, cloud, None, cloud.low, edge, step)
+    positions, normals = (np.concatenate(column) for column in zip(*found, strict=True))
+    return share_opposed(positions, normals, cloud.low, edge, spacing) > _CONTRADICTING
+
+
+def _sample_step(points: int) -> int:
+    return points // _SAMPLE + 1
+
+
+def _tell(is_given: bool, sure: float, turned: int) -> Oriented:
+    return Oriented("file", sure, turned) if is_given else Oriented("estimated", sure)
 
 
 def orient_regions(
     cloud: DiskCloud,
+    keeps: bool,
     folders: tuple[Path, Path],
     passes: Passes,
     spacing: float,
@@ -146,7 +222,8 @@ def orient_regions(
     Parameters
     ----------
     cloud : DiskCloud
-        Its normals do not count.
+    keeps : bool
+        Whether its normals count, but for their side.
     folders : tuple of two Path
         Where the normals are put: at first without a side, then with one. They exist and hold no
         cloud.
@@ -177,7 +254,12 @@ def orient_regions(
     margin = estimation.MARGIN * spacing
     parts: dict[int, Part] = {}
     for region, result in passes.map_regions(
-        estimate_blocks, cloud, regions, margin, None, lambda i: (*common, tell(folders[0], i))
+        estimate_blocks,
+        cloud,
+        regions,
+        margin,
+        None,
+        lambda i: (*common, keeps, tell(folders[0], i)),
     ):
         parts[region] = _keep(result, region, folders[0])
     estimated = _write(cloud, folders[0], parts)
@@ -189,8 +271,8 @@ def orient_regions(
     sides = orient_patches(*patches.merge_patches(every), spacing, scanners)
     asked = [sides.take(part) for part, _ in every]
     del found, every
-    counts = np.zeros(CONFIDENCE_BINS, np.int64)
-    for region, (result, binned) in passes.map_regions(
+    counts, turned = np.zeros(CONFIDENCE_BINS, np.int64), 0
+    for region, (result, opposite, binned) in passes.map_regions(
         turn_blocks,
         estimated,
         regions,
@@ -200,8 +282,9 @@ def orient_regions(
     ):
         parts[region] = _keep(result, region, folders[1])
         counts += binned
+        turned += opposite
     sure = float(counts[round(SURE * CONFIDENCE_BINS) :].sum()) / len(cloud)
-    return _write(cloud, folders[1], parts), Oriented("estimated", sure)
+    return _write(cloud, folders[1], parts), _tell(keeps, sure, turned)
 
 
 def _keep(result: Replaced, region: int, folder: Path) -> Part:

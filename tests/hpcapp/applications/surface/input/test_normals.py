@@ -1,4 +1,4 @@
-"""Points without normals get the same ones in memory and in a folder, on the side they came from."""
+"""Points without normals get the same ones in memory and in a folder, and on the right side."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from disk_clouds import DiskCloudWriter
 from hpcapp.applications.simulate.scanner import simulate_scan
 from hpcapp.applications.simulate.settings import ScanSettings
 from hpcapp.applications.simulate.shapes import SHAPES
-from hpcapp.applications.surface.input.normals import orient_cloud, orient_regions
+from hpcapp.applications.surface.input.normals import is_contradicting, orient_cloud, orient_regions
 from hpcapp.applications.surface.scans import Passes
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce
@@ -55,7 +55,7 @@ def test_normals_point_out_of_what_was_scanned(
 def test_two_objects_have_their_own_sides() -> None:
     scan = _scan("torus", noise=0.001)
     assert scan.normals is not None
-    twice = np.concatenate([scan.positions, scan.positions + (3.0, 0.4, 0.2)])
+    twice = np.concatenate([scan.positions, scan.positions + np.array([3.0, 0.4, 0.2])])
     truth = PointCloud(twice, np.concatenate([scan.normals, scan.normals]))
     found, _ = orient_cloud(PointCloud(twice), None)
     assert _share_right(found, truth) >= 0.999
@@ -90,20 +90,24 @@ def _sheets(random: np.random.Generator) -> FloatArray:
 
 
 @pytest.mark.parametrize("workers_see", [True, False])
-@pytest.mark.parametrize("what", ["knot", "sheets"])
+@pytest.mark.parametrize("what", ["knot", "sheets", "given"])
 def test_regions_give_the_normals_of_the_whole(
     tmp_path: Path, what: str, workers_see: bool
 ) -> None:
     scan = _sheets(np.random.default_rng(2)) if what == "sheets" else _scan("knot").positions
-    arranged = arrange_cloud(PointCloud(scan))
+    given = np.random.default_rng(3).normal(size=scan.shape)
+    given /= np.linalg.norm(given, axis=1, keepdims=True)
+    arranged = arrange_cloud(PointCloud(scan, given if what == "given" else None))
     positions = arranged.cloud.positions
     expected, oriented = orient_cloud(arranged.cloud, None)
     for folder in ("bare", "estimated", "oriented"):
         (tmp_path / folder).mkdir()
     writer = DiskCloudWriter(tmp_path / "bare", arranged.arrangement, arranged.origin)
-    writer.add(positions, np.zeros_like(positions))
+    bare = np.zeros_like(positions)
+    writer.add(positions, bare if arranged.cloud.normals is None else arranged.cloud.normals)
     found, same = orient_regions(
         writer.finish(),
+        what == "given",
         (tmp_path / "estimated", tmp_path / "oriented"),
         Passes(Workforce(SerialExecutor(), in_process=True), workers_see, 1_500),
         estimate_spacing(positions),
@@ -114,3 +118,34 @@ def test_regions_give_the_normals_of_the_whole(
     assert expected.normals is not None
     assert found.take_blocks(found.keys)[1].tobytes() == expected.normals.tobytes()
     assert same.sure == pytest.approx(oriented.sure, abs=0.02)
+    assert same.turned == oriented.turned
+    assert (same.turned > 0) == (what == "given")
+
+
+def test_random_sides_are_mended_and_good_ones_left() -> None:
+    scan = _scan("knot", noise=0.001)
+    assert scan.normals is not None
+    assert not is_contradicting(scan)
+    signs = np.where(np.random.default_rng(4).random(len(scan)) < 0.5, -1.0, 1.0)
+    mixed = PointCloud(scan.positions, scan.normals * signs[:, None])
+    assert is_contradicting(mixed)
+    found, oriented = orient_cloud(mixed, None)
+    assert _share_right(found, scan) >= 0.99
+    assert oriented.source == "file"
+    assert abs(oriented.turned - np.count_nonzero(signs < 0.0)) < 0.02 * len(scan)
+    assert "were turned round" in oriented.warnings[0]
+    assert found.normals is not None
+    unsigned = np.abs(np.einsum("ij,ij->i", found.normals, scan.normals))
+    assert unsigned.min() > 1.0 - 1e-6
+
+
+def test_a_scan_inside_out_among_others_is_turned() -> None:
+    first, second = (_scan("torus", noise=0.001, seed=seed) for seed in (1, 2))
+    assert first.normals is not None
+    assert second.normals is not None
+    positions = np.concatenate([first.positions, second.positions])
+    truth = PointCloud(positions, np.concatenate([first.normals, second.normals]))
+    mixed = PointCloud(positions, np.concatenate([first.normals, -second.normals]))
+    assert is_contradicting(mixed)
+    found, _ = orient_cloud(mixed, None)
+    assert _share_right(found, truth) >= 0.999
