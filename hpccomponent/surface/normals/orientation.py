@@ -15,8 +15,8 @@ from scipy.sparse.linalg import cg
 
 from hpccomponent.surface.kernels import integrate_normals, sample_grid
 from hpccomponent.surface.normals.patches import CELL, Links, Patches, Sides
-from hpccomponent.surface.normals.visibility import poll_views, surround
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.normals.visibility import find_seen, poll_views, stand_inside, surround
+from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
 __all__ = ["SURE", "orient_patches"]
 
@@ -24,6 +24,10 @@ SURE = 0.3
 """From this confidence on the side of a patch counts as sure."""
 
 _VIEWS = 96
+_HIDDEN = 0.02  # share of the area that no view from outside shows, and then
+_ROOMY = 0.5  # share of the area that one viewpoint inside shows,
+_SHOWN = 0.25  # share of what is hidden outside that is hidden inside, too: it is a room
+_GLIMPSE = 0.5  # sum of cosines: what is seen less is hidden
 _POWER = 4  # of the agreement of two patches, in the strength of their link
 _MOST_CONTACTS = 4.0  # by the square root of the points: more make a link no stronger
 _STACKED = 4.0  # standard deviations between two sheets that are told apart
@@ -53,7 +57,8 @@ def orient_patches(
         Of the cloud, in length units of the input.
     scanners : ndarray of float64, shape (s, 3), optional
         Where scanners stood, in length units of the input and the frame of the patches. Without
-        any the object is seen from all around.
+        any the object is seen from all around; or from inside, if that shows what cannot be seen
+        from anywhere outside.
 
     Returns
     -------
@@ -78,9 +83,8 @@ def orient_patches(
     """
     strengths = _rate_links(patches, links)
     system = _System(len(patches), links, strengths)
-    outside = surround(patches, _VIEWS) if scanners is None else scanners
-    front, back = poll_views(patches, outside, spacing)
-    whole = _CLEAR * len(outside) / 4.0  # a half space of directions sums up to a quarter of all
+    front, back, views = _look(patches, spacing, scanners)
+    whole = _CLEAR * views / 4.0  # a half space of directions sums up to a quarter of all
     leaning = np.clip((front - back) / whole, -1.0, 1.0)
     weight = np.minimum((front + back) / whole, 1.0)
     sides = system.solve(_LEAN * weight, leaning, np.zeros(len(patches)))
@@ -94,6 +98,38 @@ def orient_patches(
             break
     values = np.clip(sides, -1.0, 1.0).astype(np.float32)
     return Sides(patches.keys, patches.ranks, values)
+
+
+def _look(
+    patches: Patches, spacing: float, scanners: FloatArray | None
+) -> tuple[FloatArray, FloatArray, int]:
+    """Poll the viewpoints that see the object best; see `poll_views`. Return their number, too."""
+    if scanners is not None:
+        return *poll_views(patches, scanners, spacing), len(scanners)
+    outside = surround(patches, _VIEWS)
+    found = poll_views(patches, outside, spacing)
+    hidden = _share_hidden(patches, *found)
+    if hidden > _HIDDEN:
+        # What was scanned was seen: from outside, or by somebody in the middle of it.
+        inside = stand_inside(patches)
+        best = max(
+            _share_of(patches, find_seen(patches, viewpoint, spacing)[1]) for viewpoint in inside
+        )
+        if best > _ROOMY:
+            within = poll_views(patches, inside, spacing)
+            if _share_hidden(patches, *within) < _SHOWN * hidden:
+                return *within, len(inside)
+    return *found, len(outside)
+
+
+def _share_hidden(patches: Patches, front: FloatArray, back: FloatArray) -> float:
+    return _share_of(patches, front + back < _GLIMPSE)
+
+
+def _share_of(patches: Patches, chosen: BoolArray) -> float:
+    """Return the share of the area that some patches have."""
+    areas = np.minimum(patches.counts / CELL**2, 1.0)
+    return float(areas[chosen].sum() / areas.sum())
 
 
 def _rate_links(patches: Patches, links: Links) -> FloatArray:
