@@ -15,6 +15,7 @@ from hpcapp.io.meshes.stl import read_stl, write_stl
 from hpcapp.io.meshes.tiles import TILES_SUFFIX, check_tiles, write_tiles
 from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh, write_ply_points
 from hpcapp.io.points.point_source import PointSource, read_whole, translated
+from hpcapp.io.points.recognition import recognise
 from hpcapp.io.points.registry import find_point_format
 from hpcapp.io.points.text import write_text_points
 from hpcapp.io.staging import check_place
@@ -90,7 +91,8 @@ def open_points(path: str | PathLike[str]) -> PointSource:
     Returns
     -------
     PointSource
-        Its parts are in the file's coordinates, and hold every point of it.
+        Its parts are in the file's coordinates, and hold every point of it but missing returns;
+        what its columns hold was found out (see `recognise`).
 
     Raises
     ------
@@ -106,7 +108,7 @@ def open_points(path: str | PathLike[str]) -> PointSource:
     point_format = find_point_format(Path(path))
     with translated(Path(path)):
         _refuse_special(Path(path))
-        return point_format.open(Path(path))
+        return recognise(point_format.open(Path(path)))
 
 
 def read_mesh(path: str | PathLike[str]) -> Mesh:
