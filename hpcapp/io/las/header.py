@@ -125,7 +125,9 @@ def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
         raise _cut(path, f"before its points, which begin at byte {points_start}")
     found, records = _read_records(file, (header_size, points_start), announced, _RECORD)
     if found < announced:
-        findings.warn(f"the header announces {announced} variable length records, there are {found}")
+        findings.warn(
+            f"the header announces {announced} variable length records, there are {found}"
+        )
     if extended is not None and points_start < extended[0] < size:
         _, later = _read_records(file, (extended[0], size), extended[1], _LONG_RECORD)
         records = {**later, **records}

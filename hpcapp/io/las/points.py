@@ -101,7 +101,8 @@ def _read_sound_header(file: BinaryIO, path: Path, findings: Findings) -> LasHea
     header = read_header(file, path, findings)
     if not header.count:
         raise InputError(
-            f"{path}: no points: the header announces none", "check that the right file was exported"
+            f"{path}: no points: the header announces none",
+            "check that the right file was exported",
         )
     if header.is_compressed:
         return header
