@@ -70,6 +70,9 @@ class PointFormat:
 POINT_FORMATS = (
     PointFormat("PLY", (".ply",), "hpcapp.io.ply.points:open_ply", 3),
     PointFormat("text", (".xyz", ".txt", ".asc", ".pts"), "hpcapp.io.points.text:open_text", 6),
+    PointFormat("LAS", (".las",), "hpcapp.io.las.points:open_las", 20),
+    PointFormat("LAZ", (".laz",), "hpcapp.io.las.points:open_las", 0.25),
+    PointFormat("E57", (".e57",), "hpcapp.io.e57.points:open_e57", 1),
 )
 
 
