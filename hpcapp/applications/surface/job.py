@@ -72,7 +72,7 @@ def run_job(
     clock = StageClock(progress)
     if count_most_points(settings.points) >= LARGE_CLOUD:
         keep_memory()
-    with open_output(settings.output, settings.points) as target, open_room(settings) as room:
+    with open_output(settings.output, settings.files) as target, open_room(settings) as room:
         run = _run_in_memory if room.folder is None else _run_in_folder
         report = run(settings, room, target, clock, machines)
     report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
@@ -91,7 +91,7 @@ def _run_in_memory(
 
     with approach_workers(settings, _guess_job(settings), machines) as opener:
         loaded = load_memory(settings, clock)
-        loaded.report(settings.points)
+        loaded.report(settings.shown)
         with run_memory(settings, loaded, opener, clock, room.keeping) as outcome:
             return _write(settings, loaded, outcome, target, clock)
 
@@ -114,7 +114,7 @@ def _run_in_folder(
             loaded = load_memory(settings, clock)
         else:
             loaded, keeping = _load_there(settings, room, backend, clock)
-        loaded.report(settings.points)
+        loaded.report(settings.shown)
         from hpcapp.applications.surface.steps import run_loaded  # imported by now: `load_folder`
 
         grid = choose_grid(settings, *loaded.box)

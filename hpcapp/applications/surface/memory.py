@@ -6,7 +6,8 @@ from pathlib import Path
 
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.sizes import TILE_POINTS
-from hpccomponent.errors import UsageError
+from hpcapp.io.points.registry import find_point_format
+from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.limits import available_memory
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.spacing import estimate_spacing
@@ -37,8 +38,6 @@ SMALL_GRID = 256
 
 #: What a tile takes of the process that makes its mesh, a point; measured from above.
 BYTES_PER_TILE_POINT = 800.0
-#: A point in a file takes so many bytes or more: three coordinates and a normal of float32.
-BYTES_PER_RECORD = 24
 LEAST_TILE = 50_000
 
 
@@ -95,7 +94,7 @@ def fits_memory(path: Path, limit: float | None) -> bool:
 
 
 def count_most_points(path: Path) -> int:
-    """Return how many points a file holds at most, judged by its size.
+    """Return how many points a file holds at most: as it says, or judged by its size.
 
     Parameters
     ----------
@@ -107,8 +106,10 @@ def count_most_points(path: Path) -> int:
     int
     """
     try:
-        return path.stat().st_size // BYTES_PER_RECORD
-    except OSError:
+        known = find_point_format(path)
+        counted = known.open(path).count if known.states_count else None
+        return int(path.stat().st_size / known.least_bytes) if counted is None else counted
+    except (OSError, HpcError):
         return 0
 
 

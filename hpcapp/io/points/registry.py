@@ -31,9 +31,12 @@ class PointFormat:
     opener : str
         ``module:function``: given a path, it returns a `PointSource`.
     least_bytes : float
-        Fewest bytes of the file that a point takes: a bound of how many there can be.
+        Fewest bytes of the file that a point takes: a bound of how many there can be, where the
+        file does not say.
     streams : bool
         Whether it is read in parts, so that a file may be larger than memory.
+    states_count : bool
+        Whether the start of a file says how many points there are.
     """
 
     name: str
@@ -41,6 +44,7 @@ class PointFormat:
     opener: str
     least_bytes: float
     streams: bool = True
+    states_count: bool = False
 
     def open(self, path: Path) -> PointSource:
         """Open a file of this format.
@@ -68,11 +72,15 @@ class PointFormat:
 
 
 POINT_FORMATS = (
-    PointFormat("PLY", (".ply",), "hpcapp.io.ply.points:open_ply", 3),
+    PointFormat("PLY", (".ply",), "hpcapp.io.ply.points:open_ply", 3, states_count=True),
     PointFormat("text", (".xyz", ".txt", ".asc", ".pts"), "hpcapp.io.points.text:open_text", 6),
     PointFormat("LAS", (".las",), "hpcapp.io.las.points:open_las", 20),
     PointFormat("LAZ", (".laz",), "hpcapp.io.las.points:open_las", 0.25),
     PointFormat("E57", (".e57",), "hpcapp.io.e57.points:open_e57", 1),
+    PointFormat("OBJ", (".obj",), "hpcapp.io.points.mesh_points:open_obj", 8, streams=False),
+    PointFormat("STL", (".stl",), "hpcapp.io.points.mesh_points:open_stl", 8, streams=False),
+    PointFormat("OFF", (".off",), "hpcapp.io.points.mesh_points:open_off", 6, streams=False),
+    PointFormat("VTK", (".vtk",), "hpcapp.io.points.vtk:open_vtk", 6, streams=False),
 )
 
 

@@ -62,13 +62,13 @@ class Loaded:
             return bound_points(self.cloud.positions)
         return self.cloud.low, self.cloud.high
 
-    def report(self, path: Path) -> None:
-        """Log what was left out of a file.
+    def report(self, shown: str) -> None:
+        """Log what was left out of the input.
 
         Parameters
         ----------
-        path : Path
-            Of the file, for the messages.
+        shown : str
+            The input, for the messages.
         """
         dropped, cleaned = self.dropped, self.cleaned
         for count, what in (
@@ -78,7 +78,7 @@ class Loaded:
             (cleaned.flipped, "turned %d wrong normals round"),
         ):
             if count:
-                log.warning(f"%s: {what}", path, count)
+                log.warning(f"%s: {what}", shown, count)
 
 
 def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
