@@ -35,10 +35,24 @@ NormalKind = Literal["unit", "encoded", "any length", "zero", "one octant", "non
 """Unit vectors; (n + 1) / 2; vectors of other lengths on all sides; zeros; vectors of which no
 component is negative, as no closed cloud has them; or none of these: no normals."""
 
+_STEMS = ("", "p", "point", "coord", "cartesian")
 _SPELLINGS = {
-    **dict.fromkeys(("x", "px", "pointx", "coordx", "xcoordinate", "easting", "east"), "x"),
-    **dict.fromkeys(("y", "py", "pointy", "coordy", "ycoordinate", "northing", "north"), "y"),
-    **dict.fromkeys(("z", "pz", "pointz", "coordz", "zcoordinate", "elevation", "height"), "z"),
+    **{
+        f"{stem}{axis}": axis for stem in ("", "p", "point", "coord", "cartesian") for axis in "xyz"
+    },
+    **{f"{axis}coordinate": axis for axis in "xyz"},
+    **dict.fromkeys(("easting", "east"), "x"),
+    **dict.fromkeys(("northing", "north"), "y"),
+    **dict.fromkeys(("elevation", "height"), "z"),
+    **dict.fromkeys(
+        ("x", "px", "pointx", "coordx", "xcoordinate", "cartesianx", "easting", "east"), "x"
+    ),
+    **dict.fromkeys(
+        ("y", "py", "pointy", "coordy", "ycoordinate", "cartesiany", "northing", "north"), "y"
+    ),
+    **dict.fromkeys(
+        ("z", "pz", "pointz", "coordz", "zcoordinate", "cartesianz", "elevation", "height"), "z"
+    ),
     **{f"{stem}{axis}": f"n{axis}" for stem in ("n", "normal", "normals", "nor") for axis in "xyz"},
     **{f"{stem}red": "red" for stem in ("", "diffuse", "color", "colour")},
     **{f"{stem}green": "green" for stem in ("", "diffuse", "color", "colour")},
@@ -51,6 +65,8 @@ _SPELLINGS = {
     "bf": "blue",
     **dict.fromkeys(("a", "alpha", "diffusealpha"), "alpha"),
     **dict.fromkeys(("intensity", "i", "scalarintensity"), "intensity"),
+    "rowindex": "row",
+    "columnindex": "column",
     **dict.fromkeys(("class", "classification", "scalarclassification"), "classification"),
 }
 _UNIT = 0.05  # how far from 1 the length of a unit vector may be: two decimals of each component
@@ -69,8 +85,8 @@ def find_role(name: str) -> str:
     -------
     str
         ``x``, ``y``, ``z``, ``nx``, ``ny``, ``nz``, ``red``, ``green``, ``blue``, ``alpha``,
-        ``intensity`` or ``classification``; another name as the file has it, without quotes and
-        blanks around it.
+        ``intensity``, ``classification``, ``row`` or ``column``; another name as the
+        file has it, without quotes and blanks around it.
 
     Examples
     --------
