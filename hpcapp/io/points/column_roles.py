@@ -35,28 +35,20 @@ NormalKind = Literal["unit", "encoded", "any length", "zero", "one octant", "non
 """Unit vectors; (n + 1) / 2; vectors of other lengths on all sides; zeros; vectors of which no
 component is negative, as no closed cloud has them; or none of these: no normals."""
 
-_STEMS = ("", "p", "point", "coord", "cartesian")
 _SPELLINGS = {
-    **{
-        f"{stem}{axis}": axis for stem in ("", "p", "point", "coord", "cartesian") for axis in "xyz"
-    },
-    **{f"{axis}coordinate": axis for axis in "xyz"},
-    **dict.fromkeys(("easting", "east"), "x"),
-    **dict.fromkeys(("northing", "north"), "y"),
+    **dict.fromkeys(("x", "px", "pointx", "coordx", "xcoordinate", "points0"), "x"),
+    **dict.fromkeys(("y", "py", "pointy", "coordy", "ycoordinate", "points1"), "y"),
+    **dict.fromkeys(("z", "pz", "pointz", "coordz", "zcoordinate", "points2"), "z"),
+    **dict.fromkeys(("easting", "east", "lon", "long", "longitude"), "x"),
+    **dict.fromkeys(("northing", "north", "lat", "latitude"), "y"),
     **dict.fromkeys(("elevation", "height"), "z"),
-    **dict.fromkeys(
-        ("x", "px", "pointx", "coordx", "xcoordinate", "cartesianx", "easting", "east"), "x"
-    ),
-    **dict.fromkeys(
-        ("y", "py", "pointy", "coordy", "ycoordinate", "cartesiany", "northing", "north"), "y"
-    ),
-    **dict.fromkeys(
-        ("z", "pz", "pointz", "coordz", "zcoordinate", "cartesianz", "elevation", "height"), "z"
-    ),
+    **{f"cartesian{axis}": axis for axis in "xyz"},
     **{f"{stem}{axis}": f"n{axis}" for stem in ("n", "normal", "normals", "nor") for axis in "xyz"},
     **{f"{stem}red": "red" for stem in ("", "diffuse", "color", "colour")},
     **{f"{stem}green": "green" for stem in ("", "diffuse", "color", "colour")},
     **{f"{stem}blue": "blue" for stem in ("", "diffuse", "color", "colour")},
+    **dict(zip(("normals0", "normals1", "normals2"), NORMALS, strict=True)),
+    **dict(zip(("rgb0", "rgb1", "rgb2"), COLOURS, strict=True)),
     "r": "red",
     "g": "green",
     "b": "blue",
