@@ -117,6 +117,8 @@ class PointSource:
         Of the coordinates: ``m``, ``ft``, ``US ft``, ``mm``, ``degree``.
     findings : Findings
         What is odd about the file.
+    oriented : bool
+        False where the normals are known up to their sign only, as the axes of splats.
     """
 
     path: Path
@@ -132,6 +134,7 @@ class PointSource:
     crs: str | None = None
     unit: str | None = None
     findings: Findings = field(default_factory=Findings)
+    oriented: bool = True
 
     def chunks(self, rows: int) -> Iterator[PointCloud]:
         """Yield the points in parts.
