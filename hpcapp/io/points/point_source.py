@@ -130,6 +130,8 @@ class PointSource:
         What is odd about the file.
     normals_from : {"file", "faces"}
         Whether normals, where there are some, are the file's or those of a mesh's faces.
+    oriented : bool
+        False where the normals are known up to their sign only, as the axes of splats.
     """
 
     path: Path
@@ -146,6 +148,7 @@ class PointSource:
     unit: str | None = None
     findings: Findings = field(default_factory=Findings)
     normals_from: Literal["file", "faces"] = "file"
+    oriented: bool = True
 
     def chunks(self, rows: int) -> Iterator[PointCloud]:
         """Yield the points in parts.
