@@ -8,6 +8,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Literal, TypeVar
 
+from hpcapp.io.e57.writer import write_e57
+from hpcapp.io.las.writer import write_las
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.obj import read_obj, write_obj
 from hpcapp.io.meshes.off import read_off, write_off
@@ -36,15 +38,13 @@ Chosen = TypeVar("Chosen")
 
 _STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
 
-_TEXT_SUFFIXES = (
-    ".xyz",
-    ".txt",
-    ".asc",
-    ".pts",
-)  # of those that are read: blanks separate what is written
-_POINT_WRITERS: dict[str, Callable[[Path, PointCloud], None]] = {
-    ".ply": write_ply_points,
-    **dict.fromkeys(_TEXT_SUFFIXES, write_text_points),
+_TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")
+_POINT_WRITERS: dict[str, Callable[[Path, PointCloud, str | None], None]] = {
+    ".ply": lambda path, cloud, _: write_ply_points(path, cloud),
+    **dict.fromkeys(_TEXT_SUFFIXES, lambda path, cloud, _: write_text_points(path, cloud)),
+    ".las": write_las,
+    ".laz": write_las,
+    ".e57": write_e57,
 }
 _MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".ply": read_ply_mesh,
@@ -62,7 +62,7 @@ _MESH_WRITERS: dict[str, Callable[[Path, Mesh | MeshStream], None]] = {
 
 
 def read_points(path: str | PathLike[str]) -> PointCloud:
-    """Read a point cloud: .ply (a mesh's vertices, too), .xyz, .txt, .asc, .pts.
+    """Read a point cloud: .ply (a mesh's vertices, too), .las, .laz, .e57, .xyz, .txt, .asc, .pts.
 
     Parameters
     ----------
@@ -142,8 +142,10 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
         return reader(Path(path))
 
 
-def write_points(path: str | PathLike[str], cloud: PointCloud) -> None:
-    """Write a point cloud, in the input's coordinates: .ply, .xyz, .txt, .asc, .pts.
+def write_points(path: str | PathLike[str], cloud: PointCloud, crs: str | None = None) -> None:
+    """Write a point cloud, in the input's coordinates.
+
+    The formats are .ply, .las, .laz, .e57, .xyz, .txt, .asc and .pts.
 
     Parameters
     ----------
@@ -151,14 +153,18 @@ def write_points(path: str | PathLike[str], cloud: PointCloud) -> None:
         The suffix chooses the format. The file appears whole or not at all.
     cloud : PointCloud
         May lack normals and colours.
+    crs : str, optional
+        Coordinate reference system, as WKT or an EPSG code; kept where the format holds it.
 
     Raises
     ------
     OutputError
         The suffix is unknown, or the file cannot be written.
+    UsageError
+        The library that writes the format is not installed.
     """
     _choose(_POINT_WRITERS, Path(path), OutputError, "a point cloud is written to")(
-        Path(path), cloud
+        Path(path), cloud, crs
     )
 
 

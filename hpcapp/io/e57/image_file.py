@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from hpccomponent.errors import InputError, UsageError
 
@@ -40,13 +40,12 @@ def load_library(path: Path) -> Any:
 
 
 @contextmanager
-def open_image(path: Path, mode: Literal["r", "w"]) -> Iterator[Any]:
-    """Open an E57 file.
+def open_image(path: Path) -> Iterator[Any]:
+    """Open an E57 file to read it.
 
     Parameters
     ----------
     path : Path
-    mode : {"r", "w"}
 
     Yields
     ------
@@ -59,11 +58,13 @@ def open_image(path: Path, mode: Literal["r", "w"]) -> Iterator[Any]:
         libE57 gave up, here or in the block: the file is damaged.
     UsageError
         It is not installed.
+    OSError
+        The file cannot be opened.
     """
     library = load_library(path)
-    path.open("rb" if mode == "r" else "ab").close()  # the system's errors are clearer
+    path.open("rb").close()  # the system's errors are clearer
     try:
-        image = library.ImageFile(str(path), mode)
+        image = library.ImageFile(str(path), "r")
         try:
             yield image
         finally:

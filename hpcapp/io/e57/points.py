@@ -62,7 +62,7 @@ def open_e57(path: Path) -> PointSource:
     """
     library = load_library(path)
     findings = Findings()
-    with open_image(path, "r") as image:
+    with open_image(path) as image:
         scans = _describe_scans(library, image, path)
         crs = _find_crs(image)
     columns = _join_columns(scans, findings)
@@ -70,7 +70,7 @@ def open_e57(path: Path) -> PointSource:
     def scan(rows: int) -> Iterator[PointCloud]:
         findings.dropped.clear()  # they are counted anew
         some = False
-        with open_image(path, "r") as image:
+        with open_image(path) as image:
             for one in scans:
                 for fields in _read_valid(library, image, one, rows, findings):
                     some = True
@@ -216,6 +216,6 @@ def _scale(colours: FloatArray, one: E57Scan, dtype: type[np.generic]) -> NDArra
     """Bring colours to the type of the file; as they are where their limit is that of the type."""
     if dtype is np.float64 or one.colour_limit is None:
         return colours
-    most = np.iinfo(dtype).max
+    most = 255 if dtype is np.uint8 else 65535
     scaled: NDArray[Any] = np.rint(np.clip(colours * (most / one.colour_limit), 0, most))
     return scaled.astype(dtype)

@@ -157,11 +157,12 @@ def _keep_records(records: PointRecords | None, decisions: _Decisions) -> PointR
     """Return where the points are; None where they are not used as they are there."""
     if records is None or len(decisions.missing) or decisions.normals in ("encoded", "colours"):
         return None
-    has_bytes = all(dtype == "|u1" for _, dtype in records.colours)
+    if decisions.colours and any(dtype != "|u1" for _, dtype in records.colours):
+        return None
     return replace(
         records,
         normals=records.normals if decisions.normals == "normals" else (),
-        colours=records.colours if decisions.colours and has_bytes else (),
+        colours=records.colours if decisions.colours else (),
     )
 
 
