@@ -69,6 +69,7 @@ class PointFormat:
 
 POINT_FORMATS = (
     PointFormat("PLY", (".ply",), "hpcapp.io.ply.points:open_ply", 3),
+    PointFormat("PCD", (".pcd",), "hpcapp.io.points.pcd:open_pcd", 3),
     PointFormat("text", (".xyz", ".txt", ".asc", ".pts"), "hpcapp.io.points.text:open_text", 6),
 )
 
