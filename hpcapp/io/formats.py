@@ -16,8 +16,8 @@ from hpcapp.io.meshes.tiles import TILES_SUFFIX, check_tiles, write_tiles
 from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh, write_ply_points
 from hpcapp.io.points.point_source import PointSource, read_whole, translated
 from hpcapp.io.points.registry import find_point_format
-from hpcapp.io.points.text import write_text_points
 from hpcapp.io.staging import check_place
+from hpcapp.io.text.writer import write_text_points
 from hpccomponent.errors import InputError, OutputError, UsageError
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import PointCloud
@@ -35,7 +35,12 @@ Chosen = TypeVar("Chosen")
 
 _STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
 
-_TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")
+_TEXT_SUFFIXES = (
+    ".xyz",
+    ".txt",
+    ".asc",
+    ".pts",
+)  # of those that are read: blanks separate what is written
 _POINT_WRITERS: dict[str, Callable[[Path, PointCloud], None]] = {
     ".ply": write_ply_points,
     **dict.fromkeys(_TEXT_SUFFIXES, write_text_points),

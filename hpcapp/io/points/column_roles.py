@@ -36,13 +36,18 @@ NormalKind = Literal["unit", "encoded", "any length", "zero", "one octant", "non
 component is negative, as no closed cloud has them; or none of these: no normals."""
 
 _SPELLINGS = {
-    **dict.fromkeys(("x", "px", "pointx", "coordx", "xcoordinate", "easting", "east"), "x"),
-    **dict.fromkeys(("y", "py", "pointy", "coordy", "ycoordinate", "northing", "north"), "y"),
-    **dict.fromkeys(("z", "pz", "pointz", "coordz", "zcoordinate", "elevation", "height"), "z"),
+    **dict.fromkeys(("x", "px", "pointx", "coordx", "xcoordinate", "points0"), "x"),
+    **dict.fromkeys(("y", "py", "pointy", "coordy", "ycoordinate", "points1"), "y"),
+    **dict.fromkeys(("z", "pz", "pointz", "coordz", "zcoordinate", "points2"), "z"),
+    **dict.fromkeys(("easting", "east", "lon", "long", "longitude"), "x"),
+    **dict.fromkeys(("northing", "north", "lat", "latitude"), "y"),
+    **dict.fromkeys(("elevation", "height"), "z"),
     **{f"{stem}{axis}": f"n{axis}" for stem in ("n", "normal", "normals", "nor") for axis in "xyz"},
     **{f"{stem}red": "red" for stem in ("", "diffuse", "color", "colour")},
     **{f"{stem}green": "green" for stem in ("", "diffuse", "color", "colour")},
     **{f"{stem}blue": "blue" for stem in ("", "diffuse", "color", "colour")},
+    **dict(zip(("normals0", "normals1", "normals2"), NORMALS, strict=True)),
+    **dict(zip(("rgb0", "rgb1", "rgb2"), COLOURS, strict=True)),
     "r": "red",
     "g": "green",
     "b": "blue",
@@ -74,11 +79,12 @@ def find_role(name: str) -> str:
 
     Examples
     --------
-    >>> [find_role(name) for name in ("//X", '"Normal_Y"', "diffuse_red", "OffsetTime")]
-    ['x', 'ny', 'red', 'OffsetTime']
+    >>> [find_role(name) for name in ("//X", '"Normal_Y"', "diffuse_red", "Z [m]", "OffsetTime")]
+    ['x', 'ny', 'red', 'z', 'OffsetTime']
     """
     stripped = name.strip().strip("\"'").strip()
-    return _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", stripped.lower()), stripped)
+    bare = re.sub(r"(?<=.)[\[(].*[\])]$", "", stripped.lower())  # without a unit
+    return _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", bare), stripped)
 
 
 def judge_colours(values: NDArray[Any]) -> ColourScale | None:

@@ -67,10 +67,14 @@ class PointFormat:
         return opener(path)
 
 
+_TEXT = (".xyz", ".txt", ".asc", ".pts", ".csv", ".xyzn", ".xyzrgb", ".xyzi", ".pwn")
+
 POINT_FORMATS = (
     PointFormat("PLY", (".ply",), "hpcapp.io.ply.points:open_ply", 3),
+    PointFormat("text", _TEXT, "hpcapp.io.text.points:open_text", 6),
+    PointFormat("PTX", (".ptx",), "hpcapp.io.text.ptx:open_ptx", 6),
     PointFormat("PCD", (".pcd",), "hpcapp.io.points.pcd:open_pcd", 3),
-    PointFormat("text", (".xyz", ".txt", ".asc", ".pts"), "hpcapp.io.points.text:open_text", 6),
+    PointFormat("NumPy", (".npy", ".npz"), "hpcapp.io.points.npy:open_npy", 3),
 )
 
 
