@@ -82,11 +82,12 @@ def find_role(name: str) -> str:
 
     Examples
     --------
-    >>> [find_role(name) for name in ("//X", '"Normal_Y"', "diffuse_red", "OffsetTime")]
-    ['x', 'ny', 'red', 'OffsetTime']
+    >>> [find_role(name) for name in ("//X", '"Normal_Y"', "diffuse_red", "Z [m]", "OffsetTime")]
+    ['x', 'ny', 'red', 'z', 'OffsetTime']
     """
     stripped = name.strip().strip("\"'").strip()
-    return _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", stripped.lower()), stripped)
+    bare = re.sub(r"(?<=.)[\[(].*[\])]$", "", stripped.lower())  # without a unit
+    return _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", bare), stripped)
 
 
 def judge_colours(values: NDArray[Any]) -> ColourScale | None:

@@ -84,6 +84,8 @@ POINT_FORMATS = (
     PointFormat("STL", (".stl",), "hpcapp.io.points.mesh_points:open_stl", 8, streams=False),
     PointFormat("OFF", (".off",), "hpcapp.io.points.mesh_points:open_off", 6, streams=False),
     PointFormat("VTK", (".vtk",), "hpcapp.io.points.vtk:open_vtk", 6, streams=False),
+    PointFormat("PCD", (".pcd",), "hpcapp.io.points.pcd:open_pcd", 3),
+    PointFormat("NumPy", (".npy", ".npz"), "hpcapp.io.points.npy:open_npy", 3),
 )
 
 

@@ -29,7 +29,10 @@ from hpcapp.io.text.tables import RowNotes
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
-__all__ = ["Columns", "assign_by_name", "assign_by_value"]
+__all__ = ["DEGREES", "Columns", "assign_by_name", "assign_by_value"]
+
+DEGREES = ("lon", "long", "longitude", "lat", "latitude")
+"""Names of coordinates that are angles, in lower case."""
 
 _PROMISED = {".xyzn": NORMALS, ".pwn": NORMALS, ".xyzrgb": COLOURS, ".xyzi": ("intensity",)}
 _OPAQUE = {"8 bit": 255, "16 bit": 65535, "float": 1}
@@ -131,16 +134,25 @@ def assign_by_name(names: list[str], sample: FloatArray) -> Columns:
     Returns
     -------
     Columns
-        Of several columns with one role the first has it, the others keep their names.
+        Of several columns with one role the best named has it, the others keep their names.
     """
+    best: dict[str, int] = {}
+    for i in sorted(range(len(names)), key=lambda i: _rank(names[i])):
+        best.setdefault(find_role(names[i]), i)
     roles: list[str] = []
-    for name in names:
+    for i, name in enumerate(names):
         role, again = find_role(name), 2
-        while role in roles:
-            role = f"{name}_{again}"
-            again += 1
+        if best[role] != i:
+            role = name
+        while role in roles or best.get(role, i) != i:
+            role, again = f"{name}_{again}", again + 1
         roles.append(role)
     return _make_columns(roles, sample)
+
+
+def _rank(name: str) -> int:
+    """Return 0 for a plain name, 1 for another spelling, 2 for degrees: the last choice."""
+    return 2 if name.lower() in DEGREES else int(find_role(name) != name.lower())
 
 
 def assign_by_value(
@@ -196,6 +208,8 @@ def assign_by_value(
 
 def _judge(values: FloatArray) -> _Kind | None:
     """Tell what three columns look like."""
+    if not len(values):
+        return None
     normals = judge_normals(values)
     if normals in ("unit", "one octant", "encoded"):
         return "normals"
@@ -226,6 +240,10 @@ def _place_normals(kinds: dict[int, _Kind | None], roles: dict[int, str]) -> Non
     for kind in ("normals", "vectors"):
         if places := _find_free(kinds, roles, (kind,)):
             _place(NORMALS, places[0], roles)
+            return
+    for at in _find_free(kinds, roles, ("zeros",)):
+        if kinds.get(at + 3) in _OPAQUE:  # before colours, which zeros could be part of
+            _place(NORMALS, at, roles)
             return
 
 

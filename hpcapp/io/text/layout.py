@@ -101,7 +101,7 @@ def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
         raise InputError(f"{path}: no points: the file has no line of numbers", "check the file")
     rows = replace(rows, columns=Counter(map(len, fields)).most_common(1)[0][0])
     fields = [row for row in fields if len(row) == rows.columns]
-    names = _match_names(head, rows.columns, path, findings)
+    names = _match_names(head, fields, path, findings)
     rows = replace(
         rows,
         wanted=_find_numbers(fields, names, first, path, findings),
@@ -177,9 +177,11 @@ def _judge_commas(texts: list[str], first: Line, path: Path) -> RowFormat:
             return RowFormat(None, ".")
         problem = "is the comma a decimal comma, or does it separate numbers?"
         raise line_error(path, first, problem, "use a decimal point")
-    if any("," in word for text in texts if '"' in text for word in next(csv.reader([text]))):
-        raise line_error(path, first, "there are commas within quotes", "use a decimal point")
-    parts = [part.split() for text in texts for part in text.replace('"', "").split(",")]
+    quoted = (word for text in texts if '"' in text for word in next(csv.reader([text]), []))
+    if any(map(_DECIMAL_COMMA.fullmatch, quoted)):
+        raise line_error(path, first, "decimal commas within quotes", "use a decimal point")
+    texts = RowFormat(",").clean("\n".join(texts)).split("\n")
+    parts = [part.split() for text in texts for part in text.split(",")]
     with_blanks = sum(len(part) > 1 and all(map(is_number, part)) for part in parts)
     return RowFormat(None, " ") if with_blanks >= len(texts) else RowFormat(",")
 
@@ -189,23 +191,23 @@ def _may_be_decimal(word: str) -> bool:
 
 
 def _match_names(
-    head: _Head, columns: int, path: Path, findings: Findings
+    head: _Head, fields: list[list[str]], path: Path, findings: Findings
 ) -> tuple[str, ...] | None:
     """Compare the names with the columns; None where there are no names."""
-    names = head.names
+    names, columns = head.names, len(fields[0])
     if names is None:
         named = head.commented_names
         return named if named and len(named) == columns else None
     missing = set(AXES) - set(map(find_role, names))
     if missing:
-        problem = f"no column is named {' or '.join(sorted(missing)).upper()}: {', '.join(names)}"
+        problem = f"no column is named {', '.join(sorted(missing)).upper()}: {', '.join(names)}"
         raise line_error(path, head.names_line, problem[:200], "name the columns x, y and z")
     if len(names) > columns:
         problem = f"{len(names)} names for {columns} columns"
         raise line_error(path, head.names_line, problem, "name every column once")
-    if len(names) < columns:
+    if any(word for row in fields for word in row[len(names) :]):
         findings.warn(
-            f"{len(names)} names for {columns} columns: those after {names[-1]} are passed over"
+            f"{len(names)} names for {columns} columns: those after {names[-1]!r} are passed over"
         )
     return names + ("",) * (columns - len(names))
 
@@ -227,11 +229,13 @@ def _find_numbers(
             if words and i not in wanted:
                 findings.warn(f"column {i + 1} holds no numbers, and is passed over")
     else:
-        needed = [find_role(name) in AXES + NORMALS + COLOURS for name in names]
+        roles = [find_role(name) for name in names]
         wanted = tuple(
             i
             for i, words in enumerate(columns)
-            if needed[i] or (names[i] and words and all(map(is_number, words)))
+            if roles[i] in AXES
+            or (roles[i] in NORMALS + COLOURS and any(map(is_number, words)))
+            or (names[i] and words and all(map(is_number, words)))
         )
     if len(wanted) < 3:
         problem = f"{len(wanted)} columns of numbers, x, y and z are 3"

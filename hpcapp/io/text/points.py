@@ -6,6 +6,7 @@ understood, and `columns` for what columns without names are taken for.
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.text.batches import batch_points
-from hpcapp.io.text.columns import Columns, assign_by_name, assign_by_value
+from hpcapp.io.text.columns import DEGREES, Columns, assign_by_name, assign_by_value
 from hpcapp.io.text.layout import Layout, find_layout
 from hpcapp.io.text.lines import Block, LineReader, read_blocks
 from hpcapp.io.text.tables import RowNotes, parse_block
@@ -23,7 +24,6 @@ from hpccomponent.surface.types.points import PointCloud
 __all__ = ["open_text"]
 
 _LEAST_BYTES = 6  # of a row
-_DEGREES = {"lon", "long", "longitude", "lat", "latitude"}
 
 
 def open_text(path: Path) -> PointSource:
@@ -70,9 +70,18 @@ def open_text(path: Path) -> PointSource:
         format=_describe(layout),
         columns=names,
         scans=tuple(Scan(count) for _, count in layout.counts) or (Scan(),),
-        unit="degree" if _DEGREES & {name.lower() for name in layout.names or ()} else None,
+        unit=_find_unit(layout, columns),
         findings=findings,
     )
+
+
+def _find_unit(layout: Layout, columns: Columns) -> str | None:
+    """Return the unit that the name of x tells."""
+    if layout.names is None:
+        return None
+    name = layout.names[layout.rows.wanted[columns.roles.index("x")]].lower()
+    in_brackets = re.search(r"[\[(]\s*(m|mm|ft)\s*[\])]$", name)
+    return "degree" if name in DEGREES else in_brackets[1] if in_brackets else None
 
 
 def _describe(layout: Layout) -> str:
@@ -97,7 +106,7 @@ def _read_clouds(
         yield cloud
     for (line, count), rows in zip(layout.counts, rows_of, strict=False):
         if count != rows:
-            findings.warn(f"line {line} announces {count} points, {rows} follow")
+            notes.note("count", f"line {line} announces {count} points, {rows} follow")
     notes.tell(findings)
 
 

@@ -109,7 +109,8 @@ def open_ptx(path: Path) -> PointSource:
     findings = Findings()
     if len(layouts) > 1:
         findings.warn("some scans lack intensities (NaN) or colours (black) that others have")
-    roles = max(_LAYOUTS.values(), key=lambda some: (set(some) <= set().union(*layouts), len(some)))
+    together = set().union(*layouts)
+    roles = next(layout for layout in _LAYOUTS.values() if together <= set(layout))
 
     def scan(rows: int) -> Iterator[PointCloud]:
         return batch_points(_read_clouds(path, encoding, roles, len(scans), findings), rows)

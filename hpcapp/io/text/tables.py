@@ -7,6 +7,7 @@ by line, which finds missing numbers, surplus ones, and what is no number.
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,9 +23,10 @@ __all__ = ["RowFormat", "RowNotes", "is_missing", "is_number", "parse_block", "p
 
 _GROUP = 256  # lines that are parsed anew where one of them is odd
 _MARKS = ("#", "//", ";", "%", "!")
-_COMMENT = r"(?<!\d\.)#.*|//.*|^[ \t]*[%!].*"  # the # of 1.#QNAN starts none
+_COMMENT = r"(?<![^\s,;])#.*|//.*|^[ \t]*[%!].*"  # the # of 1.#QNAN starts none
 _COMMENTS = re.compile(rf"{_COMMENT}|^[ \t]*;.*", re.MULTILINE)
 _COMMENTS_BUT_SEMICOLONS = re.compile(_COMMENT, re.MULTILINE)
+_QUOTED = re.compile(r'"([^"\n]*)"')
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[edED][+-]?\d+)?", re.ASCII)
 _NOT_FINITE = re.compile(
     r"[+-]?(?:nan(?:\(\w*\))?|inf|infinity|1\.#(?:qnan|snan|ind|inf)\d*)", re.ASCII | re.IGNORECASE
@@ -70,8 +72,12 @@ class RowFormat:
         """
         text = self.without_comments(text)
         if '"' in text:
-            text = text.replace('"', "")
+            text = _QUOTED.sub(self._unquote, text)
         return text if self.comma == "," else text.replace(",", self.comma)
+
+    def _unquote(self, quoted: re.Match[str]) -> str:
+        """Return what stands between quotes, as one word: no name moves the fields behind it."""
+        return re.sub(r"[\s,;]", "_", quoted[1].strip())
 
     def without_comments(self, text: str) -> str:
         """Take comments from lines.
@@ -142,7 +148,7 @@ class RowNotes:
         """
         for kind, sentence in self._firsts.items():
             more = self._counts[kind] - 1
-            findings.warn(f"{sentence} ({more} more such rows)" if more else sentence)
+            findings.warn(f"{sentence} ({more} more such lines)" if more else sentence)
 
 
 def is_number(word: str) -> bool:
@@ -225,8 +231,11 @@ def parse_sample(lines: list[str], rows: RowFormat) -> FloatArray:
     for first in range(0, len(lines), _GROUP):
         some = lines[first : first + _GROUP]
         part = _parse_clean(some, rows)
-        alone = [part] if part is not None else [_parse_clean([line], rows) for line in some]
-        parts += [part for part in alone if part is not None]
+        for line in some if part is None else ():
+            with suppress(InputError):
+                parts.append(_parse_odd([line], 0, rows, RowNotes(Path())))
+        if part is not None:
+            parts.append(part)
     return np.concatenate(parts) if parts else np.empty((0, len(rows.wanted)))
 
 
