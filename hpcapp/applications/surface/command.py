@@ -287,15 +287,14 @@ def info(points: tuple[str, ...], sample: int | None, as_json: bool, png: Path |
     from hpcapp.applications.surface.input.thumbnail import write_thumbnail
     from hpcapp.io import open_points
     from hpcapp.io.points.inputs import gather_points
+    from hpcapp.io.points.point_source import Findings
 
     with gather_points(points, sample) as path:
         source = open_points(path)
         facts, cloud = describe_file(source)
     shown = points[0] if len(points) == 1 else f"{points[0]} and others"
-    for line in source.findings.lines():
+    for line in Findings(facts["warnings"], facts["dropped"]).lines():
         log.warning("warning: %s: %s", shown, line)
-    if facts["non_finite_points"]:
-        log.warning("warning: %s: %d points are not finite", shown, facts["non_finite_points"])
     if png is not None:
         scanner = source.scans[0].scanner if len(source.scans) == 1 else None
         write_thumbnail(png, cloud, scanner)

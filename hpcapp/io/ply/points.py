@@ -94,6 +94,7 @@ def open_ply(path: Path) -> PointSource:
         tuple(p.name for p in vertex.properties),
         (Scan(vertex.count, _find_scanner(path, header)),),
         findings=findings,
+        normals_from="file" if polygons is None else "faces",
         oriented=not splats,
     )
 

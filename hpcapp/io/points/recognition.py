@@ -126,7 +126,7 @@ def recognise(source: PointSource) -> PointSource:
     seen = seen.take(finite)
     missing = _find_missing(seen.positions, findings)
     usable = seen.take(~_find_any(seen.positions, missing)) if len(missing) else seen
-    use = _judge_use(usable, findings)
+    use: Use = "normals" if source.normals_from == "faces" else _judge_use(usable, findings)
     colours = usable.normals if use == "colours" else usable.colours
     scale = None if colours is None else _judge_scale(colours, findings)
     decisions = _Decisions(scale, use, missing)

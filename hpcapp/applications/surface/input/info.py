@@ -28,7 +28,8 @@ def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
     -------
     facts : dict
         JSON values. ``format``; ``columns``: as what each of them was taken, by its name;
-        ``normals``: where they are from, ``file`` or ``faces``, or None; ``attributes``: names
+        ``normals``: where they are from, ``file`` or ``faces``, or None; ``is_oriented``:
+        False where their signs are not known; ``attributes``: names
         of other columns that are kept; ``scans``: for each its ``points``, ``scanner`` and
         ``grid``, or None; ``grid`` of the first; ``crs``; ``unit``; ``dropped``: points that are
         no part of the cloud, by reason; ``warnings``; and all that `describe` tells.
@@ -43,12 +44,13 @@ def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
     cloud = read_whole(source)
     facts = describe(cloud)
     dropped = dict(source.findings.dropped)
-    if facts["non_finite_points"]:
-        dropped["not finite"] = facts["non_finite_points"]
+    if not_finite := _count_not_finite(cloud):
+        dropped["not finite"] = not_finite
     return {
         "format": source.format,
         **facts,
         "normals": source.normals_from if cloud.normals is not None else None,
+        "is_oriented": source.oriented,
         "attributes": list(cloud.attributes),
         "columns": {name: _tell_use(name, cloud) for name in source.columns},
         "scans": [
@@ -65,6 +67,14 @@ def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
         "dropped": dropped,
         "warnings": list(source.findings.warnings),
     }, cloud
+
+
+def _count_not_finite(cloud: PointCloud) -> int:
+    """Count the points without a finite position, and a finite normal where there are normals."""
+    lost = ~np.isfinite(cloud.positions).all(axis=1)
+    if cloud.normals is not None:
+        lost |= ~np.isfinite(cloud.normals).all(axis=1)
+    return int(lost.sum())
 
 
 def _tell_use(name: str, cloud: PointCloud) -> str:
