@@ -40,11 +40,15 @@ __all__ = ["recognise"]
 _ROWS = 1 << 16  # of a part that is looked at
 _ENOUGH_PARTS, _MOST_PARTS = 4, 64  # looked at where nothing is in doubt, and where something is
 _THIN = 16  # one row in so many is kept of the parts after the first
+_LOOKED_AT = ("normals", "colours")  # beside positions
 _RUNS = 64  # over a file that is read from any row on
 
 _FEWEST_AT_ORIGIN, _FEWEST_ELSEWHERE = 10, 100  # rows that make a place one of missing returns
 _LEAST_SHARE = 0.01  # of the rows, for a place other than the origin
 _TIMES_USUAL = 10  # as many rows as other places have
+
+_BRIGHT = 63  # no 16-bit colours are all below this, or 0
+_OVERSHOOT = 0.05  # of colours from 0 to 1 that were computed
 
 _TREE_ROWS, _NEIGHBOURS = 20_000, 12
 _FEWEST_TO_DOUBT = 10  # points: fewer say nothing of a surface
@@ -55,8 +59,10 @@ _STEEPEST = 100.0  # z's extent over those of x and y, in a cloud whose x and y 
 _GEOGRAPHIC = re.compile(r"^\s*(GEOGCS|GEOGCRS|GEODCRS)|^(EPSG:)?(4326|4269|4258|4979)$", re.I)
 _DEGREES = {"lon", "long", "lng", "longitude", "lat", "latitude"}
 
-Use = Literal["normals", "encoded", "colours", "nothing"]
+Use = Literal["normals", "encoded", "encoded bytes", "colours", "nothing"]
 """What the columns of normals are used for."""
+
+_ENCODED = {"encoded": 1.0, "encoded bytes": 255.0}  # what stands for 1 in (n + 1) / 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,8 +86,8 @@ class _Decisions:
         """Return a part as it is meant, and count what is dropped of it."""
         colours = part.normals if self.normals == "colours" else part.colours
         normals = None if self.normals in ("colours", "nothing") else part.normals
-        if normals is not None and self.normals == "encoded":
-            normals = 2 * normals - 1
+        if normals is not None and self.normals in _ENCODED:
+            normals = 2 * normals / _ENCODED[self.normals] - 1
         scaled = None
         if colours is not None and self.colours is not None:
             scaled = _scale_colours(colours, self.colours)
@@ -145,7 +151,7 @@ def recognise(source: PointSource) -> PointSource:
     records = _keep_records(source.records, decisions)
     return replace(
         source,
-        has_normals=source.has_normals and use in ("normals", "encoded"),
+        has_normals=source.has_normals and use not in ("colours", "nothing"),
         scan=scan,
         records=records,
         check_rest=None if records is None else source.check_rest,
@@ -155,7 +161,9 @@ def recognise(source: PointSource) -> PointSource:
 
 def _keep_records(records: PointRecords | None, decisions: _Decisions) -> PointRecords | None:
     """Return where the points are; None where they are not used as they are there."""
-    if records is None or len(decisions.missing) or decisions.normals in ("encoded", "colours"):
+    if records is None or len(decisions.missing):
+        return None
+    if decisions.normals not in ("normals", "nothing"):
         return None
     if decisions.colours and any(dtype != "|u1" for _, dtype in records.colours):
         return None
@@ -180,11 +188,11 @@ def _look_through(source: PointSource) -> PointCloud:
 
 def _read_runs(records: PointRecords) -> Iterator[PointCloud]:
     if records.count <= _ROWS:
-        yield records.read(0, records.count)
+        yield records.read(0, records.count, _LOOKED_AT)
         return
     length = _ROWS // _RUNS
     for start in np.linspace(0, records.count - length, _RUNS).astype(int).tolist():
-        yield records.read(start, start + length)
+        yield records.read(start, start + length, _LOOKED_AT)
 
 
 def _join(parts: list[PointCloud]) -> PointCloud:
@@ -207,6 +215,8 @@ def _is_certain(seen: PointCloud) -> bool:
     if seen.colours is None or seen.colours.dtype == np.uint8:
         return True
     scale = judge_colours(seen.colours)
+    if scale == "8 bit":  # or dark ones of 16 bit
+        return bool(seen.colours.max() > _BRIGHT)
     return scale == "16 bit" or (scale == "float" and bool((seen.colours % 1 > 0).any()))
 
 
@@ -259,11 +269,14 @@ def _judge_use(seen: PointCloud, findings: Findings) -> Use:
     if kind in ("unit", "any length"):
         return "normals"
     if kind == "zero":
-        findings.warn("all normals are zero: they are left out")
+        findings.warn("all normals are zero, or not finite: they are left out")
         return "nothing"
     if kind == "encoded":
         findings.warn("the normals hold (n + 1) / 2: they are decoded")
         return "encoded"
+    if kind == "none" and judge_normals(seen.normals / 255) == "encoded":
+        findings.warn("the normals hold (n + 1) / 2 as bytes: they are decoded")
+        return "encoded bytes"
     if len(seen) < _FEWEST_TO_DOUBT or _fit_surface(seen.positions, seen.normals):
         return "normals"
     if kind == "none" and seen.colours is None and judge_colours(seen.normals) is not None:
@@ -298,12 +311,15 @@ def _judge_scale(colours: NDArray[Any], findings: Findings) -> ColourScale | Non
     if not known.any():  # the format has colours, the scan has not
         return None
     scale = judge_colours(known)
-    if scale is None:
-        findings.warn(
-            f"the colours go from {known.min():g} to {known.max():g}, which are no colours: "
-            "they are left out"
-        )
-    return scale
+    if scale is not None:
+        return scale
+    least, most = float(known.min()), float(known.max())  # of numbers that need not be whole
+    if least >= -_OVERSHOOT and most <= 1 + _OVERSHOOT:
+        return "float"
+    if least >= 0 and most <= 65535:
+        return "8 bit" if most <= 255 else "16 bit"
+    findings.warn(f"the colours go from {least:g} to {most:g}: they are left out")
+    return None
 
 
 def _scale_colours(colours: NDArray[Any], scale: ColourScale) -> NDArray[np.uint8]:
