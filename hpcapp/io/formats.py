@@ -14,6 +14,7 @@ from hpcapp.io.meshes.off import read_off, write_off
 from hpcapp.io.meshes.stl import read_stl, write_stl
 from hpcapp.io.meshes.tiles import TILES_SUFFIX, check_tiles, write_tiles
 from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh, write_ply_points
+from hpcapp.io.points.npz_writer import write_npz_points
 from hpcapp.io.points.point_source import PointSource, read_whole, translated
 from hpcapp.io.points.registry import find_point_format
 from hpcapp.io.staging import check_place
@@ -43,6 +44,7 @@ _TEXT_SUFFIXES = (
 )  # of those that are read: blanks separate what is written
 _POINT_WRITERS: dict[str, Callable[[Path, PointCloud], None]] = {
     ".ply": write_ply_points,
+    ".npz": write_npz_points,
     **dict.fromkeys(_TEXT_SUFFIXES, write_text_points),
 }
 _MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
@@ -61,7 +63,7 @@ _MESH_WRITERS: dict[str, Callable[[Path, Mesh | MeshStream], None]] = {
 
 
 def read_points(path: str | PathLike[str]) -> PointCloud:
-    """Read a point cloud: .ply (a mesh's vertices, too), .xyz, .txt, .asc, .pts.
+    """Read a point cloud, or the vertices of a mesh.
 
     Parameters
     ----------
@@ -141,7 +143,7 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
 
 
 def write_points(path: str | PathLike[str], cloud: PointCloud) -> None:
-    """Write a point cloud, in the input's coordinates: .ply, .xyz, .txt, .asc, .pts.
+    """Write a point cloud, in the input's coordinates: .ply, .npz, .xyz, .txt, .asc, .pts.
 
     Parameters
     ----------
