@@ -16,6 +16,7 @@ from hpcapp.io.meshes.off import read_off, write_off
 from hpcapp.io.meshes.stl import read_stl, write_stl
 from hpcapp.io.meshes.tiles import TILES_SUFFIX, check_tiles, write_tiles
 from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh, write_ply_points
+from hpcapp.io.points.npz_writer import write_npz_points
 from hpcapp.io.points.point_source import PointSource, read_whole, translated
 from hpcapp.io.points.recognition import recognise
 from hpcapp.io.points.registry import find_point_format
@@ -45,6 +46,7 @@ _POINT_WRITERS: dict[str, Callable[[Path, PointCloud, str | None], None]] = {
     ".las": write_las,
     ".laz": write_las,
     ".e57": write_e57,
+    ".npz": lambda path, cloud, _: write_npz_points(path, cloud),
 }
 _MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".ply": read_ply_mesh,
@@ -62,7 +64,7 @@ _MESH_WRITERS: dict[str, Callable[[Path, Mesh | MeshStream], None]] = {
 
 
 def read_points(path: str | PathLike[str]) -> PointCloud:
-    """Read a point cloud: .ply (a mesh's vertices, too), .las, .laz, .e57, .xyz, .txt, .asc, .pts.
+    """Read a point cloud, or the vertices of a mesh.
 
     Parameters
     ----------
@@ -145,7 +147,7 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
 def write_points(path: str | PathLike[str], cloud: PointCloud, crs: str | None = None) -> None:
     """Write a point cloud, in the input's coordinates.
 
-    The formats are .ply, .las, .laz, .e57, .xyz, .txt, .asc and .pts.
+    The formats are .ply, .las, .laz, .e57, .npz, .xyz, .txt, .asc and .pts.
 
     Parameters
     ----------

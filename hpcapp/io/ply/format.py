@@ -113,9 +113,9 @@ def write_ply_points(path: Path, cloud: PointCloud) -> None:
     if cloud.colours is not None:
         columns += _plain_columns(COLOURS, _ply_type(cloud.colours.dtype), cloud.colours)
     for name, values in cloud.attributes.items():
-        columns += _plain_columns(
-            ("_".join(name.split()),), _ply_type(values.dtype), values[:, None]
-        )
+        name = "_".join(name.split())
+        unique = f"{name}_attribute" if any(name == c.name for c in columns) else name
+        columns += _plain_columns((unique,), _ply_type(values.dtype), values[:, None])
     with replacing(path) as file:
         file.write(ply_header(_vertex_lines(columns)))
         _write_columns(file, columns)

@@ -80,8 +80,8 @@ def open_ply(path: Path) -> PointSource:
         scan = _MeshScan(body, polygons)
     else:
         records = _find_points(path, header, vertex, plan) if header.byte_order else None
-        scan = body.scan if records is None else _RecordScan(records, body.check_rest)
-        check_rest = body.check_rest
+        body = replace(body, records=records)
+        scan, check_rest = body.scan, body.check_rest
     return PointSource(
         path,
         vertex.count,
@@ -134,6 +134,7 @@ class _Body:
     plan: ColumnPlan
     findings: Findings
     build: Callable[..., PointCloud] = build_cloud
+    records: PointRecords | None = None
 
     def parts(self, element: str, rows: int) -> Iterator[Rows]:
         if self.header.byte_order:
@@ -143,25 +144,16 @@ class _Body:
         return (part for _, part in parts)
 
     def scan(self, rows: int) -> Iterator[PointCloud]:
+        if self.records is not None:
+            yield from self.records.scan(rows)
+            self.check_rest()
+            return
         for part in self.parts("vertex", rows):
             yield self.build(part.scalars, self.plan)
 
     def check_rest(self) -> None:
         for _ in scan_binary(self.path, self.header, (), 1):
             """Nothing is asked for: all is measured."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _RecordScan:
-    """Vertices that are read as records."""
-
-    records: PointRecords
-    check_rest: Callable[[], None]
-
-    def __call__(self, rows: int) -> Iterator[PointCloud]:
-        for start in range(0, max(self.records.count, 1), rows):
-            yield self.records.read(start, min(start + rows, self.records.count))
-        self.check_rest()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

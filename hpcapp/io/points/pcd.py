@@ -65,16 +65,16 @@ def open_pcd(path: Path) -> PointSource:
     plan = plan_columns(list(columns), f"{path}: the PCD header")
     records = None
     if header.encoding == "ascii":
-        body: _Body = _Ascii(path, header, columns, plan, findings)
+        scan_body = _Ascii(path, header, columns, plan, findings).scan
     elif header.encoding == "binary":
         records = _describe_body(path, header, columns, plan, findings)
-        body = _Binary(records)
+        scan_body = records.scan
     else:
-        body = _Compressed(path, header, columns, plan)
+        scan_body = _Compressed(path, header, columns, plan).scan
 
     def scan(rows: int) -> Iterator[PointCloud]:
         first = 0
-        for part in body.scan(rows):
+        for part in scan_body(rows):
             yield part if header.grid is None else _with_grid(part, first, header.grid[0])
             first += len(part)
 
@@ -175,17 +175,6 @@ def _describe_body(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Binary:
-    """Points one after the other."""
-
-    records: PointRecords
-
-    def scan(self, rows: int) -> Iterator[PointCloud]:
-        for start in range(0, max(self.records.count, 1), rows):
-            yield self.records.read(start, min(start + rows, self.records.count))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Ascii:
     """A line for each point."""
 
@@ -282,6 +271,3 @@ class _Compressed:
             raise InputError(
                 f"{self.path}: the compressed block is damaged: {error}", _COPY_AGAIN
             ) from error
-
-
-_Body = _Ascii | _Binary | _Compressed

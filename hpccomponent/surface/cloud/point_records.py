@@ -5,7 +5,7 @@ Used by the reader of binary PLY, and by tasks on machines that see the file.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -97,6 +97,27 @@ class PointRecords:
         return PointCloud(
             positions, normals, colours, {name: column for name, (column, _) in attributes.items()}
         )
+
+    def scan(self, rows: int) -> Iterator[PointCloud]:
+        """Read all points in parts.
+
+        Parameters
+        ----------
+        rows : int
+            Points in a part, the last of fewer.
+
+        Yields
+        ------
+        PointCloud
+            One empty part where there are no points.
+
+        Raises
+        ------
+        InputError
+            As from `read`.
+        """
+        for start in range(0, max(self.count, 1), rows):
+            yield self.read(start, min(start + rows, self.count))
 
     def _read_into(self, targets: list[_Target], start: int, wanted: int) -> None:
         step = max(1, _BYTES_AT_ONCE // self.length)
