@@ -122,13 +122,24 @@ def _read_points(
     file: BinaryIO, path: Path, header: LasHeader, layout: LasLayout, rows: int
 ) -> Iterator[NDArray[np.void]]:
     """Yield the points of a file, so many at a time."""
+    fill: Fill
     if header.is_compressed:
-        fill: Fill = open_decompressor(file, path, header)
+        fill = open_decompressor(file, path, header)
     else:
         file.seek(header.points_start)
-        fill = file.readinto  # type: ignore[attr-defined]
+        fill = _read_plain(file, path, header.record_length - _COORDINATES)
     for start in range(0, header.count, rows):
         size = min(rows, header.count - start) * header.record_length
         points: ByteArray = np.zeros(size, np.uint8)
         fill(points)
         yield points.view(layout.dtype)
+
+
+def _read_plain(file: BinaryIO, path: Path, spared: int) -> Fill:
+    """Return what fills an array from a file; `spared` bytes may be missing at its end."""
+
+    def fill(points: ByteArray) -> None:
+        if file.readinto(points) + spared < len(points):  # type: ignore[attr-defined]
+            raise InputError(f"{path}: ends before its last point", "copy or export it again")
+
+    return fill

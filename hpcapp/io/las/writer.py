@@ -70,10 +70,9 @@ def write_las(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
         raise OutputError(
             f"{path}: LAS holds no NaN or infinite coordinates", "drop those points first"
         )
-    low, high = (corner + cloud.origin for corner in finite_bounds(cloud.positions))
-    scale, offset = choose_grid(low, high)
     header = laspy.LasHeader(version="1.4", point_format=6 if cloud.colours is None else 7)
     header.generating_software = "hpcapp"
+    scale, offset = choose_grid(*(c + cloud.origin for c in finite_bounds(cloud.positions)))
     header.scales, header.offsets = np.full(3, scale), offset
     layout = header.point_format
     reserved = {*layout.dimension_names, *layout.dtype().names, *"xyz"}
@@ -82,11 +81,10 @@ def write_las(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
         [laspy.ExtraBytesParams(name, values.dtype) for name, values in extras.items()]
     )
     _add_crs(laspy, header, crs, path)
+    is_compressed = path.suffix.lower() == ".laz"
     with (
         replacing(path) as file,
-        laspy.LasWriter(
-            file, header, do_compress=path.suffix.lower() == ".laz", closefd=False
-        ) as writer,
+        laspy.LasWriter(file, header, do_compress=is_compressed, closefd=False) as writer,
     ):
         for start in range(0, len(cloud), _ROWS_AT_ONCE):
             rows = slice(start, min(start + _ROWS_AT_ONCE, len(cloud)))
@@ -116,8 +114,8 @@ def choose_grid(low: FloatArray, high: FloatArray) -> tuple[float, FloatArray]:
 
     Examples
     --------
-    >>> choose_grid(np.array([5e5, 4e6, 0]), np.array([5.01e5, 4.0002e6, 80]))
-    (1e-06, array([ 500500., 4000100.,      40.]))
+    >>> choose_grid(np.array([10.0, 20.0, 0.0]), np.array([12.0, 30.0, 4.0]))
+    (1e-06, array([11., 25.,  2.]))
     """
     extent = float((high - low).max())
     finest = min(1.0, extent or 1.0) * _FINEST

@@ -60,7 +60,7 @@ def test_unknown_suffixes_are_answered_with_the_known(
     tmp_path: Path, cloud: PointCloud, tetrahedron: Mesh
 ) -> None:
     for call in (
-        lambda: read_points(tmp_path / "scan.las"),
+        lambda: read_points(tmp_path / "scan.abc"),
         lambda: write_points(tmp_path / "scan.stl", cloud),
         lambda: read_mesh(tmp_path / "mesh"),
         lambda: write_mesh(tmp_path / "mesh.glb", tetrahedron),
