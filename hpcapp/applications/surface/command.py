@@ -23,6 +23,7 @@ __all__ = ["check_flags", "info", "reconstruct", "simulate"]
 log = logging.getLogger("hpcapp")
 
 POINTS = click.Path(dir_okay=False, path_type=Path)
+_LONGEST = 120  # characters of a coordinate system that are shown to people
 INPUTS = click.argument("points", nargs=-1, required=True, type=click.Path(dir_okay=False))
 SAMPLE = click.option(
     "--sample",
@@ -274,14 +275,30 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
 @INPUTS
 @SAMPLE
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
-def info(points: tuple[str, ...], sample: int | None, as_json: bool) -> None:
-    """Print what the point clouds POINTS hold: count, bounds, normals, spacing, NaN points."""
-    from hpcapp.applications.surface.input.info import describe
-    from hpcapp.io import read_points
+@click.option(
+    "--png",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Draw the points into a picture.",
+)
+def info(points: tuple[str, ...], sample: int | None, as_json: bool, png: Path | None) -> None:
+    """Print what the point clouds POINTS hold, and what of it was taken for what."""
+    from hpcapp.applications.surface.input.info import describe_file
+    from hpcapp.applications.surface.input.thumbnail import write_thumbnail
+    from hpcapp.io import open_points
     from hpcapp.io.points.inputs import gather_points
 
     with gather_points(points, sample) as path:
-        facts = describe(read_points(path))
+        source = open_points(path)
+        facts, cloud = describe_file(source)
+    shown = points[0] if len(points) == 1 else f"{points[0]} and others"
+    for line in source.findings.lines():
+        log.warning("warning: %s: %s", shown, line)
+    if facts["non_finite_points"]:
+        log.warning("warning: %s: %d points are not finite", shown, facts["non_finite_points"])
+    if png is not None:
+        scanner = source.scans[0].scanner if len(source.scans) == 1 else None
+        write_thumbnail(png, cloud, scanner)
     if as_json:
         click.echo(json.dumps(facts))
         return
@@ -291,15 +308,19 @@ def info(points: tuple[str, ...], sample: int | None, as_json: bool) -> None:
 
 
 def _readable(value: Any) -> str:
+    """Return a JSON value as people read it."""
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if value is None or value == "":
+        return "-"
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, list | tuple):
         return "  ".join(_readable(item) for item in value)
     if isinstance(value, dict):
         return ", ".join(f"{name} {_readable(item)}" for name, item in value.items())
-    return str(value)
+    text = str(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 
 
 @click.command()

@@ -36,13 +36,19 @@ NormalKind = Literal["unit", "encoded", "any length", "zero", "one octant", "non
 component is negative, as no closed cloud has them; or none of these: no normals."""
 
 _SPELLINGS = {
-    **dict.fromkeys(("x", "px", "pointx", "coordx", "xcoordinate", "easting", "east"), "x"),
-    **dict.fromkeys(("y", "py", "pointy", "coordy", "ycoordinate", "northing", "north"), "y"),
-    **dict.fromkeys(("z", "pz", "pointz", "coordz", "zcoordinate", "elevation", "height"), "z"),
+    **dict.fromkeys(("x", "px", "pointx", "coordx", "xcoordinate", "points0"), "x"),
+    **dict.fromkeys(("y", "py", "pointy", "coordy", "ycoordinate", "points1"), "y"),
+    **dict.fromkeys(("z", "pz", "pointz", "coordz", "zcoordinate", "points2"), "z"),
+    **dict.fromkeys(("easting", "east", "lon", "long", "longitude"), "x"),
+    **dict.fromkeys(("northing", "north", "lat", "latitude"), "y"),
+    **dict.fromkeys(("elevation", "height"), "z"),
+    **{f"cartesian{axis}": axis for axis in "xyz"},
     **{f"{stem}{axis}": f"n{axis}" for stem in ("n", "normal", "normals", "nor") for axis in "xyz"},
     **{f"{stem}red": "red" for stem in ("", "diffuse", "color", "colour")},
     **{f"{stem}green": "green" for stem in ("", "diffuse", "color", "colour")},
     **{f"{stem}blue": "blue" for stem in ("", "diffuse", "color", "colour")},
+    **dict(zip(("normals0", "normals1", "normals2"), NORMALS, strict=True)),
+    **dict(zip(("rgb0", "rgb1", "rgb2"), COLOURS, strict=True)),
     "r": "red",
     "g": "green",
     "b": "blue",
@@ -51,6 +57,8 @@ _SPELLINGS = {
     "bf": "blue",
     **dict.fromkeys(("a", "alpha", "diffusealpha"), "alpha"),
     **dict.fromkeys(("intensity", "i", "scalarintensity"), "intensity"),
+    "rowindex": "row",
+    "columnindex": "column",
     **dict.fromkeys(("class", "classification", "scalarclassification"), "classification"),
 }
 _UNIT = 0.05  # how far from 1 the length of a unit vector may be: two decimals of each component
@@ -69,16 +77,17 @@ def find_role(name: str) -> str:
     -------
     str
         ``x``, ``y``, ``z``, ``nx``, ``ny``, ``nz``, ``red``, ``green``, ``blue``, ``alpha``,
-        ``intensity`` or ``classification``; another name as the file has it, without quotes and
-        blanks around it.
+        ``intensity``, ``classification``, ``row`` or ``column``; another name as the
+        file has it, without quotes and blanks around it.
 
     Examples
     --------
-    >>> [find_role(name) for name in ("//X", '"Normal_Y"', "diffuse_red", "OffsetTime")]
-    ['x', 'ny', 'red', 'OffsetTime']
+    >>> [find_role(name) for name in ("//X", '"Normal_Y"', "diffuse_red", "Z [m]", "OffsetTime")]
+    ['x', 'ny', 'red', 'z', 'OffsetTime']
     """
     stripped = name.strip().strip("\"'").strip()
-    return _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", stripped.lower()), stripped)
+    bare = re.sub(r"(?<=.)[\[(].*[\])]$", "", stripped.lower())  # without a unit
+    return _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", bare), stripped)
 
 
 def judge_colours(values: NDArray[Any]) -> ColourScale | None:

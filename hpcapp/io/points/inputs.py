@@ -189,10 +189,8 @@ def _open(path: Path, sample: int | None) -> PointSource:
 
 def _report(file: str, source: PointSource) -> None:
     """Log what is odd about a file that is read now and not again."""
-    for warning in source.findings.warnings:
-        log.warning("warning: %s: %s", file, warning)
-    for reason, points in source.findings.dropped.items():
-        log.warning("%s: dropped %d points (%s)", file, points, reason)
+    for line in source.findings.lines():
+        log.warning("warning: %s: %s", file, line)
 
 
 def _shorten(files: Sequence[str]) -> str:

@@ -7,6 +7,7 @@ normals and colours of its own, or no faces at all.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +137,7 @@ def _open_mesh(
     findings = Findings()
     findings.drop(UNUSED, int(len(used) - used.sum()))
     cloud = PointCloud(mesh.vertices + mesh.origin, normals, colours).take(used)
-    return slice_cloud(path, name, cloud, findings)
+    return replace(slice_cloud(path, name, cloud, findings), normals_from="faces")
 
 
 def slice_cloud(

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hpcapp.io.formats import read_points
-from hpcapp.io.points.text import write_text_points
+from hpcapp.io.text.writer import write_text_points
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.points import PointCloud
 
