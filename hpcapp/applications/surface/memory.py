@@ -105,6 +105,8 @@ def count_most_points(path: Path) -> int:
     -------
     int
     """
+    if not path.is_file():  # looking into a pipe would wait for ever
+        return 0
     try:
         known = find_point_format(path)
         counted = known.open(path).count if known.states_count else None

@@ -86,6 +86,8 @@ class Header:
         The number of the body's first line, counted from 1.
     warnings : tuple of str
         What is odd about the header, and was passed over.
+    comments : tuple of tuple of str
+        The words behind ``comment`` of each such line.
     """
 
     byte_order: str
@@ -93,6 +95,7 @@ class Header:
     body_start: int
     body_line: int
     warnings: tuple[str, ...] = ()
+    comments: tuple[tuple[str, ...], ...] = ()
 
 
 def read_header(path: Path) -> Header:
@@ -141,7 +144,8 @@ def read_header(path: Path) -> Header:
         if count and not properties:
             raise InputError(f"{path}: PLY element {name!r} has no properties", _EXPORT_AGAIN)
     elements = tuple(Element(n, c, tuple(p)) for n, c, p in parser.elements)
-    return Header(byte_order, elements, end.end(), len(lines) + 1, tuple(parser.warnings))
+    found = tuple(parser.warnings), tuple(parser.comments)
+    return Header(byte_order, elements, end.end(), len(lines) + 1, *found)
 
 
 class _HeaderParser:
@@ -152,12 +156,15 @@ class _HeaderParser:
         self.byte_order: str | None = None
         self.elements: list[tuple[str, int, list[Property]]] = []
         self.warnings: list[str] = []
+        self.comments: list[tuple[str, ...]] = []
 
     def line(self, number: int, words: list[str]) -> None:
         """Take one line, split into words."""
         match words:
-            case [] | ["comment" | "obj_info", *_]:
+            case [] | ["obj_info", *_]:
                 pass
+            case ["comment", *rest]:
+                self.comments.append(tuple(rest))
             case ["format", encoding, "1.0"] if (
                 encoding in _BYTE_ORDERS and self.byte_order is None
             ):

@@ -1,20 +1,16 @@
-"""The points of one or several sources as one binary PLY, written in parts.
-
-What a PLY has no place for goes into comments that `open_ply` understands: ``comment unit m``,
-``comment crs EPSG:2180``, ``comment scanner 0 1.5 2 0.25`` (the number of the scan, and where its
-scanner stood).
-"""
+"""The points of one or several sources as one binary PLY, written in parts."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.io.ply.comments import keep
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS
 from hpcapp.io.points.point_source import PointSource
 from hpcapp.io.staging import replacing
@@ -138,21 +134,9 @@ def _make_rows(part: PointCloud, dtype: np.dtype[Any], first_scan: int) -> NDArr
 def _make_header(count: int, dtype: np.dtype[Any], sources: Sequence[PointSource]) -> bytes:
     """Return the header; as long for any count."""
     lines = ["ply", "format binary_little_endian 1.0", "comment written by hpcapp"]
-    lines += _comments(sources)
+    lines += keep(sources)
     lines += [f"element vertex {count}"]
     for name in dtype.names or ():
         lines.append(f"property {_TYPES[dtype[name].str[1:]]} {name.replace(' ', '_')}")
     filling = "comment ".ljust(8 + _COUNT_DIGITS - len(str(count)), "-")
     return "\n".join([*lines, filling, "end_header\n"]).encode("utf-8")
-
-
-def _comments(sources: Sequence[PointSource]) -> Iterator[str]:
-    unit = next((source.unit for source in sources if source.unit), None)
-    crs = next((source.crs for source in sources if source.crs), None)
-    if unit:
-        yield f"comment unit {unit}"
-    if crs:
-        yield f"comment crs {' '.join(crs.split())}"
-    for number, scan in enumerate(scan for source in sources for scan in source.scans):
-        if scan.scanner is not None:
-            yield "comment scanner {} {!r} {!r} {!r}".format(number, *scan.scanner.tolist())

@@ -11,6 +11,7 @@ import numpy as np
 from hpcapp.io.columns import Ragged, Rows
 from hpcapp.io.ply.ascii import read_ascii, scan_ascii
 from hpcapp.io.ply.binary import find_records, read_binary, scan_binary
+from hpcapp.io.ply.comments import Kept, parse_comments
 from hpcapp.io.ply.faces import find_polygons, vertex_normals
 from hpcapp.io.ply.header import Element, Header, Property, read_header
 from hpcapp.io.ply.splats import are_splats, build_splats, plan_splats
@@ -32,6 +33,7 @@ _ROWS_AT_ONCE = 1 << 16
 _EXACT_IN_SINGLE = ("f4", "i1", "u1", "i2", "u2")
 _ENCODINGS = {"": "ascii", "<": "binary", ">": "binary, big endian"}
 _LONGEST_LINE = 1 << 20
+_MOST_SCANS = 100_000
 _VIEW = ("view_px", "view_py", "view_pz")
 
 
@@ -82,6 +84,7 @@ def open_ply(path: Path) -> PointSource:
         records = _find_points(path, header, vertex, plan) if header.byte_order else None
         body = replace(body, records=records)
         scan, check_rest = body.scan, body.check_rest
+    kept = parse_comments(header.comments)
     return PointSource(
         path,
         vertex.count,
@@ -92,9 +95,11 @@ def open_ply(path: Path) -> PointSource:
         check_rest,
         f"PLY, {_ENCODINGS[header.byte_order]}",
         tuple(p.name for p in vertex.properties),
-        (Scan(vertex.count, _find_scanner(path, header)),),
-        findings=findings,
-        normals_from="file" if polygons is None else "faces",
+        _find_scans(path, header, vertex.count, kept),
+        kept.crs,
+        kept.unit,
+        findings,
+        "file" if polygons is None else "faces",
         oriented=not splats,
     )
 
@@ -260,6 +265,19 @@ def _starts_with(path: Path, header: Header, vertex: Element) -> bool:
         file.seek(header.body_start)
         words = file.readline(_LONGEST_LINE).split()
     return first.name == vertex.name and len(words) == len(first.properties)
+
+
+def _find_scans(path: Path, header: Header, count: int, kept: Kept) -> tuple[Scan, ...]:
+    """Return the scans that comments number, or the one that the file is."""
+    if not kept.scanners:
+        return (Scan(count, _find_scanner(path, header)),)
+    last = max(kept.scanners)
+    if last >= _MOST_SCANS:
+        raise InputError(
+            f"{path}: a comment names scanner {last}", f"number scanners from 0 to {_MOST_SCANS}"
+        )
+    counts = {0: count} if last == 0 else {}
+    return tuple(Scan(counts.get(i), kept.scanners.get(i)) for i in range(last + 1))
 
 
 def _find_scanner(path: Path, header: Header) -> FloatArray | None:

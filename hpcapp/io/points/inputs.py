@@ -36,6 +36,7 @@ __all__ = ["STANDARD_INPUT", "find_files", "gather_points"]
 log = logging.getLogger("hpcapp")
 
 STANDARD_INPUT = "-"
+_ALSO_STANDARD = ("/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
 _COMPRESSED = ".gz"
 _MAGIC = (
     (b"ply", ".ply"), (b"LASF", ".las"), (b"ASTM-E57", ".e57"), (b"\x93NUMPY", ".npy"),
@@ -111,7 +112,8 @@ def find_files(names: Sequence[str]) -> list[str]:
         The standard input is named beside other files.
     """
     files: list[str] = []
-    for name in names:
+    for named in names:
+        name = STANDARD_INPUT if named in _ALSO_STANDARD else named
         if not glob.has_magic(name) or Path(name).exists():
             files.append(name)
             continue

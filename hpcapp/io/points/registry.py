@@ -77,15 +77,15 @@ POINT_FORMATS = (
     PointFormat("PLY", (".ply",), "hpcapp.io.ply.points:open_ply", 3, states_count=True),
     PointFormat("text", _TEXT, "hpcapp.io.text.points:open_text", 6),
     PointFormat("PTX", (".ptx",), "hpcapp.io.text.ptx:open_ptx", 6),
-    PointFormat("LAS", (".las",), "hpcapp.io.las.points:open_las", 20),
-    PointFormat("LAZ", (".laz",), "hpcapp.io.las.points:open_las", 0.25),
-    PointFormat("E57", (".e57",), "hpcapp.io.e57.points:open_e57", 1),
+    PointFormat("LAS", (".las",), "hpcapp.io.las.points:open_las", 20, states_count=True),
+    PointFormat("LAZ", (".laz",), "hpcapp.io.las.points:open_las", 0.25, states_count=True),
+    PointFormat("E57", (".e57",), "hpcapp.io.e57.points:open_e57", 1, states_count=True),
     PointFormat("OBJ", (".obj",), "hpcapp.io.points.mesh_points:open_obj", 8, streams=False),
     PointFormat("STL", (".stl",), "hpcapp.io.points.mesh_points:open_stl", 8, streams=False),
     PointFormat("OFF", (".off",), "hpcapp.io.points.mesh_points:open_off", 6, streams=False),
     PointFormat("VTK", (".vtk",), "hpcapp.io.points.vtk:open_vtk", 6, streams=False),
-    PointFormat("PCD", (".pcd",), "hpcapp.io.points.pcd:open_pcd", 3),
-    PointFormat("NumPy", (".npy", ".npz"), "hpcapp.io.points.npy:open_npy", 3),
+    PointFormat("PCD", (".pcd",), "hpcapp.io.points.pcd:open_pcd", 3, states_count=True),
+    PointFormat("NumPy", (".npy", ".npz"), "hpcapp.io.points.npy:open_npy", 3, states_count=True),
 )
 
 

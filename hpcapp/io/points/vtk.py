@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.points.column_roles import find_role, judge_colours
+from hpcapp.io.points.column_roles import AXES, find_role, judge_colours
 from hpcapp.io.points.mesh_points import slice_cloud
 from hpcapp.io.points.point_source import PointSource
 from hpccomponent.errors import InputError
@@ -74,7 +74,8 @@ def open_vtk(path: Path) -> PointSource:
         elif colours is None and _are_colours(name, values):
             colours = np.ascontiguousarray(values[:, :3])
         elif values.shape[1] == 1:
-            attributes[find_role(name)] = values[:, 0]
+            role = find_role(name)
+            attributes[name if role in AXES else role] = values[:, 0]
         else:
             attributes |= {f"{name}_{i}": column for i, column in enumerate(values.T)}
     return slice_cloud(path, reader.kind, PointCloud(positions, normals, colours, attributes))
