@@ -70,7 +70,7 @@ def tell(capsys: pytest.CaptureFixture[str]) -> Iterator[Tell]:
 
 @pytest.fixture(scope="module")
 def tally(request: pytest.FixtureRequest) -> Iterator[dict[str, str]]:
-    """Collect a verdict on each file; show a table of them in the end."""
+    """Collect a verdict on each file; ``pytest -s`` shows a table of them in the end."""
     verdicts: dict[str, str] = {}
     yield verdicts
     terminal = request.config.pluginmanager.get_plugin("terminalreporter")
