@@ -115,11 +115,12 @@ def reconstruct(
         workers=workers,
     )
     _check_settings(settings)
-    cloud = _check_cloud(points, normals)
+    checked = _check_cloud(points, normals)
     clock = StageClock(SilentProgress() if progress is None else _Calls(progress))
     given = None if isinstance(executor, str) else executor
     with approach_workers(settings) as opener:
-        cloud, far = arrange_usable(settings, cloud, clock)
+        cloud, far = arrange_usable(settings, checked, clock)
+        del checked  # makes room
         cloud, cleaned = clean_points(settings, cloud, far, clock)
         loaded = Loaded(cloud, Dropped(0, 0), cleaned)
         with run_memory(settings, loaded, opener, clock, executor=given) as outcome:

@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 
 from hpcapp.applications.surface.checkpoint import POINTS_NOTE
-from hpcapp.applications.surface.input.clean import Cleaned, arrange_points, clean_cloud, drop_far
+from hpcapp.applications.surface.input.clean import Cleaned, clean_cloud, drop_far
 from hpcapp.applications.surface.input.ingest import ingest_file
 from hpcapp.applications.surface.scans import Passes, measure_spacing
 from hpcapp.applications.surface.settings import JobSettings, Settings
@@ -23,9 +23,9 @@ from hpccomponent.errors import JobError
 from hpccomponent.files.private_files import make_private_folder, remove_path
 from hpccomponent.store.base import FolderStore
 from hpccomponent.store.value import DamagedError
-from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpccomponent.surface.cloud.arranged import ArrangedCloud, MemoryCloud, arrange_cloud
+from hpccomponent.surface.cloud.disk import open_disk_cloud
+from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["Loaded", "arrange_usable", "clean_points", "load_folder", "load_memory"]
 
@@ -46,21 +46,14 @@ class Loaded:
 
     Parameters
     ----------
-    cloud : PointCloud or DiskCloud
+    cloud : ArrangedCloud
     dropped : Dropped
     cleaned : Cleaned
     """
 
-    cloud: PointCloud | DiskCloud
+    cloud: ArrangedCloud
     dropped: Dropped
     cleaned: Cleaned
-
-    @property
-    def box(self) -> tuple[FloatArray, FloatArray]:
-        """Corners of the box around all points."""
-        if isinstance(self.cloud, PointCloud):
-            return bound_points(self.cloud.positions)
-        return self.cloud.low, self.cloud.high
 
     def report(self, shown: str) -> None:
         """Log what was left out of the input.
@@ -94,55 +87,55 @@ def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
     Loaded
     """
     with clock.stage("read"):
-        cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
-    cloud, far = arrange_usable(settings, cloud, clock)
+        points, dropped = drop_unusable(read_points(settings.points), str(settings.points))
+    cloud, far = arrange_usable(settings, points, clock)
+    del points  # makes room
     cloud, cleaned = clean_points(settings, cloud, far, clock)
     return Loaded(cloud, dropped, cleaned)
 
 
 def arrange_usable(
-    settings: Settings, cloud: PointCloud, clock: StageClock
-) -> tuple[PointCloud, int]:
+    settings: Settings, points: PointCloud, clock: StageClock
+) -> tuple[MemoryCloud, int]:
     """Drop points that lie far away, and arrange the rest, where the method wants it.
 
     Parameters
     ----------
     settings : Settings
-    cloud : PointCloud
-        Usable points.
+    points : PointCloud
+        Usable ones.
     clock : StageClock
 
     Returns
     -------
-    cloud : PointCloud
-        A copy: the caller may let go of its own.
+    cloud : MemoryCloud
+        Of a copy, where they are arranged: the caller may let go of its own.
     far : int
         Points that were dropped.
     """
     if settings.method.needs_whole_cloud:  # it cuts the cloud up by itself
-        return cloud, 0
+        return MemoryCloud.as_they_are(points), 0
     with clock.stage("arrange"):
-        arranged = arrange_points(drop_far(cloud) if settings.method.cleans else cloud)
-    return arranged, len(cloud) - len(arranged)
+        cloud = arrange_cloud(drop_far(points) if settings.method.cleans else points)
+    return cloud, len(points) - len(cloud)
 
 
 def clean_points(
-    settings: Settings, cloud: PointCloud, far: int, clock: StageClock
-) -> tuple[PointCloud, Cleaned]:
+    settings: Settings, cloud: MemoryCloud, far: int, clock: StageClock
+) -> tuple[MemoryCloud, Cleaned]:
     """Drop outliers and turn wrong normals round, where that is wanted.
 
     Parameters
     ----------
     settings : Settings
-    cloud : PointCloud
-        Arranged.
+    cloud : MemoryCloud
     far : int
         Points that were dropped because they lie far away.
     clock : StageClock
 
     Returns
     -------
-    cloud : PointCloud
+    cloud : MemoryCloud
     cleaned : Cleaned
     """
     if not settings.method.cleans:
