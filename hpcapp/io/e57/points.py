@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.crs import parse_wkt
 from hpcapp.io.e57.image_file import load_library, open_image
 from hpcapp.io.e57.scans import GRID, SPHERICAL, E57Scan, describe_scan, read_fields
 from hpcapp.io.points.column_roles import COLOURS, NORMALS
@@ -110,7 +109,7 @@ def _find_crs(image: Any) -> str | None:
     root = image.root()
     if not root.isDefined("coordinateMetadata"):
         return None
-    return parse_wkt(str(root["coordinateMetadata"].value()).strip()).text or None
+    return str(root["coordinateMetadata"].value()).strip() or None
 
 
 def _names(scans: Sequence[E57Scan]) -> tuple[str, ...]:

@@ -145,6 +145,11 @@ def test_crs(tmp_path: Path, crs: str | None, unit: str | None) -> None:
     assert (source.crs, source.unit) == (crs, unit)
 
 
+def test_crs_of_which_the_name_is_known(tmp_path: Path) -> None:
+    write_points(tmp_path / "a.las", PointCloud(np.eye(3)), "local grid")
+    assert open_las(tmp_path / "a.las").crs is None
+
+
 def test_crs_too_long(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="has 70009 bytes"):
         write_points(tmp_path / "a.las", PointCloud(np.eye(3)), f'PROJCS["{"a" * 70_000}')
