@@ -125,10 +125,11 @@ def judge_normals(values: FloatArray) -> NormalKind:
         Rows with NaN or infinity do not count.
     """
     finite = values[np.isfinite(values).all(axis=1)]
-    if not len(finite) or not finite.any():
-        return "zero"
-    lengths = np.linalg.norm(finite, axis=1)
+    with np.errstate(over="ignore", under="ignore"):  # lengths beyond all are of no unit vectors
+        lengths = np.linalg.norm(finite, axis=1)
     directed = lengths > 0
+    if not directed.any():
+        return "zero"
     is_unit = (np.abs(lengths[directed] - 1) < _UNIT).mean() > _MOST
     if finite.min() >= 0:
         decoded = np.linalg.norm(2 * finite - 1, axis=1)
