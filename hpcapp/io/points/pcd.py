@@ -8,6 +8,7 @@ References
 from __future__ import annotations
 
 import io
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import accumulate, islice
@@ -255,14 +256,15 @@ class _Compressed:
     def _expand(self, size: int) -> bytearray:
         with self.path.open("rb") as file:
             file.seek(self.header.body_start)
-            sizes = np.frombuffer(file.read(8), "<u4")
-            packed = file.read(int(sizes[0])) if len(sizes) == 2 else b""
-        if len(sizes) < 2 or len(packed) < sizes[0]:
+            head = file.read(8)
+            packed_size, whole_size = struct.unpack("<II", head.ljust(8, b"\0"))
+            packed = file.read(min(packed_size, self.path.stat().st_size))
+        if len(head) < 8 or len(packed) < packed_size:
             raise InputError(f"{self.path}: truncated: the compressed points are cut", _COPY_AGAIN)
-        if size != sizes[1] or size > MOST_EXPANSION * len(packed):
+        if size != whole_size or size > MOST_EXPANSION * len(packed):
             raise InputError(
                 f"{self.path}: the fields announce {size} bytes of points, "
-                f"the compressed block {sizes[1]} from {len(packed)}",
+                f"the compressed block {whole_size} from {len(packed)}",
                 _COPY_AGAIN,
             )
         try:
