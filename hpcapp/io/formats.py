@@ -35,12 +35,7 @@ Chosen = TypeVar("Chosen")
 
 _STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
 
-_TEXT_SUFFIXES = (
-    ".xyz",
-    ".txt",
-    ".asc",
-    ".pts",
-)  # of those that are read: blanks separate what is written
+_TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")  # what blanks separate in any program
 _POINT_WRITERS: dict[str, Callable[[Path, PointCloud], None]] = {
     ".ply": write_ply_points,
     **dict.fromkeys(_TEXT_SUFFIXES, write_text_points),
@@ -61,7 +56,7 @@ _MESH_WRITERS: dict[str, Callable[[Path, Mesh | MeshStream], None]] = {
 
 
 def read_points(path: str | PathLike[str]) -> PointCloud:
-    """Read a point cloud: .ply (a mesh's vertices, too), .xyz, .txt, .asc, .pts.
+    """Read a point cloud: .ply (a mesh's vertices, too), text (.xyz, .pts, .csv, ...), .ptx.
 
     Parameters
     ----------
