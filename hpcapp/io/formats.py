@@ -36,12 +36,7 @@ Chosen = TypeVar("Chosen")
 
 _STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
 
-_TEXT_SUFFIXES = (
-    ".xyz",
-    ".txt",
-    ".asc",
-    ".pts",
-)  # of those that are read: blanks separate what is written
+_TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")  # what blanks separate in any program
 _POINT_WRITERS: dict[str, Callable[[Path, PointCloud], None]] = {
     ".ply": write_ply_points,
     ".npz": write_npz_points,

@@ -126,9 +126,11 @@ def test_ranges_are_runs_of_the_file(tmp_path: Path, cloud: PointCloud, rows: in
         ("half.ply", "ply\nformat ascii 1.0\nelement vertex 0\n{V}property float nx\nend_header\n"),
         ("word.xyz", "1 2 3\n1 2 3\n4 5 x\n"),
         ("columns.xyz", "1 2 3\n1 2 3\n4 5\n"),
-        ("short.pts", "3\n1 2 3\n4 5 6\n"),
-        ("long.pts", "1\n1 2 3\n4 5 6\n"),
-        ("color.xyz", "1 2 3 0 7 8 9\n1 2 3 0 7 8 256\n"),
+        ("empty.csv", "1,2,3\n\n4,5\n"),
+        (
+            "cut.ptx",
+            "1\n2\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n1 2 3\n",
+        ),
     ],
 )
 def test_faults_are_found_after_the_last_part_at_the_latest(
@@ -184,21 +186,6 @@ def test_a_file_without_points_is_one_empty_part(make_ply: Make) -> None:
         assert [len(part) for part in parts] == [0]
         assert parts[0].normals is not None
         assert len(read_points(source.path)) == 0
-
-
-@pytest.mark.parametrize(
-    ("late", "normals", "colours"),
-    [("0.5", True, False), ("7", False, True)],
-)
-def test_colours_are_told_from_normals_by_all_lines(
-    make_file: Make, late: str, normals: bool, colours: bool
-) -> None:
-    path = make_file("a.xyz", "1 2 3 1 0 2\n" * 9_000 + f"1 2 3 1 0 {late}\n")
-    source = open_points(path)
-    parts = list(source.chunks(100))
-    assert source.has_normals == normals
-    assert all((part.normals is not None) == normals for part in parts)
-    assert all((part.colours is not None) == colours for part in parts)
 
 
 def test_a_file_that_goes_away_is_named(tmp_path: Path, cloud: PointCloud) -> None:
