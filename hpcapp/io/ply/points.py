@@ -71,6 +71,7 @@ def open_ply(path: Path) -> PointSource:
     splats = are_splats(types)
     faces = next((e.count for e in header.elements if e.name == "face"), 0)
     polygons = None if plan.normals or splats or not faces else find_polygons(header)
+    is_mesh = polygons is not None
     records, check_rest = None, None
     if splats:
         body = replace(body, plan=plan_splats(plan), build=build_splats)
@@ -86,11 +87,11 @@ def open_ply(path: Path) -> PointSource:
         path,
         vertex.count,
         is_double,
-        bool(plan.normals) or splats or polygons is not None,
+        bool(plan.normals) or splats or is_mesh,
         scan,
         records,
         check_rest,
-        f"PLY, {_ENCODINGS[header.byte_order]}",
+        f"PLY, {_ENCODINGS[header.byte_order]}{', splats' * splats}{', a mesh' * is_mesh}",
         tuple(p.name for p in vertex.properties),
         (Scan(vertex.count, _find_scanner(path, header)),),
         findings=findings,

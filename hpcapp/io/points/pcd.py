@@ -36,6 +36,7 @@ from hpccomponent.surface.types.points import FloatArray, PointCloud
 __all__ = ["open_pcd"]
 
 _MOST_COLUMNS = 4  # of one field: more of them are a descriptor, not attributes
+_LONGEST_ROW = 1 << 20
 _COPY_AGAIN = "copy or export the file again"
 
 
@@ -189,14 +190,14 @@ class _Ascii:
         starts = [0, *accumulate(field.count for field in self.header.fields)]
         with self.path.open("rb") as file, io.TextIOWrapper(file, "latin-1") as text:
             file.seek(self.header.body_start)
-            start = file.tell()
-            delimiter = "," if b"," in file.readline(1 << 20) else None
-            file.seek(start)
-            lines = numbered(text, self.header.body_line)
+            has_commas = b"," in file.readline(_LONGEST_ROW)
+            file.seek(self.header.body_start)
+            rows_of_text = (row.replace(",", " ") for row in text) if has_commas else text
+            lines = numbered(rows_of_text, self.header.body_line)
             taken = take_lines(lines, self.header.points, self.path, "points")
             for _ in range(0, max(self.header.points, 1), rows):
                 some = islice(taken, rows)
-                table = parse_table(some, starts[-1], self.path, delimiter)
+                table = parse_table(some, starts[-1], self.path)
                 yield self._build(table, starts)
             more = sum(1 for _ in lines)
         if more:
