@@ -15,6 +15,7 @@ from hpcapp.io.ply.points import open_ply
 from hpcapp.io.points.point_source import PointSource
 from hpccomponent.errors import InputError
 from hpccomponent.protocol.codec import decode_values, encode_values
+from hpccomponent.surface.tasks.file_ranges import FileRange
 from hpccomponent.surface.types.points import PointCloud
 
 Make = Callable[..., Path]
@@ -92,6 +93,9 @@ def test_other_columns_are_attributes_however_they_are_stored(
         assert records.attributes == source.records.attributes
         assert list(records.read(1, 2, ("time", "normals")).attributes) == ["time"]
         assert records.read(1, 2, ()).attributes == {}
+        (piece,) = FileRange(records, 0, 3).pieces()  # tasks do without attributes
+        assert (piece.positions == POINTS).all()
+        assert not piece.attributes
         assert records.read(1, 2).attributes["time"].tolist() == [1e9]
 
 
