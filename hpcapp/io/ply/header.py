@@ -8,6 +8,7 @@ Greg Turk, "The PLY Polygon File Format", 1994.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -86,6 +87,8 @@ class Header:
         The number of the body's first line, counted from 1.
     warnings : tuple of str
         What is odd about the header, and was passed over.
+    remarks : dict of str to str
+        What lines of ``obj_info`` say of one word: ``num_cols 512``.
     """
 
     byte_order: str
@@ -93,6 +96,7 @@ class Header:
     body_start: int
     body_line: int
     warnings: tuple[str, ...] = ()
+    remarks: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_header(path: Path) -> Header:
@@ -141,7 +145,9 @@ def read_header(path: Path) -> Header:
         if count and not properties:
             raise InputError(f"{path}: PLY element {name!r} has no properties", _EXPORT_AGAIN)
     elements = tuple(Element(n, c, tuple(p)) for n, c, p in parser.elements)
-    return Header(byte_order, elements, end.end(), len(lines) + 1, tuple(parser.warnings))
+    return Header(
+        byte_order, elements, end.end(), len(lines) + 1, tuple(parser.warnings), parser.remarks
+    )
 
 
 class _HeaderParser:
@@ -152,10 +158,13 @@ class _HeaderParser:
         self.byte_order: str | None = None
         self.elements: list[tuple[str, int, list[Property]]] = []
         self.warnings: list[str] = []
+        self.remarks: dict[str, str] = {}
 
     def line(self, number: int, words: list[str]) -> None:
         """Take one line, split into words."""
         match words:
+            case ["obj_info", word, value]:
+                self.remarks[word] = value
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case ["format", encoding, "1.0"] if (

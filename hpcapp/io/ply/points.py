@@ -13,9 +13,11 @@ from hpcapp.io.ply.ascii import read_ascii, scan_ascii
 from hpcapp.io.ply.binary import find_records, read_binary, scan_binary
 from hpcapp.io.ply.faces import find_polygons, vertex_normals
 from hpcapp.io.ply.header import Element, Header, Property, read_header
+from hpcapp.io.ply.range_grid import GRID_LIST, find_cells, find_range_grid
 from hpcapp.io.ply.splats import are_splats, build_splats, plan_splats
 from hpcapp.io.points.named_columns import (
     ColumnPlan,
+    add_grid,
     build_cloud,
     describe_records,
     plan_columns,
@@ -83,6 +85,9 @@ def open_ply(path: Path) -> PointSource:
         records = _find_points(path, header, vertex, plan) if header.byte_order else None
         body = replace(body, records=records)
         scan, check_rest = body.scan, body.check_rest
+    grid = None if is_mesh else find_range_grid(header)
+    if grid is not None:
+        records, check_rest, scan = None, None, _GridScan(body, vertex.count, grid[0])
     return PointSource(
         path,
         vertex.count,
@@ -93,7 +98,7 @@ def open_ply(path: Path) -> PointSource:
         check_rest,
         f"PLY, {_ENCODINGS[header.byte_order]}{', splats' * splats}{', a mesh' * is_mesh}",
         tuple(p.name for p in vertex.properties),
-        (Scan(vertex.count, _find_scanner(path, header)),),
+        (Scan(vertex.count, _find_scanner(path, header), grid),),
         findings=findings,
         oriented=not splats,
     )
@@ -179,6 +184,23 @@ class _MeshScan:
     def _polygons(self) -> Iterator[Ragged]:
         for faces in self.body.parts("face", _ROWS_AT_ONCE):
             yield faces.lists[self.polygons]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _GridScan:
+    """Vertices with their places in a grid."""
+
+    body: _Body
+    vertices: int
+    width: int
+
+    def __call__(self, rows: int) -> Iterator[PointCloud]:
+        parts = self.body.parts("range_grid", _ROWS_AT_ONCE)
+        lists = (part.lists[GRID_LIST] for part in parts)
+        cells, first = find_cells(lists, self.vertices, self.body.path), 0
+        for part in self.body.scan(rows):
+            yield add_grid(part, cells[first : first + len(part)], self.width)
+            first += len(part)
 
 
 _FACELESS = "vertices without a face"

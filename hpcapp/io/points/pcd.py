@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from hpcapp.io.points.lzf import MOST_EXPANSION, expand_lzf
 from hpcapp.io.points.named_columns import (
     ColumnPlan,
+    add_grid,
     build_cloud,
     describe_records,
     plan_columns,
@@ -77,7 +78,8 @@ def open_pcd(path: Path) -> PointSource:
     def scan(rows: int) -> Iterator[PointCloud]:
         first = 0
         for part in scan_body(rows):
-            yield part if header.grid is None else _with_grid(part, first, header.grid[0])
+            cells = np.arange(first, first + len(part))
+            yield part if header.grid is None else add_grid(part, cells, header.grid[0])
             first += len(part)
 
     return PointSource(
@@ -139,12 +141,6 @@ def _find_columns(header: PcdHeader) -> dict[str, _PcdColumn]:
 
 def _is_packed(field: PcdField) -> bool:
     return field.name.lower() in ("rgb", "rgba") and field.size == 4 and field.count == 1
-
-
-def _with_grid(part: PointCloud, first: int, width: int) -> PointCloud:
-    row, column = np.divmod(np.arange(first, first + len(part)), width)
-    grid = {"row": row.astype(np.int32), "column": column.astype(np.int32)}
-    return PointCloud(part.positions, part.normals, part.colours, {**part.attributes, **grid})
 
 
 def _describe_body(
