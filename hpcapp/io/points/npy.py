@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS
 from hpcapp.io.points.named_columns import (
     ColumnPlan,
+    add_grid,
     build_cloud,
     describe_records,
     plan_columns,
@@ -90,7 +91,9 @@ def open_npy(path: Path) -> PointSource:
     def scan(rows: int) -> Iterator[PointCloud]:
         for start in range(0, max(count, 1), rows):
             part = {name: column[start : start + rows] for name, column in columns.items()}
-            yield _build_part(part, plan, start, grid)
+            cloud = build_cloud(part, plan)
+            cells = np.arange(start, start + len(cloud))
+            yield cloud if grid is None else add_grid(cloud, cells, grid[0])
 
     return PointSource(
         path, count, not types <= _EXACT_IN_SINGLE, bool(plan.normals),
@@ -113,17 +116,6 @@ def _find_records(
         placed[name] = (at, column.dtype.str)
     count = len(columns[plan.positions[0]])
     return describe_records(path, mapped.offset, length, count, placed, plan)
-
-
-def _build_part(
-    part: Columns, plan: ColumnPlan, start: int, grid: tuple[int, int] | None
-) -> PointCloud:
-    cloud = build_cloud(part, plan)
-    if grid is None:
-        return cloud
-    row, column = np.divmod(np.arange(start, start + len(cloud)), grid[0])
-    places = {"row": row.astype(np.int32), "column": column.astype(np.int32)}
-    return PointCloud(cloud.positions, cloud.normals, cloud.colours, {**cloud.attributes, **places})
 
 
 def _columns_of_array(

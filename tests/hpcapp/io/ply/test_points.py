@@ -15,6 +15,7 @@ from hpcapp.io.ply.points import open_ply
 from hpcapp.io.points.point_source import PointSource
 from hpccomponent.errors import InputError
 from hpccomponent.protocol.codec import decode_values, encode_values
+from hpccomponent.surface.tasks.file_ranges import FileRange
 from hpccomponent.surface.types.points import PointCloud
 
 Make = Callable[..., Path]
@@ -92,6 +93,9 @@ def test_other_columns_are_attributes_however_they_are_stored(
         assert records.attributes == source.records.attributes
         assert list(records.read(1, 2, ("time", "normals")).attributes) == ["time"]
         assert records.read(1, 2, ()).attributes == {}
+        (piece,) = FileRange(records, 0, 3).pieces()  # tasks do without attributes
+        assert (piece.positions == POINTS).all()
+        assert not piece.attributes
         assert records.read(1, 2).attributes["time"].tolist() == [1e9]
 
 
@@ -242,3 +246,37 @@ def test_the_camera_is_the_scanner_unless_it_is_at_the_origin(make_ply: Make) ->
         assert (None if scan.scanner is None else scan.scanner.tolist()) == (
             view if any(view) else None
         )
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_big_endian"])
+@pytest.mark.parametrize("columns_said", [3, 4])
+def test_a_range_scan_has_a_grid(make_ply: Make, encoding: str, columns_said: int) -> None:
+    """Three vertices, two of them in a grid of three by two."""
+    cells: list[list[int]] = [[], [1], [], [0], [], []]
+    elements = (
+        f"obj_info num_cols {columns_said}\nobj_info num_rows 2\nobj_info echo data 1\n"
+        f"element vertex 3\n{XYZ}element range_grid 6\n{FACES}"
+    )
+    body = body_of(encoding, [("f4", column) for column in POINTS.T])
+    for cell in cells:
+        if encoding == "ascii":
+            body += " ".join(map(str, [len(cell), *cell])).encode() + b"\n"
+        else:
+            body += struct.pack(f">B{len(cell)}i", len(cell), *cell)
+    source = open_ply(make_ply(encoding, elements, body))
+    cloud = join(source)
+    assert (cloud.positions == POINTS).all()
+    if columns_said == 4:  # that is no size of these six
+        assert source.scans[0].grid is None
+        assert not cloud.attributes
+        return
+    assert source.scans[0].grid == (3, 2)
+    assert cloud.attributes["row"].tolist() == [1, 0, -1]
+    assert cloud.attributes["column"].tolist() == [0, 1, -1]
+
+
+def test_a_grid_of_other_vertices_is_refused(make_ply: Make) -> None:
+    elements = f"obj_info num_cols 1\nobj_info num_rows 1\nelement vertex 1\n{XYZ}"
+    path = make_ply("ascii", f"{elements}element range_grid 1\n{FACES}", "1 2 3\n1 1\n")
+    with pytest.raises(InputError, match="names vertices beyond the 1 of the file"):
+        join(open_ply(path))
