@@ -150,10 +150,12 @@ def _write(
     with clock.stage("check"):  # most of it is done while workers write
         topology = outcome.result.surface.check()
     report = _describe(settings, outcome, topology)
-    report["warnings"] = outcome.warnings
+    report["warnings"] = loaded.findings.warnings + outcome.warnings
     report["dropped"] = {
+        **loaded.findings.dropped,
         "non_finite_points": loaded.dropped.non_finite_points,
         "bad_normals": loaded.dropped.bad_normals,
+        "duplicates": loaded.cleaned.repeated,
         "outliers": loaded.cleaned.outliers,
     }
     report["turned_normals"] = loaded.cleaned.flipped

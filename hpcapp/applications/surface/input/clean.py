@@ -8,6 +8,7 @@ import numpy as np
 
 from hpccomponent.surface.cloud.arranged import MemoryCloud
 from hpccomponent.surface.cloud.outliers import find_outliers
+from hpccomponent.surface.cloud.repeated import find_repeated
 from hpccomponent.surface.cloud.spacing import estimate_spacing
 from hpccomponent.surface.cloud.validity import Reach
 from hpccomponent.surface.kernels import bound_points
@@ -19,6 +20,7 @@ __all__ = [
     "EvenSample",
     "clean_cloud",
     "drop_far",
+    "drop_repeated",
     "even_step",
     "find_reach",
 ]
@@ -38,10 +40,13 @@ class Cleaned:
         Points that were dropped.
     flipped : int
         Normals that were turned round.
+    repeated : int
+        Points at the place of another that were dropped.
     """
 
     outliers: int
     flipped: int
+    repeated: int = 0
 
 
 def drop_far(cloud: PointCloud) -> PointCloud:
@@ -69,6 +74,22 @@ def drop_far(cloud: PointCloud) -> PointCloud:
     if reach.holds(*bound_points(cloud.positions)):
         return cloud
     return cloud.take(reach.find_near(cloud.positions))
+
+
+def drop_repeated(cloud: MemoryCloud) -> MemoryCloud:
+    """Drop the points of a cloud that are at the place of another.
+
+    Parameters
+    ----------
+    cloud : MemoryCloud
+
+    Returns
+    -------
+    MemoryCloud
+        The first point of each place, in their order; the input itself where there are no others.
+    """
+    repeated = find_repeated(cloud.points.positions)
+    return cloud.select(~repeated) if repeated.any() else cloud
 
 
 def even_step(points: int) -> int:
