@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.backend_choice import Job, approach_workers
+from hpcapp.applications.surface.carry import choose_carrying
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.input.folder import choose_tile, plan_passes
 from hpcapp.applications.surface.input.load import Loaded, load_folder, load_memory
@@ -147,11 +148,13 @@ def _write(
     settings: JobSettings, loaded: Loaded, outcome: Outcome, target: Path, clock: StageClock
 ) -> dict[str, Any]:
     """Write the mesh, and describe what came of the job."""
+    carrying = choose_carrying(settings, loaded, outcome, clock)
     with clock.stage("write"):
-        outcome.result.surface.write(target, outcome.backend.workforce)
+        outcome.result.surface.write(target, outcome.backend.workforce, carrying)
     with clock.stage("check"):  # most of it is done while workers write
         topology = outcome.result.surface.check()
     report = _describe(settings, outcome, topology)
+    report["attributes"] = carrying.names
     report["warnings"] = outcome.warnings
     report["dropped"] = {
         "non_finite_points": loaded.dropped.non_finite_points,

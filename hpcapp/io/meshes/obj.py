@@ -87,7 +87,7 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
     row = "v " + " ".join([coordinate_format(stream.origin)] * 3) + "\n"
     with replacing(path) as file:
         for vertices in stream.vertices():
-            file.writelines(write_rows(row, vertices + stream.origin))
+            file.writelines(write_rows(row, vertices.positions + stream.origin))
         for faces in stream.faces():
             file.writelines(write_rows("f %d %d %d\n", faces + 1))
 

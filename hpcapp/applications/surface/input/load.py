@@ -23,6 +23,7 @@ from hpccomponent.errors import JobError
 from hpccomponent.files.private_files import make_private_folder, remove_path
 from hpccomponent.store.base import FolderStore
 from hpccomponent.store.value import DamagedError
+from hpccomponent.surface.attributes.labels import find_labels
 from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.points import FloatArray, PointCloud
@@ -49,11 +50,14 @@ class Loaded:
     cloud : PointCloud or DiskCloud
     dropped : Dropped
     cleaned : Cleaned
+    labels : frozenset of str
+        Attributes of a cloud in memory of which no mean is to be taken.
     """
 
     cloud: PointCloud | DiskCloud
     dropped: Dropped
     cleaned: Cleaned
+    labels: frozenset[str] = frozenset()
 
     @property
     def box(self) -> tuple[FloatArray, FloatArray]:
@@ -94,10 +98,12 @@ def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
     Loaded
     """
     with clock.stage("read"):
-        cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
+        cloud = settings.attributes.select(read_points(settings.points), str(settings.points))
+        labels = find_labels(cloud.attributes)
+        cloud, dropped = drop_unusable(cloud, str(settings.points))
     cloud, far = arrange_usable(settings, cloud, clock)
     cloud, cleaned = clean_points(settings, cloud, far, clock)
-    return Loaded(cloud, dropped, cleaned)
+    return Loaded(cloud, dropped, cleaned, labels)
 
 
 def arrange_usable(
