@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.backend_choice import approach_workers
-from hpcapp.applications.surface.carry import choose_carrying
+from hpcapp.applications.surface.carry import carry_from_memory
 from hpcapp.applications.surface.input.load import Loaded, arrange_usable, clean_points
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
@@ -135,7 +135,7 @@ def reconstruct(
         cloud, cleaned = clean_points(settings, cloud, far, clock)
         loaded = Loaded(cloud, Dropped(0, 0), cleaned, labels)
         with run_memory(settings, loaded, opener, clock, executor=given) as outcome:
-            carrying = choose_carrying(settings, loaded, outcome, clock)
+            carrying = carry_from_memory(settings, loaded, outcome, clock)
             mesh = outcome.result.surface.mesh(carrying)
     return replace(mesh, vertices=mesh.vertices + mesh.origin, origin=np.zeros(3))
 

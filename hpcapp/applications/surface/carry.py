@@ -1,32 +1,44 @@
-"""What a job's mesh carries: looked up among the points, wherever these are."""
+"""What a job's mesh carries: looked up among the points, wherever these are.
+
+Points that lie in a folder have no columns there: these are put beside them when the surface is
+done, in one more pass over the input, here.
+"""
 
 from __future__ import annotations
 
+import secrets
+from functools import partial
 from typing import TYPE_CHECKING
 
 from hpcapp.applications.surface.attributes.carrying import Carrying
-from hpcapp.applications.surface.input.load import Loaded
-from hpcapp.applications.surface.settings import Settings, choose_threads
+from hpcapp.applications.surface.input.load import Loaded, read_layout
+from hpcapp.applications.surface.settings import JobSettings, Settings, choose_threads
+from hpcapp.io import open_points
 from hpcapp.progress import StageClock
+from hpccomponent.files.private_files import make_private_folder
+from hpccomponent.surface.cloud.disk import DiskCloud
 from hpccomponent.surface.cloud.spacing import estimate_spacing
 from hpccomponent.surface.types.points import PointCloud
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.steps import Outcome
+    from hpccomponent.surface.attributes.blocks import ColumnBlocks
 
-__all__ = ["choose_carrying"]
+__all__ = ["carry_from_file", "carry_from_memory"]
+
+_ROWS_AT_ONCE = 1 << 20
 
 
-def choose_carrying(
+def carry_from_memory(
     settings: Settings, loaded: Loaded, outcome: Outcome, clock: StageClock
 ) -> Carrying:
-    """Return what the vertices of a job's mesh carry.
+    """Return what the vertices of a mesh carry whose points are in memory.
 
     Parameters
     ----------
     settings : Settings
     loaded : Loaded
-        With the columns that are asked for.
+        In memory, with the columns that are asked for.
     outcome : Outcome
     clock : StageClock
 
@@ -35,9 +47,9 @@ def choose_carrying(
     Carrying
     """
     cloud, choice = loaded.cloud, settings.attributes
-    assert isinstance(cloud, PointCloud)  # noqa: S101
+    assert isinstance(cloud, PointCloud)  # noqa: S101 - the caller knows
     layout = cloud.view(slice(0))
-    if layout.colours is None and not layout.attributes and not choice.has_support:
+    if not (_has_columns(layout) or choice.has_support):
         return Carrying(layout, has_normals=choice.has_normals)
     from hpccomponent.surface.attributes.carry import AttributeField  # scipy takes its time
 
@@ -48,3 +60,60 @@ def choose_carrying(
         threads = choose_threads(outcome.backend.workforce, len(cloud))
         field = AttributeField(cloud, loaded.labels, threads)
     return Carrying(layout, field.evaluate, spacing, choice.has_normals)
+
+
+def carry_from_file(
+    settings: JobSettings, loaded: Loaded, outcome: Outcome, clock: StageClock
+) -> Carrying:
+    """Return what the vertices of a job's mesh carry.
+
+    Parameters
+    ----------
+    settings : JobSettings
+    loaded : Loaded
+        In memory with the columns that are asked for, or in a folder without any: then they are
+        read from the file again, and put beside the points.
+    outcome : Outcome
+    clock : StageClock
+
+    Returns
+    -------
+    Carrying
+    """
+    cloud, choice = loaded.cloud, settings.attributes
+    if isinstance(cloud, PointCloud):
+        return carry_from_memory(settings, loaded, outcome, clock)
+    layout = read_layout(settings)
+    if not (_has_columns(layout) or choice.has_support):
+        return Carrying(layout, has_normals=choice.has_normals)
+    from hpccomponent.surface.attributes.search import evaluate_blocks
+
+    with clock.stage("attributes"):
+        columns, labels = _put_columns(settings, cloud, layout)
+    spacing = float(outcome.result.facts["spacing"])
+    threads = choose_threads(outcome.backend.workforce, len(cloud))
+    find = partial(evaluate_blocks, cloud, columns.take_blocks, labels, spacing, threads=threads)
+    support = spacing if choice.has_support else None
+    return Carrying(layout, find, support, choice.has_normals)
+
+
+def _put_columns(
+    settings: JobSettings, cloud: DiskCloud, layout: PointCloud
+) -> tuple[ColumnBlocks, frozenset[str]]:
+    """Put the columns of a file beside its points; return which of them hold labels, too."""
+    from hpccomponent.surface.attributes.blocks import ColumnBlocks
+    from hpccomponent.surface.attributes.labels import LabelSearch
+
+    folder = cloud.folder.parent / f"columns-{secrets.token_hex(4)}"
+    make_private_folder(folder)
+    columns, search = ColumnBlocks(folder, cloud, layout), LabelSearch()
+    for part in open_points(settings.points).chunks(_ROWS_AT_ONCE):
+        chosen = settings.attributes.select(part, str(settings.points))
+        search.add(chosen.attributes)
+        local = chosen.positions - cloud.origin if cloud.origin.any() else chosen.positions
+        columns.add(PointCloud(local, None, chosen.colours, chosen.attributes))
+    return columns, search.labels
+
+
+def _has_columns(layout: PointCloud) -> bool:
+    return layout.colours is not None or bool(layout.attributes)

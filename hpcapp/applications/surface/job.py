@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.backend_choice import Job, approach_workers
-from hpcapp.applications.surface.carry import choose_carrying
+from hpcapp.applications.surface.carry import carry_from_file
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.input.folder import choose_tile, plan_passes
 from hpcapp.applications.surface.input.load import Loaded, load_folder, load_memory
@@ -148,7 +148,7 @@ def _write(
     settings: JobSettings, loaded: Loaded, outcome: Outcome, target: Path, clock: StageClock
 ) -> dict[str, Any]:
     """Write the mesh, and describe what came of the job."""
-    carrying = choose_carrying(settings, loaded, outcome, clock)
+    carrying = carry_from_file(settings, loaded, outcome, clock)
     with clock.stage("write"):
         outcome.result.surface.write(target, outcome.backend.workforce, carrying)
     with clock.stage("check"):  # most of it is done while workers write

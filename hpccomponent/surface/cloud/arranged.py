@@ -20,7 +20,7 @@ from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import find_keys
 from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
 
-__all__ = ["ArrangedCloud", "MemoryCloud", "Points", "arrange_cloud", "cut_blocks"]
+__all__ = ["ArrangedCloud", "MemoryCloud", "Points", "arrange_cloud", "cut_blocks", "find_runs"]
 
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 

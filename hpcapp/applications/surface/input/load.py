@@ -28,7 +28,14 @@ from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
-__all__ = ["Loaded", "arrange_usable", "clean_points", "load_folder", "load_memory"]
+__all__ = [
+    "Loaded",
+    "arrange_usable",
+    "clean_points",
+    "load_folder",
+    "load_memory",
+    "read_layout",
+]
 
 log = logging.getLogger("hpcapp")
 
@@ -177,6 +184,7 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
     Loaded
         The same points as `load_memory` gives, bit for bit; measured.
     """
+    read_layout(settings)
     if settings.resume and (found := _find_loaded(folder)) is not None:
         return found
     remove_path(folder)
@@ -210,6 +218,29 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
     }
     FolderStore(folder).put(_NOTE, told)
     return loaded
+
+
+def read_layout(settings: JobSettings) -> PointCloud:
+    """Find out which columns of a file are to be carried to the mesh.
+
+    Parameters
+    ----------
+    settings : JobSettings
+
+    Returns
+    -------
+    PointCloud
+        No points, with these columns.
+
+    Raises
+    ------
+    UsageError
+        A column that is asked for is not there.
+    InputError
+        The file cannot be read.
+    """
+    first = next(open_points(settings.points).chunks(1))
+    return settings.attributes.select(first, str(settings.points)).view(slice(0))
 
 
 def _find_loaded(folder: Path) -> Loaded | None:

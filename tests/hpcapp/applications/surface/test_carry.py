@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import hpcapp
+from hpcapp.applications.surface import job, steps
 from hpcapp.applications.surface.attributes.choice import parse_attributes
+from hpcapp.applications.surface.input import room
 from hpcapp.applications.surface.job import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
@@ -154,3 +156,79 @@ def test_normals_beside_a_cloud_and_unknown_columns_are_refused(cloud: PointClou
         hpcapp.reconstruct(cloud, cloud.normals)
     with pytest.raises(UsageError, match="the cloud has colours, intensity, classification, row"):
         hpcapp.reconstruct(cloud, attributes="depth")
+
+
+@pytest.fixture
+def painted_file(cloud: PointCloud, tmp_path: Path) -> Path:
+    """The sphere in a file, with a hole and some outliers."""
+    is_kept = cloud.positions[:, 1] < CENTRE[1] + 1.8
+    rows = cloud.take(is_kept)
+    positions = rows.positions.copy()
+    positions[::2000] += np.random.default_rng(1).uniform(0.5, 2.0, positions[::2000].shape)
+    path = tmp_path / "painted.ply"
+    write_points(path, PointCloud(positions, rows.normals, rows.colours))
+    return path
+
+
+@pytest.mark.parametrize("name", ["mesh.ply", "mesh.obj"])
+@pytest.mark.parametrize(
+    ("backend", "workers"), [("serial", None), pytest.param("zmq", 3, marks=pytest.mark.slow)]
+)
+def test_tiles_and_workers_give_the_bytes_of_memory(
+    painted_file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    backend: str,
+    workers: int | None,
+    name: str,
+) -> None:
+    chosen = parse_attributes("auto,normals,support")
+    whole, tiled = tmp_path / f"whole-{name}", tmp_path / f"tiled-{name}"
+    run_job(JobSettings(painted_file, str(whole), grid=64, attributes=chosen), SILENT)
+    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+    for module in (job, steps):
+        monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
+    settings = JobSettings(
+        painted_file,
+        str(tiled),
+        grid=64,
+        attributes=chosen,
+        temp_dir=str(tmp_path / "temp"),
+        backend=backend,
+        workers=workers,
+    )
+    report = run_job(settings, SILENT)
+    assert report["tiles"] > 1
+    assert report["attributes"] == ["normals", "colours", "support"]
+    assert tiled.read_bytes() == whole.read_bytes()
+    assert not list((tmp_path / "temp").iterdir())
+
+
+def test_a_column_that_is_not_there_is_refused_before_the_work(
+    painted_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen = parse_attributes("intensity")
+    settings = JobSettings(painted_file, str(tmp_path / "m.ply"), attributes=chosen)
+    for _ in range(2):
+        with pytest.raises(UsageError, match=r"painted.ply has colours; normals and support"):
+            run_job(settings, SILENT)
+        monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+
+
+def test_tiles_carry_what_needs_no_other_tile(
+    painted_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+    for module in (job, steps):
+        monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
+    chosen = parse_attributes("auto,normals")
+    settings = JobSettings(painted_file, str(tmp_path / "m.tiles"), grid=48, attributes=chosen)
+    run_job(settings, SILENT)
+    tiles = [read_vertices(path) for path in sorted((tmp_path / "m.tiles").iterdir())]
+    assert len(tiles) > 1
+    seen: dict[bytes, bytes] = {}
+    for tile in tiles:
+        assert tile.dtype.names == ("x", "y", "z", "red", "green", "blue")
+        for row in tile:
+            place, colour = row.tobytes()[:-3], row.tobytes()[-3:]
+            assert seen.setdefault(place, colour) == colour
