@@ -119,8 +119,8 @@ def _add_method_options(command: click.Command) -> click.Command:
     "--output",
     required=True,
     metavar="MESH",
-    help="Mesh to write: .ply, .obj, .off, .stl, or a folder of PLYs, .tiles; - writes a PLY to "
-    "standard output.",
+    help="Mesh to write: .ply, .obj, .glb, .vtp, .off, .stl, or a folder of PLYs, .tiles; - writes "
+    "a PLY to standard output.",
 )
 @click.option(
     "--method",

@@ -28,6 +28,7 @@ from hpcapp.applications.surface.settings import (
 )
 from hpcapp.applications.surface.sizes import TILE_POINTS
 from hpcapp.backends.selection import Backend
+from hpcapp.io import describe_losses
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.freed_memory import keep_memory
@@ -155,7 +156,8 @@ def _write(
         topology = outcome.result.surface.check()
     report = _describe(settings, outcome, topology)
     report["attributes"] = carrying.names
-    report["warnings"] = outcome.warnings
+    losses = describe_losses(target, carrying.columns)
+    report["warnings"] = [*outcome.warnings, *([losses] if losses else [])]
     report["dropped"] = {
         "non_finite_points": loaded.dropped.non_finite_points,
         "bad_normals": loaded.dropped.bad_normals,

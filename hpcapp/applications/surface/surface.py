@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,7 +22,15 @@ from hpcapp.applications.surface.stitching.assemble import (
 )
 from hpcapp.applications.surface.stitching.plan import WeldPlan, plan_weld
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
-from hpcapp.io import TILES_SUFFIX, needs_double, shared_ply, shared_tiles, write_mesh, write_tiles
+from hpcapp.io import (
+    TILES_SUFFIX,
+    describe_losses,
+    needs_double,
+    shared_ply,
+    shared_tiles,
+    write_mesh,
+    write_tiles,
+)
 from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.files.held_folders import temporary_folder
@@ -36,6 +45,8 @@ from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["PartSurface", "Surface", "WholeSurface"]
+
+log = logging.getLogger("hpcapp")
 
 
 class Surface(Protocol):
@@ -255,6 +266,8 @@ class PartSurface:
             return
         with self._fetched() as load:
             if suffix == TILES_SUFFIX:
+                if losses := describe_losses(path, carrying.columns):
+                    log.warning("warning: %s", losses)
                 tiles = stream_tiles(self.plan, load, self.origin)
                 write_tiles(path, ((index, carrying.to_tile(tile)) for index, tile in tiles))
             else:

@@ -63,6 +63,15 @@ class Carrying:
         names = [name for name, is_there in made if is_there]
         return [*names, *self.layout.attributes, *[SUPPORT] * (self.spacing is not None)]
 
+    @property
+    def columns(self) -> PointCloud:
+        """Without points: all that the vertices get."""
+        none, attributes = np.empty((0, 3)), dict(self.layout.attributes)
+        if self.spacing is not None:
+            attributes[SUPPORT] = np.empty(0, np.float32)
+        normals = none if self.has_normals else None
+        return PointCloud(none, normals, self.layout.colours, attributes)
+
     def to_stream(self, stream: MeshStream) -> MeshStream:
         """Return a mesh whose vertices carry it.
 
@@ -77,16 +86,7 @@ class Carrying:
         """
         if not self.is_something:
             return stream
-        layout, none = self.layout, np.empty((0, 3))
-        attributes = dict(layout.attributes)
-        if self.spacing is not None:
-            attributes[SUPPORT] = np.empty(0, np.float32)
-        normals = none if self.has_normals else None
-        return replace(
-            stream,
-            vertices=lambda: self._carry(stream),
-            layout=PointCloud(none, normals, layout.colours, attributes),
-        )
+        return replace(stream, vertices=lambda: self._carry(stream), layout=self.columns)
 
     def to_tile(self, tile: MeshStream) -> MeshStream:
         """Return a tile of a mesh whose vertices carry it, but for normals.
