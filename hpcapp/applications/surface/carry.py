@@ -11,6 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from hpcapp.applications.surface.attributes.carrying import Carrying
+from hpcapp.applications.surface.input.folder import choose_tile
 from hpcapp.applications.surface.input.load import Loaded, read_layout
 from hpcapp.applications.surface.settings import JobSettings, Settings, choose_threads
 from hpcapp.io import open_points
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["carry_from_file", "carry_from_memory"]
 
-_ROWS_AT_ONCE = 1 << 20
+_MOST_AT_ONCE = 1 << 20  # points; more bring nothing
 
 
 def carry_from_memory(
@@ -88,17 +89,26 @@ def carry_from_file(
         return Carrying(layout, has_normals=choice.has_normals)
     from hpccomponent.surface.attributes.search import evaluate_blocks
 
+    at_once = min(choose_tile(settings, outcome.backend) or _MOST_AT_ONCE, _MOST_AT_ONCE)
     with clock.stage("attributes"):
-        columns, labels = _put_columns(settings, cloud, layout)
+        columns, labels = _put_columns(settings, cloud, layout, at_once)
     spacing = float(outcome.result.facts["spacing"])
     threads = choose_threads(outcome.backend.workforce, len(cloud))
-    find = partial(evaluate_blocks, cloud, columns.take_blocks, labels, spacing, threads=threads)
+    find = partial(
+        evaluate_blocks,
+        cloud,
+        columns.take_blocks,
+        labels,
+        spacing,
+        threads=threads,
+        points=at_once,
+    )
     support = spacing if choice.has_support else None
     return Carrying(layout, find, support, choice.has_normals)
 
 
 def _put_columns(
-    settings: JobSettings, cloud: DiskCloud, layout: PointCloud
+    settings: JobSettings, cloud: DiskCloud, layout: PointCloud, at_once: int
 ) -> tuple[ColumnBlocks, frozenset[str]]:
     """Put the columns of a file beside its points; return which of them hold labels, too."""
     from hpccomponent.surface.attributes.blocks import ColumnBlocks
@@ -107,7 +117,7 @@ def _put_columns(
     folder = cloud.folder.parent / f"columns-{secrets.token_hex(4)}"
     make_private_folder(folder)
     columns, search = ColumnBlocks(folder, cloud, layout), LabelSearch()
-    for part in open_points(settings.points).chunks(_ROWS_AT_ONCE):
+    for part in open_points(settings.points).chunks(at_once):
         chosen = settings.attributes.select(part, str(settings.points))
         search.add(chosen.attributes)
         local = chosen.positions - cloud.origin if cloud.origin.any() else chosen.positions

@@ -118,16 +118,14 @@ class ColumnBlocks:
         JobError
             The folder is not whole, or the input was not the same when it was read again.
         """
-        own = self.cloud.take_blocks(keys)[0]
         records, blocks = self._read(keys)
-        rows = find_keys(self.cloud.keys, keys)
-        counts = np.append(self.cloud.counts, 0)[rows]
+        counts = np.append(self.cloud.counts, 0)[find_keys(self.cloud.keys, keys)]
         differ = np.bincount(blocks, minlength=len(keys)) != counts
         if differ.any():
-            kept, others = ~differ[blocks], np.repeat(differ, counts)
-            kept[~kept] = _find_own(own[others], records["place"][~kept])
+            own, kept = self.cloud.take_blocks(keys[differ])[0], ~differ[blocks]
+            kept[~kept] = _find_own(own, records["place"][~kept])
             records = records[kept]
-        if len(records) != len(own):
+        if len(records) != counts.sum():
             raise JobError(
                 "the points' attributes do not fit the points: the input has changed meanwhile",
                 "run the job again, and leave its input alone",

@@ -20,9 +20,6 @@ from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray, P
 
 __all__ = ["evaluate_blocks"]
 
-POINTS_AT_ONCE = 1 << 20
-"""Of a group, about; what is made of a point takes some hundred bytes."""
-
 _SLACK = 1.0 + 1e-9  # for the rounding of distances
 
 
@@ -92,7 +89,7 @@ def evaluate_blocks(
     spacing: float,
     places: FloatArray,
     threads: int = 1,
-    points: int = POINTS_AT_ONCE,
+    points: int = 1 << 20,
 ) -> Carried:
     """Return what places take from the points of a cloud that is not in memory.
 
@@ -109,7 +106,7 @@ def evaluate_blocks(
         In the frame of the cloud.
     threads : int
     points : int
-        So many are in memory at once, about.
+        So many are in memory at once, about, with some hundred bytes each.
 
     Returns
     -------
