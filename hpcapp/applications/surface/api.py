@@ -126,12 +126,13 @@ def reconstruct(
         attributes=parse_attributes(attributes),
     )
     _check_settings(settings)
-    cloud = settings.attributes.select(_check_cloud(points, normals), "the cloud")
-    labels = find_labels(cloud.attributes)
+    checked = settings.attributes.select(_check_cloud(points, normals), "the cloud")
+    labels = find_labels(checked.attributes)
     clock = StageClock(SilentProgress() if progress is None else _Calls(progress))
     given = None if isinstance(executor, str) else executor
     with approach_workers(settings) as opener:
-        cloud, far = arrange_usable(settings, cloud, clock)
+        cloud, far = arrange_usable(settings, checked, clock)
+        del checked  # makes room
         cloud, cleaned = clean_points(settings, cloud, far, clock)
         loaded = Loaded(cloud, Dropped(0, 0), cleaned, labels)
         with run_memory(settings, loaded, opener, clock, executor=given) as outcome:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import secrets
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpcapp.applications.surface.attributes.carrying import Carrying
@@ -17,7 +18,7 @@ from hpcapp.applications.surface.settings import JobSettings, Settings, choose_t
 from hpcapp.io import open_points
 from hpcapp.progress import StageClock
 from hpccomponent.files.private_files import make_private_folder
-from hpccomponent.surface.cloud.disk import DiskCloud
+from hpccomponent.surface.cloud.arranged import ArrangedCloud
 from hpccomponent.surface.cloud.spacing import estimate_spacing
 from hpccomponent.surface.types.points import PointCloud
 
@@ -47,9 +48,9 @@ def carry_from_memory(
     -------
     Carrying
     """
-    cloud, choice = loaded.cloud, settings.attributes
-    assert isinstance(cloud, PointCloud)  # noqa: S101 - the caller knows
-    layout = cloud.view(slice(0))
+    points, choice = loaded.cloud.points, settings.attributes
+    assert points is not None  # noqa: S101 - they are in memory
+    layout = points.view(slice(0))
     if not (_has_columns(layout) or choice.has_support):
         return Carrying(layout, has_normals=choice.has_normals)
     from hpccomponent.surface.attributes.carry import AttributeField  # scipy takes its time
@@ -57,9 +58,9 @@ def carry_from_memory(
     with clock.stage("attributes"):
         spacing = None
         if choice.has_support:
-            spacing = outcome.result.facts.get("spacing") or estimate_spacing(cloud.positions)
-        threads = choose_threads(outcome.backend.workforce, len(cloud))
-        field = AttributeField(cloud, loaded.labels, threads)
+            spacing = outcome.result.facts.get("spacing") or estimate_spacing(points.positions)
+        threads = choose_threads(outcome.backend.workforce, len(points))
+        field = AttributeField(points, loaded.labels, threads)
     return Carrying(layout, field.evaluate, spacing, choice.has_normals)
 
 
@@ -82,7 +83,7 @@ def carry_from_file(
     Carrying
     """
     cloud, choice = loaded.cloud, settings.attributes
-    if isinstance(cloud, PointCloud):
+    if cloud.points is not None:
         return carry_from_memory(settings, loaded, outcome, clock)
     layout = read_layout(settings)
     if not (_has_columns(layout) or choice.has_support):
@@ -108,13 +109,13 @@ def carry_from_file(
 
 
 def _put_columns(
-    settings: JobSettings, cloud: DiskCloud, layout: PointCloud, at_once: int
+    settings: JobSettings, cloud: ArrangedCloud, layout: PointCloud, at_once: int
 ) -> tuple[ColumnBlocks, frozenset[str]]:
     """Put the columns of a file beside its points; return which of them hold labels, too."""
     from hpccomponent.surface.attributes.blocks import ColumnBlocks
     from hpccomponent.surface.attributes.labels import LabelSearch
 
-    folder = cloud.folder.parent / f"columns-{secrets.token_hex(4)}"
+    folder = Path(str(cloud.place)).parent / f"columns-{secrets.token_hex(4)}"
     make_private_folder(folder)
     columns, search = ColumnBlocks(folder, cloud, layout), LabelSearch()
     for part in open_points(settings.points).chunks(at_once):

@@ -32,7 +32,6 @@ from hpcapp.io import describe_losses
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.freed_memory import keep_memory
-from hpccomponent.surface.types.points import PointCloud
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.steps import Outcome
@@ -119,9 +118,8 @@ def _run_in_folder(
         loaded.report(settings.points)
         from hpcapp.applications.surface.steps import run_loaded  # imported by now: `load_folder`
 
-        grid = choose_grid(settings, *loaded.box)
-        if isinstance(loaded.cloud, PointCloud):
-            check_memory(settings.method, grid, loaded.cloud)
+        grid = choose_grid(settings, loaded.cloud.low, loaded.cloud.high)
+        check_memory(settings.method, grid, loaded.cloud.points)
         outcome = run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
         return _write(settings, loaded, outcome, target, clock)
 

@@ -131,7 +131,7 @@ def fitting_tile(limit: float, at_once: int) -> int:
     return int(min(max(points, LEAST_TILE), TILE_POINTS))
 
 
-def check_memory(method: MethodSettings, grid: int, cloud: PointCloud) -> None:
+def check_memory(method: MethodSettings, grid: int, points: PointCloud | None) -> None:
     """Refuse a grid whose mesh cannot be computed in the memory that is available.
 
     Parameters
@@ -139,8 +139,8 @@ def check_memory(method: MethodSettings, grid: int, cloud: PointCloud) -> None:
     method : MethodSettings
     grid : int
         Cells along the longest side.
-    cloud : PointCloud
-        Finite positions, not all at one place.
+    points : PointCloud or None
+        Finite positions, not all at one place; None where they are not in memory, and tiles fit.
 
     Raises
     ------
@@ -148,9 +148,9 @@ def check_memory(method: MethodSettings, grid: int, cloud: PointCloud) -> None:
         It takes more than there is; the message names a grid that fits.
     """
     available = available_memory()
-    if grid <= SMALL_GRID or available is None:
+    if grid <= SMALL_GRID or available is None or points is None:
         return
-    needed = method.estimate_memory(grid, cloud)
+    needed = method.estimate_memory(grid, points)
     if needed <= available:
         return
     fitting = max(

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from hpccomponent.errors import JobError, OutputError
 from hpccomponent.files.whole_files import write_whole
 from hpccomponent.surface import kernels
-from hpccomponent.surface.cloud.arranged import find_runs
+from hpccomponent.surface.cloud.arranged import ArrangedCloud, find_runs
 from hpccomponent.surface.cloud.arrangement import snap_points
-from hpccomponent.surface.cloud.disk import DiskCloud
 from hpccomponent.surface.types.lattice import find_keys
 from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
 
@@ -49,14 +48,14 @@ class ColumnBlocks:
     ----------
     folder : Path
         Exists.
-    cloud : DiskCloud
+    cloud : ArrangedCloud
         Whose points they belong to.
     layout : PointCloud
         Without points: which colours and attributes there are.
     """
 
     folder: Path
-    cloud: DiskCloud
+    cloud: ArrangedCloud
     layout: PointCloud
     _parts: list[_Part] = field(default_factory=list)
 

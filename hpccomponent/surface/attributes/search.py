@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpccomponent.surface.attributes.carry import NEIGHBOURS, AttributeField, Carried
-from hpccomponent.surface.cloud.arranged import cut_blocks
-from hpccomponent.surface.cloud.disk import DiskCloud
+from hpccomponent.surface.cloud.arranged import ArrangedCloud
 from hpccomponent.surface.types.lattice import unpack_keys
 from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
 
@@ -27,7 +26,7 @@ _SLACK = 1.0 + 1e-9  # for the rounding of distances
 class _Search:
     """A cloud, and what is to be found in it."""
 
-    cloud: DiskCloud
+    cloud: ArrangedCloud
     take: Callable[[IntArray], PointCloud]
     labels: Collection[str]
     threads: int
@@ -74,8 +73,9 @@ class _Search:
     ) -> PointCloud:
         """Return the points within the margin around a box, read some blocks at a time."""
         parts = []
-        for run in cut_blocks(counts, self.points):
-            some = self.take(keys[run])
+        cuts = np.flatnonzero(np.diff(np.cumsum(counts) // self.points)) + 1
+        for run in np.split(keys, cuts) if len(keys) else []:
+            some = self.take(run)
             away = np.maximum(np.maximum(low - some.positions, some.positions - high), 0.0)
             is_near = np.einsum("ij,ij->i", away, away) <= margin * margin * _SLACK
             parts.append(some if is_near.all() else some.take(is_near))
@@ -83,7 +83,7 @@ class _Search:
 
 
 def evaluate_blocks(
-    cloud: DiskCloud,
+    cloud: ArrangedCloud,
     take: Callable[[IntArray], PointCloud],
     labels: Collection[str],
     spacing: float,
@@ -95,7 +95,7 @@ def evaluate_blocks(
 
     Parameters
     ----------
-    cloud : DiskCloud
+    cloud : ArrangedCloud
     take : callable
         Given sorted keys of blocks, returns their points with the columns (see `ColumnBlocks`).
     labels : collection of str

@@ -20,13 +20,18 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.hierarchical.estimates import SAMPLED_BOX, draw_sample, first_share
 from hpcapp.applications.surface.hierarchical.tiles import cut_tiles
 from hpcapp.applications.surface.input.clean import Cleaned
 from hpcapp.applications.surface.scans import Boxes, Passes, measure_spacing
 from hpccomponent.surface.cloud import outlier_regions
-from hpccomponent.surface.cloud.arranged import Points
-from hpccomponent.surface.cloud.disk import DiskCloud, Measured, Part, write_index, write_part
+from hpccomponent.surface.cloud.disk import DiskCloud, Part, write_index, write_part
+from hpccomponent.surface.cloud.measured import (
+    SAMPLED_BOX,
+    Measured,
+    Points,
+    draw_sample,
+    first_share,
+)
 from hpccomponent.surface.cloud.outlier_regions import RegionRanks, judge_sparse
 from hpccomponent.surface.cloud.regions import DroppedCells
 from hpccomponent.surface.normals import consistency as normals
@@ -104,7 +109,7 @@ def measure_cloud(
     spacing : float
         In length units of the input.
     sample : Points, optional
-        The first that `estimates.draw_sample` asks for, in any order of blocks.
+        The first that `measured.draw_sample` asks for, in any order of blocks.
 
     Returns
     -------

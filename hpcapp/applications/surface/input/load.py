@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 
 from hpcapp.applications.surface.checkpoint import POINTS_NOTE
-from hpcapp.applications.surface.input.clean import Cleaned, arrange_points, clean_cloud, drop_far
+from hpcapp.applications.surface.input.clean import Cleaned, clean_cloud, drop_far
 from hpcapp.applications.surface.input.ingest import ingest_file
 from hpcapp.applications.surface.scans import Passes, measure_spacing
 from hpcapp.applications.surface.settings import JobSettings, Settings
@@ -24,9 +24,9 @@ from hpccomponent.files.private_files import make_private_folder, remove_path
 from hpccomponent.store.base import FolderStore
 from hpccomponent.store.value import DamagedError
 from hpccomponent.surface.attributes.labels import find_labels
-from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpccomponent.surface.cloud.arranged import ArrangedCloud, MemoryCloud, arrange_cloud
+from hpccomponent.surface.cloud.disk import open_disk_cloud
+from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
     "Loaded",
@@ -54,24 +54,17 @@ class Loaded:
 
     Parameters
     ----------
-    cloud : PointCloud or DiskCloud
+    cloud : ArrangedCloud
     dropped : Dropped
     cleaned : Cleaned
     labels : frozenset of str
         Attributes of a cloud in memory of which no mean is to be taken.
     """
 
-    cloud: PointCloud | DiskCloud
+    cloud: ArrangedCloud
     dropped: Dropped
     cleaned: Cleaned
     labels: frozenset[str] = frozenset()
-
-    @property
-    def box(self) -> tuple[FloatArray, FloatArray]:
-        """Corners of the box around all points."""
-        if isinstance(self.cloud, PointCloud):
-            return bound_points(self.cloud.positions)
-        return self.cloud.low, self.cloud.high
 
     def report(self, path: Path) -> None:
         """Log what was left out of a file.
@@ -105,57 +98,58 @@ def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
     Loaded
     """
     with clock.stage("read"):
-        cloud = settings.attributes.select(read_points(settings.points), str(settings.points))
-        labels = find_labels(cloud.attributes)
-        cloud, dropped = drop_unusable(cloud, str(settings.points))
-    cloud, far = arrange_usable(settings, cloud, clock)
+        read = settings.attributes.select(read_points(settings.points), str(settings.points))
+        labels = find_labels(read.attributes)
+        points, dropped = drop_unusable(read, str(settings.points))
+        del read
+    cloud, far = arrange_usable(settings, points, clock)
+    del points  # makes room
     cloud, cleaned = clean_points(settings, cloud, far, clock)
     return Loaded(cloud, dropped, cleaned, labels)
 
 
 def arrange_usable(
-    settings: Settings, cloud: PointCloud, clock: StageClock
-) -> tuple[PointCloud, int]:
+    settings: Settings, points: PointCloud, clock: StageClock
+) -> tuple[MemoryCloud, int]:
     """Drop points that lie far away, and arrange the rest, where the method wants it.
 
     Parameters
     ----------
     settings : Settings
-    cloud : PointCloud
-        Usable points.
+    points : PointCloud
+        Usable ones.
     clock : StageClock
 
     Returns
     -------
-    cloud : PointCloud
-        A copy: the caller may let go of its own.
+    cloud : MemoryCloud
+        Of a copy, where they are arranged: the caller may let go of its own.
     far : int
         Points that were dropped.
     """
     if settings.method.needs_whole_cloud:  # it cuts the cloud up by itself
-        return cloud, 0
+        return MemoryCloud.as_they_are(points), 0
     with clock.stage("arrange"):
-        arranged = arrange_points(drop_far(cloud) if settings.method.cleans else cloud)
-    return arranged, len(cloud) - len(arranged)
+        cloud = arrange_cloud(drop_far(points) if settings.method.cleans else points)
+    return cloud, len(points) - len(cloud)
 
 
 def clean_points(
-    settings: Settings, cloud: PointCloud, far: int, clock: StageClock
-) -> tuple[PointCloud, Cleaned]:
+    settings: Settings, cloud: MemoryCloud, far: int, clock: StageClock
+) -> tuple[MemoryCloud, Cleaned]:
     """Drop outliers and turn wrong normals round, where that is wanted.
 
     Parameters
     ----------
     settings : Settings
-    cloud : PointCloud
-        Arranged.
+    cloud : MemoryCloud
     far : int
         Points that were dropped because they lie far away.
     clock : StageClock
 
     Returns
     -------
-    cloud : PointCloud
+    cloud : MemoryCloud
     cleaned : Cleaned
     """
     if not settings.method.cleans:

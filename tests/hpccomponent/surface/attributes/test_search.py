@@ -72,7 +72,7 @@ def equal(one: PointCloud, other: PointCloud) -> bool:
 def test_groups_of_any_size_give_the_bits_of_the_whole(tmp_path: Path, at_once: int) -> None:
     cloud = scan()
     disk, columns = put(tmp_path, cloud, cloud)
-    whole = AttributeField(arrange_cloud(cloud).cloud, LABELS).evaluate(vertices())
+    whole = AttributeField(arrange_cloud(cloud).points, LABELS).evaluate(vertices())
     found = evaluate_blocks(disk, columns.take_blocks, LABELS, SPACING, vertices(), points=at_once)
     assert equal(found.points, whole.points)
     assert found.nearest.tobytes() == whole.nearest.tobytes()
@@ -83,7 +83,7 @@ def test_points_that_were_dropped_give_nothing(tmp_path: Path) -> None:
     cloud = scan()
     kept = cloud.take(np.arange(len(cloud)) % 3 > 0)
     disk, columns = put(tmp_path, cloud, kept)
-    whole = AttributeField(arrange_cloud(kept).cloud, LABELS).evaluate(vertices())
+    whole = AttributeField(arrange_cloud(kept).points, LABELS).evaluate(vertices())
     found = evaluate_blocks(disk, columns.take_blocks, LABELS, SPACING, vertices(), points=900)
     assert equal(found.points, whole.points)
 
@@ -96,7 +96,7 @@ def test_of_points_at_one_place_the_first_ones_stay(tmp_path: Path) -> None:
     first = np.sort(np.unique(order, return_index=True)[1])
     kept = thrice.take(first)
     disk, columns = put(tmp_path, thrice, kept)
-    whole = AttributeField(arrange_cloud(kept).cloud, LABELS).evaluate(vertices())
+    whole = AttributeField(arrange_cloud(kept).points, LABELS).evaluate(vertices())
     found = evaluate_blocks(disk, columns.take_blocks, LABELS, SPACING, vertices())
     assert equal(found.points, whole.points)
 
@@ -104,7 +104,7 @@ def test_of_points_at_one_place_the_first_ones_stay(tmp_path: Path) -> None:
 def test_few_points_and_no_places_are_no_trouble(tmp_path: Path) -> None:
     cloud = scan().take(np.arange(5))
     disk, columns = put(tmp_path, cloud, cloud)
-    whole = AttributeField(arrange_cloud(cloud).cloud, LABELS).evaluate(vertices(20))
+    whole = AttributeField(arrange_cloud(cloud).points, LABELS).evaluate(vertices(20))
     found = evaluate_blocks(disk, columns.take_blocks, LABELS, SPACING, vertices(20))
     assert equal(found.points, whole.points)
     assert not len(
