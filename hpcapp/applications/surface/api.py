@@ -134,7 +134,8 @@ def reconstruct(
         cloud, far = arrange_usable(settings, checked, clock)
         del checked  # makes room
         cloud, cleaned = clean_points(settings, cloud, far, clock)
-        loaded = Loaded(cloud, Dropped(0, 0), cleaned, labels)
+        columns = cloud.points.view(slice(0))
+        loaded = Loaded(cloud, Dropped(0, 0), cleaned, columns, labels)
         with run_memory(settings, loaded, opener, clock, executor=given) as outcome:
             carrying = carry_from_memory(settings, loaded, outcome, clock)
             mesh = outcome.result.surface.mesh(carrying)

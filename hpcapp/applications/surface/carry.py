@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpcapp.applications.surface.attributes.carrying import Carrying
+from hpcapp.applications.surface.attributes.choice import AttributeChoice
 from hpcapp.applications.surface.input.folder import choose_tile
-from hpcapp.applications.surface.input.load import Loaded, read_layout
+from hpcapp.applications.surface.input.load import Loaded
 from hpcapp.applications.surface.settings import JobSettings, Settings, choose_threads
 from hpcapp.io import open_points
 from hpcapp.progress import StageClock
 from hpccomponent.files.private_files import make_private_folder
-from hpccomponent.surface.cloud.arranged import ArrangedCloud
 from hpccomponent.surface.cloud.spacing import estimate_spacing
 from hpccomponent.surface.types.points import PointCloud
 
@@ -50,9 +50,8 @@ def carry_from_memory(
     """
     points, choice = loaded.cloud.points, settings.attributes
     assert points is not None  # noqa: S101 - they are in memory
-    layout = points.view(slice(0))
-    if not (_has_columns(layout) or choice.has_support):
-        return Carrying(layout, has_normals=choice.has_normals)
+    if not _needs_points(loaded.columns, choice):
+        return Carrying(loaded.columns, has_normals=choice.has_normals)
     from hpccomponent.surface.attributes.carry import AttributeField  # scipy takes its time
 
     with clock.stage("attributes"):
@@ -61,7 +60,7 @@ def carry_from_memory(
             spacing = outcome.result.facts.get("spacing") or estimate_spacing(points.positions)
         threads = choose_threads(outcome.backend.workforce, len(points))
         field = AttributeField(points, loaded.labels, threads)
-    return Carrying(layout, field.evaluate, spacing, choice.has_normals)
+    return Carrying(loaded.columns, field.evaluate, spacing, choice.has_normals)
 
 
 def carry_from_file(
@@ -85,14 +84,13 @@ def carry_from_file(
     cloud, choice = loaded.cloud, settings.attributes
     if cloud.points is not None:
         return carry_from_memory(settings, loaded, outcome, clock)
-    layout = read_layout(settings)
-    if not (_has_columns(layout) or choice.has_support):
-        return Carrying(layout, has_normals=choice.has_normals)
+    if not _needs_points(loaded.columns, choice):
+        return Carrying(loaded.columns, has_normals=choice.has_normals)
     from hpccomponent.surface.attributes.search import evaluate_blocks
 
     at_once = min(choose_tile(settings, outcome.backend) or _MOST_AT_ONCE, _MOST_AT_ONCE)
     with clock.stage("attributes"):
-        columns, labels = _put_columns(settings, cloud, layout, at_once)
+        columns, labels = _put_columns(settings, loaded, at_once)
     spacing = float(outcome.result.facts["spacing"])
     threads = choose_threads(outcome.backend.workforce, len(cloud))
     find = partial(
@@ -105,19 +103,20 @@ def carry_from_file(
         points=at_once,
     )
     support = spacing if choice.has_support else None
-    return Carrying(layout, find, support, choice.has_normals)
+    return Carrying(loaded.columns, find, support, choice.has_normals)
 
 
 def _put_columns(
-    settings: JobSettings, cloud: ArrangedCloud, layout: PointCloud, at_once: int
+    settings: JobSettings, loaded: Loaded, at_once: int
 ) -> tuple[ColumnBlocks, frozenset[str]]:
     """Put the columns of a file beside its points; return which of them hold labels, too."""
     from hpccomponent.surface.attributes.blocks import ColumnBlocks
     from hpccomponent.surface.attributes.labels import LabelSearch
 
+    cloud = loaded.cloud
     folder = Path(str(cloud.place)).parent / f"columns-{secrets.token_hex(4)}"
     make_private_folder(folder)
-    columns, search = ColumnBlocks(folder, cloud, layout), LabelSearch()
+    columns, search = ColumnBlocks(folder, cloud, loaded.columns), LabelSearch()
     for part in open_points(settings.points).chunks(at_once):
         chosen = settings.attributes.select(part, str(settings.points))
         search.add(chosen.attributes)
@@ -126,5 +125,6 @@ def _put_columns(
     return columns, search.labels
 
 
-def _has_columns(layout: PointCloud) -> bool:
-    return layout.colours is not None or bool(layout.attributes)
+def _needs_points(columns: PointCloud, choice: AttributeChoice) -> bool:
+    """Tell whether vertices are looked up among the points."""
+    return columns.colours is not None or bool(columns.attributes) or choice.has_support

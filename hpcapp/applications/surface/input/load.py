@@ -6,17 +6,19 @@ import logging
 import os
 import secrets
 import shutil
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+
+import numpy as np
 
 from hpcapp.applications.surface.checkpoint import POINTS_NOTE
 from hpcapp.applications.surface.input.clean import Cleaned, clean_cloud, drop_far
 from hpcapp.applications.surface.input.ingest import ingest_file
 from hpcapp.applications.surface.scans import Passes, measure_spacing
 from hpcapp.applications.surface.settings import JobSettings, Settings
-from hpcapp.io import drop_unusable, open_points, read_points
+from hpcapp.io import PointSource, drop_unusable, open_points, read_points
 from hpcapp.io.points.usable import Dropped
 from hpcapp.progress import StageClock
 from hpccomponent.errors import JobError
@@ -34,7 +36,6 @@ __all__ = [
     "clean_points",
     "load_folder",
     "load_memory",
-    "read_layout",
 ]
 
 log = logging.getLogger("hpcapp")
@@ -57,6 +58,8 @@ class Loaded:
     cloud : ArrangedCloud
     dropped : Dropped
     cleaned : Cleaned
+    columns : PointCloud
+        Without points: colours and attributes that are to be carried to the mesh.
     labels : frozenset of str
         Attributes of a cloud in memory of which no mean is to be taken.
     """
@@ -64,6 +67,7 @@ class Loaded:
     cloud: ArrangedCloud
     dropped: Dropped
     cleaned: Cleaned
+    columns: PointCloud = field(default_factory=lambda: PointCloud(np.empty((0, 3))))
     labels: frozenset[str] = frozenset()
 
     def report(self, path: Path) -> None:
@@ -105,7 +109,7 @@ def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
     cloud, far = arrange_usable(settings, points, clock)
     del points  # makes room
     cloud, cleaned = clean_points(settings, cloud, far, clock)
-    return Loaded(cloud, dropped, cleaned, labels)
+    return Loaded(cloud, dropped, cleaned, cloud.points.view(slice(0)), labels)
 
 
 def arrange_usable(
@@ -178,9 +182,10 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
     Loaded
         The same points as `load_memory` gives, bit for bit; measured.
     """
-    read_layout(settings)
+    source = open_points(settings.points)
+    columns = _find_columns(settings, source)
     if settings.resume and (found := _find_loaded(folder)) is not None:
-        return found
+        return replace(found, columns=columns)
     remove_path(folder)
     run = secrets.token_hex(4)  # a worker that is late must not write into a later run's points
     arranged, cleaned_folder = folder / f"arranged-{run}", folder / f"cleaned-{run}"
@@ -188,9 +193,7 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
     for module in _LATER:
         passes.workforce.defer(partial(import_module, module))
     with clock.stage("read"):
-        read = ingest_file(
-            open_points(settings.points), arranged, passes, drop_far=settings.method.cleans
-        )
+        read = ingest_file(source, arranged, passes, drop_far=settings.method.cleans)
     from hpcapp.applications.surface.input.clean_regions import clean_regions, measure_cloud
 
     cloud, cleaned = read.cloud, Cleaned(0, 0)
@@ -204,7 +207,8 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
         box = len(cloud), cloud.low, cloud.high
         spacing = measure_spacing(cloud, passes, box, None, read.boxes)
         cloud = measure_cloud(cloud, passes, spacing)
-    loaded = Loaded(cloud, read.dropped, replace(cleaned, outliers=read.far + cleaned.outliers))
+    cleaned = replace(cleaned, outliers=read.far + cleaned.outliers)
+    loaded = Loaded(cloud, read.dropped, cleaned, columns)
     told = {
         "cloud": cloud.folder.name,
         "dropped": asdict(loaded.dropped),
@@ -214,26 +218,9 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
     return loaded
 
 
-def read_layout(settings: JobSettings) -> PointCloud:
-    """Find out which columns of a file are to be carried to the mesh.
-
-    Parameters
-    ----------
-    settings : JobSettings
-
-    Returns
-    -------
-    PointCloud
-        No points, with these columns.
-
-    Raises
-    ------
-    UsageError
-        A column that is asked for is not there.
-    InputError
-        The file cannot be read.
-    """
-    first = next(open_points(settings.points).chunks(1))
+def _find_columns(settings: JobSettings, source: PointSource) -> PointCloud:
+    """Return no points, with the columns of a file that are to be carried to the mesh."""
+    first = next(source.chunks(1))
     return settings.attributes.select(first, str(settings.points)).view(slice(0))
 
 
