@@ -61,6 +61,7 @@ def test_a_painted_sphere_comes_back_painted(cloud: PointCloud) -> None:
     assert mesh.colours is not None
     assert truth.colours is not None
     assert mesh.normals is not None
+    assert truth.normals is not None
     assert mesh.colours.dtype == np.uint8
     assert np.abs(mesh.colours.astype(int) - truth.colours).max() <= 6
     assert list(mesh.attributes) == ["intensity", "classification", "support"]

@@ -49,6 +49,7 @@ def test_colours_and_normals_of_vertices_are_written(tmp_path: Path, painted: Me
     np.testing.assert_array_equal(rows[:, :3], painted.vertices + painted.origin)
     np.testing.assert_array_equal(np.rint(255 * rows[:, 3:]), painted.colours)
     normals = np.array([line[1:] for line in lines if line[0] == "vn"], float)
+    assert painted.normals is not None
     np.testing.assert_allclose(normals, painted.normals, atol=1e-5)
     assert lines[-1] == ["f", "1//1", "4//4", "3//3"]
     again = read_obj(tmp_path / "mesh.obj")

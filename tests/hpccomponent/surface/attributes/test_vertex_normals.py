@@ -3,11 +3,12 @@ from __future__ import annotations
 import numpy as np
 
 from hpccomponent.surface.attributes.vertex_normals import add_face_normals, scale_normals
+from hpccomponent.surface.types.points import FloatArray
 
 CORNERS = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0], [9, 9, 9], [0, 0, 3]], float)
 
 
-def sum_up(faces: list[list[int]], at_once: int) -> np.ndarray:  # type: ignore[type-arg]
+def sum_up(faces: list[list[int]], at_once: int) -> FloatArray:
     sums, table = np.zeros((3, len(CORNERS))), np.array(faces)
     for start in range(0, len(table), at_once):
         some = table[start : start + at_once]
