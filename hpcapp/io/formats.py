@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Literal, TypeVar
 
+from hpcapp.io.e57.writer import write_e57
+from hpcapp.io.las.writer import write_las
+from hpcapp.io.meshes.glb import write_glb
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.obj import read_obj, write_obj
 from hpcapp.io.meshes.off import read_off, write_off
 from hpcapp.io.meshes.stl import read_stl, write_stl
 from hpcapp.io.meshes.tiles import TILES_SUFFIX, check_tiles, write_tiles
+from hpcapp.io.meshes.vtp import write_vtp
 from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh, write_ply_points
+from hpcapp.io.points.npz_writer import write_npz_points
 from hpcapp.io.points.point_source import PointSource, read_whole, translated
+from hpcapp.io.points.recognition import recognise
 from hpcapp.io.points.registry import find_point_format
-from hpcapp.io.points.text import write_text_points
 from hpcapp.io.staging import check_place
+from hpcapp.io.text.writer import write_text_points
 from hpccomponent.errors import InputError, OutputError, UsageError
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
     "check_writable",
+    "describe_losses",
     "open_points",
     "read_mesh",
     "read_points",
@@ -31,14 +40,20 @@ __all__ = [
     "write_points",
 ]
 
+log = logging.getLogger("hpcapp")
+
 Chosen = TypeVar("Chosen")
 
 _STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
 
-_TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")
-_POINT_WRITERS: dict[str, Callable[[Path, PointCloud], None]] = {
-    ".ply": write_ply_points,
-    **dict.fromkeys(_TEXT_SUFFIXES, write_text_points),
+_TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")  # what blanks separate in any program
+_POINT_WRITERS: dict[str, Callable[[Path, PointCloud, str | None], None]] = {
+    ".ply": lambda path, cloud, _: write_ply_points(path, cloud),
+    **dict.fromkeys(_TEXT_SUFFIXES, lambda path, cloud, _: write_text_points(path, cloud)),
+    ".las": write_las,
+    ".laz": write_las,
+    ".e57": write_e57,
+    ".npz": lambda path, cloud, _: write_npz_points(path, cloud),
 }
 _MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".ply": read_ply_mesh,
@@ -46,17 +61,37 @@ _MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".off": read_off,
     ".stl": read_stl,
 }
-_MESH_WRITERS: dict[str, Callable[[Path, Mesh | MeshStream], None]] = {
-    ".ply": write_ply_mesh,
-    ".obj": write_obj,
-    ".off": write_off,
-    ".stl": write_stl,
-    TILES_SUFFIX: lambda path, mesh: write_tiles(path, [(0, as_stream(mesh))]),
+
+
+@dataclass(frozen=True, slots=True)
+class _MeshWriter:
+    """A format that meshes are written to, and which columns of vertices it holds."""
+
+    write: Callable[[Path, Mesh | MeshStream], None]
+    holds_normals: bool = False
+    holds_colours: bool = False
+    holds_attributes: bool = False
+
+    @property
+    def holds_all(self) -> bool:
+        return self.holds_normals and self.holds_colours and self.holds_attributes
+
+
+_MESH_WRITERS: dict[str, _MeshWriter] = {
+    ".ply": _MeshWriter(write_ply_mesh, True, True, True),
+    ".obj": _MeshWriter(write_obj, True, True),
+    ".off": _MeshWriter(write_off),
+    ".stl": _MeshWriter(write_stl),
+    ".glb": _MeshWriter(write_glb, True, True, True),
+    ".vtp": _MeshWriter(write_vtp, True, True, True),
+    TILES_SUFFIX: _MeshWriter(
+        lambda path, mesh: write_tiles(path, [(0, as_stream(mesh))]), False, True, True
+    ),
 }
 
 
 def read_points(path: str | PathLike[str]) -> PointCloud:
-    """Read a point cloud: .ply (a mesh's vertices, too), .xyz, .txt, .asc, .pts.
+    """Read a point cloud, or the vertices of a mesh.
 
     Parameters
     ----------
@@ -90,7 +125,8 @@ def open_points(path: str | PathLike[str]) -> PointSource:
     Returns
     -------
     PointSource
-        Its parts are in the file's coordinates, and hold every point of it.
+        Its parts are in the file's coordinates, and hold every point of it but missing returns;
+        what its columns hold was found out (see `recognise`).
 
     Raises
     ------
@@ -106,7 +142,7 @@ def open_points(path: str | PathLike[str]) -> PointSource:
     point_format = find_point_format(Path(path))
     with translated(Path(path)):
         _refuse_special(Path(path))
-        return point_format.open(Path(path))
+        return recognise(point_format.open(Path(path)))
 
 
 def read_mesh(path: str | PathLike[str]) -> Mesh:
@@ -135,8 +171,10 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
         return reader(Path(path))
 
 
-def write_points(path: str | PathLike[str], cloud: PointCloud) -> None:
-    """Write a point cloud, in the input's coordinates: .ply, .xyz, .txt, .asc, .pts.
+def write_points(path: str | PathLike[str], cloud: PointCloud, crs: str | None = None) -> None:
+    """Write a point cloud, in the input's coordinates.
+
+    The formats are .ply, .las, .laz, .e57, .npz, .xyz, .txt, .asc and .pts.
 
     Parameters
     ----------
@@ -144,21 +182,27 @@ def write_points(path: str | PathLike[str], cloud: PointCloud) -> None:
         The suffix chooses the format. The file appears whole or not at all.
     cloud : PointCloud
         May lack normals and colours.
+    crs : str, optional
+        Coordinate reference system, as WKT or an EPSG code; kept where the format holds it.
 
     Raises
     ------
     OutputError
         The suffix is unknown, or the file cannot be written.
+    UsageError
+        The library that writes the format is not installed.
     """
     _choose(_POINT_WRITERS, Path(path), OutputError, "a point cloud is written to")(
-        Path(path), cloud
+        Path(path), cloud, crs
     )
 
 
 def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
-    """Write a mesh: .ply, .obj, .off in the input's coordinates, .stl in the local frame.
+    """Write a mesh: .ply, .obj, .off, .vtp in the input's coordinates, .stl in the local frame.
 
-    ``.tiles`` makes a folder with the mesh as one tile (see `write_tiles`).
+    ``.glb`` is in the local frame, too, and says where that is; ``.tiles`` makes a folder with the
+    mesh as one tile (see `write_tiles`). What its vertices carry and the format does not hold is
+    logged as a warning.
 
     Parameters
     ----------
@@ -172,7 +216,39 @@ def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
     OutputError
         The suffix is unknown, or the file cannot be written.
     """
-    _choose(_MESH_WRITERS, Path(path), OutputError, "a mesh is written to")(Path(path), mesh)
+    writer = _choose(_MESH_WRITERS, Path(path), OutputError, "a mesh is written to")
+    stream = as_stream(mesh)
+    if losses := describe_losses(path, stream.layout):
+        log.warning("warning: %s", losses)
+    writer.write(Path(path), stream)
+
+
+def describe_losses(path: str | PathLike[str], layout: PointCloud) -> str | None:
+    """Say what a mesh's vertices carry that the format of a file does not hold.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        The suffix chooses the format.
+    layout : PointCloud
+        Without points; see `MeshStream`.
+
+    Returns
+    -------
+    str or None
+        One line; None where all is held.
+    """
+    writer = _choose(_MESH_WRITERS, Path(path), OutputError, "a mesh is written to")
+    lost = ["normals"] if layout.normals is not None and not writer.holds_normals else []
+    lost += ["colours"] if layout.colours is not None and not writer.holds_colours else []
+    lost += [] if writer.holds_attributes else layout.attributes
+    if not lost:
+        return None
+    others = [suffix for suffix, other in _MESH_WRITERS.items() if other.holds_all]
+    return (
+        f"{path}: {Path(path).suffix} holds no {', no '.join(lost)} of vertices: left out; "
+        f"{', '.join(others)} hold all"
+    )
 
 
 def check_writable(path: str | PathLike[str], kind: Literal["mesh", "points"] = "mesh") -> None:

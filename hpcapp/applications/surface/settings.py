@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hpcapp.applications.surface.attributes.choice import AttributeChoice
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.sizes import MARGIN
@@ -61,6 +62,8 @@ class Settings:
         Whether to go on from what an earlier run left in `temp_dir`.
     outliers, denoise, resample : bool
         The paper's preprocessing, step by step.
+    attributes : AttributeChoice
+        What the mesh's vertices carry.
     normals : str
         ``auto`` estimates those that are missing and mends the others, ``file`` takes those of the
         input as they are, ``estimate`` takes none of them.
@@ -82,6 +85,7 @@ class Settings:
     outliers: bool = False
     denoise: bool = False
     resample: bool = False
+    attributes: AttributeChoice = field(default_factory=AttributeChoice)
     normals: str = "auto"
     viewpoints: tuple[tuple[float, float, float], ...] = ()
 
@@ -93,13 +97,27 @@ class JobSettings(Settings):
     Parameters
     ----------
     points : Path
-        The point cloud.
+        The point cloud that is read.
     output : str
         The mesh to write; ``-`` for standard output.
+    inputs : tuple of Path
+        The files that the user named, where `points` is made of them.
     """
 
     points: Path
     output: str
+    inputs: tuple[Path, ...] = ()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What the points come from."""
+        return self.inputs or (self.points,)
+
+    @property
+    def shown(self) -> str:
+        """The input for messages."""
+        first, *more = map(str, self.files)
+        return f"{first} and {len(more)} more" if more else first
 
 
 def choose_grid(settings: Settings, low: FloatArray, high: FloatArray) -> int:

@@ -38,6 +38,7 @@ __all__ = [
     "MENDED",
     "PATCHES",
     "RANKS",
+    "REPEATED",
     "REPLACED",
     "SAMPLE",
     "SMALL_BYTES",
@@ -68,6 +69,7 @@ CELL_COUNTS = Fixed(Array("<i8", "c", low=0), Array("<i8", "c", low=1, high=_MOS
 BOX_COUNTS = Each(Fixed(Whole(0, _MOST), _KEYS))
 SAMPLE = Fixed(Array("<f8", "s", 3), Array("<f8", "s", 3))
 STRAY_CELLS = Array("<i8", "s", low=0)
+REPEATED = Fixed(Whole(0, _MOST), _KEYS, _COUNTS)
 RANKS = Fixed(
     Array("<i8", "ranks", low=0),
     Array("<i8", "coarse", low=0),

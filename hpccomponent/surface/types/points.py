@@ -38,7 +38,7 @@ class PointCloud:
     normals : ndarray of float64, shape (n, 3), or None
         Unit length, pointing out of the object (towards the scanner).
     colours : ndarray of uint8, shape (n, 3), or None
-        Red, green, blue.
+        Red, green, blue; as the file has them, of any type, where a reader has just read them.
     attributes : dict of str to ndarray, shape (n,)
         Any other numeric columns, by name.
     origin : ndarray of float64, shape (3,)
@@ -47,12 +47,32 @@ class PointCloud:
 
     positions: FloatArray
     normals: FloatArray | None = None
-    colours: NDArray[np.uint8] | None = None
+    colours: NDArray[Any] | None = None
     attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     origin: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    def view(self, rows: slice) -> PointCloud:
+        """Return a run of the points, without a copy.
+
+        Parameters
+        ----------
+        rows : slice
+
+        Returns
+        -------
+        PointCloud
+            Its origin is the same.
+        """
+        return PointCloud(
+            self.positions[rows],
+            None if self.normals is None else self.normals[rows],
+            None if self.colours is None else self.colours[rows],
+            {name: column[rows] for name, column in self.attributes.items()},
+            self.origin,
+        )
 
     def take(self, selection: NDArray[Any]) -> PointCloud:
         """Return the points that a selection names, in its order.

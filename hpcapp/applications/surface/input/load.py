@@ -6,7 +6,7 @@ import logging
 import os
 import secrets
 import shutil
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from hpcapp.applications.surface.checkpoint import POINTS_NOTE
-from hpcapp.applications.surface.input.clean import Cleaned, arrange_points, clean_cloud, drop_far
+from hpcapp.applications.surface.input.clean import Cleaned, clean_cloud, drop_far, drop_repeated
 from hpcapp.applications.surface.input.ingest import ingest_file
 from hpcapp.applications.surface.input.normals import (
     FROM_FILE,
@@ -26,16 +26,17 @@ from hpcapp.applications.surface.input.normals import (
 )
 from hpcapp.applications.surface.scans import Passes, measure_spacing
 from hpcapp.applications.surface.settings import JobSettings, Settings
-from hpcapp.io import drop_unusable, open_points
-from hpcapp.io.points.point_source import PointSource, read_whole
-from hpcapp.io.points.usable import Dropped
+from hpcapp.io import PointSource, drop_unusable, open_points, read_whole
+from hpcapp.io.points.point_source import Findings
+from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.progress import StageClock
 from hpccomponent.errors import JobError
 from hpccomponent.files.private_files import make_private_folder, remove_path
 from hpccomponent.store.base import FolderStore
 from hpccomponent.store.value import DamagedError
+from hpccomponent.surface.attributes.labels import find_labels
+from hpccomponent.surface.cloud.arranged import ArrangedCloud, MemoryCloud, arrange_cloud
 from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
-from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = [
@@ -50,6 +51,7 @@ __all__ = [
 log = logging.getLogger("hpcapp")
 
 _NOTE = POINTS_NOTE[-1]
+_STEPS = ("arranged", "distinct", "estimated", "oriented", "cleaned")
 # What a job needs once its points are there: half of what it imports.
 _LATER = (
     "hpcapp.applications.surface.input.clean_regions",
@@ -64,43 +66,48 @@ class Loaded:
 
     Parameters
     ----------
-    cloud : PointCloud or DiskCloud
+    cloud : ArrangedCloud
     dropped : Dropped
     cleaned : Cleaned
+    findings : Findings
+        What is odd about the file.
+    columns : PointCloud
+        Without points: colours and attributes that are to be carried to the mesh.
+    labels : frozenset of str
+        Attributes of a cloud in memory of which no mean is to be taken.
     oriented : Oriented
         How its normals came about.
     """
 
-    cloud: PointCloud | DiskCloud
+    cloud: ArrangedCloud
     dropped: Dropped
     cleaned: Cleaned
+    findings: Findings = field(default_factory=Findings)
+    columns: PointCloud = field(default_factory=lambda: PointCloud(np.empty((0, 3))))
+    labels: frozenset[str] = frozenset()
     oriented: Oriented = FROM_FILE
 
-    @property
-    def box(self) -> tuple[FloatArray, FloatArray]:
-        """Corners of the box around all points."""
-        if isinstance(self.cloud, PointCloud):
-            return bound_points(self.cloud.positions)
-        return self.cloud.low, self.cloud.high
-
-    def report(self, path: Path) -> None:
-        """Log what was left out of a file.
+    def report(self, shown: str) -> None:
+        """Log what was left out of the input.
 
         Parameters
         ----------
-        path : Path
-            Of the file, for the messages.
+        shown : str
+            The input, for the messages.
         """
+        for line in self.findings.lines():
+            log.warning("warning: %s: %s", shown, line)
         dropped, cleaned = self.dropped, self.cleaned
         for count, what in (
             (dropped.non_finite_points, "dropped %d points that are NaN or Inf"),
             (dropped.bad_normals, "dropped %d points whose normal is zero, NaN or Inf"),
+            (cleaned.repeated, "dropped %d points at the place of another"),
             (cleaned.outliers, "dropped %d outliers"),
             (cleaned.flipped, "turned %d wrong normals round"),
         ):
             if count:
-                log.warning(f"%s: {what}", path, count)
-        self.oriented.report(path)
+                log.warning(f"%s: {what}", shown, count)
+        self.oriented.report(shown)
 
 
 def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
@@ -115,13 +122,20 @@ def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
     -------
     Loaded
     """
+    name = str(settings.points)
     with clock.stage("read"):
         source = _open_source(settings)
-        cloud, dropped = drop_unusable(read_whole(source), str(settings.points))
-    cloud, far = arrange_usable(settings, cloud, clock)
+        read = settings.attributes.select(read_whole(source), name)
+        labels = find_labels(read.attributes)
+        points, dropped = drop_unusable(read, name)
+        del read
+    cloud, cleaned = arrange_usable(settings, points, clock)
+    del points  # makes room
+    refuse_too_few(len(cloud), dropped, name)
     cloud, oriented = orient_points(settings, cloud, _find_scanners(settings, source), clock)
-    cloud, cleaned = clean_points(settings, cloud, far, clock)
-    return Loaded(cloud, dropped, cleaned, oriented)
+    cloud, cleaned = clean_points(settings, cloud, cleaned, clock)
+    columns = cloud.points.view(slice(0))
+    return Loaded(cloud, dropped, cleaned, source.findings, columns, labels, oriented)
 
 
 def _open_source(settings: JobSettings) -> PointSource:
@@ -139,80 +153,87 @@ def _find_scanners(settings: JobSettings, source: PointSource) -> FloatArray | N
 
 
 def orient_points(
-    settings: Settings, cloud: PointCloud, scanners: FloatArray | None, clock: StageClock
-) -> tuple[PointCloud, Oriented]:
+    settings: Settings, cloud: MemoryCloud, scanners: FloatArray | None, clock: StageClock
+) -> tuple[MemoryCloud, Oriented]:
     """Give points normals where they have none, or such that contradict each other.
 
     Parameters
     ----------
     settings : Settings
-    cloud : PointCloud
-        Arranged, where the method wants that.
+    cloud : MemoryCloud
     scanners : ndarray of float64, shape (s, 3), or None
         Where scanners stood, in the file's coordinates.
     clock : StageClock
 
     Returns
     -------
-    cloud : PointCloud
+    cloud : MemoryCloud
     oriented : Oriented
     """
-    if cloud.normals is not None and (settings.normals == "file" or not is_contradicting(cloud)):
+    points = cloud.points
+    if points.normals is not None and (settings.normals == "file" or not is_contradicting(points)):
         return cloud, FROM_FILE
     with clock.stage("normals"):
-        return orient_cloud(cloud, None if scanners is None else scanners - cloud.origin)
+        local = None if scanners is None else scanners - cloud.origin
+        turned, oriented = orient_cloud(points, local)
+    return replace(cloud, points=turned), oriented
 
 
 def arrange_usable(
-    settings: Settings, cloud: PointCloud, clock: StageClock
-) -> tuple[PointCloud, int]:
-    """Drop points that lie far away, and arrange the rest, where the method wants it.
+    settings: Settings, points: PointCloud, clock: StageClock
+) -> tuple[MemoryCloud, Cleaned]:
+    """Drop points that lie far away, arrange the rest, and drop those at the place of another.
 
     Parameters
     ----------
     settings : Settings
-    cloud : PointCloud
-        Usable points.
+        The method tells whether far points are dropped, and whether the others are arranged.
+    points : PointCloud
+        Usable ones.
     clock : StageClock
 
     Returns
     -------
-    cloud : PointCloud
-        A copy: the caller may let go of its own.
-    far : int
-        Points that were dropped.
+    cloud : MemoryCloud
+        Of a copy, where they are arranged: the caller may let go of its own.
+    cleaned : Cleaned
+        What was dropped.
     """
     if settings.method.needs_whole_cloud:  # it cuts the cloud up by itself
-        return cloud, 0
+        cloud = drop_repeated(MemoryCloud.as_they_are(points))
+        return cloud, Cleaned(0, 0, len(points) - len(cloud))
     with clock.stage("arrange"):
-        arranged = arrange_points(drop_far(cloud) if settings.method.cleans else cloud)
-    return arranged, len(cloud) - len(arranged)
+        near = drop_far(points) if settings.method.cleans else points
+        cloud = drop_repeated(arrange_cloud(near))
+    return cloud, Cleaned(len(points) - len(near), 0, len(near) - len(cloud))
 
 
 def clean_points(
-    settings: Settings, cloud: PointCloud, far: int, clock: StageClock
-) -> tuple[PointCloud, Cleaned]:
+    settings: Settings, cloud: MemoryCloud, before: Cleaned, clock: StageClock
+) -> tuple[MemoryCloud, Cleaned]:
     """Drop outliers and turn wrong normals round, where that is wanted.
 
     Parameters
     ----------
     settings : Settings
-    cloud : PointCloud
-        Arranged.
-    far : int
-        Points that were dropped because they lie far away.
+    cloud : MemoryCloud
+    before : Cleaned
+        What was dropped already.
     clock : StageClock
 
     Returns
     -------
-    cloud : PointCloud
+    cloud : MemoryCloud
     cleaned : Cleaned
+        All that was done.
     """
     if not settings.method.cleans:
-        return cloud, Cleaned(0, 0)
+        return cloud, before
     with clock.stage("clean"):
         cloud, cleaned = clean_cloud(cloud)
-    return cloud, replace(cleaned, outliers=far + cleaned.outliers)
+    return cloud, replace(
+        before, outliers=before.outliers + cleaned.outliers, flipped=cleaned.flipped
+    )
 
 
 def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: StageClock) -> Loaded:
@@ -234,55 +255,88 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
     Loaded
         The same points as `load_memory` gives, bit for bit; measured.
     """
+    source = open_points(settings.points)
+    columns = _find_columns(settings, source)
     if settings.resume and (found := _find_loaded(folder)) is not None:
-        return found
+        return replace(found, columns=columns)
     remove_path(folder)
     run = secrets.token_hex(4)  # a worker that is late must not write into a later run's points
-    arranged, cleaned_folder = folder / f"arranged-{run}", folder / f"cleaned-{run}"
-    make_private_folder(arranged)
+    folders = {name: folder / f"{name}-{run}" for name in _STEPS}
+    make_private_folder(folders["arranged"])
+    make_private_folder(folders["distinct"])
     for module in _LATER:
         passes.workforce.defer(partial(import_module, module))
     source = _open_source(settings)
     with clock.stage("read"):
-        read = ingest_file(source, arranged, passes, drop_far=settings.method.cleans)
-    from hpcapp.applications.surface.input.clean_regions import clean_regions, measure_cloud
+        read = ingest_file(source, folders["arranged"], passes, drop_far=settings.method.cleans)
+    from hpcapp.applications.surface.input.clean_regions import (
+        clean_regions,
+        drop_repeated_there,
+        measure_cloud,
+    )
 
-    cloud, cleaned = read.cloud, Cleaned(0, 0)
-    oriented = FROM_FILE
-    box = len(cloud), cloud.low, cloud.high
-    spacing = measure_spacing(cloud, passes, box, None, read.boxes)
-    is_asked = settings.normals == "auto" and source.has_normals
-    if not source.has_normals or (is_asked and is_contradicting_there(cloud, passes, spacing)):
-        estimated, turned = folder / f"estimated-{run}", folder / f"oriented-{run}"
-        make_private_folder(estimated)
-        make_private_folder(turned)
-        with clock.stage("normals"):
-            scanners = _find_scanners(settings, source)
-            local = None if scanners is None else scanners - cloud.origin
-            cloud, oriented = orient_regions(
-                cloud, source.has_normals, (estimated, turned), passes, spacing, local
-            )
-        for done in (arranged, estimated):
-            shutil.rmtree(done, ignore_errors=True)  # one may write there still
-        arranged = turned
+    with clock.stage("arrange"):
+        cloud, repeated = drop_repeated_there(read.cloud, folders["distinct"], passes)
+    refuse_too_few(len(cloud), read.dropped, str(settings.points))
+    boxes = None if repeated else read.boxes  # which count all points
+    spacing = measure_spacing(cloud, passes, (len(cloud), cloud.low, cloud.high), None, boxes)
+    cloud, oriented = _orient_there(settings, source, cloud, folders, passes, spacing, clock)
+    _take_away(folders, cloud)
+    cleaned = Cleaned(0, 0)
     if settings.method.cleans:
-        make_private_folder(cleaned_folder)
+        make_private_folder(folders["cleaned"])
         with clock.stage("clean"):
-            cloud, cleaned = clean_regions(cloud, cleaned_folder, passes, read.boxes)
-        if not cloud.uses(arranged):
-            shutil.rmtree(arranged, ignore_errors=True)
+            cloud, cleaned = clean_regions(cloud, folders["cleaned"], passes, boxes)
     else:
         cloud = measure_cloud(cloud, passes, spacing)
-    cleaned = replace(cleaned, outliers=read.far + cleaned.outliers)
-    loaded = Loaded(cloud, read.dropped, cleaned, oriented)
+    _take_away(folders, cloud)
+    cleaned = Cleaned(read.far + cleaned.outliers, cleaned.flipped, repeated)
+    loaded = Loaded(cloud, read.dropped, cleaned, source.findings, columns, oriented=oriented)
     told = {
         "cloud": cloud.folder.name,
         "dropped": asdict(loaded.dropped),
         "cleaned": asdict(loaded.cleaned),
+        "findings": asdict(loaded.findings),
         "oriented": asdict(loaded.oriented),
     }
     FolderStore(folder).put(_NOTE, told)
     return loaded
+
+
+def _find_columns(settings: JobSettings, source: PointSource) -> PointCloud:
+    """Return no points, with the columns of a file that are to be carried to the mesh."""
+    first = next(source.chunks(1))
+    return settings.attributes.select(first, str(settings.points)).view(slice(0))
+
+
+def _orient_there(
+    settings: JobSettings,
+    source: PointSource,
+    cloud: DiskCloud,
+    folders: dict[str, Path],
+    passes: Passes,
+    spacing: float,
+    clock: StageClock,
+) -> tuple[DiskCloud, Oriented]:
+    """Do to a cloud in a folder what `orient_points` does to one in memory."""
+    if source.has_normals and (
+        settings.normals == "file" or not is_contradicting_there(cloud, passes, spacing)
+    ):
+        return cloud, FROM_FILE
+    with clock.stage("normals"):
+        scanners = _find_scanners(settings, source)
+        local = None if scanners is None else scanners - cloud.origin
+        places = folders["estimated"], folders["oriented"]
+        for place in places:
+            make_private_folder(place)
+        return orient_regions(cloud, source.has_normals, places, passes, spacing, local)
+
+
+def _take_away(folders: dict[str, Path], cloud: DiskCloud) -> None:
+    """Remove the folders of steps that are done, but for those that a cloud lies in."""
+    for place in folders.values():
+        if place != cloud.folder and not cloud.uses(place):
+            shutil.rmtree(place, ignore_errors=True)  # one may write there still
 
 
 def _find_loaded(folder: Path) -> Loaded | None:
@@ -306,5 +360,6 @@ def _find_loaded(folder: Path) -> Loaded | None:
         cloud,
         Dropped(**told["dropped"]),
         Cleaned(**told["cleaned"]),
-        Oriented(**told["oriented"]),
+        Findings(**told["findings"]),
+        oriented=Oriented(**told["oriented"]),
     )

@@ -88,19 +88,19 @@ class Oriented:
             )
         return found
 
-    def report(self, path: Path) -> None:
+    def report(self, shown: str) -> None:
         """Log how they came about.
 
         Parameters
         ----------
-        path : Path
-            Of the file, for the messages.
+        shown : str
+            The input, for the messages.
         """
         if self.source != "file":
             sure = 100.0 * self.sure
-            log.info("%s: normals: estimated; %.1f %% of the points surely oriented", path, sure)
+            log.info("%s: normals: estimated; %.1f %% of the points surely oriented", shown, sure)
         for warning in self.warnings:
-            log.warning("warning: %s: %s", path, warning)
+            log.warning("warning: %s: %s", shown, warning)
 
     def to_json(self) -> dict[str, Any]:
         """Return the same for the job's report."""

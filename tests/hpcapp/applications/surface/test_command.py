@@ -25,7 +25,9 @@ def test_every_option_is_explained(command: click.Command) -> None:
 def test_every_setting_can_be_typed() -> None:
     typed = {parameter.name for parameter in reconstruct.params}
     own = {name for method in METHODS for name in option_names(find_method(method))}
-    assert typed == {*JobSettings.__dataclass_fields__, *own, "as_json", "events"}
+    assert typed == {*JobSettings.__dataclass_fields__, *own, "as_json", "events", "sample"} - {
+        "inputs"
+    }
     assert not own & JobSettings.__dataclass_fields__.keys()
 
 
@@ -49,3 +51,10 @@ def test_two_options_of_one_meaning_contradict(sphere_file: Path) -> None:
     done = CliRunner().invoke(reconstruct, [*arguments, "--method", "paper"])
     assert isinstance(done.exception, UsageError)
     assert "--delta" in str(done.exception)
+
+
+def test_attributes_that_make_no_sense_are_refused_before_the_work(sphere_file: Path) -> None:
+    arguments = [str(sphere_file), "-o", "mesh.ply", "--attributes", "none,colours"]
+    done = CliRunner().invoke(reconstruct, arguments)
+    assert isinstance(done.exception, UsageError)
+    assert "none excludes all others" in str(done.exception)

@@ -27,7 +27,7 @@ from hpccomponent.surface.types.points import PointCloud
 def ball(count):
     points = np.random.default_rng(5).normal(size=(count, 3))
     normals = points / np.linalg.norm(points, axis=1)[:, None]
-    return arrange_cloud(PointCloud(normals, normals)).cloud
+    return arrange_cloud(PointCloud(normals, normals))
 
 
 def assert_same(found, wanted):

@@ -8,6 +8,7 @@ from hpcapp.applications.surface.paper.method import PaperMethod, measure_residu
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.cloud.arranged import MemoryCloud
 from hpccomponent.surface.types.points import PointCloud
 
 RADIUS = 2.0
@@ -30,7 +31,7 @@ def workforce():
 
 
 def run(method, cloud, workforce):
-    partition = method.partition(cloud, workforce)
+    partition = method.partition(MemoryCloud.as_they_are(cloud), workforce)
     quadrics = method.fit(partition, workforce, ignore)
     surface = method.extract(partition, quadrics, workforce, ignore)
     return partition, quadrics, surface.mesh()
@@ -102,7 +103,7 @@ def test_each_worker_gets_as_many_patches():
     method = PaperMethod(patches=40)
     with RecordingExecutor() as executor:
         workforce = Workforce(executor, 4)
-        partition = method.partition(sphere(), workforce)
+        partition = method.partition(MemoryCloud.as_they_are(sphere()), workforce)
         method.fit(partition, workforce, lambda *counts: told.append(counts))
     assert executor.patches == [10, 10, 10, 10]
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
@@ -110,7 +111,7 @@ def test_each_worker_gets_as_many_patches():
 
 def test_points_lie_patch_after_patch_with_their_normals(workforce):
     cloud = sphere()
-    partition = PaperMethod().partition(cloud, workforce)
+    partition = PaperMethod().partition(MemoryCloud.as_they_are(cloud), workforce)
     order = partition.patches.order
     assert np.array_equal(partition.points.positions, cloud.positions[order])
     assert np.array_equal(partition.points.normals, cloud.normals[order])
@@ -129,7 +130,7 @@ def test_facts_say_what_was_chosen_and_found(workforce):
 
 def test_facts_of_a_given_number_of_patches_name_no_cone(workforce):
     method = PaperMethod(patches=12)
-    facts = method.facts(method.partition(sphere(), workforce))
+    facts = method.facts(method.partition(MemoryCloud.as_they_are(sphere()), workforce))
     assert facts["patches"] == 12
     assert "cone" not in facts
 
@@ -152,4 +153,4 @@ def test_bad_options_are_named_before_any_work(options, named):
 
 def test_a_cloud_without_normals_is_refused(workforce):
     with pytest.raises(InputError, match="no normals"):
-        PaperMethod().partition(PointCloud(sphere().positions), workforce)
+        PaperMethod().partition(MemoryCloud.as_they_are(PointCloud(sphere().positions)), workforce)
