@@ -9,6 +9,7 @@ Users call it as ``hpcapp.reconstruct``.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -20,7 +21,12 @@ from numpy.typing import ArrayLike, NDArray
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.backend_choice import approach_workers
 from hpcapp.applications.surface.carry import carry_from_memory
-from hpcapp.applications.surface.input.load import Loaded, arrange_usable, clean_points
+from hpcapp.applications.surface.input.load import (
+    Loaded,
+    arrange_usable,
+    clean_points,
+    orient_points,
+)
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
 from hpcapp.applications.surface.options import option_names
@@ -45,6 +51,8 @@ if TYPE_CHECKING:
 
 __all__ = ["reconstruct"]
 
+log = logging.getLogger("hpcapp")
+
 Report = Callable[[str, int, int], object]
 
 
@@ -63,15 +71,16 @@ def reconstruct(
     workers: int | None = None,
     progress: Report | None = None,
 ) -> Mesh:
-    """Turn oriented points into a watertight mesh, the one that ``hpcapp reconstruct`` writes.
+    """Turn points into a watertight mesh, the one that ``hpcapp reconstruct`` writes.
 
     Parameters
     ----------
     points : array_like, shape (n, 3), or PointCloud
         Coordinates in any unit and any frame, georeferenced ones too. A cloud brings its normals,
         and the colours and attributes that the mesh is to carry.
-    normals : array_like, shape (n, 3)
-        Pointing out of the object, of any length but zero; not beside a cloud.
+    normals : array_like, shape (n, 3), optional
+        Pointing out of the object, of any length but zero; not beside a cloud. Estimated where
+        there are none.
     grid : int
         Cells along the longest side, 16 to 4096.
     voxel_size : float, optional
@@ -134,9 +143,14 @@ def reconstruct(
         cloud, cleaned = arrange_usable(settings, checked, clock)
         del checked  # makes room
         refuse_too_few(len(cloud), Dropped(0, 0), "points")
+        cloud, oriented = orient_points(settings, cloud, None, clock)
+        for warning in oriented.warnings:
+            log.warning("warning: %s", warning)
         cloud, cleaned = clean_points(settings, cloud, cleaned, clock)
         columns = cloud.points.view(slice(0))
-        loaded = Loaded(cloud, Dropped(0, 0), cleaned, columns=columns, labels=labels)
+        loaded = Loaded(
+            cloud, Dropped(0, 0), cleaned, oriented=oriented, columns=columns, labels=labels
+        )
         with run_memory(settings, loaded, opener, clock, executor=given) as outcome:
             carrying = carry_from_memory(settings, loaded, outcome, clock)
             mesh = outcome.result.surface.mesh(carrying)
@@ -209,7 +223,7 @@ def _check_cloud(points: ArrayLike | PointCloud, normals: ArrayLike | None) -> P
     else:
         given = PointCloud(_check_rows("points", points), _check_normals(normals))
     positions, directions = _check_rows("points", given.positions), _check_normals(given.normals)
-    if len(positions) != len(directions):
+    if directions is not None and len(positions) != len(directions):
         raise InputError(
             f"points has {len(positions)} rows and normals {len(directions)}",
             "give one normal for each point",
@@ -224,7 +238,7 @@ def _check_cloud(points: ArrayLike | PointCloud, normals: ArrayLike | None) -> P
     cloud, dropped = drop_unusable(whole, "points")
     if dropped.total:
         raise InputError(
-            f"normals has {dropped.total} of {len(directions)} rows of length zero",
+            f"normals has {dropped.total} of {len(positions)} rows of length zero",
             "leave those points out",
         )
     return cloud

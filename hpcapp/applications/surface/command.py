@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import sys
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,25 @@ SAMPLE = click.option(
     metavar="N",
     help="POINTS is a mesh: take N points on its faces in place of its vertices.",
 )
+
+
+def _parse_viewpoints(
+    ctx: click.Context, param: click.Parameter, value: tuple[str, ...]
+) -> tuple[tuple[float, float, float], ...]:
+    """Return the numbers of each viewpoint."""
+    return tuple(_parse_viewpoint(ctx, param, one) for one in value)
+
+
+def _parse_viewpoint(
+    ctx: click.Context, param: click.Parameter, text: str
+) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(number) for number in text.split(","))
+    except ValueError:
+        x = y = z = nan
+    if not (isfinite(x) and isfinite(y) and isfinite(z)):
+        raise click.BadParameter(f"{text!r} is not three numbers, as 1.5,0,-2", ctx, param)
+    return x, y, z
 
 
 def _check_method_options(ctx: click.Context) -> None:
@@ -193,6 +213,22 @@ def _add_method_options(command: click.Command) -> click.Command:
     is_flag=True,
     help="Go on from what a job that was killed has left in --temp-dir, and leave there what is "
     "finished if this one fails.",
+)
+@click.option(
+    "--normals",
+    type=click.Choice(["auto", "file", "estimate"]),
+    default="auto",
+    show_default=True,
+    help="Estimate normals where there are none and mend those that contradict each other, take "
+    "those of the file as they are, or estimate all.",
+)
+@click.option(
+    "--viewpoint",
+    "viewpoints",
+    callback=_parse_viewpoints,
+    multiple=True,
+    metavar="X,Y,Z",
+    help="Where a scanner stood, in the coordinates of the input; may be given several times.",
 )
 @click.option(
     "--outliers/--no-outliers",

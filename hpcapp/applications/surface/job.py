@@ -157,6 +157,7 @@ def _write(
     losses = describe_losses(target, carrying.columns)
     report["warnings"] = [
         *loaded.findings.warnings,
+        *loaded.oriented.warnings,
         *outcome.warnings,
         *([losses] if losses else []),
     ]
@@ -168,6 +169,7 @@ def _write(
         "outliers": loaded.cleaned.outliers,
     }
     report["turned_normals"] = loaded.cleaned.flipped
+    report["normals"] = loaded.oriented.to_json()
     return report
 
 

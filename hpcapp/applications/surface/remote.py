@@ -81,7 +81,10 @@ def _typed_options(ctx: click.Context) -> list[str]:
         if not is_typed or name in OF_THIS_MACHINE:
             continue
         value = ctx.params[name]
-        if value is False:
+        if name == "viewpoints":
+            for place in value:
+                words += [parameter.opts[-1], ",".join(map(repr, place))]
+        elif value is False:
             words.append(parameter.secondary_opts[0])
         else:
             words += [parameter.opts[-1]] if value is True else [parameter.opts[-1], str(value)]

@@ -64,6 +64,11 @@ class Settings:
         The paper's preprocessing, step by step.
     attributes : AttributeChoice
         What the mesh's vertices carry.
+    normals : str
+        ``auto`` estimates those that are missing and mends the others, ``file`` takes those of the
+        input as they are, ``estimate`` takes none of them.
+    viewpoints : tuple of tuple of float
+        Where scanners stood, in the coordinates of the input.
     """
 
     method: MethodSettings = field(default_factory=Hierarchical)
@@ -81,6 +86,8 @@ class Settings:
     denoise: bool = False
     resample: bool = False
     attributes: AttributeChoice = field(default_factory=AttributeChoice)
+    normals: str = "auto"
+    viewpoints: tuple[tuple[float, float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -170,6 +170,20 @@ class PointSource:
         """
         with translated(self.path):
             yield from self.scan(rows)
+
+    def without_normals(self) -> PointSource:
+        """Return the same points without the normals that the file has.
+
+        Returns
+        -------
+        PointSource
+        """
+        records = None if self.records is None else replace(self.records, normals=())
+
+        def scan(rows: int) -> Iterator[PointCloud]:
+            return (replace(part, normals=None) for part in self.scan(rows))
+
+        return replace(self, scan=scan, has_normals=False, records=records)
 
     def check(self) -> None:
         """Find out whether all of the file but its points is as it should be, given `records`.

@@ -35,7 +35,7 @@ _FLATTEST = 1e-6
 
 
 def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[PointCloud, Dropped]:
-    """Drop points without a finite position and a normal; give normals unit length.
+    """Drop points without a finite position, or without a normal where others have one.
 
     Parameters
     ----------
@@ -47,19 +47,19 @@ def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[P
     Returns
     -------
     usable : PointCloud
-        In the order of `cloud`; its colours and origin are kept.
+        In the order of `cloud`; its colours and origin are kept, its normals have unit length.
     dropped : Dropped
         What is missing in it.
 
     Raises
     ------
     InputError
-        There are no normals, fewer than `FEWEST_POINTS` points are left, or all of them lie in
-        one place or on one line.
+        Fewer than `FEWEST_POINTS` points are left, or all of them lie in one place or on one
+        line.
     """
     if not len(cloud):
         raise InputError(f"{source} holds no points", "check that the right file was exported")
-    usable, dropped = select_usable(cloud, source)
+    usable, dropped = select_usable(cloud)
     refuse_too_few(len(usable), dropped, source)
     low, high = bound_points(usable.positions)
     some = usable.positions[:: -(-len(usable) // _SAMPLE)]  # in most clouds they tell enough

@@ -108,10 +108,33 @@ class Region:
         -------
         PackedPoints
         """
-        own = np.flatnonzero(self.own)
-        rows = self.rows.take(own)
-        records = self.packed.to_records().take(rows, axis=0)
-        records[np.flatnonzero(turned.take(own)), 3:] *= -1.0
+        records = self._take_own()
+        records[np.flatnonzero(turned[self.own]), 3:] *= -1.0
+        return self._pack(records)
+
+    def pack_with(self, normals: Float32Array) -> PackedPoints:
+        """Return the points in its blocks, with other normals.
+
+        Parameters
+        ----------
+        normals : ndarray of float32, shape (m, 3)
+            Of its own points, in their order.
+
+        Returns
+        -------
+        PackedPoints
+        """
+        records = self._take_own()
+        records[:, 3:] = normals
+        return self._pack(records)
+
+    def _take_own(self) -> Float32Array:
+        rows = self.rows.take(np.flatnonzero(self.own))
+        return self.packed.to_records().take(rows, axis=0)
+
+    def _pack(self, records: Float32Array) -> PackedPoints:
+        """Put the records of its own points into blocks."""
+        rows = self.rows.take(np.flatnonzero(self.own))
         ends = np.cumsum(self.packed.counts)
         counts = np.diff(np.searchsorted(rows, ends), prepend=0)
         held = counts > 0

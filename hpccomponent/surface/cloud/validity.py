@@ -1,17 +1,15 @@
-"""What of a cloud can be used: points with a finite position, near enough, and with a normal."""
+"""What of a cloud can be used: points with a finite position, near enough, and a normal if any."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NoReturn
 
 import numpy as np
 
-from hpccomponent.errors import InputError
 from hpccomponent.protocol.records import record
 from hpccomponent.surface.types.points import BoolArray, FloatArray, PointCloud
 
-__all__ = ["Dropped", "Reach", "are_usable", "refuse_without_normals", "select_usable"]
+__all__ = ["Dropped", "Reach", "are_usable", "select_usable"]
 
 _TINY = 1e-200  # square of a length: far from where squares are lost
 _CHUNK = 1 << 14  # normals at once: what is made of them stays in the cache
@@ -89,31 +87,26 @@ class Reach:
         return near
 
 
-def select_usable(cloud: PointCloud, source: str) -> tuple[PointCloud, Dropped]:
-    """Drop points without a finite position and a normal; give normals unit length.
+def select_usable(cloud: PointCloud) -> tuple[PointCloud, Dropped]:
+    """Drop points without a finite position, or without a normal where others have one.
 
     Parameters
     ----------
     cloud : PointCloud
         As it was read, or a part of it.
-    source : str
-        The file it came from, for messages.
 
     Returns
     -------
     usable : PointCloud
-        In the order of `cloud`; its colours and origin are kept. There may be none left.
+        In the order of `cloud`; its colours and origin are kept, its normals have unit length.
+        There may be none left.
     dropped : Dropped
-
-    Raises
-    ------
-    InputError
-        There are no normals.
     """
-    if cloud.normals is None:
-        refuse_without_normals(source)
     # Column by column here and below: reductions along rows of three are several times slower.
     finite = np.logical_and.reduce([np.isfinite(column) for column in cloud.positions.T])
+    if cloud.normals is None:
+        dropped = Dropped(int((~finite).sum()), 0)
+        return cloud.take(finite) if dropped.total else cloud, dropped
     units, directed = _normalized(cloud.normals)
     dropped = Dropped(int((~finite).sum()), int((finite & ~directed).sum()))
     usable = replace(cloud, normals=units)
@@ -143,25 +136,6 @@ def _normalize_rows(normals: FloatArray) -> tuple[FloatArray, BoolArray]:
     return np.stack([x / lengths, y / lengths, z / lengths], axis=1), directed
 
 
-def refuse_without_normals(source: str) -> NoReturn:
-    """Raise the `InputError` of a cloud that has no normals.
-
-    Parameters
-    ----------
-    source : str
-        The file it came from.
-
-    Raises
-    ------
-    InputError
-        Always.
-    """
-    raise InputError(
-        f"{source} has no normals (nx, ny, nz)",
-        "estimate them first, e.g. in CloudCompare or MeshLab",
-    )
-
-
 def are_usable(cloud: PointCloud) -> bool:
     """Tell whether all points are surely usable; where it does not, `select_usable` finds out.
 
@@ -173,7 +147,9 @@ def are_usable(cloud: PointCloud) -> bool:
     -------
     bool
     """
-    if cloud.normals is None or not np.isfinite(cloud.positions.sum()):
+    if not np.isfinite(cloud.positions.sum()):
         return False
+    if cloud.normals is None:
+        return True
     squares = np.einsum("ij,ij->i", cloud.normals, cloud.normals)
     return bool(squares.min(initial=1.0) > _TINY and squares.max(initial=1.0) < 1.0 / _TINY)

@@ -6,15 +6,17 @@ import numpy as np
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.kernels import UNSURE, WRONG, bound_points
+from hpccomponent.surface.types.lattice import cells_of, number_keys, pack_places
 from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArray
 
-__all__ = ["MARGIN", "find_turned", "mend_normals"]
+__all__ = ["MARGIN", "find_turned", "mend_normals", "share_opposed"]
 
 
 _EDGE = 3.0  # of the cells, in spacings: some 28 neighbours lie within
 _TOLERANCE = 0.35  # spacings between a sheet and a point that still counts to it
 _DRIFT = 0.5  # spacings between a sheet and the mean of those that oppose a normal on it
 _FEW = 8  # points, of which none is told
+_PAIRS = 8  # of each point, with those after it in its box
 _ROUNDS = 3  # each with cells of twice the size, for what the last left open
 
 MARGIN = _EDGE * (2.0**_ROUNDS - 1.0)
@@ -113,3 +115,41 @@ def find_turned(
         if not asked.any():
             break
     return turned
+
+
+def share_opposed(
+    positions: FloatArray, normals: FloatArray, low: FloatArray, edge: float, spacing: float
+) -> float:
+    """Return the share of opposite normals among those on one sheet, in boxes.
+
+    Parameters
+    ----------
+    positions, normals : ndarray of float64, shape (n, 3)
+        Of the points in some boxes, see `kernels.sample_boxes`; the normals have unit length.
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
+    edge : float
+        Of a box, in length units of the input.
+    spacing : float
+        Of the cloud, in length units of the input.
+
+    Returns
+    -------
+    float
+        Of pairs: 0.5 where signs are random, 2 f (1 - f) where a share f is turned round.
+    """
+    places = np.floor(cells_of(positions, low, edge)).astype(np.int64)
+    _, boxes = number_keys(pack_places(places))
+    order = np.argsort(boxes, kind="stable")
+    positions, normals, boxes = positions[order], normals[order], boxes[order]
+    pairs = opposed = 0
+    for step in range(1, min(_PAIRS + 1, len(boxes))):
+        one, other = normals[:-step], normals[step:]
+        arms = positions[step:] - positions[:-step]
+        offsets = [np.abs(np.einsum("ij,ij->i", arms, some)) for some in (one, other)]
+        cosines = np.einsum("ij,ij->i", one, other)
+        is_pair = (boxes[step:] == boxes[:-step]) & (np.abs(cosines) > 0.5)
+        is_pair &= np.maximum(*offsets) <= _TOLERANCE * spacing
+        pairs += int(np.count_nonzero(is_pair))
+        opposed += int(np.count_nonzero(is_pair & (cosines < 0.0)))
+    return opposed / max(pairs, 1)

@@ -142,7 +142,7 @@ def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
     Raises
     ------
     InputError
-        The file has no normals, or cannot be read any more.
+        The file cannot be read any more.
     """
     dropped = Dropped()
     frame = box = _bound(_NOWHERE)
@@ -152,7 +152,7 @@ def survey_range(points: FilePoints, before: int, step: int) -> tuple[Any, ...]:
         if not are_usable(cloud):
             finite = np.isfinite(cloud.positions).all(axis=1)
             around = _bound(cloud.positions[finite])
-            cloud, left_out = select_usable(cloud, points.path)
+            cloud, left_out = select_usable(cloud)
             dropped += left_out
             near = _bound(cloud.positions)
         frame, box = unite_boxes([frame, around]), unite_boxes([box, near])
@@ -228,9 +228,9 @@ def arrange_range(
     counted: list[BoxCounts] = [[(0, np.zeros(0, np.int64))] * len(edges)]
     for near in _take_near(points, origin, reach):
         if len(near):
-            assert near.normals is not None  # noqa: S101 - usable points have some
             snapped = snap_points(arrangement, near.positions)
-            pieces.append(pack_snapped(arrangement, snapped, near.normals))
+            normals = np.zeros_like(snapped) if near.normals is None else near.normals
+            pieces.append(pack_snapped(arrangement, snapped, normals))
             counted.append([sample_box_keys(snapped, low, edge, one_in) for edge in edges])
     keys, counts = write_part(Path(target[0]), target[1], pieces)
     return keys, counts, [_add_counts(of_edge) for of_edge in zip(*counted, strict=True)]
@@ -245,7 +245,7 @@ def _add_counts(counted: tuple[tuple[int, IntArray], ...]) -> tuple[int, IntArra
 def _take_near(points: FilePoints, origin: FloatArray, reach: Reach | None) -> Iterator[PointCloud]:
     """Yield the usable points within reach, in their frame, some at a time."""
     for cloud in points.pieces():
-        usable, _ = select_usable(cloud, points.path)
+        usable, _ = select_usable(cloud)
         positions = usable.positions - origin if origin.any() else usable.positions
         local = PointCloud(positions, usable.normals)
         if reach is None or not len(local) or reach.holds(*bound_points(positions)):

@@ -28,6 +28,7 @@ from hpccomponent.surface.cloud.arrangement import PackedPoints
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import PartSummary
 from hpccomponent.surface.fitting.far_field import FarFieldPart
+from hpccomponent.surface.normals.patches import Links, Patches
 from hpccomponent.surface.tiles.plan import CoarseLattice, Samples
 
 __all__ = [
@@ -35,11 +36,14 @@ __all__ = [
     "BOX_COUNTS",
     "CELL_COUNTS",
     "MENDED",
+    "PATCHES",
     "RANKS",
     "REPEATED",
+    "REPLACED",
     "SAMPLE",
     "SMALL_BYTES",
     "STRAY_CELLS",
+    "TURNED",
     "WRITTEN",
     "arranged_range",
     "bounded_range",
@@ -76,21 +80,45 @@ RANKS = Fixed(
 )
 
 
+_PACKED = Where(
+    Record(
+        PackedPoints,
+        keys=_KEYS,
+        counts=_COUNTS,
+        offsets=Array("<f4", "p", 3),
+        normals=Array("<f4", "p", 3),
+    ),
+    lambda packed: int(packed.counts.sum()) == len(packed),
+    "there are not as many points as are counted",
+)
+REPLACED = Either(Fixed(_KEYS, _COUNTS), _PACKED)
+TURNED = Fixed(REPLACED, Whole(0, _MOST), Array("<i8", 100, low=0, high=_MOST))
+PATCHES = Where(
+    Fixed(
+        Record(
+            Patches,
+            keys=Array("<i8", "p", low=0),
+            ranks=Array("<i8", "p", low=0, high=64),
+            counts=Array("<i8", "p", low=1, high=_MOST),
+            centres=Array("<f8", "p", 3),
+            normals=Array("<f8", "p", 3),
+            noise=Array("<f8", "p", low=0.0),
+        ),
+        Record(
+            Links,
+            first=Array("<i8", "l", low=0),
+            second=Array("<i8", "l", low=0),
+            contacts=Array("<i8", "l", low=1, high=_MOST),
+        ),
+    ),
+    lambda found: int(found[1].second.max(initial=-1)) < len(found[0]),
+    "a link is to no patch",
+)
 MENDED = Fixed(
     Either(
         Nothing(),
         Fixed(_KEYS, _COUNTS),
-        Where(
-            Record(
-                PackedPoints,
-                keys=_KEYS,
-                counts=_COUNTS,
-                offsets=Array("<f4", "p", 3),
-                normals=Array("<f4", "p", 3),
-            ),
-            lambda packed: int(packed.counts.sum()) == len(packed),
-            "there are not as many points as are counted",
-        ),
+        _PACKED,
     ),
     Whole(0, _MOST),
     Array("<f8", 2, "s", 3),

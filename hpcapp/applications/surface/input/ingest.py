@@ -36,7 +36,6 @@ from hpccomponent.surface.cloud.spacing import guess_boxes
 from hpccomponent.surface.cloud.validity import (
     Dropped,
     Reach,
-    refuse_without_normals,
     select_usable,
 )
 from hpccomponent.surface.tasks.file_ranges import (
@@ -62,7 +61,7 @@ class Ingested:
     ----------
     cloud : DiskCloud
     dropped : Dropped
-        Points without a finite position and a normal.
+        Points without a finite position, or without a normal where others have one.
     far : int
         Points that were dropped because they lie far away (see `cleaning.drop_far`).
     boxes : Boxes
@@ -115,8 +114,6 @@ def ingest_file(
         The disk is full, or the folder cannot be written.
     """
     name = str(source.path)
-    if not source.has_normals:
-        refuse_without_normals(name)
     if not passes.workers_see_input:
         passes = replace(passes, workers_see=False)
     found = _survey_records(source, passes) if source.records else _survey_parts(source, passes)
@@ -223,5 +220,5 @@ def _run(
 def _usable_positions(source: PointSource, rows: int, origin: FloatArray) -> Iterator[FloatArray]:
     """Yield the positions of all usable points, read here."""
     for part in source.chunks(rows):
-        usable, _ = select_usable(part, str(source.path))
+        usable, _ = select_usable(part)
         yield usable.positions - origin if origin.any() else usable.positions

@@ -16,6 +16,14 @@ import numpy as np
 from hpcapp.applications.surface.checkpoint import POINTS_NOTE
 from hpcapp.applications.surface.input.clean import Cleaned, clean_cloud, drop_far, drop_repeated
 from hpcapp.applications.surface.input.ingest import ingest_file
+from hpcapp.applications.surface.input.normals import (
+    FROM_FILE,
+    Oriented,
+    is_contradicting,
+    is_contradicting_there,
+    orient_cloud,
+    orient_regions,
+)
 from hpcapp.applications.surface.scans import Passes, measure_spacing
 from hpcapp.applications.surface.settings import JobSettings, Settings
 from hpcapp.io import PointSource, drop_unusable, open_points, read_whole
@@ -28,8 +36,8 @@ from hpccomponent.store.base import FolderStore
 from hpccomponent.store.value import DamagedError
 from hpccomponent.surface.attributes.labels import find_labels
 from hpccomponent.surface.cloud.arranged import ArrangedCloud, MemoryCloud, arrange_cloud
-from hpccomponent.surface.cloud.disk import open_disk_cloud
-from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = [
     "Loaded",
@@ -37,11 +45,13 @@ __all__ = [
     "clean_points",
     "load_folder",
     "load_memory",
+    "orient_points",
 ]
 
 log = logging.getLogger("hpcapp")
 
 _NOTE = POINTS_NOTE[-1]
+_STEPS = ("arranged", "distinct", "estimated", "oriented", "cleaned")
 # What a job needs once its points are there: half of what it imports.
 _LATER = (
     "hpcapp.applications.surface.input.clean_regions",
@@ -65,6 +75,8 @@ class Loaded:
         Without points: colours and attributes that are to be carried to the mesh.
     labels : frozenset of str
         Attributes of a cloud in memory of which no mean is to be taken.
+    oriented : Oriented
+        How its normals came about.
     """
 
     cloud: ArrangedCloud
@@ -73,6 +85,7 @@ class Loaded:
     findings: Findings = field(default_factory=Findings)
     columns: PointCloud = field(default_factory=lambda: PointCloud(np.empty((0, 3))))
     labels: frozenset[str] = frozenset()
+    oriented: Oriented = FROM_FILE
 
     def report(self, shown: str) -> None:
         """Log what was left out of the input.
@@ -94,6 +107,7 @@ class Loaded:
         ):
             if count:
                 log.warning(f"%s: {what}", shown, count)
+        self.oriented.report(shown)
 
 
 def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
@@ -110,7 +124,7 @@ def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
     """
     name = str(settings.points)
     with clock.stage("read"):
-        source = open_points(settings.points)
+        source = _open_source(settings)
         read = settings.attributes.select(read_whole(source), name)
         labels = find_labels(read.attributes)
         points, dropped = drop_unusable(read, name)
@@ -118,9 +132,51 @@ def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
     cloud, cleaned = arrange_usable(settings, points, clock)
     del points  # makes room
     refuse_too_few(len(cloud), dropped, name)
+    cloud, oriented = orient_points(settings, cloud, _find_scanners(settings, source), clock)
     cloud, cleaned = clean_points(settings, cloud, cleaned, clock)
     columns = cloud.points.view(slice(0))
-    return Loaded(cloud, dropped, cleaned, source.findings, columns, labels)
+    return Loaded(cloud, dropped, cleaned, source.findings, columns, labels, oriented)
+
+
+def _open_source(settings: JobSettings) -> PointSource:
+    """Open the file, without its normals where they are not wanted."""
+    source = open_points(settings.points)
+    return source.without_normals() if settings.normals == "estimate" else source
+
+
+def _find_scanners(settings: JobSettings, source: PointSource) -> FloatArray | None:
+    """Return where scanners stood, in the file's coordinates; None where nobody knows."""
+    if settings.viewpoints:
+        return np.array(settings.viewpoints)
+    known = [scan.scanner for scan in source.scans if scan.scanner is not None]
+    return np.array(known) if len(known) == len(source.scans) else None
+
+
+def orient_points(
+    settings: Settings, cloud: MemoryCloud, scanners: FloatArray | None, clock: StageClock
+) -> tuple[MemoryCloud, Oriented]:
+    """Give points normals where they have none, or such that contradict each other.
+
+    Parameters
+    ----------
+    settings : Settings
+    cloud : MemoryCloud
+    scanners : ndarray of float64, shape (s, 3), or None
+        Where scanners stood, in the file's coordinates.
+    clock : StageClock
+
+    Returns
+    -------
+    cloud : MemoryCloud
+    oriented : Oriented
+    """
+    points = cloud.points
+    if points.normals is not None and (settings.normals == "file" or not is_contradicting(points)):
+        return cloud, FROM_FILE
+    with clock.stage("normals"):
+        local = None if scanners is None else scanners - cloud.origin
+        turned, oriented = orient_cloud(points, local)
+    return replace(cloud, points=turned), oriented
 
 
 def arrange_usable(
@@ -205,15 +261,14 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
         return replace(found, columns=columns)
     remove_path(folder)
     run = secrets.token_hex(4)  # a worker that is late must not write into a later run's points
-    arranged, distinct, cleaned_folder = (
-        folder / f"{name}-{run}" for name in ("arranged", "distinct", "cleaned")
-    )
-    make_private_folder(arranged)
-    make_private_folder(distinct)
+    folders = {name: folder / f"{name}-{run}" for name in _STEPS}
+    make_private_folder(folders["arranged"])
+    make_private_folder(folders["distinct"])
     for module in _LATER:
         passes.workforce.defer(partial(import_module, module))
+    source = _open_source(settings)
     with clock.stage("read"):
-        read = ingest_file(source, arranged, passes, drop_far=settings.method.cleans)
+        read = ingest_file(source, folders["arranged"], passes, drop_far=settings.method.cleans)
     from hpcapp.applications.surface.input.clean_regions import (
         clean_regions,
         drop_repeated_there,
@@ -221,28 +276,28 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
     )
 
     with clock.stage("arrange"):
-        cloud, repeated = drop_repeated_there(read.cloud, distinct, passes)
+        cloud, repeated = drop_repeated_there(read.cloud, folders["distinct"], passes)
     refuse_too_few(len(cloud), read.dropped, str(settings.points))
     boxes = None if repeated else read.boxes  # which count all points
+    spacing = measure_spacing(cloud, passes, (len(cloud), cloud.low, cloud.high), None, boxes)
+    cloud, oriented = _orient_there(settings, source, cloud, folders, passes, spacing, clock)
+    _take_away(folders, cloud)
     cleaned = Cleaned(0, 0)
     if settings.method.cleans:
-        make_private_folder(cleaned_folder)
+        make_private_folder(folders["cleaned"])
         with clock.stage("clean"):
-            cloud, cleaned = clean_regions(cloud, cleaned_folder, passes, boxes)
+            cloud, cleaned = clean_regions(cloud, folders["cleaned"], passes, boxes)
     else:
-        box = len(cloud), cloud.low, cloud.high
-        spacing = measure_spacing(cloud, passes, box, None, boxes)
         cloud = measure_cloud(cloud, passes, spacing)
-    for place in (arranged, distinct):
-        if not cloud.uses(place):
-            shutil.rmtree(place, ignore_errors=True)  # one may write there still
+    _take_away(folders, cloud)
     cleaned = Cleaned(read.far + cleaned.outliers, cleaned.flipped, repeated)
-    loaded = Loaded(cloud, read.dropped, cleaned, source.findings, columns)
+    loaded = Loaded(cloud, read.dropped, cleaned, source.findings, columns, oriented=oriented)
     told = {
         "cloud": cloud.folder.name,
         "dropped": asdict(loaded.dropped),
         "cleaned": asdict(loaded.cleaned),
         "findings": asdict(loaded.findings),
+        "oriented": asdict(loaded.oriented),
     }
     FolderStore(folder).put(_NOTE, told)
     return loaded
@@ -252,6 +307,36 @@ def _find_columns(settings: JobSettings, source: PointSource) -> PointCloud:
     """Return no points, with the columns of a file that are to be carried to the mesh."""
     first = next(source.chunks(1))
     return settings.attributes.select(first, str(settings.points)).view(slice(0))
+
+
+def _orient_there(
+    settings: JobSettings,
+    source: PointSource,
+    cloud: DiskCloud,
+    folders: dict[str, Path],
+    passes: Passes,
+    spacing: float,
+    clock: StageClock,
+) -> tuple[DiskCloud, Oriented]:
+    """Do to a cloud in a folder what `orient_points` does to one in memory."""
+    if source.has_normals and (
+        settings.normals == "file" or not is_contradicting_there(cloud, passes, spacing)
+    ):
+        return cloud, FROM_FILE
+    with clock.stage("normals"):
+        scanners = _find_scanners(settings, source)
+        local = None if scanners is None else scanners - cloud.origin
+        places = folders["estimated"], folders["oriented"]
+        for place in places:
+            make_private_folder(place)
+        return orient_regions(cloud, source.has_normals, places, passes, spacing, local)
+
+
+def _take_away(folders: dict[str, Path], cloud: DiskCloud) -> None:
+    """Remove the folders of steps that are done, but for those that a cloud lies in."""
+    for place in folders.values():
+        if place != cloud.folder and not cloud.uses(place):
+            shutil.rmtree(place, ignore_errors=True)  # one may write there still
 
 
 def _find_loaded(folder: Path) -> Loaded | None:
@@ -271,5 +356,10 @@ def _find_loaded(folder: Path) -> Loaded | None:
         problem = error.problem if isinstance(error, JobError) else str(error)
         log.warning("warning: %s: the points are read again", problem)
         return None
-    dropped, cleaned = Dropped(**told["dropped"]), Cleaned(**told["cleaned"])
-    return Loaded(cloud, dropped, cleaned, Findings(**told["findings"]))
+    return Loaded(
+        cloud,
+        Dropped(**told["dropped"]),
+        Cleaned(**told["cleaned"]),
+        Findings(**told["findings"]),
+        oriented=Oriented(**told["oriented"]),
+    )

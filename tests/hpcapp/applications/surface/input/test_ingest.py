@@ -159,9 +159,3 @@ def test_a_line_is_told_from_all_points_where_the_sample_does_not_tell(tmp_path:
     positions[1] += (0.0, 0.0, 0.5)  # is not in the sample, which has every fourth
     write_points(tmp_path / "a.ply", PointCloud(positions, np.ones_like(positions)))
     assert len(ingest_file(open_points(tmp_path / "a.ply"), tmp_path, _passes()).cloud) == 50_000
-
-
-def test_a_cloud_without_normals_is_refused(tmp_path: Path) -> None:
-    write_points(tmp_path / "a.ply", PointCloud(_scan().positions))
-    with pytest.raises(InputError, match=r"a\.ply has no normals"):
-        ingest_file(open_points(tmp_path / "a.ply"), tmp_path, _passes())

@@ -1,0 +1,151 @@
+"""Points without normals get the same ones in memory and in a folder, and on the right side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from disk_clouds import DiskCloudWriter
+
+from hpcapp.applications.simulate.scanner import simulate_scan
+from hpcapp.applications.simulate.settings import ScanSettings
+from hpcapp.applications.simulate.shapes import SHAPES
+from hpcapp.applications.surface.input.normals import is_contradicting, orient_cloud, orient_regions
+from hpcapp.applications.surface.scans import Passes
+from hpcapp.backends.serial import SerialExecutor
+from hpcapp.workforce import Workforce
+from hpccomponent.surface.cloud.arranged import arrange_cloud
+from hpccomponent.surface.cloud.spacing import estimate_spacing
+from hpccomponent.surface.types.points import FloatArray, PointCloud
+
+
+def _scan(name: str, **settings: float) -> PointCloud:
+    points = {"points": 12_000, **settings}
+    return simulate_scan(SHAPES[name], ScanSettings(normals="exact", **points))  # type: ignore[arg-type]
+
+
+def _share_right(found: PointCloud, truth: PointCloud) -> float:
+    assert found.normals is not None
+    assert truth.normals is not None
+    return float(np.mean(np.einsum("ij,ij->i", found.normals, truth.normals) > 0.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "least"),
+    [
+        ("sphere", {}, 1.0),
+        ("torus", {"noise": 0.002}, 0.999),
+        ("box", {}, 0.98),
+        ("knot", {"noise": 0.001, "pose_error": 0.001}, 0.99),
+    ],
+)
+def test_normals_point_out_of_what_was_scanned(
+    name: str, settings: dict[str, float], least: float
+) -> None:
+    scan = _scan(name, **settings)
+    found, oriented = orient_cloud(PointCloud(scan.positions), None)
+    assert _share_right(found, scan) >= least
+    assert oriented.source == "estimated"
+    assert oriented.sure > 0.99
+    assert oriented.warnings == []
+    assert found.attributes["confidence"].shape == (len(scan),)
+
+
+def test_two_objects_have_their_own_sides() -> None:
+    scan = _scan("torus", noise=0.001)
+    assert scan.normals is not None
+    twice = np.concatenate([scan.positions, scan.positions + np.array([3.0, 0.4, 0.2])])
+    truth = PointCloud(twice, np.concatenate([scan.normals, scan.normals]))
+    found, _ = orient_cloud(PointCloud(twice), None)
+    assert _share_right(found, truth) >= 0.999
+
+
+def test_a_thin_plate_has_two_sides() -> None:
+    random = np.random.default_rng(0)
+    top = random.uniform(-1.0, 1.0, (12_000, 3)) * (1.0, 1.0, 0.0) + (0.0, 0.0, 0.03)
+    sides = np.where(random.random(len(top)) < 0.5, 1.0, -1.0)
+    normals = np.zeros_like(top)
+    normals[:, 2] = sides
+    positions = top * np.stack([np.ones_like(sides), np.ones_like(sides), sides], axis=1)
+    positions += random.normal(0.0, 0.002, positions.shape)
+    found, _ = orient_cloud(PointCloud(positions), None)
+    assert _share_right(found, PointCloud(positions, normals)) >= 0.99
+
+
+def test_who_stood_inside_saw_the_inside() -> None:
+    random = np.random.default_rng(1)
+    normals = random.normal(size=(8_000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    found, _ = orient_cloud(PointCloud(2.0 * normals), np.array([[0.3, 0.0, 0.0]]))
+    assert _share_right(found, PointCloud(2.0 * normals, -normals)) == 1.0
+
+
+def _sheets(random: np.random.Generator) -> FloatArray:
+    """Noise around two sheets, points on a lattice, and some at the same place."""
+    plane = random.uniform(-1.0, 1.0, (9_000, 3)) * (1.0, 1.0, 0.01)
+    steps = np.arange(40) * 0.02
+    lattice = np.stack(np.meshgrid(steps, steps, [0.5]), axis=-1).reshape(-1, 3)
+    return np.concatenate([plane, lattice, lattice[:100], random.uniform(-1, 1, (60, 3))])
+
+
+@pytest.mark.parametrize("workers_see", [True, False])
+@pytest.mark.parametrize("what", ["knot", "sheets", "given"])
+def test_regions_give_the_normals_of_the_whole(
+    tmp_path: Path, what: str, workers_see: bool
+) -> None:
+    scan = _sheets(np.random.default_rng(2)) if what == "sheets" else _scan("knot").positions
+    given = np.random.default_rng(3).normal(size=scan.shape)
+    given /= np.linalg.norm(given, axis=1, keepdims=True)
+    arranged = arrange_cloud(PointCloud(scan, given if what == "given" else None))
+    positions = arranged.cloud.positions
+    expected, oriented = orient_cloud(arranged.cloud, None)
+    for folder in ("bare", "estimated", "oriented"):
+        (tmp_path / folder).mkdir()
+    writer = DiskCloudWriter(tmp_path / "bare", arranged.arrangement, arranged.origin)
+    bare = np.zeros_like(positions)
+    writer.add(positions, bare if arranged.cloud.normals is None else arranged.cloud.normals)
+    found, same = orient_regions(
+        writer.finish(),
+        what == "given",
+        (tmp_path / "estimated", tmp_path / "oriented"),
+        Passes(Workforce(SerialExecutor(), in_process=True), workers_see, 1_500),
+        estimate_spacing(positions),
+        None,
+    )
+    assert len(found.parts) > 3
+    assert found.take_blocks(found.keys)[0].tobytes() == positions.tobytes()
+    assert expected.normals is not None
+    assert found.take_blocks(found.keys)[1].tobytes() == expected.normals.tobytes()
+    assert same.sure == pytest.approx(oriented.sure, abs=0.02)
+    assert same.turned == oriented.turned
+    assert (same.turned > 0) == (what == "given")
+
+
+def test_random_sides_are_mended_and_good_ones_left() -> None:
+    scan = _scan("knot", noise=0.001)
+    assert scan.normals is not None
+    assert not is_contradicting(scan)
+    signs = np.where(np.random.default_rng(4).random(len(scan)) < 0.5, -1.0, 1.0)
+    mixed = PointCloud(scan.positions, scan.normals * signs[:, None])
+    assert is_contradicting(mixed)
+    found, oriented = orient_cloud(mixed, None)
+    assert _share_right(found, scan) >= 0.99
+    assert oriented.source == "file"
+    assert abs(oriented.turned - np.count_nonzero(signs < 0.0)) < 0.02 * len(scan)
+    assert "were turned round" in oriented.warnings[0]
+    assert found.normals is not None
+    unsigned = np.abs(np.einsum("ij,ij->i", found.normals, scan.normals))
+    assert unsigned.min() > 1.0 - 1e-6
+
+
+def test_a_scan_inside_out_among_others_is_turned() -> None:
+    first, second = (_scan("torus", noise=0.001, seed=seed) for seed in (1, 2))
+    assert first.normals is not None
+    assert second.normals is not None
+    positions = np.concatenate([first.positions, second.positions])
+    truth = PointCloud(positions, np.concatenate([first.normals, second.normals]))
+    mixed = PointCloud(positions, np.concatenate([first.normals, -second.normals]))
+    assert is_contradicting(mixed)
+    found, _ = orient_cloud(mixed, None)
+    assert _share_right(found, truth) >= 0.999
