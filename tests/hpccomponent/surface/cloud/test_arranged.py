@@ -30,7 +30,7 @@ from hpccomponent.surface.types.points import PointCloud
 def _scan(points: int = 3_000) -> PointCloud:
     random = np.random.default_rng(points)
     positions = random.normal(size=(points, 3)) * (1.0, 0.2, 0.5)
-    return PointCloud(positions, random.normal(size=(points, 3)), None, np.array([7.0, 8.0, 9.0]))
+    return PointCloud(positions, random.normal(size=(points, 3)), origin=np.array([7.0, 8.0, 9.0]))
 
 
 @pytest.fixture

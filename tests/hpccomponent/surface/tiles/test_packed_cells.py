@@ -114,5 +114,5 @@ def test_points_are_counted_as_if_they_were_sorted(size: float) -> None:
     keys, counts = count_points(blocks, packed, origin, size)
     np.testing.assert_array_equal(keys, cells)
     np.testing.assert_array_equal(counts, np.diff(offsets))
-    nothing = PackedPoints(*(column[:0] for column in astuple(packed)))  # type: ignore[arg-type]
+    nothing = PackedPoints(*(column[:0] for column in astuple(packed)))
     assert [len(column) for column in count_points(blocks, nothing, origin, size)] == [0, 0]
