@@ -199,15 +199,16 @@ class Dask:
         """Start the cluster, and have a task answer."""
         from distributed import Client, LocalCluster, Security
 
-        cluster = LocalCluster(
+        # Dask's interface is typed in parts
+        cluster = LocalCluster(  # type: ignore[no-untyped-call]
             n_workers=WORKERS,
             threads_per_worker=1,
             protocol="tls",
-            security=Security.temporary(),
+            security=Security.temporary(),  # type: ignore[no-untyped-call]
             dashboard_address=":0",
         )
         self._stack.enter_context(cluster)
-        self._client = self._stack.enter_context(Client(cluster))
+        self._client = self._stack.enter_context(Client(cluster))  # type: ignore[no-untyped-call]
         self.no_operations(WORKERS)
 
     def no_operations(self, count: int) -> None:
