@@ -11,9 +11,11 @@ from hpccomponent.surface.fitting.support import (
 from hpccomponent.surface.types.lattice import pack_places, spread_keys, unique_keys, unpack_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
+LevelCounts = tuple[IntArray, FloatArray, IntArray, IntArray]
+
 
 @pytest.fixture
-def level() -> tuple[IntArray, FloatArray, IntArray, IntArray]:
+def level() -> LevelCounts:
     """Return finer cells with points, their parents, and these cells' corners with some more."""
     rng = np.random.default_rng(5)
     children = unique_keys(pack_places(rng.integers(-5, 6, (60, 3))))
@@ -22,9 +24,7 @@ def level() -> tuple[IntArray, FloatArray, IntArray, IntArray]:
     return children, counts, parents, spread_keys(parents, -1, 2)
 
 
-def points_around(
-    level: tuple[IntArray, FloatArray, IntArray, IntArray], vertex: np.int64
-) -> FloatArray:
+def points_around(level: LevelCounts, vertex: np.int64) -> FloatArray:
     """Return the finer counts in the eight cells around a vertex."""
     children, counts, _, _ = level
     steps = (unpack_keys(children) >> 1) - unpack_keys(np.asarray(vertex))
@@ -33,7 +33,7 @@ def points_around(
 
 
 def test_squares_are_summed_by_parent(
-    level: tuple[IntArray, FloatArray, IntArray, IntArray],
+    level: LevelCounts,
 ) -> None:
     children, counts, parents, _ = level
     squares = sum_squares(children, counts, parents)
@@ -43,7 +43,7 @@ def test_squares_are_summed_by_parent(
 
 
 def test_crowds_are_what_a_point_meets_in_its_finer_cell(
-    level: tuple[IntArray, FloatArray, IntArray, IntArray],
+    level: LevelCounts,
 ) -> None:
     children, counts, parents, vertices = level
     around = [points_around(level, vertex) for vertex in vertices]
@@ -63,7 +63,7 @@ def test_single_points_meet_nobody() -> None:
 
 
 def test_points_surround_a_vertex_where_four_of_its_cells_hold_some(
-    level: tuple[IntArray, FloatArray, IntArray, IntArray],
+    level: LevelCounts,
 ) -> None:
     _, _, cells, vertices = level
     places = unpack_keys(cells)

@@ -16,6 +16,8 @@ from hpccomponent.surface.kernels.portable.hermite import (
 from hpccomponent.surface.kernels.portable.moments import accumulate_moments
 from hpccomponent.surface.types.points import FloatArray
 
+Patch = tuple[FloatArray, FloatArray, FloatArray]
+
 MU = 0.3
 
 
@@ -26,7 +28,7 @@ def basis(points: FloatArray) -> FloatArray:
 
 def sphere_patch(
     rng: np.random.Generator, count: int, radius: float = 4.0, noise: float = 0.0
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> Patch:
     """Points near the origin on a sphere of some cells' radius that passes beside it."""
     centre = rng.normal(size=3)
     centre *= (radius + rng.uniform(-0.5, 0.5)) / np.linalg.norm(centre)
@@ -44,7 +46,7 @@ def stack_moments(patches: Sequence[tuple[FloatArray, ...]]) -> FloatArray:
 
 
 @pytest.fixture
-def patches() -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+def patches() -> list[Patch]:
     rng = np.random.default_rng(3)
     return [sphere_patch(rng, int(count), noise=0.02) for count in rng.integers(3, 60, 50)]
 
@@ -72,7 +74,7 @@ def test_a_sphere_is_found_within_a_hundredth_of_a_cell() -> None:
 
 
 def test_coefficients_minimise_what_they_are_said_to(
-    patches: list[tuple[FloatArray, FloatArray, FloatArray]],
+    patches: list[Patch],
 ) -> None:
     """The same least squares, stacked row by row and solved by another route."""
     lam = 0.07
@@ -98,9 +100,7 @@ def gauss_cube() -> tuple[FloatArray, FloatArray]:
 
 
 @pytest.mark.parametrize("cut", [1, 7, 49])
-def test_a_row_does_not_depend_on_its_batch(
-    patches: list[tuple[FloatArray, FloatArray, FloatArray]], cut: int
-) -> None:
+def test_a_row_does_not_depend_on_its_batch(patches: list[Patch], cut: int) -> None:
     moments = np.tile(stack_moments(patches), (50, 1))  # more than a chunk of the kernel
     prior = np.random.default_rng(2).normal(size=(len(moments), 10))
     whole = fit_vertices(moments, prior, 0.1, MU)
@@ -127,7 +127,7 @@ def test_a_child_inherits_the_same_function_in_its_own_cells() -> None:
 
 
 def test_residuals_are_the_sums_of_squares(
-    patches: list[tuple[FloatArray, FloatArray, FloatArray]],
+    patches: list[Patch],
 ) -> None:
     coefficients = np.random.default_rng(6).normal(size=(len(patches), 10))
     expected = [
@@ -138,7 +138,7 @@ def test_residuals_are_the_sums_of_squares(
 
 
 def test_slopes_are_the_sums_of_squares(
-    patches: list[tuple[FloatArray, FloatArray, FloatArray]],
+    patches: list[Patch],
 ) -> None:
     coefficients = np.random.default_rng(7).normal(size=(len(patches), 10))
     expected = []

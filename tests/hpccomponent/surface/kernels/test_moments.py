@@ -14,13 +14,15 @@ from hpccomponent.surface.kernels.portable.moments import (
 )
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
+SortedCells = tuple[FloatArray, FloatArray, IntArray]
+
 
 def test_there_are_as_many_monomials_as_the_kernels_go_by() -> None:
     assert len(EXPONENTS) == MONOMIALS == COLUMNS - 9
 
 
 @pytest.fixture
-def cells() -> tuple[FloatArray, FloatArray, IntArray]:
+def cells() -> SortedCells:
     """Seven cells of uneven size, one of them larger than a chunk of the kernel."""
     rng = np.random.default_rng(7)
     counts = np.array([1, 5, 20_000, 3, 130, 1, 9])
@@ -53,7 +55,7 @@ def test_each_exponent_of_degree_up_to_four_occurs_once() -> None:
     assert COLUMNS == 44
 
 
-def test_moments_are_the_sums_they_say(cells: tuple[FloatArray, FloatArray, IntArray]) -> None:
+def test_moments_are_the_sums_they_say(cells: SortedCells) -> None:
     positions, normals, offsets = cells
     moments = accumulate_moments(positions, normals, offsets)
     for row, (a, b) in zip(moments, itertools.pairwise(offsets), strict=True):
@@ -62,9 +64,7 @@ def test_moments_are_the_sums_they_say(cells: tuple[FloatArray, FloatArray, IntA
 
 
 @pytest.mark.parametrize("cut", [1, 2, 3, 6])
-def test_a_row_does_not_depend_on_its_batch(
-    cells: tuple[FloatArray, FloatArray, IntArray], cut: int
-) -> None:
+def test_a_row_does_not_depend_on_its_batch(cells: SortedCells, cut: int) -> None:
     positions, normals, offsets = cells
     whole = accumulate_moments(positions, normals, offsets)
     point = offsets[cut]
@@ -74,7 +74,7 @@ def test_a_row_does_not_depend_on_its_batch(
 
 
 def test_sums_run_in_the_order_of_the_points(
-    cells: tuple[FloatArray, FloatArray, IntArray],
+    cells: SortedCells,
 ) -> None:
     positions, normals, offsets = cells
     total = 0.0
@@ -85,7 +85,7 @@ def test_sums_run_in_the_order_of_the_points(
 
 @pytest.mark.parametrize("shift", [(0.5, -0.5, 0.5), (0.3, 0.0, -1.7)])
 def test_shifted_moments_are_those_of_shifted_points(
-    cells: tuple[FloatArray, FloatArray, IntArray], shift: tuple[float, float, float]
+    cells: SortedCells, shift: tuple[float, float, float]
 ) -> None:
     positions, normals, offsets = cells
     shifted = shift_moments(accumulate_moments(positions, normals, offsets), np.array(shift))
@@ -109,7 +109,7 @@ def test_shifting_leaves_its_input_alone(rows: int) -> None:
 
 
 def test_scaled_moments_are_those_of_cells_of_twice_the_size(
-    cells: tuple[FloatArray, FloatArray, IntArray],
+    cells: SortedCells,
 ) -> None:
     positions, normals, offsets = cells
     scaled = scale_moments(accumulate_moments(positions, normals, offsets))

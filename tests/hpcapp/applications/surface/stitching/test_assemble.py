@@ -21,6 +21,8 @@ from hpccomponent.surface.extraction.summary import summarize_part
 from hpccomponent.surface.tasks.shared_ply import write_part
 from hpccomponent.surface.types.mesh import Mesh
 
+Weld = tuple[WeldPlan, list[MeshPart], Mesh]
+
 extracted = cache(extract_shape)
 ORIGINS = {"near": np.zeros(3), "far": np.array([4.5e5, 0.0, -12.0])}
 
@@ -31,7 +33,7 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @st.composite
-def welds(draw: st.DrawFn) -> tuple[WeldPlan, list[MeshPart], Mesh]:
+def welds(draw: st.DrawFn) -> Weld:
     mesh, of_vertex, of_face = extracted(SHAPES[draw(st.sampled_from(sorted(SHAPES)))])
     parts = cut_mesh(mesh, of_vertex, of_face, *draw(cuts(of_vertex, of_face)))
     origin = ORIGINS[draw(st.sampled_from(sorted(ORIGINS)))]
@@ -47,7 +49,7 @@ few = settings(max_examples=12, suppress_health_check=[HealthCheck.function_scop
 @few
 @given(drawn=welds())
 def test_every_format_is_streamed_as_the_whole_is_written(
-    tmp_path: Path, suffix: str, drawn: tuple[WeldPlan, list[MeshPart], Mesh]
+    tmp_path: Path, suffix: str, drawn: Weld
 ) -> None:
     plan, parts, whole = drawn
     write_mesh(tmp_path / f"whole{suffix}", whole)
@@ -58,9 +60,7 @@ def test_every_format_is_streamed_as_the_whole_is_written(
 
 @few
 @given(drawn=welds(), seed=st.integers(0, 99))
-def test_workers_write_their_bricks_into_one_file(
-    tmp_path: Path, drawn: tuple[WeldPlan, list[MeshPart], Mesh], seed: int
-) -> None:
+def test_workers_write_their_bricks_into_one_file(tmp_path: Path, drawn: Weld, seed: int) -> None:
     plan, parts, whole = drawn
     write_mesh(tmp_path / "whole.ply", whole)
     counts = (plan.vertex_count, plan.face_count)
@@ -74,7 +74,7 @@ def test_workers_write_their_bricks_into_one_file(
 @few
 @given(drawn=welds())
 def test_tiles_are_the_faces_of_their_parts_and_meet_exactly(
-    drawn: tuple[WeldPlan, list[MeshPart], Mesh],
+    drawn: Weld,
 ) -> None:
     plan, parts, whole = drawn
     triangles = []
