@@ -85,7 +85,7 @@ def run(path: Path, folder: Path, backend_name: str, workers: int | None) -> Non
             lambda: clean_regions(ingested.cloud, folder / "cleaned", passes, ingested.boxes),
         )
         shutil.rmtree(folder / "arranged")
-        scale = take("noise", lambda: choose_scale(cloud, 0.0, 1.0, 1.0))
+        scale = take("noise", lambda: choose_scale(cloud.measure(), 0.0, 1.0, 1.0))
         coarse = 16.0 * scale.cell_size
         cells, _ = take("cells", lambda: passes.count_cells(cloud, cloud.low, coarse))
         tell("all", totals)

@@ -39,7 +39,7 @@ from hpcapp.io import drop_unusable, read_points
 from hpcapp.progress import SilentProgress, StageClock
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
-from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.surface.cloud.arranged import MemoryCloud
 
 __all__ = [
     "Run",
@@ -190,7 +190,7 @@ def measure(
     Run
     """
     method = method or PaperMethod(patches=PAPER_PATCHES)
-    points, _ = drop_unusable(read_points(cloud), str(cloud))
+    points = _read(cloud)
     for number in range(rounds):
         counts = list(range(most_workers + 1))
         for workers in counts if number % 2 == 0 else reversed(counts):
@@ -204,7 +204,12 @@ def measure(
             yield Run(workers, number, start_s, first_fit_s, fit_s, job_s, sent)
 
 
-def _time_first_fit(points: PointCloud, method: PaperMethod, opened: Backend) -> float:
+def _read(cloud: Path) -> MemoryCloud:
+    points, _ = drop_unusable(read_points(cloud), str(cloud))
+    return MemoryCloud.as_they_are(points)
+
+
+def _time_first_fit(points: MemoryCloud, method: PaperMethod, opened: Backend) -> float:
     """Fit once, so that the workers have loaded the code; return the seconds it took."""
     partition = method.partition(points, opened.workforce)
     start = perf_counter()
@@ -217,8 +222,7 @@ def _time_job(cloud: Path, method: PaperMethod, opened: Backend) -> tuple[float,
     clock = StageClock(SilentProgress())
     with TemporaryDirectory() as folder:
         start = perf_counter()
-        points, _ = drop_unusable(read_points(cloud), str(cloud))
-        result = reconstruct(points, method, opened.workforce, clock)
+        result = reconstruct(_read(cloud), method, opened.workforce, clock)
         result.surface.write(Path(folder) / "mesh.ply", opened.workforce)
         return clock.seconds["fit"], perf_counter() - start
 

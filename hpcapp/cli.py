@@ -26,6 +26,7 @@ SHIPPED = {
     "reconstruct": "hpcapp.applications.surface.command:reconstruct",
     "simulate": "hpcapp.applications.surface.command:simulate",
     "info": "hpcapp.applications.surface.command:info",
+    "convert": "hpcapp.applications.surface.convert:convert",
 }
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # What these log is raised too, and said in our words: a user sees it with --debug only.

@@ -16,7 +16,7 @@ from hpcapp.io.frame import needs_double
 from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.io.meshes.tiles import TILES_SUFFIX, shared_tiles, write_tiles
 from hpcapp.io.ply.format import shared_ply
-from hpcapp.io.points.point_source import PointSource
+from hpcapp.io.points.point_source import PointSource, read_whole
 from hpcapp.io.points.usable import Dropped, drop_unusable
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "open_points",
     "read_mesh",
     "read_points",
+    "read_whole",
     "shared_ply",
     "shared_tiles",
     "write_mesh",

@@ -8,16 +8,20 @@ from os import PathLike
 from pathlib import Path
 from typing import Literal, TypeVar
 
+from hpcapp.io.e57.writer import write_e57
+from hpcapp.io.las.writer import write_las
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.obj import read_obj, write_obj
 from hpcapp.io.meshes.off import read_off, write_off
 from hpcapp.io.meshes.stl import read_stl, write_stl
 from hpcapp.io.meshes.tiles import TILES_SUFFIX, check_tiles, write_tiles
 from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh, write_ply_points
+from hpcapp.io.points.npz_writer import write_npz_points
 from hpcapp.io.points.point_source import PointSource, read_whole, translated
+from hpcapp.io.points.recognition import recognise
 from hpcapp.io.points.registry import find_point_format
-from hpcapp.io.points.text import write_text_points
 from hpcapp.io.staging import check_place
+from hpcapp.io.text.writer import write_text_points
 from hpccomponent.errors import InputError, OutputError, UsageError
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import PointCloud
@@ -35,10 +39,14 @@ Chosen = TypeVar("Chosen")
 
 _STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
 
-_TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")
-_POINT_WRITERS: dict[str, Callable[[Path, PointCloud], None]] = {
-    ".ply": write_ply_points,
-    **dict.fromkeys(_TEXT_SUFFIXES, write_text_points),
+_TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")  # what blanks separate in any program
+_POINT_WRITERS: dict[str, Callable[[Path, PointCloud, str | None], None]] = {
+    ".ply": lambda path, cloud, _: write_ply_points(path, cloud),
+    **dict.fromkeys(_TEXT_SUFFIXES, lambda path, cloud, _: write_text_points(path, cloud)),
+    ".las": write_las,
+    ".laz": write_las,
+    ".e57": write_e57,
+    ".npz": lambda path, cloud, _: write_npz_points(path, cloud),
 }
 _MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".ply": read_ply_mesh,
@@ -56,7 +64,7 @@ _MESH_WRITERS: dict[str, Callable[[Path, Mesh | MeshStream], None]] = {
 
 
 def read_points(path: str | PathLike[str]) -> PointCloud:
-    """Read a point cloud: .ply (a mesh's vertices, too), .xyz, .txt, .asc, .pts.
+    """Read a point cloud, or the vertices of a mesh.
 
     Parameters
     ----------
@@ -90,7 +98,8 @@ def open_points(path: str | PathLike[str]) -> PointSource:
     Returns
     -------
     PointSource
-        Its parts are in the file's coordinates, and hold every point of it.
+        Its parts are in the file's coordinates, and hold every point of it but missing returns;
+        what its columns hold was found out (see `recognise`).
 
     Raises
     ------
@@ -106,7 +115,7 @@ def open_points(path: str | PathLike[str]) -> PointSource:
     point_format = find_point_format(Path(path))
     with translated(Path(path)):
         _refuse_special(Path(path))
-        return point_format.open(Path(path))
+        return recognise(point_format.open(Path(path)))
 
 
 def read_mesh(path: str | PathLike[str]) -> Mesh:
@@ -135,8 +144,10 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
         return reader(Path(path))
 
 
-def write_points(path: str | PathLike[str], cloud: PointCloud) -> None:
-    """Write a point cloud, in the input's coordinates: .ply, .xyz, .txt, .asc, .pts.
+def write_points(path: str | PathLike[str], cloud: PointCloud, crs: str | None = None) -> None:
+    """Write a point cloud, in the input's coordinates.
+
+    The formats are .ply, .las, .laz, .e57, .npz, .xyz, .txt, .asc and .pts.
 
     Parameters
     ----------
@@ -144,14 +155,18 @@ def write_points(path: str | PathLike[str], cloud: PointCloud) -> None:
         The suffix chooses the format. The file appears whole or not at all.
     cloud : PointCloud
         May lack normals and colours.
+    crs : str, optional
+        Coordinate reference system, as WKT or an EPSG code; kept where the format holds it.
 
     Raises
     ------
     OutputError
         The suffix is unknown, or the file cannot be written.
+    UsageError
+        The library that writes the format is not installed.
     """
     _choose(_POINT_WRITERS, Path(path), OutputError, "a point cloud is written to")(
-        Path(path), cloud
+        Path(path), cloud, crs
     )
 
 

@@ -78,10 +78,10 @@ def test_events_go_to_a_pipe_that_somebody_reads(place: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["-", "/dev/stdin", "/dev/fd/0"])
-def test_points_are_not_read_from_the_standard_input(place: Path, name: str) -> None:
+def test_an_empty_standard_input_is_one_clear_line(place: Path, name: str) -> None:
     done = _run(place, "info", name)
-    assert done.returncode == 2
-    assert "points are not read from the standard input; write them to a file first" in done.stderr
+    assert done.returncode == 3
+    assert "the standard input is empty" in done.stderr
 
 
 def test_a_mesh_does_not_replace_the_standard_output(place: Path) -> None:

@@ -30,7 +30,7 @@ from hpcapp.applications.surface.settings import (
 from hpcapp.applications.surface.steps import run_memory
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
-from hpcapp.io.points.usable import Dropped
+from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.progress import Progress, SilentProgress, StageClock
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.types.mesh import Mesh
@@ -115,12 +115,14 @@ def reconstruct(
         workers=workers,
     )
     _check_settings(settings)
-    cloud = _check_cloud(points, normals)
+    checked = _check_cloud(points, normals)
     clock = StageClock(SilentProgress() if progress is None else _Calls(progress))
     given = None if isinstance(executor, str) else executor
     with approach_workers(settings) as opener:
-        cloud, far = arrange_usable(settings, cloud, clock)
-        cloud, cleaned = clean_points(settings, cloud, far, clock)
+        cloud, cleaned = arrange_usable(settings, checked, clock)
+        del checked  # makes room
+        refuse_too_few(len(cloud), Dropped(0, 0), "points")
+        cloud, cleaned = clean_points(settings, cloud, cleaned, clock)
         loaded = Loaded(cloud, Dropped(0, 0), cleaned)
         with run_memory(settings, loaded, opener, clock, executor=given) as outcome:
             mesh = outcome.result.surface.mesh()

@@ -23,6 +23,14 @@ __all__ = ["check_flags", "info", "reconstruct", "simulate"]
 log = logging.getLogger("hpcapp")
 
 POINTS = click.Path(dir_okay=False, path_type=Path)
+_LONGEST = 120  # characters of a coordinate system that are shown to people
+INPUTS = click.argument("points", nargs=-1, required=True, type=click.Path(dir_okay=False))
+SAMPLE = click.option(
+    "--sample",
+    type=click.IntRange(10),
+    metavar="N",
+    help="POINTS is a mesh: take N points on its faces in place of its vertices.",
+)
 
 
 def _check_method_options(ctx: click.Context) -> None:
@@ -111,7 +119,8 @@ def _add_method_options(command: click.Command) -> click.Command:
 
 @_add_method_options
 @click.command()
-@click.argument("points", type=POINTS)
+@INPUTS
+@SAMPLE
 @click.option(
     "-o",
     "--output",
@@ -210,7 +219,10 @@ def _add_method_options(command: click.Command) -> click.Command:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 @click.pass_context
 def reconstruct(ctx: click.Context, /, **options: Any) -> None:
-    """Reconstruct a watertight mesh from the oriented points of the file POINTS."""
+    """Reconstruct a watertight mesh from the points of the files POINTS.
+
+    Patterns as 'scans/*.laz' stand for all files that fit; - is the standard input.
+    """
     check_flags(ctx)
     as_json = options.pop("as_json")
     events = options.pop("events")
@@ -238,6 +250,7 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         from hpcapp.applications.surface.job import run_job  # while the machines start
         from hpcapp.applications.surface.memory import parse_limit
         from hpcapp.applications.surface.settings import JobSettings
+        from hpcapp.io.points.inputs import STANDARD_INPUT, find_files, gather_points
         from hpcapp.progress_display import open_events, open_progress
 
         if options["max_memory"] is not None:
@@ -245,20 +258,46 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         own = {name: options.pop(name) for name in METHOD_OPTIONS}
         method = find_method(options.pop("method"))
         chosen = {name: own[name] for name in option_names(method)}
-        settings = JobSettings(method=method(**chosen), **options)
-        with open_progress(sys.stderr) as display, open_events(events, display) as progress:
+        names, sample = options.pop("points"), options.pop("sample")
+        files = tuple(Path(name) for name in find_files(names) if name != STANDARD_INPUT)
+        if options["resume"] and not files:
+            raise UsageError("--resume needs a file to know again", "write the points to a file")
+        with (
+            gather_points(names, sample) as points,
+            open_progress(sys.stderr) as display,
+            open_events(events, display) as progress,
+        ):
+            settings = JobSettings(method=method(**chosen), points=points, inputs=files, **options)
             return run_job(settings, progress, machines)
 
 
 @click.command()
-@click.argument("points", type=POINTS)
+@INPUTS
+@SAMPLE
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
-def info(points: Path, as_json: bool) -> None:
-    """Print what the point cloud POINTS holds: count, bounds, normals, spacing, NaN points."""
-    from hpcapp.applications.surface.input.info import describe
-    from hpcapp.io import read_points
+@click.option(
+    "--png",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Draw the points into a picture.",
+)
+def info(points: tuple[str, ...], sample: int | None, as_json: bool, png: Path | None) -> None:
+    """Print what the point clouds POINTS hold, and what of it was taken for what."""
+    from hpcapp.applications.surface.input.info import describe_file
+    from hpcapp.applications.surface.input.thumbnail import write_thumbnail
+    from hpcapp.io import open_points
+    from hpcapp.io.points.inputs import gather_points
+    from hpcapp.io.points.point_source import Findings
 
-    facts = describe(read_points(points))
+    with gather_points(points, sample) as path:
+        source = open_points(path)
+        facts, cloud = describe_file(source)
+    shown = points[0] if len(points) == 1 else f"{points[0]} and others"
+    for line in Findings(facts["warnings"], facts["dropped"]).lines():
+        log.warning("warning: %s: %s", shown, line)
+    if png is not None:
+        scanner = source.scans[0].scanner if len(source.scans) == 1 else None
+        write_thumbnail(png, cloud, scanner)
     if as_json:
         click.echo(json.dumps(facts))
         return
@@ -268,15 +307,19 @@ def info(points: Path, as_json: bool) -> None:
 
 
 def _readable(value: Any) -> str:
+    """Return a JSON value as people read it."""
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if value is None or value == "":
+        return "-"
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, list | tuple):
         return "  ".join(_readable(item) for item in value)
     if isinstance(value, dict):
         return ", ".join(f"{name} {_readable(item)}" for name, item in value.items())
-    return str(value)
+    text = str(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 
 
 @click.command()

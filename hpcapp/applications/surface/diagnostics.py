@@ -9,12 +9,11 @@ import numpy as np
 
 from hpcapp.applications.surface.surface import Surface
 from hpccomponent.surface import kernels
-from hpccomponent.surface.cloud.disk import DiskCloud
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import find_first, pack_places
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
-__all__ = ["doubt_closure", "doubt_normals", "doubt_resolution", "sample_cloud"]
+__all__ = ["SAMPLE", "doubt_closure", "doubt_normals", "doubt_resolution"]
 
 #: Points are judged on a sample of about so many.
 SAMPLE = 10_000
@@ -28,21 +27,6 @@ CONTRADICTING = 0.5
 INWARD = -0.1
 #: Share of the vertices outside the points' box; a closed scan leaves it by less than a cell.
 OUTSIDE = 0.02
-
-
-def sample_cloud(cloud: DiskCloud) -> PointCloud:
-    """Return as many points of a cloud, evenly, as are looked at here.
-
-    Parameters
-    ----------
-    cloud : DiskCloud
-
-    Returns
-    -------
-    PointCloud
-        About `SAMPLE` points, or all where there are fewer.
-    """
-    return PointCloud(*cloud.take_every(-(-len(cloud) // SAMPLE)))
 
 
 def doubt_normals(cloud: PointCloud) -> list[str]:

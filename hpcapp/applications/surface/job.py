@@ -30,7 +30,6 @@ from hpcapp.backends.selection import Backend
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.freed_memory import keep_memory
-from hpccomponent.surface.types.points import PointCloud
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.steps import Outcome
@@ -72,7 +71,7 @@ def run_job(
     clock = StageClock(progress)
     if count_most_points(settings.points) >= LARGE_CLOUD:
         keep_memory()
-    with open_output(settings.output, settings.points) as target, open_room(settings) as room:
+    with open_output(settings.output, settings.files) as target, open_room(settings) as room:
         run = _run_in_memory if room.folder is None else _run_in_folder
         report = run(settings, room, target, clock, machines)
     report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
@@ -91,7 +90,7 @@ def _run_in_memory(
 
     with approach_workers(settings, _guess_job(settings), machines) as opener:
         loaded = load_memory(settings, clock)
-        loaded.report(settings.points)
+        loaded.report(settings.shown)
         with run_memory(settings, loaded, opener, clock, room.keeping) as outcome:
             return _write(settings, loaded, outcome, target, clock)
 
@@ -114,12 +113,11 @@ def _run_in_folder(
             loaded = load_memory(settings, clock)
         else:
             loaded, keeping = _load_there(settings, room, backend, clock)
-        loaded.report(settings.points)
+        loaded.report(settings.shown)
         from hpcapp.applications.surface.steps import run_loaded  # imported by now: `load_folder`
 
-        grid = choose_grid(settings, *loaded.box)
-        if isinstance(loaded.cloud, PointCloud):
-            check_memory(settings.method, grid, loaded.cloud)
+        grid = choose_grid(settings, loaded.cloud.low, loaded.cloud.high)
+        check_memory(settings.method, grid, loaded.cloud.points)
         outcome = run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
         return _write(settings, loaded, outcome, target, clock)
 
@@ -152,10 +150,12 @@ def _write(
     with clock.stage("check"):  # most of it is done while workers write
         topology = outcome.result.surface.check()
     report = _describe(settings, outcome, topology)
-    report["warnings"] = outcome.warnings
+    report["warnings"] = loaded.findings.warnings + outcome.warnings
     report["dropped"] = {
+        **loaded.findings.dropped,
         "non_finite_points": loaded.dropped.non_finite_points,
         "bad_normals": loaded.dropped.bad_normals,
+        "duplicates": loaded.cleaned.repeated,
         "outliers": loaded.cleaned.outliers,
     }
     report["turned_normals"] = loaded.cleaned.flipped

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.sizes import TILE_POINTS
-from hpccomponent.errors import UsageError
+from hpcapp.io.points.registry import find_point_format
+from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.limits import available_memory
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.spacing import estimate_spacing
@@ -37,8 +38,6 @@ SMALL_GRID = 256
 
 #: What a tile takes of the process that makes its mesh, a point; measured from above.
 BYTES_PER_TILE_POINT = 800.0
-#: A point in a file takes so many bytes or more: three coordinates and a normal of float32.
-BYTES_PER_RECORD = 24
 LEAST_TILE = 50_000
 
 
@@ -95,7 +94,7 @@ def fits_memory(path: Path, limit: float | None) -> bool:
 
 
 def count_most_points(path: Path) -> int:
-    """Return how many points a file holds at most, judged by its size.
+    """Return how many points a file holds at most: as it says, or judged by its size.
 
     Parameters
     ----------
@@ -106,9 +105,13 @@ def count_most_points(path: Path) -> int:
     -------
     int
     """
+    if not path.is_file():  # looking into a pipe would wait for ever
+        return 0
     try:
-        return path.stat().st_size // BYTES_PER_RECORD
-    except OSError:
+        known = find_point_format(path)
+        counted = known.open(path).count if known.states_count else None
+        return int(path.stat().st_size / known.least_bytes) if counted is None else counted
+    except (OSError, HpcError):
         return 0
 
 
@@ -131,7 +134,7 @@ def fitting_tile(limit: float, at_once: int) -> int:
     return int(min(max(points, LEAST_TILE), TILE_POINTS))
 
 
-def check_memory(method: MethodSettings, grid: int, cloud: PointCloud) -> None:
+def check_memory(method: MethodSettings, grid: int, points: PointCloud | None) -> None:
     """Refuse a grid whose mesh cannot be computed in the memory that is available.
 
     Parameters
@@ -139,8 +142,8 @@ def check_memory(method: MethodSettings, grid: int, cloud: PointCloud) -> None:
     method : MethodSettings
     grid : int
         Cells along the longest side.
-    cloud : PointCloud
-        Finite positions, not all at one place.
+    points : PointCloud or None
+        Finite positions, not all at one place; None where they are not in memory, and tiles fit.
 
     Raises
     ------
@@ -148,9 +151,9 @@ def check_memory(method: MethodSettings, grid: int, cloud: PointCloud) -> None:
         It takes more than there is; the message names a grid that fits.
     """
     available = available_memory()
-    if grid <= SMALL_GRID or available is None:
+    if grid <= SMALL_GRID or available is None or points is None:
         return
-    needed = method.estimate_memory(grid, cloud)
+    needed = method.estimate_memory(grid, points)
     if needed <= available:
         return
     fitting = max(

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.checkpoint import Keeping
     from hpcapp.applications.surface.surface import Surface
     from hpcapp.workforce import Workforce
+    from hpccomponent.surface.cloud.arranged import ArrangedCloud
     from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["Advance", "Method", "MethodSettings", "Resources"]
@@ -104,12 +105,12 @@ class MethodSettings(Protocol):
 class Method(Protocol[PartitionT, QuadricsT]):
     """One way to turn oriented points into a mesh, in three stages."""
 
-    def partition(self, cloud: Any, workforce: Workforce) -> PartitionT:
-        """Cut the cloud into parts; clouds that are not in memory are not for every method.
+    def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> PartitionT:
+        """Cut the cloud into parts.
 
         Parameters
         ----------
-        cloud : PointCloud or ArrangedCloud
+        cloud : ArrangedCloud
             With unit normals.
         workforce : Workforce
             Where tasks run.

@@ -19,7 +19,7 @@ from hpcapp.applications.surface.surface import Surface
 from hpcapp.progress import StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
-from hpccomponent.surface.cloud.arranged import ArrangedCloud
+from hpccomponent.surface.cloud.arranged import ArrangedCloud, replace_points
 from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["Preprocess", "Reconstruction", "reconstruct"]
@@ -47,7 +47,7 @@ class Reconstruction:
 
 
 def reconstruct(
-    cloud: PointCloud | ArrangedCloud,
+    cloud: ArrangedCloud,
     method: Method[Any, Any],
     workforce: Workforce,
     clock: StageClock,
@@ -58,7 +58,7 @@ def reconstruct(
 
     Parameters
     ----------
-    cloud : PointCloud or ArrangedCloud
+    cloud : ArrangedCloud
         Finite positions and unit normals (see `hpcapp.io.drop_unusable`).
     method : Method
         The strategy: `PaperMethod` or `HierarchicalMethod`.
@@ -81,13 +81,13 @@ def reconstruct(
         What a stage raised.
     """
     for name, step in preprocess:
-        if not isinstance(cloud, PointCloud):
+        if cloud.points is None:
             raise UsageError(
                 f"the step '{name}' needs all points in memory",
                 "leave it out, or give more --max-memory",
             )
         with clock.stage(name):
-            cloud = step(cloud)
+            cloud = replace_points(cloud, step(cloud.points))
     with clock.stage("partition"):
         partition = method.partition(cloud, workforce)
     if background is not None:

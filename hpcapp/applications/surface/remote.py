@@ -10,11 +10,12 @@ import click
 from hpcapp.applications.surface.output import open_output
 from hpcapp.backends.cluster_jobs import load_cluster_function
 from hpcapp.io import drop_unusable, read_points
+from hpcapp.io.points.inputs import STANDARD_INPUT, find_files, gather_points
 from hpccomponent.errors import UsageError
 
 __all__ = ["OF_THIS_MACHINE", "check_points", "run_on_cluster"]
 
-OF_THIS_MACHINE = ("points", "output", "cluster", "events", "as_json")
+OF_THIS_MACHINE = ("points", "sample", "output", "cluster", "events", "as_json")
 """What options name here; on the head they are the job's own."""
 
 
@@ -33,7 +34,8 @@ def check_points(points: Path) -> None:
     InputError
         It cannot be read, or its points cannot be used.
     """
-    drop_unusable(read_points(points), str(points))
+    with gather_points([str(points)]) as path:
+        drop_unusable(read_points(path), str(path))
 
 
 def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
@@ -54,13 +56,17 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
     HpcError
         Whatever went wrong, here or there.
     """
-    points, cluster = ctx.params["points"], ctx.params["cluster"]
+    names, cluster = ctx.params["points"], ctx.params["cluster"]
     if ctx.params["events"] is not None:
         raise UsageError(
             "--events means nothing to a cluster file", "its jobs keep their events by themselves"
         )
     run = load_cluster_function("run")
-    with open_output(ctx.params["output"], points) as target:
+    files = [Path(name) for name in find_files(names) if name != STANDARD_INPUT]
+    with (
+        open_output(ctx.params["output"], files) as target,
+        gather_points(names, ctx.params["sample"]) as points,
+    ):
         check_points(points)
         report: dict[str, Any] = run(cluster, "reconstruct", points, target, _typed_options(ctx))
     return report

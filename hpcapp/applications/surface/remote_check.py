@@ -43,7 +43,7 @@ def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str])
     except click.UsageError as error:
         problem = error.format_message().rstrip(".")
         raise UsageError(problem, "see 'hpcapp reconstruct --help'") from None
-    same = {"points": points.absolute(), "output": str(output), "cluster": cluster}
+    same = {"points": (str(points.absolute()),), "output": str(output), "cluster": cluster}
     for name in OF_THIS_MACHINE:
         if ctx.params[name] not in (same.get(name), None, False):
             flag = "--json" if name == "as_json" else f"--{name}"
@@ -51,5 +51,5 @@ def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str])
     check_flags(ctx)
     if str(output) == "-":
         raise OutputError("-o - names no file", "name a file to write to")
-    with open_output(str(output), points):
+    with open_output(str(output), [points]):
         check_points(points)

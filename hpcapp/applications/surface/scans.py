@@ -15,6 +15,7 @@ import numpy as np
 
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce, cut_equal, map_batches, stream_batches
+from hpccomponent.surface.cloud.arranged import ArrangedCloud
 from hpccomponent.surface.cloud.disk import DiskCloud
 from hpccomponent.surface.cloud.regions import DroppedCells, SentBlocks, pack_region
 from hpccomponent.surface.cloud.spacing import search_spacing
@@ -179,13 +180,13 @@ class Passes:
         return stream_batches(self.workforce, task, batches(), max(at_once, 1))
 
     def count_cells(
-        self, cloud: DiskCloud, origin: FloatArray, size: float
+        self, cloud: ArrangedCloud, origin: FloatArray, size: float
     ) -> tuple[IntArray, IntArray]:
         """Count the points in the occupied cells of a lattice; see `count_block_cells`.
 
         Parameters
         ----------
-        cloud : DiskCloud
+        cloud : ArrangedCloud
         origin : ndarray of float64, shape (3,)
             Corner of a cell.
         size : float
@@ -196,7 +197,9 @@ class Passes:
         keys, counts : ndarray of int64, shape (c,)
             Sorted by key.
         """
-        return merge_cells(self.map_blocks(count_block_cells, cloud, None, origin, size))
+        runs = [cloud.keys[run] for run in self.cut_blocks(cloud.counts)]
+        asked = [(cloud.place, keys, origin, size) for keys in runs]
+        return merge_cells(self.map(count_block_cells, asked))
 
     @property
     def _workforce(self) -> Workforce:

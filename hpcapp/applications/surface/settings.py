@@ -86,13 +86,27 @@ class JobSettings(Settings):
     Parameters
     ----------
     points : Path
-        The point cloud.
+        The point cloud that is read.
     output : str
         The mesh to write; ``-`` for standard output.
+    inputs : tuple of Path
+        The files that the user named, where `points` is made of them.
     """
 
     points: Path
     output: str
+    inputs: tuple[Path, ...] = ()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What the points come from."""
+        return self.inputs or (self.points,)
+
+    @property
+    def shown(self) -> str:
+        """The input for messages."""
+        first, *more = map(str, self.files)
+        return f"{first} and {len(more)} more" if more else first
 
 
 def choose_grid(settings: Settings, low: FloatArray, high: FloatArray) -> int:

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 from hpcapp.applications.surface.backend_choice import Choice, Job, Opener
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.diagnostics import (
+    SAMPLE,
     doubt_closure,
     doubt_normals,
     doubt_resolution,
-    sample_cloud,
 )
 from hpcapp.applications.surface.input.folder import all_see_folder, choose_tile
 from hpcapp.applications.surface.input.load import Loaded
@@ -35,9 +35,8 @@ from hpcapp.backends.selection import Backend
 from hpcapp.progress import StageClock
 from hpccomponent.runtime.background import Deferred
 from hpccomponent.surface.build import kernel_id
-from hpccomponent.surface.cloud.disk import DiskCloud
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpccomponent.surface.cloud.arranged import ArrangedCloud
+from hpccomponent.surface.types.points import FloatArray
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -98,9 +97,8 @@ def run_memory(
     Outcome
     """
     cloud = loaded.cloud
-    assert isinstance(cloud, PointCloud)  # noqa: S101 - it is the one in memory
-    grid = choose_grid(settings, *bound_points(cloud.positions))
-    check_memory(settings.method, grid, cloud)
+    grid = choose_grid(settings, cloud.low, cloud.high)
+    check_memory(settings.method, grid, cloud.points)
     with opener.open(Job(len(cloud), grid), executor) as (backend, choice):
         if keeping and keeping.holds_files and not all_see_folder(Path(keeping.where), backend):
             keeping = replace(keeping, is_shared=False)
@@ -158,14 +156,11 @@ class _Doubts:
     step: float
 
 
-def _doubt_points(grid: int, cloud: PointCloud | DiskCloud) -> _Doubts:
-    if isinstance(cloud, PointCloud):
-        low, high = bound_points(cloud.positions)
-    else:
-        low, high, cloud = cloud.low, cloud.high, sample_cloud(cloud)
+def _doubt_points(grid: int, cloud: ArrangedCloud) -> _Doubts:
+    low, high, points = cloud.low, cloud.high, cloud.sample(SAMPLE)
     step = float((high - low).max()) / grid
-    resolution = doubt_resolution(cloud, step)
-    return _Doubts(resolution, [] if resolution else doubt_normals(cloud), low, high, step)
+    resolution = doubt_resolution(points, step)
+    return _Doubts(resolution, [] if resolution else doubt_normals(points), low, high, step)
 
 
 def _warn(settings: Settings, found: _Doubts, result: Reconstruction) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Container, Iterator
+from collections.abc import Callable, Container, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,11 @@ def read_ascii(path: Path, header: Header, wanted: Container[str]) -> dict[str, 
 
 
 def scan_ascii(
-    path: Path, header: Header, wanted: Container[str], at_once: int
+    path: Path,
+    header: Header,
+    wanted: Container[str],
+    at_once: int,
+    warn: Callable[[str], None] | None = None,
 ) -> Iterator[tuple[str, Rows]]:
     """Read elements of an ascii PLY file in parts; see `read_ascii`.
 
@@ -58,6 +62,9 @@ def scan_ascii(
         As for `read_ascii`.
     at_once : int
         Rows in a part, at most.
+    warn : callable, optional
+        Is told of more rows than the header says, where these are of the last element, which is
+        wanted and has no lists; without it they are refused.
 
     Yields
     ------
@@ -84,9 +91,19 @@ def scan_ascii(
             for first in range(0, max(element.count, 1), at_once):
                 yield element.name, parse(islice(taken, at_once), element, path, first)
         for line in islice(lines, 1):
-            problem = "lines follow after the last element"
-            advice = "a count in the header is too small: export the file again"
-            raise line_error(path, line, problem, advice)
+            last = [element for element in header.elements if element.count][-1:]
+            if warn is None or not last or not _is_more_of(line, last[0], wanted):
+                problem = "lines follow after the last element"
+                advice = "a count in the header is too small: export the file again"
+                raise line_error(path, line, problem, advice)
+            rows = last[0].count + 1 + sum(1 for _ in lines)
+            warn(f"{rows} rows of element {last[0].name!r}, of which the header announces "
+                 f"{last[0].count}: the others are left out")  # fmt: skip
+
+
+def _is_more_of(line: Line, element: Element, wanted: Container[str]) -> bool:
+    columns = len(element.properties)
+    return element.name in wanted and not element.has_lists and len(line[1].split()) == columns
 
 
 def _parse_even(lines: Iterator[Line], element: Element, path: Path, first: int) -> Rows:

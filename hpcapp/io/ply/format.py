@@ -1,7 +1,7 @@
 """PLY files: strict in what is accepted, double precision where it is needed.
 
-The parts: `ply_header` (what the body holds), `ply_binary` and `ply_ascii` (the body), and what
-the elements mean: ``vertex`` is a point cloud (`ply_points`), ``vertex`` and ``face`` are a mesh.
+The parts: `header` (what the body holds), `binary` and `ascii` (the body), and what the elements
+mean: ``vertex`` is a point cloud (`points`), ``vertex`` and ``face`` are a mesh.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,11 @@ from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpcapp.io.ply.ascii import read_ascii
 from hpcapp.io.ply.binary import read_binary
-from hpcapp.io.ply.header import read_header
-from hpcapp.io.ply.points import AXES, COLORS, NORMALS, stack, vertex_of
+from hpcapp.io.ply.faces import find_polygons
+from hpcapp.io.ply.header import SCALAR_TYPES, read_header
+from hpcapp.io.ply.points import plan_vertex
+from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS
+from hpcapp.io.points.named_columns import stack
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError, OutputError
 from hpccomponent.surface.tasks.shared_ply import (
@@ -38,7 +41,6 @@ from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["read_ply_mesh", "shared_ply", "write_ply_mesh", "write_ply_points"]
 
-_FACE_LISTS = ("vertex_indices", "vertex_index")
 _ROWS_AT_ONCE = 1 << 16
 _MOST_VERTICES = 2**31 - 1
 
@@ -49,7 +51,7 @@ class _Column:
 
     name: str
     dtype: str
-    values: NDArray[np.float64] | NDArray[np.uint8]
+    values: NDArray[Any]
     shift: float = 0.0
 
 
@@ -73,17 +75,17 @@ def read_ply_mesh(path: Path) -> Mesh:
         The file cannot be read.
     """
     header = read_header(path)
-    vertex_of(header, path)
-    read = read_binary if header.byte_order else read_ascii
-    elements = read(path, header, {"vertex", "face"})
-    lists = elements["face"].lists if "face" in elements else {}
-    polygons = next((lists[name] for name in _FACE_LISTS if name in lists), None)
-    if polygons is None or polygons.values.dtype.kind not in "iu":
+    _, plan = plan_vertex(header, path)
+    polygons = find_polygons(header)
+    if polygons is None:
         raise InputError(
             f"{path}: no element 'face' with a list vertex_indices of integers: not a mesh",
             "a point cloud can be meshed with 'hpcapp reconstruct'",
         )
-    return mesh_of_polygons(stack(elements["vertex"], AXES), polygons, path)
+    read = read_binary if header.byte_order else read_ascii
+    elements = read(path, header, {"vertex", "face"})
+    positions = stack(elements["vertex"].scalars, plan.positions)
+    return mesh_of_polygons(positions, elements["face"].lists[polygons], path)
 
 
 def write_ply_points(path: Path, cloud: PointCloud) -> None:
@@ -97,7 +99,8 @@ def write_ply_points(path: Path, cloud: PointCloud) -> None:
     path : Path
         Appears whole or not at all.
     cloud : PointCloud
-        Its normals are written as ``float``.
+        Its normals are written as ``float``, its attributes under their names, whose blanks
+        become ``_``, as the type they have; whole numbers of 64 bit as ``double``.
 
     Raises
     ------
@@ -108,7 +111,11 @@ def write_ply_points(path: Path, cloud: PointCloud) -> None:
     if cloud.normals is not None:
         columns += _plain_columns(NORMALS, "<f4", cloud.normals)
     if cloud.colours is not None:
-        columns += _plain_columns(COLORS, "u1", cloud.colours)
+        columns += _plain_columns(COLOURS, _ply_type(cloud.colours.dtype), cloud.colours)
+    for name, values in cloud.attributes.items():
+        name = "_".join(name.split())
+        unique = f"{name}_attribute" if any(name == c.name for c in columns) else name
+        columns += _plain_columns((unique,), _ply_type(values.dtype), values[:, None])
     with replacing(path) as file:
         file.write(ply_header(_vertex_lines(columns)))
         _write_columns(file, columns)
@@ -184,9 +191,7 @@ def _mesh_header(counts: tuple[int, int], is_double: bool) -> bytes:
     return mesh_header(*counts, is_double)
 
 
-def _plain_columns(
-    names: tuple[str, ...], dtype: str, values: FloatArray | NDArray[np.uint8]
-) -> list[_Column]:
+def _plain_columns(names: tuple[str, ...], dtype: str, values: NDArray[Any]) -> list[_Column]:
     return [_Column(name, dtype, column) for name, column in zip(names, values.T, strict=True)]
 
 
@@ -196,9 +201,15 @@ def _coordinate_columns(local: FloatArray, origin: FloatArray) -> list[_Column]:
 
 
 def _vertex_lines(columns: list[_Column]) -> list[str]:
-    spelled = {"<f8": "double", "<f4": "float", "u1": "uchar"}
-    properties = [f"property {spelled[c.dtype]} {c.name}" for c in columns]
+    spelled = {dtype: name for name, dtype in reversed(SCALAR_TYPES.items())}
+    properties = [f"property {spelled[c.dtype[-2:]]} {c.name}" for c in columns]
     return [f"element vertex {len(columns[0].values)}", *properties]
+
+
+def _ply_type(dtype: np.dtype[Any]) -> str:
+    """Return the PLY type that holds all values of a type, as numpy names it."""
+    fitting = (kind for kind in SCALAR_TYPES.values() if np.can_cast(dtype, kind))
+    return "<" + min(fitting, key=lambda kind: np.dtype(kind).itemsize, default="f8")
 
 
 def _write_columns(file: BinaryIO, columns: list[_Column]) -> None:

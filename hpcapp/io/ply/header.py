@@ -8,7 +8,8 @@ Greg Turk, "The PLY Polygon File Format", 1994.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from hpccomponent.errors import InputError
@@ -29,6 +30,7 @@ SCALAR_TYPES = {name: dtype for dtype, names in _SPELLINGS.items() for name in n
 """Every scalar type of PLY, under both spellings, as a numpy type without byte order."""
 
 _BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_KEYWORDS = ("comment", "obj_info", "format", "element", "property")
 _LONGEST_HEADER = 1 << 20
 _EXPORT_AGAIN = "export the file again as PLY 1.0"
 
@@ -45,11 +47,14 @@ class Property:
         Of the value, or of each value of a list: a numpy type without byte order.
     count_dtype : str or None
         Of the length in front of a list; None for a scalar.
+    line : int
+        Of the header that declares it.
     """
 
     name: str
     dtype: str
     count_dtype: str | None = None
+    line: int = field(default=0, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +85,21 @@ class Header:
         Where the body starts, in bytes from the start of the file.
     body_line : int
         The number of the body's first line, counted from 1.
+    warnings : tuple of str
+        What is odd about the header, and was passed over.
+    comments : tuple of tuple of str
+        The words behind ``comment`` of each such line.
+    remarks : dict of str to str
+        What lines of ``obj_info`` say of one word: ``num_cols 512``.
     """
 
     byte_order: str
     elements: tuple[Element, ...]
     body_start: int
     body_line: int
+    warnings: tuple[str, ...] = ()
+    comments: tuple[tuple[str, ...], ...] = ()
+    remarks: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_header(path: Path) -> Header:
@@ -111,7 +125,7 @@ def read_header(path: Path) -> Header:
         head = file.read(_LONGEST_HEADER)
     if not head:
         raise InputError(f"{path}: the file is empty", "export or copy it again")
-    first = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
+    first = re.match(rb"(?:\xef\xbb\xbf)?ply[ \t]*(\r\n|\n|\r)", head)
     if first is None:
         raise InputError(
             f"{path}: not a PLY file: its first line is not 'ply'", "check the file and its suffix"
@@ -122,10 +136,11 @@ def read_header(path: Path) -> Header:
     end = re.search(rb"[\r\n]end_header[ \t]*(?:" + newline + rb"|\Z)", head)
     if end is None:
         raise InputError(f"{path}: the PLY header has no 'end_header'", _EXPORT_AGAIN)
-    lines = head[: end.end()].decode("latin-1").splitlines()
+    # Bytes know no line ends but these: comments may hold any character.
+    lines = head[: end.end()].splitlines()
     parser = _HeaderParser(path)
     for number, line in enumerate(lines[1:-1], start=2):
-        parser.line(number, line.split())
+        parser.line(number, [word.decode("utf-8", "backslashreplace") for word in line.split()])
     byte_order = parser.byte_order
     if byte_order is None:
         raise InputError(f"{path}: the PLY header has no 'format' line", _EXPORT_AGAIN)
@@ -133,7 +148,8 @@ def read_header(path: Path) -> Header:
         if count and not properties:
             raise InputError(f"{path}: PLY element {name!r} has no properties", _EXPORT_AGAIN)
     elements = tuple(Element(n, c, tuple(p)) for n, c, p in parser.elements)
-    return Header(byte_order, elements, end.end(), len(lines) + 1)
+    found = tuple(parser.warnings), tuple(parser.comments), parser.remarks
+    return Header(byte_order, elements, end.end(), len(lines) + 1, *found)
 
 
 class _HeaderParser:
@@ -143,12 +159,19 @@ class _HeaderParser:
         self.path = path
         self.byte_order: str | None = None
         self.elements: list[tuple[str, int, list[Property]]] = []
+        self.warnings: list[str] = []
+        self.comments: list[tuple[str, ...]] = []
+        self.remarks: dict[str, str] = {}
 
     def line(self, number: int, words: list[str]) -> None:
         """Take one line, split into words."""
         match words:
-            case [] | ["comment" | "obj_info", *_]:
+            case ["obj_info", word, value]:
+                self.remarks[word] = value
+            case [] | ["obj_info", *_]:
                 pass
+            case ["comment", *rest]:
+                self.comments.append(tuple(rest))
             case ["format", encoding, "1.0"] if (
                 encoding in _BYTE_ORDERS and self.byte_order is None
             ):
@@ -159,6 +182,9 @@ class _HeaderParser:
                 self._property(number, name, value_type, count_type)
             case ["property", value_type, name]:
                 self._property(number, name, value_type, None)
+            case [word, *_] if word not in _KEYWORDS:
+                text = " ".join(words)[:60]
+                self.warnings.append(f"line {number} of the header has no keyword: {text!r}")
             case _:
                 raise self._wrong(number, f"cannot make sense of {' '.join(words)[:60]!r}")
 
@@ -179,7 +205,7 @@ class _HeaderParser:
         count_dtype = None if count is None else SCALAR_TYPES[count]
         if count_dtype is not None and count_dtype.startswith("f"):
             raise self._wrong(number, f"list {name!r} whose length is a {count}")
-        properties.append(Property(name, SCALAR_TYPES[value], count_dtype))
+        properties.append(Property(name, SCALAR_TYPES[value], count_dtype, number))
 
     def _wrong(self, number: int, problem: str) -> InputError:
         return InputError(f"{self.path}:{number}: PLY header: {problem}", _EXPORT_AGAIN)

@@ -2,33 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from hpcapp.io.columns import Rows
-from hpcapp.io.ply.ascii import scan_ascii
-from hpcapp.io.ply.binary import find_records, scan_binary
-from hpcapp.io.ply.header import Element, Header, read_header
-from hpcapp.io.points.point_source import PointSource
+from hpcapp.io.columns import Ragged, Rows
+from hpcapp.io.ply.ascii import read_ascii, scan_ascii
+from hpcapp.io.ply.binary import find_records, read_binary, scan_binary
+from hpcapp.io.ply.comments import Kept, parse_comments
+from hpcapp.io.ply.faces import find_polygons, vertex_normals
+from hpcapp.io.ply.header import Element, Header, Property, read_header
+from hpcapp.io.ply.range_grid import GRID_LIST, find_cells, find_range_grid
+from hpcapp.io.ply.splats import are_splats, build_splats, plan_splats
+from hpcapp.io.points.named_columns import (
+    ColumnPlan,
+    add_grid,
+    build_cloud,
+    describe_records,
+    plan_columns,
+    stack,
+)
+from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpccomponent.errors import InputError
 from hpccomponent.surface.cloud.point_records import Column, PointRecords
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
-__all__ = ["AXES", "COLORS", "NORMALS", "open_ply", "stack", "vertex_of"]
+__all__ = ["open_ply", "plan_vertex"]
 
-AXES = ("x", "y", "z")
-NORMALS = ("nx", "ny", "nz")
-COLORS = ("red", "green", "blue")
 _ROWS_AT_ONCE = 1 << 16
+_EXACT_IN_SINGLE = ("f4", "i1", "u1", "i2", "u2")
+_ENCODINGS = {"": "ascii", "<": "binary", ">": "binary, big endian"}
+_LONGEST_LINE = 1 << 20
+_MOST_SCANS = 100_000
+_VIEW = ("view_px", "view_py", "view_pz")
 
 
 def open_ply(path: Path) -> PointSource:
     """Open the vertices of a PLY file.
 
-    Properties other than coordinates, normals and colours of one byte are passed over, as are
-    all elements but ``vertex``.
+    Where a mesh has no normals, they come from its faces. The shortest axes of splats are taken
+    for their normals.
 
     Parameters
     ----------
@@ -38,7 +53,7 @@ def open_ply(path: Path) -> PointSource:
     Returns
     -------
     PointSource
-        Normals as they are in the file, of any length.
+        Normals as they are in the file, of any length; colours as they are, too.
 
     Raises
     ------
@@ -48,43 +63,168 @@ def open_ply(path: Path) -> PointSource:
         The file cannot be read.
     """
     header = read_header(path)
-    vertex = vertex_of(header, path)
+    findings = Findings(list(header.warnings))
+    header = _without_absent_lists(path, header, findings)
+    header = _with_byte_colours(path, header)
+    vertex, plan = plan_vertex(header, path)
     types = {p.name: p.dtype for p in vertex.properties if p.count_dtype is None}
-    present = [name for name in NORMALS if name in types]
-    if present and len(present) < len(NORMALS):
-        raise InputError(
-            f"{path}: element 'vertex' has {', '.join(present)} but not all of nx, ny, nz",
-            "export the file with whole normals, or without",
-        )
-
-    records = _find_points(path, header, vertex) if header.byte_order else None
-
-    def scan(rows: int) -> Iterator[PointCloud]:
-        if records is not None:
-            for start in range(0, max(records.count, 1), rows):
-                yield records.read(start, min(start + rows, records.count))
-            check_rest()
-            return
-        read = scan_binary if header.byte_order else scan_ascii
-        for _, part in read(path, header, {vertex.name}, rows):
-            yield _points(part)
-
-    def check_rest() -> None:
-        for _ in scan_binary(path, header, (), 1):
-            """Nothing is asked for: all is measured."""
-
+    is_double = not header.byte_order or any(
+        types[name] not in _EXACT_IN_SINGLE for name in plan.positions
+    )
+    body = _Body(path, header, plan, findings)
+    splats = are_splats(types)
+    faces = next((e.count for e in header.elements if e.name == "face"), 0)
+    polygons = None if plan.normals or splats or not faces else find_polygons(header)
+    is_mesh = polygons is not None
+    records, check_rest = None, None
+    if splats:
+        body = replace(body, plan=plan_splats(plan), build=build_splats)
+        findings.warn("splats: their shortest axes are taken for normals, whose sign is not known")
+        scan: Callable[[int], Iterator[PointCloud]] = body.scan
+    elif polygons is not None:
+        scan = _MeshScan(body, polygons)
+    else:
+        records = _find_points(path, header, vertex, plan) if header.byte_order else None
+        body = replace(body, records=records)
+        scan, check_rest = body.scan, body.check_rest
+    kept = parse_comments(header.comments)
+    grid = None if is_mesh else find_range_grid(header)
+    if grid is not None:
+        records, check_rest, scan = None, None, _GridScan(body, vertex.count, grid[0])
     return PointSource(
         path,
         vertex.count,
-        not header.byte_order or any(types[name] not in _SINGLE for name in AXES),
-        bool(present),
+        is_double,
+        bool(plan.normals) or splats or is_mesh,
         scan,
         records,
         check_rest,
+        f"PLY, {_ENCODINGS[header.byte_order]}{', splats' * splats}{', a mesh' * is_mesh}",
+        tuple(p.name for p in vertex.properties),
+        _find_scans(path, header, vertex.count, kept, grid),
+        kept.crs,
+        kept.unit,
+        findings,
+        "file" if polygons is None else "faces",
+        oriented=not splats,
     )
 
 
-def _find_points(path: Path, header: Header, vertex: Element) -> PointRecords | None:
+def plan_vertex(header: Header, path: Path) -> tuple[Element, ColumnPlan]:
+    """Find the element ``vertex`` of a header, and what its scalars are.
+
+    Parameters
+    ----------
+    header : Header
+    path : Path
+        The file, for messages.
+
+    Returns
+    -------
+    vertex : Element
+    plan : ColumnPlan
+
+    Raises
+    ------
+    InputError
+        There is no such element, or it lacks coordinates or some components of normals.
+    """
+    vertex = next((e for e in header.elements if e.name == "vertex"), None)
+    if vertex is None:
+        raise InputError(f"{path}: no element 'vertex'", "export the file as a point cloud or mesh")
+    scalars = [p.name for p in vertex.properties if p.count_dtype is None]
+    return vertex, plan_columns(scalars, f"{path}: element 'vertex'")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Body:
+    """The elements of a file, read in parts."""
+
+    path: Path
+    header: Header
+    plan: ColumnPlan
+    findings: Findings
+    build: Callable[..., PointCloud] = build_cloud
+    records: PointRecords | None = None
+
+    def parts(self, element: str, rows: int) -> Iterator[Rows]:
+        if self.header.byte_order:
+            parts = scan_binary(self.path, self.header, {element}, rows)
+        else:
+            parts = scan_ascii(self.path, self.header, {element}, rows, self.findings.warn)
+        return (part for _, part in parts)
+
+    def scan(self, rows: int) -> Iterator[PointCloud]:
+        if self.records is not None:
+            yield from self.records.scan(rows)
+            self.check_rest()
+            return
+        for part in self.parts("vertex", rows):
+            yield self.build(part.scalars, self.plan)
+
+    def check_rest(self) -> None:
+        for _ in scan_binary(self.path, self.header, (), 1):
+            """Nothing is asked for: all is measured."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _MeshScan:
+    """Vertices with the normals of their faces; they are in memory all at once."""
+
+    body: _Body
+    polygons: str
+
+    def __call__(self, rows: int) -> Iterator[PointCloud]:
+        parts = list(self.body.scan(_ROWS_AT_ONCE))
+        positions = np.concatenate([part.positions for part in parts])
+        normals, has_face = vertex_normals(positions, self._polygons(), self.body.path)
+        left_out = len(positions) - int(has_face.sum())
+        self.body.findings.dropped.pop(_FACELESS, None)  # a file may be scanned more than once
+        self.body.findings.drop(_FACELESS, left_out)
+        cloud = _join(parts, positions, normals)
+        if left_out:
+            cloud = cloud.take(has_face)
+        for start in range(0, max(len(cloud), 1), rows):
+            yield cloud.take(np.arange(start, min(start + rows, len(cloud))))
+
+    def _polygons(self) -> Iterator[Ragged]:
+        for faces in self.body.parts("face", _ROWS_AT_ONCE):
+            yield faces.lists[self.polygons]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _GridScan:
+    """Vertices with their places in a grid."""
+
+    body: _Body
+    vertices: int
+    width: int
+
+    def __call__(self, rows: int) -> Iterator[PointCloud]:
+        parts = self.body.parts("range_grid", _ROWS_AT_ONCE)
+        lists = (part.lists[GRID_LIST] for part in parts)
+        cells, first = find_cells(lists, self.vertices, self.body.path), 0
+        for part in self.body.scan(rows):
+            yield add_grid(part, cells[first : first + len(part)], self.width)
+            first += len(part)
+
+
+_FACELESS = "vertices without a face"
+
+
+def _join(parts: list[PointCloud], positions: FloatArray, normals: FloatArray) -> PointCloud:
+    colours = [part.colours for part in parts if part.colours is not None]
+    return PointCloud(
+        positions,
+        normals,
+        np.concatenate(colours) if colours else None,
+        {name: np.concatenate([p.attributes[name] for p in parts]) for name in parts[0].attributes},
+    )
+
+
+def _find_points(
+    path: Path, header: Header, vertex: Element, plan: ColumnPlan
+) -> PointRecords | None:
     """Describe the vertices of a binary file as records; None where they differ in length."""
     found = find_records(path, header, vertex.name)
     if found is None:
@@ -96,77 +236,80 @@ def _find_points(path: Path, header: Header, vertex: Element) -> PointRecords | 
             assert dtype.fields is not None  # noqa: S101 - it has these
             kind, offset = dtype.fields[f"v{number}"][:2]
             columns[p.name] = (int(offset), kind.str)
-    has_colours = all(columns.get(name, (0, ""))[1] == "|u1" for name in COLORS)
-    return PointRecords(
-        str(path), start, dtype.itemsize, vertex.count, _pick(columns, AXES),
-        _pick(columns, NORMALS) if NORMALS[0] in columns else (),
-        _pick(columns, COLORS) if has_colours else (),
-    )  # fmt: skip
+    return describe_records(path, start, dtype.itemsize, vertex.count, columns, plan)
 
 
-def _pick(columns: dict[str, Column], names: tuple[str, ...]) -> tuple[Column, ...]:
-    return tuple(columns[name] for name in names)
+def _with_properties(header: Header, vertex: Element, properties: Iterable[Property]) -> Header:
+    changed = replace(vertex, properties=tuple(properties))
+    return replace(header, elements=tuple(changed if e is vertex else e for e in header.elements))
 
 
-_SINGLE = ("f4", "i1", "u1", "i2", "u2")  # what float32 holds exactly
+def _with_byte_colours(path: Path, header: Header) -> Header:
+    """Take colours that are announced as signed bytes for unsigned ones."""
+    vertex, plan = plan_vertex(header, path)
+    properties = (
+        replace(p, dtype="u1") if p.name in plan.colours and p.dtype == "i1" else p
+        for p in vertex.properties
+    )
+    return _with_properties(header, vertex, properties)
 
 
-def vertex_of(header: Header, path: Path) -> Element:
-    """Return the element ``vertex`` of a header, which must have coordinates.
-
-    Parameters
-    ----------
-    header : Header
-    path : Path
-        The file, for messages.
-
-    Returns
-    -------
-    Element
-
-    Raises
-    ------
-    InputError
-        There is no such element, or it has no scalar x, y or z.
-    """
-    vertex = next((e for e in header.elements if e.name == "vertex"), None)
-    if vertex is None:
-        raise InputError(f"{path}: no element 'vertex'", "export the file as a point cloud or mesh")
-    scalars = [p.name for p in vertex.properties if p.count_dtype is None]
-    missing = [name for name in AXES if name not in scalars]
-    if missing:
-        raise InputError(
-            f"{path}: element 'vertex' has no property {', '.join(missing)}",
-            "export the file with coordinates x, y and z",
+def _without_absent_lists(path: Path, header: Header, findings: Findings) -> Header:
+    """Pass over lists of the vertices that the header declares and no row holds."""
+    vertex, _ = plan_vertex(header, path)
+    lists = [p for p in vertex.properties if p.count_dtype is not None]
+    scalars = [p for p in vertex.properties if p.count_dtype is None]
+    if not lists or not vertex.count:
+        return header
+    bare = _with_properties(header, vertex, scalars)
+    if not (_is_of_size(path, bare) if header.byte_order else _starts_with(path, bare, vertex)):
+        return header
+    for p in lists:
+        findings.warn(
+            f"line {p.line} of the header declares the list {p.name!r}, which no vertex has"
         )
-    return vertex
+    return bare
 
 
-def stack(rows: Rows, names: tuple[str, ...]) -> FloatArray:
-    """Copy scalar properties into the columns of one array, block by block for the cache.
-
-    Parameters
-    ----------
-    rows : Rows
-    names : tuple of str
-        Of scalars that the rows have: the columns, in order.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, len(names))
-    """
-    columns = [rows.scalars[name] for name in names]
-    stacked = np.empty((len(columns[0]), len(columns)))
-    for start in range(0, len(stacked), _ROWS_AT_ONCE):
-        block = slice(start, start + _ROWS_AT_ONCE)
-        for i, column in enumerate(columns):
-            stacked[block, i] = column[block]
-    return stacked
+def _is_of_size(path: Path, header: Header) -> bool:
+    """Tell whether a binary body is as long as rows without lists make it."""
+    size = header.body_start
+    for element in header.elements:
+        if element.count and element.has_lists:
+            return False
+        size += element.count * sum(np.dtype(p.dtype).itemsize for p in element.properties)
+    return size == path.stat().st_size
 
 
-def _points(vertex: Rows) -> PointCloud:
-    colours = None
-    if all(name in vertex.scalars and vertex.scalars[name].dtype == np.uint8 for name in COLORS):
-        colours = np.stack([vertex.scalars[name] for name in COLORS], axis=1)
-    normals = stack(vertex, NORMALS) if NORMALS[0] in vertex.scalars else None
-    return PointCloud(stack(vertex, AXES), normals, colours)
+def _starts_with(path: Path, header: Header, vertex: Element) -> bool:
+    """Tell whether an ascii body starts with a vertex that has no more numbers than scalars."""
+    first = next(e for e in header.elements if e.count)
+    with path.open("rb") as file:
+        file.seek(header.body_start)
+        words = file.readline(_LONGEST_LINE).split()
+    return first.name == vertex.name and len(words) == len(first.properties)
+
+
+def _find_scans(
+    path: Path, header: Header, count: int, kept: Kept, grid: tuple[int, int] | None
+) -> tuple[Scan, ...]:
+    """Return the scans that comments number, or the one that the file is."""
+    if not kept.scanners:
+        return (Scan(count, _find_scanner(path, header), grid),)
+    last = max(kept.scanners)
+    if last >= _MOST_SCANS:
+        raise InputError(
+            f"{path}: a comment names scanner {last}", f"number scanners from 0 to {_MOST_SCANS}"
+        )
+    counts = {0: count} if last == 0 else {}
+    return tuple(Scan(counts.get(i), kept.scanners.get(i)) for i in range(last + 1))
+
+
+def _find_scanner(path: Path, header: Header) -> FloatArray | None:
+    """Return where the camera stood, as PCL writes it; at the origin it says nothing."""
+    camera = next((e for e in header.elements if e.name == "camera" and e.count == 1), None)
+    if camera is None or not set(_VIEW) <= {p.name for p in camera.properties}:
+        return None
+    read = read_binary if header.byte_order else read_ascii
+    place = stack(read(path, header, {"camera"})["camera"].scalars, _VIEW)[0]
+    return place if place.any() and np.isfinite(place).all() else None

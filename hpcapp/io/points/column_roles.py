@@ -36,13 +36,19 @@ NormalKind = Literal["unit", "encoded", "any length", "zero", "one octant", "non
 component is negative, as no closed cloud has them; or none of these: no normals."""
 
 _SPELLINGS = {
-    **dict.fromkeys(("x", "px", "pointx", "coordx", "xcoordinate", "easting", "east"), "x"),
-    **dict.fromkeys(("y", "py", "pointy", "coordy", "ycoordinate", "northing", "north"), "y"),
-    **dict.fromkeys(("z", "pz", "pointz", "coordz", "zcoordinate", "elevation", "height"), "z"),
+    **dict.fromkeys(("x", "px", "pointx", "coordx", "xcoordinate", "points0"), "x"),
+    **dict.fromkeys(("y", "py", "pointy", "coordy", "ycoordinate", "points1"), "y"),
+    **dict.fromkeys(("z", "pz", "pointz", "coordz", "zcoordinate", "points2"), "z"),
+    **dict.fromkeys(("easting", "east", "lon", "long", "longitude"), "x"),
+    **dict.fromkeys(("northing", "north", "lat", "latitude"), "y"),
+    **dict.fromkeys(("elevation", "height"), "z"),
+    **{f"cartesian{axis}": axis for axis in "xyz"},
     **{f"{stem}{axis}": f"n{axis}" for stem in ("n", "normal", "normals", "nor") for axis in "xyz"},
     **{f"{stem}red": "red" for stem in ("", "diffuse", "color", "colour")},
     **{f"{stem}green": "green" for stem in ("", "diffuse", "color", "colour")},
     **{f"{stem}blue": "blue" for stem in ("", "diffuse", "color", "colour")},
+    **dict(zip(("normals0", "normals1", "normals2"), NORMALS, strict=True)),
+    **dict(zip(("rgb0", "rgb1", "rgb2"), COLOURS, strict=True)),
     "r": "red",
     "g": "green",
     "b": "blue",
@@ -51,6 +57,8 @@ _SPELLINGS = {
     "bf": "blue",
     **dict.fromkeys(("a", "alpha", "diffusealpha"), "alpha"),
     **dict.fromkeys(("intensity", "i", "scalarintensity"), "intensity"),
+    "rowindex": "row",
+    "columnindex": "column",
     **dict.fromkeys(("class", "classification", "scalarclassification"), "classification"),
 }
 _UNIT = 0.05  # how far from 1 the length of a unit vector may be: two decimals of each component
@@ -69,16 +77,17 @@ def find_role(name: str) -> str:
     -------
     str
         ``x``, ``y``, ``z``, ``nx``, ``ny``, ``nz``, ``red``, ``green``, ``blue``, ``alpha``,
-        ``intensity`` or ``classification``; another name as the file has it, without quotes and
-        blanks around it.
+        ``intensity``, ``classification``, ``row`` or ``column``; another name as the
+        file has it, without quotes and blanks around it.
 
     Examples
     --------
-    >>> [find_role(name) for name in ("//X", '"Normal_Y"', "diffuse_red", "OffsetTime")]
-    ['x', 'ny', 'red', 'OffsetTime']
+    >>> [find_role(name) for name in ("//X", '"Normal_Y"', "diffuse_red", "Z [m]", "OffsetTime")]
+    ['x', 'ny', 'red', 'z', 'OffsetTime']
     """
     stripped = name.strip().strip("\"'").strip()
-    return _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", stripped.lower()), stripped)
+    bare = re.sub(r"(?<=.)[\[(].*[\])]$", "", stripped.lower())  # without a unit
+    return _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", bare), stripped)
 
 
 def judge_colours(values: NDArray[Any]) -> ColourScale | None:
@@ -119,17 +128,23 @@ def judge_normals(values: FloatArray) -> NormalKind:
         Rows with NaN or infinity do not count.
     """
     finite = values[np.isfinite(values).all(axis=1)]
-    if not len(finite) or not finite.any():
-        return "zero"
-    lengths = np.linalg.norm(finite, axis=1)
+    lengths = _lengths(finite)
     directed = lengths > 0
+    if not directed.any():
+        return "zero"
     is_unit = (np.abs(lengths[directed] - 1) < _UNIT).mean() > _MOST
     if finite.min() >= 0:
-        decoded = np.linalg.norm(2 * finite - 1, axis=1)
-        if finite.max() <= 1 and (np.abs(decoded - 1) < _UNIT).mean() > _MOST:
+        if finite.max() <= 1 and (np.abs(_lengths(2 * finite - 1) - 1) < _UNIT).mean() > _MOST:
             return "encoded"
         return "one octant" if is_unit else "none"
     if is_unit:
         return "unit"
     # Without unit length only vectors on all sides are taken for normals.
     return "any length" if (finite.min(axis=0) < 0).all() else "none"
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    """Return the lengths of vectors, infinite ones among them."""
+    with np.errstate(over="ignore", under="ignore"):
+        lengths: FloatArray = np.linalg.norm(vectors, axis=1)
+    return lengths

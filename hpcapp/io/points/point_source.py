@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +82,17 @@ class Findings:
         if points:
             self.dropped[reason] = self.dropped.get(reason, 0) + points
 
+    def lines(self) -> list[str]:
+        """Return all that is to be said of the file, a line each.
+
+        Returns
+        -------
+        list of str
+            The warnings, and what was dropped.
+        """
+        dropped = [f"dropped {points} points: {reason}" for reason, points in self.dropped.items()]
+        return self.warnings + dropped
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointSource:
@@ -117,6 +128,10 @@ class PointSource:
         Of the coordinates: ``m``, ``ft``, ``US ft``, ``mm``, ``degree``.
     findings : Findings
         What is odd about the file.
+    normals_from : {"file", "faces"}
+        Whether normals, where there are some, are the file's or those of a mesh's faces.
+    oriented : bool
+        False where the normals are known up to their sign only, as the axes of splats.
     """
 
     path: Path
@@ -132,6 +147,8 @@ class PointSource:
     crs: str | None = None
     unit: str | None = None
     findings: Findings = field(default_factory=Findings)
+    normals_from: Literal["file", "faces"] = "file"
+    oriented: bool = True
 
     def chunks(self, rows: int) -> Iterator[PointCloud]:
         """Yield the points in parts.

@@ -31,9 +31,12 @@ class PointFormat:
     opener : str
         ``module:function``: given a path, it returns a `PointSource`.
     least_bytes : float
-        Fewest bytes of the file that a point takes: a bound of how many there can be.
+        Fewest bytes of the file that a point takes: a bound of how many there can be, where the
+        file does not say.
     streams : bool
         Whether it is read in parts, so that a file may be larger than memory.
+    states_count : bool
+        Whether the start of a file says how many points there are.
     """
 
     name: str
@@ -41,6 +44,7 @@ class PointFormat:
     opener: str
     least_bytes: float
     streams: bool = True
+    states_count: bool = False
 
     def open(self, path: Path) -> PointSource:
         """Open a file of this format.
@@ -67,9 +71,21 @@ class PointFormat:
         return opener(path)
 
 
+_TEXT = (".xyz", ".txt", ".asc", ".pts", ".csv", ".xyzn", ".xyzrgb", ".xyzi", ".pwn")
+
 POINT_FORMATS = (
-    PointFormat("PLY", (".ply",), "hpcapp.io.ply.points:open_ply", 3),
-    PointFormat("text", (".xyz", ".txt", ".asc", ".pts"), "hpcapp.io.points.text:open_text", 6),
+    PointFormat("PLY", (".ply",), "hpcapp.io.ply.points:open_ply", 3, states_count=True),
+    PointFormat("text", _TEXT, "hpcapp.io.text.points:open_text", 6),
+    PointFormat("PTX", (".ptx",), "hpcapp.io.text.ptx:open_ptx", 6),
+    PointFormat("LAS", (".las",), "hpcapp.io.las.points:open_las", 20, states_count=True),
+    PointFormat("LAZ", (".laz",), "hpcapp.io.las.points:open_las", 0.25, states_count=True),
+    PointFormat("E57", (".e57",), "hpcapp.io.e57.points:open_e57", 1, states_count=True),
+    PointFormat("OBJ", (".obj",), "hpcapp.io.points.mesh_points:open_obj", 8, streams=False),
+    PointFormat("STL", (".stl",), "hpcapp.io.points.mesh_points:open_stl", 8, streams=False),
+    PointFormat("OFF", (".off",), "hpcapp.io.points.mesh_points:open_off", 6, streams=False),
+    PointFormat("VTK", (".vtk",), "hpcapp.io.points.vtk:open_vtk", 6, streams=False),
+    PointFormat("PCD", (".pcd",), "hpcapp.io.points.pcd:open_pcd", 3, states_count=True),
+    PointFormat("NumPy", (".npy", ".npz"), "hpcapp.io.points.npy:open_npy", 3, states_count=True),
 )
 
 

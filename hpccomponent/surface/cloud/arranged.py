@@ -1,12 +1,12 @@
 """An arranged cloud, wherever it lies: its blocks, and the points in some of them.
 
 Whoever works through a cloud asks for whole blocks, so that it need not be in memory. Here is
-the cloud that is; `disk_cloud` has the one that is not. Both give the same points, bit for bit.
+the cloud that is; `disk` has the one that is not. Both give the same points, bit for bit, and
+answer the same questions, so that nobody else asks which of them it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
@@ -16,16 +16,15 @@ from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.arrangement import Arrangement, choose_arrangement, snap_points
+from hpccomponent.surface.cloud.measured import Measured, Points, measure_points
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import find_keys
 from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
 
-__all__ = ["ArrangedCloud", "MemoryCloud", "Points", "arrange_cloud", "cut_blocks"]
+__all__ = ["ArrangedCloud", "MemoryCloud", "Place", "arrange_cloud", "replace_points"]
 
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
-
-Points = tuple[FloatArray, FloatArray]
-"""Positions in length units of the input and unit normals, each of shape (n, 3)."""
+_ENDLESS = Arrangement(np.zeros(3), np.inf)
 
 
 class ArrangedCloud(Protocol):
@@ -40,6 +39,10 @@ class ArrangedCloud(Protocol):
         Of the occupied blocks, sorted, and how many points each holds.
     low, high : ndarray of float64, shape (3,)
         Corners of the box around all points.
+    points : PointCloud or None
+        All of them, where they are in memory.
+    place : Place
+        From where tasks can read it, see `disk.open_place`.
     """
 
     @property
@@ -60,6 +63,12 @@ class ArrangedCloud(Protocol):
     @property
     def high(self) -> FloatArray: ...  # noqa: D102 - see the class
 
+    @property
+    def points(self) -> PointCloud | None: ...  # noqa: D102 - see the class
+
+    @property
+    def place(self) -> Place: ...  # noqa: D102 - see the class
+
     def __len__(self) -> int: ...
 
     def take_blocks(self, keys: IntArray) -> Points:
@@ -76,19 +85,55 @@ class ArrangedCloud(Protocol):
             See `Points`.
         """
 
-    def groups(self, points: int) -> Iterator[Points]:
-        """Yield all points in runs of whole blocks.
+    def count_cells(
+        self, keys: IntArray, origin: FloatArray, size: float
+    ) -> tuple[IntArray, IntArray]:
+        """Count the points of some blocks in the occupied cells of a lattice.
+
+        Parameters
+        ----------
+        keys : ndarray of int64, shape (k,)
+            As for `take_blocks`, of one point or more.
+        origin : ndarray of float64, shape (3,)
+            Corner of a cell.
+        size : float
+            Of a cell, in length units of the input.
+
+        Returns
+        -------
+        keys, counts : ndarray of int64, shape (c,)
+            Sorted by key.
+        """
+
+    def measure(self) -> Measured:
+        """Return the spacing and a sample: what has been found before, or by a pass through all.
+
+        Returns
+        -------
+        Measured
+
+        Raises
+        ------
+        InputError
+            There are no normals, or all points are the same.
+        """
+
+    def sample(self, points: int) -> PointCloud:
+        """Return points evenly from all of the cloud.
 
         Parameters
         ----------
         points : int
-            About so many at a time.
+            About so many, where there are; all of them where that costs nothing.
 
-        Yields
-        ------
-        positions, normals : ndarray of float64, shape (m, 3)
-            See `Points`.
+        Returns
+        -------
+        PointCloud
         """
+
+
+Place = str | ArrangedCloud
+"""Where a cloud lies: a folder, or the cloud itself where it is in this process's memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +142,7 @@ class MemoryCloud:
 
     Parameters
     ----------
-    cloud : PointCloud
+    points : PointCloud
         With normals; arranged.
     arrangement : Arrangement
     keys : ndarray of int64, shape (b,)
@@ -105,15 +150,35 @@ class MemoryCloud:
         Block i holds the points offsets[i] to offsets[i + 1].
     """
 
-    cloud: PointCloud
+    points: PointCloud
     arrangement: Arrangement
     keys: IntArray
     offsets: IntArray
 
+    @classmethod
+    def as_they_are(cls, points: PointCloud) -> MemoryCloud:
+        """Hold points in one endless block, neither rounded nor sorted.
+
+        Parameters
+        ----------
+        points : PointCloud
+
+        Returns
+        -------
+        MemoryCloud
+            For a method that cuts the cloud up by itself.
+        """
+        return cls(points, _ENDLESS, np.zeros(1, np.int64), np.array([0, len(points)]))
+
+    @property
+    def place(self) -> Place:
+        """See `ArrangedCloud`."""
+        return self
+
     @property
     def origin(self) -> FloatArray:
         """See `ArrangedCloud`."""
-        return self.cloud.origin
+        return self.points.origin
 
     @property
     def counts(self) -> IntArray:
@@ -123,29 +188,40 @@ class MemoryCloud:
     @property
     def low(self) -> FloatArray:
         """See `ArrangedCloud`."""
-        return bound_points(self.cloud.positions)[0]
+        return bound_points(self.points.positions)[0]
 
     @property
     def high(self) -> FloatArray:
         """See `ArrangedCloud`."""
-        return bound_points(self.cloud.positions)[1]
+        return bound_points(self.points.positions)[1]
 
     def __len__(self) -> int:
-        return len(self.cloud)
+        return len(self.points)
 
     def take_blocks(self, keys: IntArray) -> Points:
         """See `ArrangedCloud`; views where the blocks lie side by side."""
-        assert self.cloud.normals is not None  # noqa: S101 - checked when it was arranged
+        assert self.points.normals is not None  # noqa: S101 - checked when it was arranged
         rows = find_keys(self.keys, keys)
         runs = find_runs(rows[rows < len(self.keys)])
         slices = [slice(self.offsets[run.start], self.offsets[run.stop]) for run in runs]
-        positions = _join([self.cloud.positions[some] for some in slices])
-        return positions, _join([self.cloud.normals[some] for some in slices])
+        positions = _join([self.points.positions[some] for some in slices])
+        return positions, _join([self.points.normals[some] for some in slices])
 
-    def groups(self, points: int) -> Iterator[Points]:
+    def count_cells(
+        self, keys: IntArray, origin: FloatArray, size: float
+    ) -> tuple[IntArray, IntArray]:
         """See `ArrangedCloud`."""
-        for run in cut_blocks(self.counts, points):
-            yield self.take_blocks(self.keys[run])
+        cells, offsets, _ = kernels.sort_points(self.take_blocks(keys)[0], origin, size)
+        return cells, np.diff(offsets)
+
+    def measure(self) -> Measured:
+        """See `ArrangedCloud`."""
+        return measure_points(self.points)
+
+    def sample(self, points: int) -> PointCloud:
+        """See `ArrangedCloud`."""
+        del points  # all of them are here
+        return self.points
 
     def select(self, kept: BoolArray) -> MemoryCloud:
         """Return the points that a mask names, in the same blocks.
@@ -161,7 +237,7 @@ class MemoryCloud:
         """
         counts = np.add.reduceat(kept, self.offsets[:-1], dtype=np.int64)
         offsets = np.append(0, np.cumsum(counts[counts > 0]))
-        return MemoryCloud(self.cloud.take(kept), self.arrangement, self.keys[counts > 0], offsets)
+        return MemoryCloud(self.points.take(kept), self.arrangement, self.keys[counts > 0], offsets)
 
 
 def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
@@ -193,6 +269,28 @@ def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
     return MemoryCloud(arranged, arrangement, keys, offsets)
 
 
+def replace_points(cloud: ArrangedCloud, points: PointCloud) -> MemoryCloud:
+    """Hold other points as those of a cloud are held: arranged, or as they are.
+
+    Parameters
+    ----------
+    cloud : ArrangedCloud
+    points : PointCloud
+        Finite positions.
+
+    Returns
+    -------
+    MemoryCloud
+
+    Raises
+    ------
+    InputError
+        All points are the same, and would be arranged.
+    """
+    is_endless = np.isinf(cloud.arrangement.edge)
+    return MemoryCloud.as_they_are(points) if is_endless else arrange_cloud(points)
+
+
 def _take_singles(vectors: FloatArray, rows: NDArray[np.uint32]) -> FloatArray:
     """Take some rows, rounded to single precision."""
     taken = np.empty((len(rows), 3))
@@ -200,35 +298,6 @@ def _take_singles(vectors: FloatArray, rows: NDArray[np.uint32]) -> FloatArray:
         some = slice(start, start + _ROWS_AT_ONCE)
         taken[some] = vectors.take(rows[some], axis=0).astype(np.float32)
     return taken
-
-
-def cut_blocks(counts: IntArray, points: int) -> list[slice]:
-    """Cut a cloud into runs of whole blocks.
-
-    Parameters
-    ----------
-    counts : ndarray of int64, shape (b,)
-        Points in each block.
-    points : int
-        In a run, at most, unless one block has more.
-
-    Returns
-    -------
-    list of slice
-        Of the blocks.
-
-    Examples
-    --------
-    >>> cut_blocks(np.array([3, 4, 9, 1, 1]), 8)
-    [slice(0, 2, None), slice(2, 3, None), slice(3, 5, None)]
-    """
-    ends = np.cumsum(counts)
-    bounds = [0]
-    while bounds[-1] < len(counts):
-        before = int(ends[bounds[-1] - 1]) if bounds[-1] else 0
-        fitting = int(np.searchsorted(ends, before + points, side="right"))
-        bounds.append(max(fitting, bounds[-1] + 1))
-    return [slice(a, b) for a, b in pairwise(bounds)]
 
 
 def find_runs(rows: IntArray) -> list[slice]:

@@ -33,21 +33,24 @@ from hpccomponent.errors import JobError, OutputError
 from hpccomponent.files.private_files import open_at_once
 from hpccomponent.files.whole_files import write_whole
 from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
-from hpccomponent.surface.cloud.arranged import Points, cut_blocks
+from hpccomponent.surface import kernels
+from hpccomponent.surface.cloud.arranged import ArrangedCloud, Place
 from hpccomponent.surface.cloud.arrangement import (
     Arrangement,
     PackedPoints,
     unpack_points,
+    unpacking_arguments,
 )
+from hpccomponent.surface.cloud.measured import Measured, Points, measure_points
 from hpccomponent.surface.cloud.part_check import check_part, with_check
 from hpccomponent.surface.types.lattice import find_keys, merge_counts
 from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = [
     "DiskCloud",
-    "Measured",
     "Part",
     "open_disk_cloud",
+    "open_place",
     "write_index",
     "write_part",
 ]
@@ -114,22 +117,6 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
-    """What was found out about a cloud while it was written, which spares passes through it.
-
-    Parameters
-    ----------
-    spacing : float
-        In length units of the input.
-    sample : PointCloud
-        Points by which the noise is judged, in the cloud's order.
-    """
-
-    spacing: float
-    sample: PointCloud
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class DiskCloud:
     """An arranged cloud in a folder; see `ArrangedCloud`.
 
@@ -156,6 +143,16 @@ class DiskCloud:
 
     def __len__(self) -> int:
         return int(self.counts.sum())
+
+    @property
+    def points(self) -> None:
+        """None: they need not fit into memory."""
+        return None
+
+    @property
+    def place(self) -> Place:
+        """See `ArrangedCloud`."""
+        return str(self.folder)
 
     def uses(self, folder: Path) -> bool:
         """Tell whether parts of it lie in some folder.
@@ -228,24 +225,24 @@ class DiskCloud:
             self._read(part, zip(starts, lengths, runs, strict=True))
         return PackedPoints.from_records(self.keys[rows], counts, records)
 
-    def take_every(self, step: int) -> Points:
+    def sample(self, points: int) -> PointCloud:
         """Return every so many-th point of each part, in the order of the parts.
 
         Parameters
         ----------
-        step : int
-            1 for all.
+        points : int
+            About so many, where there are.
 
         Returns
         -------
-        positions, normals : ndarray of float64, shape (m, 3)
-            See `Points`.
+        PointCloud
 
         Raises
         ------
         JobError
             The folder is not there any more, or not whole.
         """
+        step = -(-len(self) // points)
         keys, found = [], []
         for part in self.parts:
             ends = np.cumsum(part.counts)
@@ -262,12 +259,20 @@ class DiskCloud:
         every = np.concatenate(keys)
         ones = np.ones(len(every), np.int64)
         packed = PackedPoints.from_records(every, ones, np.concatenate(found))
-        return unpack_points(self.arrangement, packed)
+        return PointCloud(*unpack_points(self.arrangement, packed))
 
-    def groups(self, points: int) -> Iterator[Points]:
+    def count_cells(
+        self, keys: IntArray, origin: FloatArray, size: float
+    ) -> tuple[IntArray, IntArray]:
         """See `ArrangedCloud`."""
-        for run in cut_blocks(self.counts, points):
-            yield self.take_blocks(self.keys[run])
+        packed = unpacking_arguments(self.arrangement, self.take_packed(keys))
+        return kernels.count_packed(*packed, origin, size)
+
+    def measure(self) -> Measured:
+        """See `ArrangedCloud`."""
+        if self.measured is not None:
+            return self.measured
+        return measure_points(PointCloud(*self.take_blocks(self.keys)))
 
     def _read(self, part: Part, runs: Iterable[tuple[int, int, list[memoryview]]]) -> None:
         """Fill buffers from a part: those of a run one after the other, from its first byte on.
@@ -447,6 +452,26 @@ def open_disk_cloud(folder: Path) -> DiskCloud:
         raise JobError(
             f"{folder / _INDEX} holds no arranged points: {why}", "run the job again"
         ) from error
+
+
+def open_place(place: Place) -> ArrangedCloud:
+    """Return the cloud that lies in some place.
+
+    Parameters
+    ----------
+    place : Place
+        See `ArrangedCloud`.
+
+    Returns
+    -------
+    ArrangedCloud
+
+    Raises
+    ------
+    JobError
+        A folder holds none.
+    """
+    return open_disk_cloud(Path(place)) if isinstance(place, str) else place
 
 
 @lru_cache(maxsize=2)

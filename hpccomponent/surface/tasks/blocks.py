@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from hpccomponent.protocol.declared import Fixed, Whole
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface import kernels
-from hpccomponent.surface.cloud.arranged import Points
-from hpccomponent.surface.cloud.disk import open_disk_cloud
+from hpccomponent.surface.cloud.arranged import Place
+from hpccomponent.surface.cloud.disk import open_place
+from hpccomponent.surface.cloud.measured import Points
 from hpccomponent.surface.cloud.regions import DroppedCells, Region, take_region
 from hpccomponent.surface.cloud.spacing import sample_box_keys
 from hpccomponent.surface.tasks.file_ranges import BoxCounts
@@ -21,7 +20,6 @@ from hpccomponent.surface.tasks.result_patterns import (
     SAMPLE,
     SMALL_BYTES,
 )
-from hpccomponent.surface.tiles.packed_cells import count_points
 from hpccomponent.surface.types.lattice import merge_counts
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
@@ -29,7 +27,6 @@ __all__ = [
     "BlockPoints",
     "count_block_boxes",
     "count_block_cells",
-    "count_cells",
     "merge_cells",
     "sample_blocks",
     "survey_blocks",
@@ -115,14 +112,16 @@ def sample_blocks(points: BlockPoints, low: FloatArray, edge: float, one_in: int
 
 @declare(result=CELL_COUNTS)
 def count_block_cells(
-    points: BlockPoints, origin: FloatArray, size: float
+    place: Place, blocks: IntArray, origin: FloatArray, size: float
 ) -> tuple[IntArray, IntArray]:
     """Count the points in each occupied cell of a lattice (a task).
 
     Parameters
     ----------
-    points : tuple
-        `BlockPoints`, without `DroppedCells`.
+    place : Place
+        Of the cloud.
+    blocks : ndarray of int64, shape (k,)
+        Sorted keys of some of its blocks.
     origin : ndarray of float64, shape (3,)
         Corner of a cell.
     size : float
@@ -133,32 +132,7 @@ def count_block_cells(
     keys, counts : ndarray of int64, shape (c,)
         Sorted by key.
     """
-    folder, blocks, dropped = points
-    assert dropped is None  # noqa: S101 - tiles are cut when a cloud is clean
-    cloud = open_disk_cloud(Path(folder))
-    return count_points(cloud.arrangement, cloud.take_packed(blocks), origin, size)
-
-
-def count_cells(
-    positions: FloatArray, origin: FloatArray, size: float
-) -> tuple[IntArray, IntArray]:
-    """Count points, one or more, in the cells of a lattice; see `count_block_cells`.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-    origin : ndarray of float64, shape (3,)
-        Corner of a cell.
-    size : float
-        Of a cell, in length units of the input.
-
-    Returns
-    -------
-    keys, counts : ndarray of int64, shape (c,)
-        Sorted by key.
-    """
-    cells, offsets, _ = kernels.sort_points(positions, origin, size)
-    return cells, np.diff(offsets)
+    return open_place(place).count_cells(blocks, origin, size)
 
 
 def merge_cells(counted: list[tuple[IntArray, IntArray]]) -> tuple[IntArray, IntArray]:
@@ -167,7 +141,7 @@ def merge_cells(counted: list[tuple[IntArray, IntArray]]) -> tuple[IntArray, Int
     Parameters
     ----------
     counted : list of tuple
-        Keys and counts of each run, as `count_cells` returns them.
+        Keys and counts of each run, as `count_block_cells` returns them.
 
     Returns
     -------

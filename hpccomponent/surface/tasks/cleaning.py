@@ -2,6 +2,7 @@
 
 ::
 
+    blocks ── drop_repeated_points ──> without repeated points, where there were some
     region ── clean_blocks ── no sparse cells ── mended ──────────────────────> folder
                    │ sparse cells                                                 ^
                    └──> master ── judge_blocks ──> stray cells ── mend_blocks ────┘
@@ -17,8 +18,8 @@ from hpccomponent.protocol.declared import Either, Fixed, Nothing
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud import outlier_regions
-from hpccomponent.surface.cloud.arrangement import PackedPoints
-from hpccomponent.surface.cloud.disk import write_part
+from hpccomponent.surface.cloud.arrangement import PackedPoints, unpack_points
+from hpccomponent.surface.cloud.disk import open_disk_cloud, write_part
 from hpccomponent.surface.cloud.outlier_regions import (
     RegionRanks,
     has_sparse,
@@ -26,17 +27,61 @@ from hpccomponent.surface.cloud.outlier_regions import (
     rank_region,
 )
 from hpccomponent.surface.cloud.regions import Region, RegionPoints, take_region
+from hpccomponent.surface.cloud.repeated import find_repeated
 from hpccomponent.surface.normals import consistency as normals
-from hpccomponent.surface.tasks.result_patterns import MENDED, RANKS, STRAY_CELLS
+from hpccomponent.surface.tasks.result_patterns import MENDED, RANKS, REPEATED, STRAY_CELLS
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
 Mended = tuple[PackedPoints | tuple[IntArray, IntArray] | None, int, FloatArray]
 """What `mend_blocks` returns."""
 
-__all__ = ["MARGIN", "clean_blocks", "judge_blocks", "mend_blocks"]
+__all__ = ["MARGIN", "clean_blocks", "drop_repeated_points", "judge_blocks", "mend_blocks"]
 
 MARGIN = max(outlier_regions.MARGIN, normals.MARGIN)
 """Spacings: as far as what decides over a point or over its normal lies."""
+
+
+@declare(result=REPEATED)
+def drop_repeated_points(
+    folder: str, blocks: IntArray, target: tuple[str, int]
+) -> tuple[int, IntArray, IntArray]:
+    """Write those of some blocks anew that have points at the place of another (a task).
+
+    Parameters
+    ----------
+    folder : str
+        Of a `DiskCloud`, which the worker sees.
+    blocks : ndarray of int64, shape (k,)
+        Sorted keys: all points at one place are in one block.
+    target : tuple of (str, int)
+        The folder, and the number of the part: see `disk.write_part`.
+
+    Returns
+    -------
+    repeated : int
+        Points that are left out; of each place the first stays.
+    keys, counts : ndarray of int64, shape (b,)
+        The blocks that were written, and the points in each.
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    cloud = open_disk_cloud(Path(folder))
+    packed = cloud.take_packed(blocks)
+    repeated = find_repeated(unpack_points(cloud.arrangement, packed)[0])
+    if not repeated.any():
+        return 0, np.zeros(0, np.int64), np.zeros(0, np.int64)
+    lost = np.add.reduceat(repeated, np.cumsum(packed.counts) - packed.counts, dtype=np.int64)
+    is_changed = lost > 0
+    rows = np.flatnonzero(np.repeat(is_changed, packed.counts) & ~repeated)
+    left = PackedPoints.from_records(
+        packed.keys[is_changed],
+        (packed.counts - lost)[is_changed],
+        packed.to_records().take(rows, axis=0),
+    )
+    return int(lost.sum()), *write_part(Path(target[0]), target[1], [left])
 
 
 @declare(result=Fixed(RANKS, Either(Nothing(), MENDED)))

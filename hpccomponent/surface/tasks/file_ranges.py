@@ -81,7 +81,7 @@ class FileRange:
     def pieces(self) -> Iterator[PointCloud]:
         """Yield the points in their order, some at a time."""
         for start in range(self.start, self.stop, _AT_ONCE):
-            yield self.records.read(start, min(start + _AT_ONCE, self.stop))
+            yield self.records.read(start, min(start + _AT_ONCE, self.stop), ("normals",))
 
 
 @record("surface.sent_range")

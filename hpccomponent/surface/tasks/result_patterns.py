@@ -36,6 +36,7 @@ __all__ = [
     "CELL_COUNTS",
     "MENDED",
     "RANKS",
+    "REPEATED",
     "SAMPLE",
     "SMALL_BYTES",
     "STRAY_CELLS",
@@ -64,6 +65,7 @@ CELL_COUNTS = Fixed(Array("<i8", "c", low=0), Array("<i8", "c", low=1, high=_MOS
 BOX_COUNTS = Each(Fixed(Whole(0, _MOST), _KEYS))
 SAMPLE = Fixed(Array("<f8", "s", 3), Array("<f8", "s", 3))
 STRAY_CELLS = Array("<i8", "s", low=0)
+REPEATED = Fixed(Whole(0, _MOST), _KEYS, _COUNTS)
 RANKS = Fixed(
     Array("<i8", "ranks", low=0),
     Array("<i8", "coarse", low=0),

@@ -91,7 +91,7 @@ def ply_header(element_lines: list[str]) -> bytes:
     bytes
     """
     start = ["ply", "format binary_little_endian 1.0", "comment hpcapp"]
-    return "\n".join([*start, *element_lines, "end_header", ""]).encode("ascii")
+    return "\n".join([*start, *element_lines, "end_header", ""]).encode("utf-8")
 
 
 def mesh_header(vertex_count: int, face_count: int, is_double: bool) -> bytes:

@@ -27,7 +27,7 @@ from hpccomponent.surface.types.points import (
     IntArray,
 )
 
-__all__ = ["PackedRows", "count_points", "sort_tile"]
+__all__ = ["PackedRows", "sort_tile"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,23 +102,3 @@ def sort_tile(
         records, counts, corners, edge, *lattice
     )
     return cells, offsets, PackedRows(taken, blocks, corners, edge), groups
-
-
-def count_points(
-    arrangement: Arrangement, packed: PackedPoints, origin: FloatArray, cell_size: float
-) -> tuple[IntArray, IntArray]:
-    """Count packed points in the occupied cells of a lattice.
-
-    Parameters
-    ----------
-    arrangement : Arrangement
-    packed : PackedPoints
-    origin, cell_size
-        See `count_packed`, whose results these are.
-
-    Returns
-    -------
-    cells, counts : ndarray of int64, shape (c,)
-        Sorted keys, and the points in each.
-    """
-    return kernels.count_packed(*unpacking_arguments(arrangement, packed), origin, cell_size)

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hpccomponent.protocol.records import record
 from hpccomponent.surface import kernels
-from hpccomponent.surface.cloud.arranged import ArrangedCloud
+from hpccomponent.surface.cloud.arranged import ArrangedCloud, Place
 from hpccomponent.surface.cloud.arrangement import (
     Arrangement,
     PackedPoints,
     pack_points,
     unpack_points,
 )
-from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
+from hpccomponent.surface.cloud.disk import DiskCloud, open_place
 from hpccomponent.surface.fitting.cell_points import CloudRows, SortedPoints
 from hpccomponent.surface.fitting.pyramid import Level
 from hpccomponent.surface.tiles.packed_cells import sort_tile
@@ -46,13 +45,13 @@ class PointsThere:
 
     Parameters
     ----------
-    cloud : str or ArrangedCloud
+    cloud : Place
         A folder that the worker sees; in this process the cloud itself.
     groups : tuple of ndarray of int64
         The sorted keys of each group's coarse cells.
     """
 
-    cloud: str | ArrangedCloud
+    cloud: Place
     groups: tuple[IntArray, ...]
 
 
@@ -142,8 +141,7 @@ def take_points(points: CellPoints, plan: Plan) -> TilePoints:
     TilePoints
     """
     if isinstance(points, PointsThere):
-        where, cells = points.cloud, list(points.groups)
-        cloud = open_disk_cloud(Path(where)) if isinstance(where, str) else where
+        cloud, cells = open_place(points.cloud), list(points.groups)
         if isinstance(cloud, DiskCloud):
             return _read_packed(cloud, plan, cells)
         return _sort_groups(*read_cells(cloud, plan.origin, plan.coarse_size, cells), plan)

@@ -38,7 +38,7 @@ class PointCloud:
     normals : ndarray of float64, shape (n, 3), or None
         Unit length, pointing out of the object (towards the scanner).
     colours : ndarray of uint8, shape (n, 3), or None
-        Red, green, blue.
+        Red, green, blue; as the file has them, of any type, where a reader has just read them.
     attributes : dict of str to ndarray, shape (n,)
         Any other numeric columns, by name.
     origin : ndarray of float64, shape (3,)
@@ -47,7 +47,7 @@ class PointCloud:
 
     positions: FloatArray
     normals: FloatArray | None = None
-    colours: NDArray[np.uint8] | None = None
+    colours: NDArray[Any] | None = None
     attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     origin: FloatArray = field(default_factory=lambda: np.zeros(3))
 

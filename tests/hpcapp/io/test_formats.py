@@ -19,7 +19,7 @@ from hpccomponent.surface.types.points import PointCloud
 
 Make = Callable[..., Path]
 MESH_SUFFIXES = [".ply", ".obj", ".off", ".stl", ".PLY", ".Obj"]
-POINT_SUFFIXES = [".ply", ".xyz", ".txt", ".asc", ".pts"]
+POINT_SUFFIXES = [".ply", ".npz", ".xyz", ".txt", ".asc", ".pts"]
 
 
 def corners(mesh: Mesh) -> np.ndarray:
@@ -60,7 +60,7 @@ def test_unknown_suffixes_are_answered_with_the_known(
     tmp_path: Path, cloud: PointCloud, tetrahedron: Mesh
 ) -> None:
     for call in (
-        lambda: read_points(tmp_path / "scan.las"),
+        lambda: read_points(tmp_path / "scan.abc"),
         lambda: write_points(tmp_path / "scan.stl", cloud),
         lambda: read_mesh(tmp_path / "mesh"),
         lambda: write_mesh(tmp_path / "mesh.glb", tetrahedron),
@@ -108,4 +108,5 @@ def test_the_stanford_bunny_is_read() -> None:
     assert len(cloud) == len(mesh.vertices) == 35_947
     assert dropped.total == 0
     assert mesh.faces.shape == (69_451, 3)
-    assert (read_points(truth).positions == mesh.vertices).all()
+    used = np.unique(mesh.faces)  # a vertex without a face is no point of the surface
+    assert (read_points(truth).positions == mesh.vertices[used]).all()

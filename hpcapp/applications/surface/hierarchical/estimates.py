@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from hpccomponent.errors import InputError
 from hpccomponent.surface import kernels
-from hpccomponent.surface.cloud.arranged import ArrangedCloud, Points
-from hpccomponent.surface.cloud.disk import DiskCloud
-from hpccomponent.surface.cloud.spacing import estimate_spacing
+from hpccomponent.surface.cloud.measured import Measured
 from hpccomponent.surface.fitting.cell_points import SortedPoints
 from hpccomponent.surface.fitting.pyramid import (
     Level,
@@ -25,23 +21,13 @@ from hpccomponent.surface.fitting.weights import LEAST_MU, Weights, tell_noise
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.points import IntArray, PointCloud
 
-__all__ = [
-    "SAMPLED_BOX",
-    "Scale",
-    "choose_scale",
-    "draw_sample",
-    "first_share",
-]
+__all__ = ["Scale", "choose_scale"]
 
 _PROBE_SPACINGS = 2.0
 _PROBE_LAM = 0.3
 _PROBE_SHARE = 0.15
 _PROBE_ROUNDS = 5
 _PROBE_POINTS = 14, 24  # in the finer and in the coarser cells of a probe
-_SAMPLED_POINTS = 15_000
-SAMPLED_BOX = 24.0
-"""Spacings: large against the cells of a probe."""
-
 _QUANTILE, _TO_MEDIAN = 0.25, 1.0
 _FREE = 10
 _NOISE_SHARE = 0.5  # of residuals: what remains is detail, and no point of it is wrong
@@ -116,63 +102,6 @@ def _probe(sample: PointCloud, spacing: float, threads: int) -> _Noise:
     return _Noise(_TO_MEDIAN * float(np.sqrt(variance)), tolerance if is_noise else np.inf)
 
 
-def _sample_cloud(cloud: PointCloud, spacing: float) -> PointCloud:
-    """Return a sample of a cloud with normals."""
-    if cloud.normals is None:
-        raise InputError("the cloud has no normals", "give oriented points")
-    positions, normals = cloud.positions, cloud.normals
-    low, _ = bound_points(positions)
-
-    def draw(one_in: int) -> Points:
-        if one_in == 1:
-            return positions, normals
-        rows = kernels.sample_boxes(positions, low, SAMPLED_BOX * spacing, one_in)
-        return positions[rows], normals[rows]
-
-    return PointCloud(*draw_sample(draw, len(cloud)))
-
-
-def first_share(points: int) -> int:
-    """Return how many boxes make one sampled, to begin with; of a small cloud all points are.
-
-    Parameters
-    ----------
-    points : int
-        Of the cloud.
-
-    Returns
-    -------
-    int
-        At least 1.
-    """
-    return max(points // _SAMPLED_POINTS, 1)
-
-
-def draw_sample(draw: Callable[[int], Points], points: int) -> Points:
-    """Draw a sample of boxes that holds enough points to find the noise by.
-
-    Parameters
-    ----------
-    draw : callable
-        Given how many boxes of edge `SAMPLED_BOX` make one sampled, returns the points in them, in
-        the cloud's order.
-    points : int
-        Of the cloud.
-
-    Returns
-    -------
-    positions, normals : ndarray of float64, shape (n, 3)
-        Of about 15,000 points; of a cloud in few boxes more, and all of a small one.
-    """
-    one_in = first_share(points)
-    while one_in > 1:
-        sample = draw(one_in)
-        if len(sample[0]) > _SAMPLED_POINTS // 4:
-            return sample
-        one_in //= 8
-    return draw(1)
-
-
 def _fit_probe(cloud: PointCloud, cell_size: float, threads: int) -> _Residuals:
     """Fit quadrics in cells of a size and of its double."""
     low, high = bound_points(cloud.positions)
@@ -217,18 +146,14 @@ def _lower_quartile(
 
 
 def choose_scale(
-    cloud: PointCloud | ArrangedCloud,
-    step: float,
-    smoothness: float,
-    detail: float,
-    threads: int = 1,
+    measured: Measured, step: float, smoothness: float, detail: float, threads: int = 1
 ) -> Scale:
     """Choose the cell size.
 
     Parameters
     ----------
-    cloud : PointCloud or ArrangedCloud
-        With normals; one that is not in memory has been measured.
+    measured : Measured
+        Of the cloud.
     step : float
         Of the evaluation grid, in length units of the input; no cell is smaller, because the
         lattice must reach the nodes on both sides of the surface.
@@ -242,21 +167,9 @@ def choose_scale(
     Returns
     -------
     Scale
-
-    Raises
-    ------
-    InputError
-        All points are the same.
     """
-    if isinstance(cloud, DiskCloud) and cloud.measured is not None:
-        spacing, sample = cloud.measured.spacing, cloud.measured.sample
-    else:
-        points = (
-            cloud if isinstance(cloud, PointCloud) else PointCloud(*cloud.take_blocks(cloud.keys))
-        )
-        spacing = estimate_spacing(points.positions)
-        sample = _sample_cloud(points, spacing)
-    noise = _probe(sample, spacing, threads)
+    spacing = measured.spacing
+    noise = _probe(measured.sample, spacing, threads)
     wanted = max(1.5 * spacing, 6.0 * noise.deviation * smoothness) / detail
     cell_size = max(wanted, step)
     return Scale(spacing, noise.deviation, cell_size, noise.tolerance)

@@ -26,15 +26,13 @@ from hpcapp.applications.surface.sizes import LARGE_TILE, MARGIN, TILE_POINTS, T
 from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
-from hpccomponent.surface.cloud.arranged import ArrangedCloud, arrange_cloud
+from hpccomponent.surface.cloud.arranged import ArrangedCloud
 from hpccomponent.surface.cloud.arrangement import choose_arrangement
-from hpccomponent.surface.cloud.disk import DiskCloud
 from hpccomponent.surface.fitting.pyramid import count_levels
-from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.tasks.tiles import sum_tile
 from hpccomponent.surface.tiles.plan import CoarseLattice, Plan, Samples
 from hpccomponent.surface.types.grid import BRICK, Grid
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpccomponent.surface.types.points import FloatArray
 
 __all__ = [
     "HierarchicalMethod",
@@ -52,7 +50,7 @@ class HierarchicalPartition:
 
     Parameters
     ----------
-    cloud : PointCloud or ArrangedCloud
+    cloud : ArrangedCloud
     scale : Scale
     plan : Plan
     tiling : Tiling or None
@@ -61,7 +59,7 @@ class HierarchicalPartition:
         Finest cells with points, once they are counted.
     """
 
-    cloud: PointCloud | ArrangedCloud
+    cloud: ArrangedCloud
     scale: Scale
     plan: Plan
     tiling: Tiling | None
@@ -116,15 +114,13 @@ class HierarchicalMethod:
         self.tile_points = tile_points
         self.keeping = keeping
 
-    def partition(
-        self, cloud: PointCloud | ArrangedCloud, workforce: Workforce
-    ) -> HierarchicalPartition:
+    def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> HierarchicalPartition:
         """Find spacing, noise and cell size, and cut the cloud into tiles.
 
         Parameters
         ----------
-        cloud : PointCloud or ArrangedCloud
-            With normals; in memory arranged, too (see `cleaning.arrange_points`).
+        cloud : ArrangedCloud
+            With normals.
         workforce : Workforce
 
         Returns
@@ -136,14 +132,9 @@ class HierarchicalMethod:
         InputError
             There are no normals, or all points are the same.
         """
-        if not len(cloud) or (isinstance(cloud, PointCloud) and cloud.normals is None):
-            raise InputError("the cloud has no points with normals", "give oriented points")
-        if isinstance(cloud, PointCloud):
-            low, high = bound_points(cloud.positions)
-        else:
-            low, high = cloud.low, cloud.high
+        low, high = cloud.low, cloud.high
         grid = plan_grid(low, high, self.grid)
-        scale = choose_scale(cloud, grid.step, self.smoothness, self.detail, self.threads)
+        scale = choose_scale(cloud.measure(), grid.step, self.smoothness, self.detail, self.threads)
         height = count_levels(float((high - low).max()), scale.cell_size)
         far = far_level(grid, scale.cell_size, height)
         count = self._count_tiles(cloud, height, workforce)
@@ -157,9 +148,8 @@ class HierarchicalMethod:
         )  # fmt: skip
         if not count:
             return HierarchicalPartition(cloud, scale, plan, None)
-        arranged = arrange_cloud(cloud) if isinstance(cloud, PointCloud) else cloud
         are_read = workforce.in_process or self._find_shared(cloud) is not None
-        tiling = Tiling(arranged, plan, count, workforce, are_read, self.tile_points is not None)
+        tiling = Tiling(cloud, plan, count, workforce, are_read, self.tile_points is not None)
         return HierarchicalPartition(cloud, scale, plan, tiling)
 
     def fit(
@@ -234,9 +224,9 @@ class HierarchicalMethod:
         """
         origin = partition.cloud.origin
         if partition.tiling is None:
-            cloud = partition.cloud
-            assert isinstance(cloud, PointCloud)  # noqa: S101 - others have tiles
-            surface, partition.patches = mesh_slabs(cloud, partition.plan, self.threads, advance)
+            points = partition.cloud.points
+            assert points is not None  # noqa: S101 - others have tiles
+            surface, partition.patches = mesh_slabs(points, partition.plan, self.threads, advance)
         else:
             assert quadrics is not None  # noqa: S101 - tiles have coarse quadrics
             surface = mesh_regions(
@@ -249,19 +239,17 @@ class HierarchicalMethod:
             )
         return surface
 
-    def _find_shared(self, cloud: PointCloud | ArrangedCloud) -> Keeping | None:
+    def _find_shared(self, cloud: ArrangedCloud) -> Keeping | None:
         """Return the folder that workers read the points from, if they do."""
-        if isinstance(cloud, DiskCloud) and self.keeping is not None and self.keeping.holds_files:
+        if cloud.points is None and self.keeping is not None and self.keeping.holds_files:
             return self.keeping
         return None
 
-    def _count_tiles(
-        self, cloud: PointCloud | ArrangedCloud, height: int, workforce: Workforce
-    ) -> int:
+    def _count_tiles(self, cloud: ArrangedCloud, height: int, workforce: Workforce) -> int:
         """Return into how many tiles a cloud is cut; 0 where it is made into a mesh right here."""
         needed = -(-len(cloud) // (self.tile_points or TILE_POINTS))
         is_one = self.keeping is None and (needed == 1 or self.tile_points is None)
-        if isinstance(cloud, PointCloud) and (height == 1 or (workforce.in_process and is_one)):
+        if cloud.points is not None and (height == 1 or (workforce.in_process and is_one)):
             return 0
         if workforce.in_process:
             return needed

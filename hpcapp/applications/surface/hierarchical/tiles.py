@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from hpcapp.applications.surface.scans import Passes
 from hpcapp.workforce import Workforce
 from hpccomponent.surface.cloud.arranged import ArrangedCloud
-from hpccomponent.surface.cloud.disk import DiskCloud
-from hpccomponent.surface.tasks.blocks import count_cells, merge_cells
 from hpccomponent.surface.tasks.tiles import KEPT_TILES
 from hpccomponent.surface.tiles.halo import mark_near
 from hpccomponent.surface.tiles.plan import Plan
@@ -68,7 +66,7 @@ class Tiling:
         is_short: bool,
     ) -> None:
         passes = Passes(workforce, are_read, _POINTS_AT_ONCE)
-        self.cells, counts = _count_cells(cloud, plan, passes)
+        self.cells, counts = passes.count_cells(cloud, plan.origin, plan.coarse_size)
         self._cloud = cloud
         self._plan = plan
         work = counts if is_short else weigh_cells(plan, counts)
@@ -80,7 +78,7 @@ class Tiling:
         self._are_read = are_read
         self._shared: dict[int, Any] = {}
         self._groups: dict[int, list[IntArray]] = {}
-        is_once = are_read or not isinstance(cloud, DiskCloud)
+        is_once = are_read or cloud.points is not None
         kept = 1 if is_short else KEPT_TILES
         most = 0 if workforce.in_process else kept * workforce.workers
         is_kept = is_once and len(self) <= most
@@ -193,28 +191,18 @@ class Tiling:
 
     def _give(self, groups: list[IntArray], index: int | None) -> CellPoints:
         if self._are_read:
-            there = self._cloud
-            where = str(there.folder) if isinstance(there, DiskCloud) else there
-            return PointsThere(where, tuple(groups))
+            return PointsThere(self._cloud.place, tuple(groups))
         plan = self._plan
         cloud, group_of = read_cells(self._cloud, plan.origin, plan.coarse_size, groups)
         packed = [
             pack_cloud(plan.arrangement, cloud.take(np.flatnonzero(group_of == number)))
             for number in range(len(groups))
         ]
-        if index is not None and not isinstance(self._cloud, DiskCloud):
+        if index is not None and self._cloud.points is not None:
             if index not in self._shared:
                 self._shared[index] = self._share(packed[0])
             packed[0] = self._shared[index]
         return tuple(packed)
-
-
-def _count_cells(cloud: ArrangedCloud, plan: Plan, passes: Passes) -> tuple[IntArray, IntArray]:
-    """Return the coarse cells that hold points, and how many."""
-    if isinstance(cloud, DiskCloud):
-        return passes.count_cells(cloud, plan.origin, plan.coarse_size)
-    points = cloud.groups(_POINTS_AT_ONCE)
-    return merge_cells([count_cells(some, plan.origin, plan.coarse_size) for some, _ in points])
 
 
 def weigh_cells(plan: Plan, counts: IntArray) -> FloatArray:

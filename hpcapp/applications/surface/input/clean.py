@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hpccomponent.surface.cloud.arranged import arrange_cloud
+from hpccomponent.surface.cloud.arranged import MemoryCloud
 from hpccomponent.surface.cloud.outliers import find_outliers
+from hpccomponent.surface.cloud.repeated import find_repeated
 from hpccomponent.surface.cloud.spacing import estimate_spacing
 from hpccomponent.surface.cloud.validity import Reach
 from hpccomponent.surface.kernels import bound_points
@@ -17,9 +18,9 @@ from hpccomponent.surface.types.points import FloatArray, PointCloud
 __all__ = [
     "Cleaned",
     "EvenSample",
-    "arrange_points",
     "clean_cloud",
     "drop_far",
+    "drop_repeated",
     "even_step",
     "find_reach",
 ]
@@ -39,34 +40,13 @@ class Cleaned:
         Points that were dropped.
     flipped : int
         Normals that were turned round.
+    repeated : int
+        Points at the place of another that were dropped.
     """
 
     outliers: int
     flipped: int
-
-
-def arrange_points(cloud: PointCloud) -> PointCloud:
-    """Bring points that are near each other in space near each other in memory.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        Finite positions; markers far away must have been dropped (see `drop_far`), for the
-        longest side decides how the rest is rounded.
-
-    Returns
-    -------
-    PointCloud
-        The same points, rounded and sorted as `arrangement` says; within a block in their order.
-
-    Notes
-    -----
-    All that follows goes through the cloud by cells. In the order of a file, which may be any,
-    each point would have to come from the far end of memory, again and again. Rounded to a
-    billionth of the longest side, points are the same in memory, on disk and on the wire.
-    """
-    low, high = bound_points(cloud.positions)
-    return cloud if (low == high).all() else arrange_cloud(cloud).cloud
+    repeated: int = 0
 
 
 def drop_far(cloud: PointCloud) -> PointCloud:
@@ -94,6 +74,22 @@ def drop_far(cloud: PointCloud) -> PointCloud:
     if reach.holds(*bound_points(cloud.positions)):
         return cloud
     return cloud.take(reach.find_near(cloud.positions))
+
+
+def drop_repeated(cloud: MemoryCloud) -> MemoryCloud:
+    """Drop the points of a cloud that are at the place of another.
+
+    Parameters
+    ----------
+    cloud : MemoryCloud
+
+    Returns
+    -------
+    MemoryCloud
+        The first point of each place, in their order; the input itself where there are no others.
+    """
+    repeated = find_repeated(cloud.points.positions)
+    return cloud.select(~repeated) if repeated.any() else cloud
 
 
 def even_step(points: int) -> int:
@@ -164,19 +160,19 @@ def find_reach(sample: FloatArray) -> Reach:
     return Reach(0.5 * (low + high), distance if distance > 0.0 else np.inf)
 
 
-def clean_cloud(cloud: PointCloud, threads: int = 1) -> tuple[PointCloud, Cleaned]:
+def clean_cloud(cloud: MemoryCloud, threads: int = 1) -> tuple[MemoryCloud, Cleaned]:
     """Drop the points that belong to no surface and turn round the normals that point inwards.
 
     Parameters
     ----------
-    cloud : PointCloud
+    cloud : MemoryCloud
         Finite positions; unit normals, or none.
     threads : int
         The result does not depend on it.
 
     Returns
     -------
-    cloud : PointCloud
+    cloud : MemoryCloud
         The points that remain, in their order; the input itself where nothing is wrong.
     cleaned : Cleaned
 
@@ -188,19 +184,20 @@ def clean_cloud(cloud: PointCloud, threads: int = 1) -> tuple[PointCloud, Cleane
     Notes
     -----
     Far points must have been dropped (see `drop_far`). See `find_outliers` and `mend_normals`
-    for the rest; `region_cleaning` does the same to a cloud that is not in memory.
+    for the rest; `clean_regions` does the same to a cloud that is not in memory.
     """
     if not len(cloud):
         return cloud, Cleaned(0, 0)
-    kept = cloud
-    spacing = estimate_spacing(kept.positions)
-    strays = find_outliers(kept.positions, spacing)
+    kept, positions = cloud, cloud.points.positions
+    spacing = estimate_spacing(positions)
+    strays = find_outliers(positions, spacing)
     if strays.any():
-        kept = kept.take(~strays)
-        spacing = estimate_spacing(kept.positions)
+        kept = cloud.select(~strays)
+        positions = kept.points.positions
+        spacing = estimate_spacing(positions)
     flipped = 0
-    if kept.normals is not None:
-        normals, flipped = mend_normals(kept.positions, kept.normals, spacing, threads)
+    if kept.points.normals is not None:
+        normals, flipped = mend_normals(positions, kept.points.normals, spacing, threads)
         if flipped:
-            kept = replace(kept, normals=normals)
+            kept = replace(kept, points=replace(kept.points, normals=normals))
     return kept, Cleaned(len(cloud) - len(kept), flipped)

@@ -20,13 +20,18 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.hierarchical.estimates import SAMPLED_BOX, draw_sample, first_share
 from hpcapp.applications.surface.hierarchical.tiles import cut_tiles
 from hpcapp.applications.surface.input.clean import Cleaned
 from hpcapp.applications.surface.scans import Boxes, Passes, measure_spacing
 from hpccomponent.surface.cloud import outlier_regions
-from hpccomponent.surface.cloud.arranged import Points
-from hpccomponent.surface.cloud.disk import DiskCloud, Measured, Part, write_index, write_part
+from hpccomponent.surface.cloud.disk import DiskCloud, Part, write_index, write_part
+from hpccomponent.surface.cloud.measured import (
+    SAMPLED_BOX,
+    Measured,
+    Points,
+    draw_sample,
+    first_share,
+)
 from hpccomponent.surface.cloud.outlier_regions import RegionRanks, judge_sparse
 from hpccomponent.surface.cloud.regions import DroppedCells
 from hpccomponent.surface.normals import consistency as normals
@@ -34,16 +39,54 @@ from hpccomponent.surface.tasks.blocks import sample_blocks, survey_blocks
 from hpccomponent.surface.tasks.cleaning import (
     MARGIN,
     clean_blocks,
+    drop_repeated_points,
     judge_blocks,
     mend_blocks,
 )
 from hpccomponent.surface.types.lattice import pack_places, unique_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
-__all__ = ["clean_regions", "cut_regions", "measure_cloud"]
+__all__ = ["clean_regions", "cut_regions", "drop_repeated_there", "measure_cloud"]
 
 Mended = tuple[Part | None, int, FloatArray]
 """Of a region: what was written of it, if it changes, its flipped normals, and its sample."""
+
+
+def drop_repeated_there(cloud: DiskCloud, folder: Path, passes: Passes) -> tuple[DiskCloud, int]:
+    """Do to a cloud in a folder what `clean.drop_repeated` does to one in memory.
+
+    Parameters
+    ----------
+    cloud : DiskCloud
+    folder : Path
+        Where the result is put: exists, and holds no other cloud. What does not change stays
+        where it is.
+    passes : Passes
+        The result does not depend on it.
+
+    Returns
+    -------
+    cloud : DiskCloud
+        The first point of each place, in their order; the input itself where there are no others.
+    repeated : int
+        How many were dropped.
+
+    Raises
+    ------
+    OutputError
+        The disk is full, or the folder cannot be written.
+    """
+    runs = [cloud.keys[run] for run in passes.cut_blocks(cloud.counts)]
+    asked = [(str(cloud.folder), keys, (str(folder), i)) for i, keys in enumerate(runs)]
+    found = passes.map(drop_repeated_points, asked)
+    repeated = sum(dropped for dropped, _, _ in found)
+    if not repeated:
+        return cloud, 0
+    changed = [Part.whole(i, *written) for i, (_, *written) in enumerate(found)]
+    gone = np.sort(np.concatenate([part.keys for part in changed]))
+    parts = _without(cloud, gone, folder) + [part for part in changed if len(part.keys)]
+    box = cloud.low, cloud.high
+    return write_index(folder, cloud.arrangement, cloud.origin, box, parts), repeated
 
 
 def clean_regions(
@@ -104,7 +147,7 @@ def measure_cloud(
     spacing : float
         In length units of the input.
     sample : Points, optional
-        The first that `estimates.draw_sample` asks for, in any order of blocks.
+        The first that `measured.draw_sample` asks for, in any order of blocks.
 
     Returns
     -------
@@ -238,12 +281,17 @@ def _put_together(
     """Return the parts of the cloud that is left, how many normals were flipped, and a sample."""
     changed = {i: part for i, (part, _, _) in sorted(mended.items()) if part is not None}
     old = np.sort(np.concatenate([np.zeros(0, np.int64), *(regions[i] for i in changed)]))
-    there = os.path.relpath(cloud.folder, folder)
-    parts = [part.without(old, there) for part in cloud.parts]
-    parts = [part for part in parts if len(part.keys)] + list(changed.values())
+    parts = _without(cloud, old, folder) + list(changed.values())
     flipped = sum(turned for _, turned, _ in mended.values())
     positions, directions = np.concatenate([mended[i][2] for i in sorted(mended)], axis=1)
     return parts, flipped, (positions, directions)
+
+
+def _without(cloud: DiskCloud, blocks: IntArray, folder: Path) -> list[Part]:
+    """Return the parts of a cloud without some blocks, as they are seen from another folder."""
+    there = os.path.relpath(cloud.folder, folder)
+    parts = [part.without(blocks, there) for part in cloud.parts]
+    return [part for part in parts if len(part.keys)]
 
 
 def _sort(cloud: DiskCloud, sample: Points) -> Points:

@@ -7,12 +7,86 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from hpcapp.io import PointSource, read_whole
+from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
-__all__ = ["describe"]
+__all__ = ["describe", "describe_file"]
 
 _MOST_QUERIES = 20_000
+
+
+def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
+    """Read a file's points, and tell what it holds.
+
+    Parameters
+    ----------
+    source : PointSource
+
+    Returns
+    -------
+    facts : dict
+        JSON values. ``format``; ``columns``: as what each of them was taken, by its name;
+        ``normals``: where they are from, ``file`` or ``faces``, or None; ``is_oriented``:
+        False where their signs are not known; ``attributes``: names
+        of other columns that are kept; ``scans``: for each its ``points``, ``scanner`` and
+        ``grid``, or None; ``grid`` of the first; ``crs``; ``unit``; ``dropped``: points that are
+        no part of the cloud, by reason; ``warnings``; and all that `describe` tells.
+    cloud : PointCloud
+        The points.
+
+    Raises
+    ------
+    InputError
+        The file is damaged.
+    """
+    cloud = read_whole(source)
+    facts = describe(cloud)
+    dropped = dict(source.findings.dropped)
+    if not_finite := _count_not_finite(cloud):
+        dropped["not finite"] = not_finite
+    return {
+        "format": source.format,
+        **facts,
+        "normals": source.normals_from if cloud.normals is not None else None,
+        "is_oriented": source.oriented,
+        "attributes": list(cloud.attributes),
+        "columns": {name: _tell_use(name, cloud) for name in source.columns},
+        "scans": [
+            {
+                "points": scan.points,
+                "scanner": None if scan.scanner is None else scan.scanner.tolist(),
+                "grid": None if scan.grid is None else list(scan.grid),
+            }
+            for scan in source.scans
+        ],
+        "grid": None if source.scans[0].grid is None else list(source.scans[0].grid),
+        "crs": source.crs,
+        "unit": source.unit,
+        "dropped": dropped,
+        "warnings": list(source.findings.warnings),
+    }, cloud
+
+
+def _count_not_finite(cloud: PointCloud) -> int:
+    """Count the points without a finite position, and a finite normal where there are normals."""
+    lost = ~np.isfinite(cloud.positions).all(axis=1)
+    if cloud.normals is not None:
+        lost |= ~np.isfinite(cloud.normals).all(axis=1)
+    return int(lost.sum())
+
+
+def _tell_use(name: str, cloud: PointCloud) -> str:
+    """Say as what a column was taken."""
+    role = find_role(name)
+    if role in AXES:
+        return "position"
+    if role in NORMALS and cloud.normals is not None:
+        return "normal"
+    if role in COLOURS and cloud.colours is not None:
+        return "colour"
+    return "attribute" if role in cloud.attributes or name in cloud.attributes else "left out"
 
 
 def describe(cloud: PointCloud) -> dict[str, Any]:

@@ -6,26 +6,27 @@ import logging
 import os
 import secrets
 import shutil
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
 
 from hpcapp.applications.surface.checkpoint import POINTS_NOTE
-from hpcapp.applications.surface.input.clean import Cleaned, arrange_points, clean_cloud, drop_far
+from hpcapp.applications.surface.input.clean import Cleaned, clean_cloud, drop_far, drop_repeated
 from hpcapp.applications.surface.input.ingest import ingest_file
 from hpcapp.applications.surface.scans import Passes, measure_spacing
 from hpcapp.applications.surface.settings import JobSettings, Settings
-from hpcapp.io import drop_unusable, open_points, read_points
-from hpcapp.io.points.usable import Dropped
+from hpcapp.io import drop_unusable, open_points, read_whole
+from hpcapp.io.points.point_source import Findings
+from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.progress import StageClock
 from hpccomponent.errors import JobError
 from hpccomponent.files.private_files import make_private_folder, remove_path
 from hpccomponent.store.base import FolderStore
 from hpccomponent.store.value import DamagedError
-from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
-from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpccomponent.surface.cloud.arranged import ArrangedCloud, MemoryCloud, arrange_cloud
+from hpccomponent.surface.cloud.disk import open_disk_cloud
+from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["Loaded", "arrange_usable", "clean_points", "load_folder", "load_memory"]
 
@@ -46,39 +47,38 @@ class Loaded:
 
     Parameters
     ----------
-    cloud : PointCloud or DiskCloud
+    cloud : ArrangedCloud
     dropped : Dropped
     cleaned : Cleaned
+    findings : Findings
+        What is odd about the file.
     """
 
-    cloud: PointCloud | DiskCloud
+    cloud: ArrangedCloud
     dropped: Dropped
     cleaned: Cleaned
+    findings: Findings = field(default_factory=Findings)
 
-    @property
-    def box(self) -> tuple[FloatArray, FloatArray]:
-        """Corners of the box around all points."""
-        if isinstance(self.cloud, PointCloud):
-            return bound_points(self.cloud.positions)
-        return self.cloud.low, self.cloud.high
-
-    def report(self, path: Path) -> None:
-        """Log what was left out of a file.
+    def report(self, shown: str) -> None:
+        """Log what was left out of the input.
 
         Parameters
         ----------
-        path : Path
-            Of the file, for the messages.
+        shown : str
+            The input, for the messages.
         """
+        for line in self.findings.lines():
+            log.warning("warning: %s: %s", shown, line)
         dropped, cleaned = self.dropped, self.cleaned
         for count, what in (
             (dropped.non_finite_points, "dropped %d points that are NaN or Inf"),
             (dropped.bad_normals, "dropped %d points whose normal is zero, NaN or Inf"),
+            (cleaned.repeated, "dropped %d points at the place of another"),
             (cleaned.outliers, "dropped %d outliers"),
             (cleaned.flipped, "turned %d wrong normals round"),
         ):
             if count:
-                log.warning(f"%s: {what}", path, count)
+                log.warning(f"%s: {what}", shown, count)
 
 
 def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
@@ -93,63 +93,72 @@ def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
     -------
     Loaded
     """
+    name = str(settings.points)
     with clock.stage("read"):
-        cloud, dropped = drop_unusable(read_points(settings.points), str(settings.points))
-    cloud, far = arrange_usable(settings, cloud, clock)
-    cloud, cleaned = clean_points(settings, cloud, far, clock)
-    return Loaded(cloud, dropped, cleaned)
+        source = open_points(settings.points)
+        points, dropped = drop_unusable(read_whole(source), name)
+    cloud, cleaned = arrange_usable(settings, points, clock)
+    del points  # makes room
+    refuse_too_few(len(cloud), dropped, name)
+    cloud, cleaned = clean_points(settings, cloud, cleaned, clock)
+    return Loaded(cloud, dropped, cleaned, source.findings)
 
 
 def arrange_usable(
-    settings: Settings, cloud: PointCloud, clock: StageClock
-) -> tuple[PointCloud, int]:
-    """Drop points that lie far away, and arrange the rest, where the method wants it.
+    settings: Settings, points: PointCloud, clock: StageClock
+) -> tuple[MemoryCloud, Cleaned]:
+    """Drop points that lie far away, arrange the rest, and drop those at the place of another.
 
     Parameters
     ----------
     settings : Settings
-    cloud : PointCloud
-        Usable points.
+        The method tells whether far points are dropped, and whether the others are arranged.
+    points : PointCloud
+        Usable ones.
     clock : StageClock
 
     Returns
     -------
-    cloud : PointCloud
-        A copy: the caller may let go of its own.
-    far : int
-        Points that were dropped.
+    cloud : MemoryCloud
+        Of a copy, where they are arranged: the caller may let go of its own.
+    cleaned : Cleaned
+        What was dropped.
     """
     if settings.method.needs_whole_cloud:  # it cuts the cloud up by itself
-        return cloud, 0
+        cloud = drop_repeated(MemoryCloud.as_they_are(points))
+        return cloud, Cleaned(0, 0, len(points) - len(cloud))
     with clock.stage("arrange"):
-        arranged = arrange_points(drop_far(cloud) if settings.method.cleans else cloud)
-    return arranged, len(cloud) - len(arranged)
+        near = drop_far(points) if settings.method.cleans else points
+        cloud = drop_repeated(arrange_cloud(near))
+    return cloud, Cleaned(len(points) - len(near), 0, len(near) - len(cloud))
 
 
 def clean_points(
-    settings: Settings, cloud: PointCloud, far: int, clock: StageClock
-) -> tuple[PointCloud, Cleaned]:
+    settings: Settings, cloud: MemoryCloud, before: Cleaned, clock: StageClock
+) -> tuple[MemoryCloud, Cleaned]:
     """Drop outliers and turn wrong normals round, where that is wanted.
 
     Parameters
     ----------
     settings : Settings
-    cloud : PointCloud
-        Arranged.
-    far : int
-        Points that were dropped because they lie far away.
+    cloud : MemoryCloud
+    before : Cleaned
+        What was dropped already.
     clock : StageClock
 
     Returns
     -------
-    cloud : PointCloud
+    cloud : MemoryCloud
     cleaned : Cleaned
+        All that was done.
     """
     if not settings.method.cleans:
-        return cloud, Cleaned(0, 0)
+        return cloud, before
     with clock.stage("clean"):
         cloud, cleaned = clean_cloud(cloud)
-    return cloud, replace(cleaned, outliers=far + cleaned.outliers)
+    return cloud, replace(
+        before, outliers=before.outliers + cleaned.outliers, flipped=cleaned.flipped
+    )
 
 
 def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: StageClock) -> Loaded:
@@ -175,32 +184,45 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
         return found
     remove_path(folder)
     run = secrets.token_hex(4)  # a worker that is late must not write into a later run's points
-    arranged, cleaned_folder = folder / f"arranged-{run}", folder / f"cleaned-{run}"
+    arranged, distinct, cleaned_folder = (
+        folder / f"{name}-{run}" for name in ("arranged", "distinct", "cleaned")
+    )
     make_private_folder(arranged)
+    make_private_folder(distinct)
     for module in _LATER:
         passes.workforce.defer(partial(import_module, module))
     with clock.stage("read"):
-        read = ingest_file(
-            open_points(settings.points), arranged, passes, drop_far=settings.method.cleans
-        )
-    from hpcapp.applications.surface.input.clean_regions import clean_regions, measure_cloud
+        source = open_points(settings.points)
+        read = ingest_file(source, arranged, passes, drop_far=settings.method.cleans)
+    from hpcapp.applications.surface.input.clean_regions import (
+        clean_regions,
+        drop_repeated_there,
+        measure_cloud,
+    )
 
-    cloud, cleaned = read.cloud, Cleaned(0, 0)
+    with clock.stage("arrange"):
+        cloud, repeated = drop_repeated_there(read.cloud, distinct, passes)
+    refuse_too_few(len(cloud), read.dropped, str(settings.points))
+    boxes = None if repeated else read.boxes  # which count all points
+    cleaned = Cleaned(0, 0)
     if settings.method.cleans:
         make_private_folder(cleaned_folder)
         with clock.stage("clean"):
-            cloud, cleaned = clean_regions(cloud, cleaned_folder, passes, read.boxes)
-        if not cloud.uses(arranged):
-            shutil.rmtree(arranged, ignore_errors=True)  # one may write there still
+            cloud, cleaned = clean_regions(cloud, cleaned_folder, passes, boxes)
     else:
         box = len(cloud), cloud.low, cloud.high
-        spacing = measure_spacing(cloud, passes, box, None, read.boxes)
+        spacing = measure_spacing(cloud, passes, box, None, boxes)
         cloud = measure_cloud(cloud, passes, spacing)
-    loaded = Loaded(cloud, read.dropped, replace(cleaned, outliers=read.far + cleaned.outliers))
+    for place in (arranged, distinct):
+        if not cloud.uses(place):
+            shutil.rmtree(place, ignore_errors=True)  # one may write there still
+    cleaned = Cleaned(read.far + cleaned.outliers, cleaned.flipped, repeated)
+    loaded = Loaded(cloud, read.dropped, cleaned, source.findings)
     told = {
         "cloud": cloud.folder.name,
         "dropped": asdict(loaded.dropped),
         "cleaned": asdict(loaded.cleaned),
+        "findings": asdict(loaded.findings),
     }
     FolderStore(folder).put(_NOTE, told)
     return loaded
@@ -223,4 +245,5 @@ def _find_loaded(folder: Path) -> Loaded | None:
         problem = error.problem if isinstance(error, JobError) else str(error)
         log.warning("warning: %s: the points are read again", problem)
         return None
-    return Loaded(cloud, Dropped(**told["dropped"]), Cleaned(**told["cleaned"]))
+    dropped, cleaned = Dropped(**told["dropped"]), Cleaned(**told["cleaned"])
+    return Loaded(cloud, dropped, cleaned, Findings(**told["findings"]))

@@ -135,17 +135,21 @@ def _find_folder(place: str) -> Path:
 
 def _name_job(settings: JobSettings) -> str:
     """Return a hash of the input, of what decides the mesh, and of the kernels."""
+    return digest(
+        *map(_identify, settings.files), settings.grid, settings.depth, settings.voxel_size,
+        repr(settings.method), settings.outliers, settings.denoise, settings.resample, kernel_id(),
+    )  # fmt: skip
+
+
+def _identify(file: Path) -> str:
+    """Return what tells a file from another one, and from itself when it was changed."""
     try:
-        found = settings.points.stat()
+        found = file.stat()
     except OSError as error:
         raise InputError(
-            f"{settings.points}: cannot be read: {error.strerror}", "check the file's name"
+            f"{file}: cannot be read: {error.strerror}", "check the file's name"
         ) from error
-    return digest(
-        str(settings.points.resolve()), found.st_size, found.st_mtime_ns, settings.grid,
-        settings.depth, settings.voxel_size, repr(settings.method),
-        settings.outliers, settings.denoise, settings.resample, kernel_id(),
-    )  # fmt: skip
+    return f"{file.resolve()} {found.st_size} {found.st_mtime_ns}"
 
 
 @contextmanager

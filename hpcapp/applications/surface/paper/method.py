@@ -35,6 +35,7 @@ from hpcapp.applications.surface.paper.split_rule import SplitRule
 from hpcapp.applications.surface.surface import WholeSurface
 from hpcapp.workforce import Workforce, map_batches
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.cloud.arranged import ArrangedCloud
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.tasks.patch_quadrics import (
     evaluate_quadrics,
@@ -122,13 +123,13 @@ class PaperMethod:
                     f"{option} is {value!r}", f"choose {', '.join(allowed[:-1])} or {allowed[-1]}"
                 )
 
-    def partition(self, cloud: PointCloud, workforce: Workforce) -> PaperPartition:  # noqa: ARG002 - the protocol's; the tree grows on the master
+    def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> PaperPartition:  # noqa: ARG002 - the protocol's; the tree grows on the master
         """Cut the cloud into patches.
 
         Parameters
         ----------
-        cloud : PointCloud
-            With unit normals.
+        cloud : ArrangedCloud
+            In memory, with unit normals.
         workforce : Workforce
             Not needed: the tree grows in this process.
 
@@ -143,14 +144,16 @@ class PaperMethod:
         UsageError
             More patches asked for than the cloud has distinct points.
         """
-        if cloud.normals is None:
+        points = cloud.points
+        assert points is not None  # noqa: S101 - the settings ask for it
+        if points.normals is None:
             raise InputError("the cloud has no normals", "give an oriented cloud")
         if self.patches is not None:
-            patches = partition_by_count(cloud.positions, self.patches, self.root)
+            patches = partition_by_count(points.positions, self.patches, self.root)
         else:
             rule = SplitRule(self.delta, self.cone, self.max_points)
-            patches = partition_by_rule(cloud.positions, cloud.normals, rule, self.root)
-        return PaperPartition(cloud.take(patches.order), patches)
+            patches = partition_by_rule(points.positions, points.normals, rule, self.root)
+        return PaperPartition(points.take(patches.order), patches)
 
     def fit(self, partition: PaperPartition, workforce: Workforce, advance: Advance) -> FloatArray:
         """Fit the patches on the workers, as many patches to each batch.

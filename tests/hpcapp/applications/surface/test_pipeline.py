@@ -13,6 +13,7 @@ from hpcapp.progress import SilentProgress, StageClock
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError
 from hpccomponent.runtime.background import Deferred
+from hpccomponent.surface.cloud.arranged import MemoryCloud
 from hpccomponent.surface.types.points import PointCloud
 
 SERIAL = Workforce(SerialExecutor())
@@ -21,7 +22,9 @@ SERIAL = Workforce(SerialExecutor())
 def test_the_stages_run_in_the_papers_order(sphere: PointCloud) -> None:
     clock = StageClock(SilentProgress())
     halve = ("halve", lambda cloud: cloud.take(np.arange(0, len(cloud), 2)))
-    result = reconstruct(sphere, PaperMethod(grid=24), SERIAL, clock, (halve,))
+    result = reconstruct(
+        MemoryCloud.as_they_are(sphere), PaperMethod(grid=24), SERIAL, clock, (halve,)
+    )
     assert list(clock.seconds) == ["halve", "partition", "fit", "extract"]
     assert result.points == len(sphere) // 2
     assert result.facts["patches"] >= 1
@@ -45,7 +48,9 @@ def test_what_is_left_for_meanwhile_is_left_once_the_cloud_is_cut(sphere: PointC
         raise AssertionError  # in one process nobody waits
 
     workforce = Recording(SerialExecutor(), in_process=True)
-    reconstruct(sphere, PaperMethod(grid=24), workforce, clock, (), meanwhile)
+    reconstruct(
+        MemoryCloud.as_they_are(sphere), PaperMethod(grid=24), workforce, clock, (), meanwhile
+    )
     assert left == [(meanwhile, ["partition"])]
 
 
@@ -55,5 +60,7 @@ def test_what_a_step_refuses_ends_the_job(sphere: PointCloud) -> None:
 
     clock = StageClock(SilentProgress())
     with pytest.raises(InputError, match="scan again"):
-        reconstruct(sphere, PaperMethod(), SERIAL, clock, (("refuse", refuse),))
+        reconstruct(
+            MemoryCloud.as_they_are(sphere), PaperMethod(), SERIAL, clock, (("refuse", refuse),)
+        )
     assert clock.seconds == {}

@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hpcapp.io.formats import read_mesh, read_points
+from hpcapp.io.formats import open_points, read_mesh, read_points
 from hpccomponent.errors import InputError
 
 Make = Callable[..., Path]
@@ -51,13 +51,19 @@ def test_nan_and_infinity_are_read(make_ply: Make) -> None:
         ("", "truncated: 3 rows"),
         ("1 2 3\n4 five 6\n7 8 9\n", ":9: 'five' is not a number"),
         ("1,5 2,5 3,5\n4 5 6\n7 8 9\n", ":8: '1,5' is not a number; use a decimal point"),
-        ("1 2 3\n\n4 5 6\n7 8 9\n1 1 1\n", ":12: lines follow after the last element"),
+        ("1 2 3\n\n4 5 6\n7 8 9\n1 1\n", ":12: lines follow after the last element"),
     ],
 )
 def test_bad_lines_are_named(make_ply: Make, body: str, said: str) -> None:
     path = make_ply("ascii", f"element vertex 3\n{XYZ}", body)
     with pytest.raises(InputError, match=said):
         read_points(path)
+
+
+def test_more_rows_than_announced_are_left_out_with_a_word(make_ply: Make) -> None:
+    source = open_points(make_ply("ascii", f"element vertex 2\n{XYZ}", "1 2 3\n4 5 6\n" * 3))
+    assert [len(part) for part in source.chunks(10)] == [2]
+    assert "6 rows of element 'vertex', of which the header announces 2" in str(source.findings)
 
 
 def test_a_bad_line_far_down_is_named(make_ply: Make) -> None:

@@ -37,7 +37,15 @@ def spell(element: tuple[str, int, list[tuple[str, str, str | None]]]) -> list[s
     elements,
     st.sampled_from(["\n", "\r\n", "\r"]),
     st.sampled_from(["ascii", "binary_little_endian", "binary_big_endian"]),
-    st.sampled_from(["comment element vertex 9", "obj_info end_header", "comment", ""]),
+    st.sampled_from(
+        [
+            "comment element vertex 9",
+            "obj_info end_header",
+            "comment",
+            "",
+            "comment \x85 \x0b\x1c ą",
+        ]
+    ),
 )
 def test_any_header_is_understood(
     make_file: Callable[..., Path],
@@ -59,6 +67,20 @@ def test_any_header_is_understood(
     assert header.elements == tuple(
         Element(n, c, tuple(Property(p, SCALAR_TYPES[t], k and SCALAR_TYPES[k]) for p, t, k in its))
         for n, c, its in drawn
+    )
+
+
+def test_a_line_without_a_keyword_is_passed_over(make_file: Callable[..., Path]) -> None:
+    lines = "ply\nformat ascii 1.0\nCreated by hand\nelement vertex 0\nproperty int x\nend_header\n"
+    header = read_header(make_file("odd.ply", lines))
+    assert header.elements == (Element("vertex", 0, (Property("x", "i4"),)),)
+    assert header.warnings == ("line 3 of the header has no keyword: 'Created by hand'",)
+
+
+@pytest.mark.parametrize("start", [b"ply \n", b"ply\t\r\n", b"\xef\xbb\xbfply\n"])
+def test_odd_first_lines(make_file: Callable[..., Path], start: bytes) -> None:
+    assert (
+        read_header(make_file("odd.ply", start + b"format ascii 1.0\nend_header\n")).body_line == 4
     )
 
 

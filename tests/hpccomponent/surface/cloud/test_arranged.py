@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import errno
 import os
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from disk_clouds import DiskCloudWriter
-from hypothesis import given
-from hypothesis import strategies as st
 
 from hpccomponent.errors import JobError, OutputError
 from hpccomponent.surface.cloud import disk as disk_cloud
-from hpccomponent.surface.cloud.arranged import MemoryCloud, Points, arrange_cloud, cut_blocks
+from hpccomponent.surface.cloud.arranged import MemoryCloud, arrange_cloud, replace_points
 from hpccomponent.surface.cloud.arrangement import pack_points
 from hpccomponent.surface.cloud.disk import (
     DiskCloud,
     Part,
     open_disk_cloud,
+    open_place,
     write_index,
     write_part,
 )
+from hpccomponent.surface.cloud.measured import Points
 from hpccomponent.surface.types.points import PointCloud
 
 
@@ -68,42 +67,50 @@ def test_disk_and_memory_hold_the_same_bytes(
             assert one.shape[1:] == (3,)
 
 
-@pytest.mark.parametrize("points", [1, 100, 2_999, 10_000])
-def test_groups_are_the_whole_cloud_in_its_order(
-    tmp_path: Path, memory: MemoryCloud, points: int
-) -> None:
-    for cloud in (memory, _write(_scan(), memory, tmp_path, 500)):
-        groups = list(cloud.groups(points))
-        assert np.concatenate([g[0] for g in groups]).tobytes() == memory.cloud.positions.tobytes()
-        assert memory.cloud.normals is not None
-        assert np.concatenate([g[1] for g in groups]).tobytes() == memory.cloud.normals.tobytes()
-        most = max(points, int(memory.counts.max()))
-        assert all(len(group[0]) <= most for group in groups)
+@pytest.mark.parametrize("size", [0.01, 0.3, 50.0])
+def test_disk_and_memory_answer_alike(tmp_path: Path, memory: MemoryCloud, size: float) -> None:
+    disk = _write(_scan(), memory, tmp_path, 700)
+    origin, some = np.array([0.1, -0.2, 0.3]), memory.keys[::2]
+    for one, other in zip(
+        disk.count_cells(some, origin, size), memory.count_cells(some, origin, size), strict=True
+    ):
+        assert one.tolist() == other.tolist()
+    assert disk.measure().spacing == memory.measure().spacing
+    for cloud in (disk, memory):
+        place = open_place(cloud.place)
+        assert place.measure().sample.positions.tobytes() == memory.points.positions.tobytes()
+    assert open_place(memory.place) is memory
+    assert disk.points is None
 
 
-@given(st.lists(st.integers(1, 9), min_size=1), st.integers(1, 30))
-def test_runs_of_blocks_are_cut_where_they_are_full(counts: list[int], points: int) -> None:
-    runs = cut_blocks(np.array(counts), points)
-    assert [count for run in runs for count in counts[run]] == counts
-    for run, after in pairwise(runs):
-        assert sum(counts[run]) <= points or run.stop - run.start == 1
-        assert sum(counts[run]) + counts[after.start] > points
+def test_points_may_be_held_as_they_are(memory: MemoryCloud) -> None:
+    scan = _scan()
+    cloud = MemoryCloud.as_they_are(scan)
+    assert cloud.take_blocks(cloud.keys)[0].tobytes() == scan.positions.tobytes()
+    assert (cloud.low == scan.positions.min(axis=0)).all()
+    kept = cloud.select(np.arange(len(scan)) % 2 == 0)
+    assert kept.points.positions.tobytes() == scan.positions[::2].tobytes()
+    for other in (cloud, kept):
+        assert replace_points(other, scan).points is scan
+    assert replace_points(memory, scan).points.positions.tobytes() == (
+        memory.points.positions.tobytes()
+    )
 
 
 def test_a_selection_keeps_the_blocks(memory: MemoryCloud) -> None:
     kept = np.random.default_rng(1).random(len(memory)) < 0.1
     some = memory.select(kept)
     assert len(some) == kept.sum()
-    assert some.cloud.positions.tobytes() == memory.cloud.positions[kept].tobytes()
-    again = arrange_cloud(PointCloud(memory.cloud.positions[kept], np.zeros((kept.sum(), 3))))
+    assert some.points.positions.tobytes() == memory.points.positions[kept].tobytes()
+    again = arrange_cloud(PointCloud(memory.points.positions[kept], np.zeros((kept.sum(), 3))))
     if again.arrangement.edge == memory.arrangement.edge:
         assert some.counts.tolist() == again.counts.tolist()
     assert some.counts.min() > 0
     assert some.counts.sum() == len(some)
-    assert some.take_blocks(memory.keys)[0].tobytes() == some.cloud.positions.tobytes()
+    assert some.take_blocks(memory.keys)[0].tobytes() == some.points.positions.tobytes()
 
 
-@pytest.mark.parametrize("step", [1, 7, 5_000])
+@pytest.mark.parametrize("step", [1, 7, 3_000])
 def test_an_index_may_leave_out_blocks_of_parts_elsewhere(
     tmp_path: Path, memory: MemoryCloud, step: int
 ) -> None:
@@ -123,7 +130,9 @@ def test_an_index_may_leave_out_blocks_of_parts_elsewhere(
     for keys in (memory.keys, memory.keys[1:40], moved):
         for one, other in zip(new.take_blocks(keys), memory.take_blocks(keys), strict=True):
             assert one.tobytes() == other.tobytes()
-    some = new.take_every(step)
+    sample = new.sample(-(-len(new) // step))
+    assert sample.normals is not None
+    some = sample.positions, sample.normals
     assert len(some[0]) == sum(-(-int(part.counts.sum()) // step) for part in parts)
     assert _rows(some) <= _rows(memory.take_blocks(memory.keys))
     assert len(_rows(some)) == len(some[0])
@@ -155,7 +164,7 @@ def test_a_part_is_the_same_in_pieces(
 def test_a_cloud_is_opened_again(tmp_path: Path, memory: MemoryCloud) -> None:
     written = _write(_scan(), memory, tmp_path, 1_000)
     opened = open_disk_cloud(tmp_path)
-    assert opened.take_blocks(memory.keys)[0].tobytes() == memory.cloud.positions.tobytes()
+    assert opened.take_blocks(memory.keys)[0].tobytes() == memory.points.positions.tobytes()
     assert len(opened) == len(written)
 
 
@@ -174,7 +183,7 @@ def test_blocks_are_read_in_as_many_calls_as_it_takes(
 
     monkeypatch.setattr(disk_cloud, "_MOST_BUFFERS", most + 1)
     monkeypatch.setattr(os, "preadv", read_less)
-    assert disk.take_blocks(memory.keys)[0].tobytes() == memory.cloud.positions.tobytes()
+    assert disk.take_blocks(memory.keys)[0].tobytes() == memory.points.positions.tobytes()
     assert 1 < max(calls) <= most + 1
 
 
@@ -187,7 +196,7 @@ def test_folders_that_were_tampered_with(tmp_path: Path, memory: MemoryCloud) ->
     with pytest.raises(JobError, match=r"points\.1 has become shorter"):
         disk.take_blocks(memory.keys)
     with pytest.raises(JobError, match=r"points\.1: .* cannot be read: it is not whole"):
-        disk.take_every(10)
+        disk.sample(300)
     part.unlink()
     with pytest.raises(JobError, match=r"points\.1: .* cannot be read"):
         disk.take_blocks(memory.keys)

@@ -30,8 +30,8 @@ def _cloud(seed: int) -> FloatArray:
 
 def _write(arranged: MemoryCloud, folder: Path) -> DiskCloud:
     writer = DiskCloudWriter(folder, arranged.arrangement, arranged.origin)
-    assert arranged.cloud.normals is not None
-    writer.add(arranged.cloud.positions, arranged.cloud.normals)
+    assert arranged.points.normals is not None
+    writer.add(arranged.points.positions, arranged.points.normals)
     return writer.finish()
 
 
@@ -54,8 +54,8 @@ def test_turned_normals_of_regions_are_those_of_the_whole(tmp_path: Path, is_sen
     arranged = arrange_cloud(PointCloud(positions, normals))
     cloud = _write(arranged, tmp_path)
     spacing = estimate_spacing(positions)
-    assert arranged.cloud.normals is not None
-    whole = (arranged.cloud.positions, arranged.cloud.normals)
+    assert arranged.points.normals is not None
+    whole = (arranged.points.positions, arranged.points.normals)
     expected = find_turned(*whole, arranged.low, spacing)
     turned = np.zeros(len(positions), np.bool_)
     rows = np.repeat(arranged.keys, arranged.counts)
@@ -77,7 +77,7 @@ def test_turned_normals_of_regions_are_those_of_the_whole(tmp_path: Path, is_sen
 def test_regions_know_their_margins(tmp_path: Path) -> None:
     arranged = arrange_cloud(PointCloud(_cloud(4), _cloud(4)))
     cloud = _write(arranged, tmp_path)
-    positions = arranged.cloud.positions
+    positions = arranged.points.positions
     rows = np.repeat(cloud.keys, cloud.counts)
     for blocks in _cut(cloud, 9):
         for margin in (0.0, 0.3 * cloud.arrangement.edge, 5.0 * cloud.arrangement.edge):
@@ -94,8 +94,8 @@ def test_regions_know_their_margins(tmp_path: Path) -> None:
 def test_points_in_dropped_cells_are_not_there(tmp_path: Path) -> None:
     arranged = arrange_cloud(PointCloud(_cloud(4), _cloud(4)))
     cloud = _write(arranged, tmp_path)
-    low, spacing = cloud.low, estimate_spacing(arranged.cloud.positions)
-    places = np.floor((arranged.cloud.positions - low) / (EDGE * spacing)).astype(np.int64)
+    low, spacing = cloud.low, estimate_spacing(arranged.points.positions)
+    places = np.floor((arranged.points.positions - low) / (EDGE * spacing)).astype(np.int64)
     strays = np.unique(pack_places(places))[::7]
     islands = np.unique(pack_places(places >> ISLAND_LEVEL))[::40]
     kept = ~np.isin(pack_places(places), strays)
@@ -103,7 +103,7 @@ def test_points_in_dropped_cells_are_not_there(tmp_path: Path) -> None:
     region = take_region(
         (str(tmp_path), cloud.keys, 0.0, DroppedCells(low, spacing, strays, islands))
     )
-    assert region.positions.tobytes() == arranged.cloud.positions[kept].tobytes()
+    assert region.positions.tobytes() == arranged.points.positions[kept].tobytes()
     packed = region.pack_own(np.zeros(int(kept.sum()), np.bool_))
     held = np.repeat(cloud.keys, cloud.counts)[kept]
     assert np.repeat(packed.keys, packed.counts).tolist() == held.tolist()

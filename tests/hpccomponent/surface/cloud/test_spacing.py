@@ -55,7 +55,9 @@ def test_groups_have_the_spacing_of_the_whole(count: int, times: int, group: int
     cloud = arrange_cloud(PointCloud(np.repeat(points, times, axis=0), np.repeat(points, times, 0)))
 
     def count_boxes(edge: float, one_in: int, is_distinct: bool) -> tuple[int, int]:
-        some = [positions for positions, _ in cloud.groups(group)]
+        pieces = -(-len(cloud.keys) // max(group * len(cloud.keys) // len(cloud), 1))
+        runs = np.array_split(cloud.keys, pieces)
+        some = [cloud.take_blocks(keys)[0] for keys in runs]
         if is_distinct:
             some = [np.unique(positions, axis=0) for positions in some]
         counted = [sample_box_keys(positions, cloud.low, edge, one_in) for positions in some]
@@ -63,7 +65,7 @@ def test_groups_have_the_spacing_of_the_whole(count: int, times: int, group: int
         return sum(held for held, _ in counted), len(boxes)
 
     found = search_spacing(count_boxes, len(cloud), cloud.low, cloud.high)
-    assert found == estimate_spacing(cloud.cloud.positions)
+    assert found == estimate_spacing(cloud.points.positions)
 
 
 def test_groups_at_one_place_are_refused() -> None:

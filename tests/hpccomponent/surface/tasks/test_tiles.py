@@ -18,7 +18,7 @@ from hpcapp.workforce import Workforce
 from hpccomponent.errors import JobError
 from hpccomponent.runtime.background import Background
 from hpccomponent.store.base import FolderStore
-from hpccomponent.surface.cloud.arranged import arrange_cloud
+from hpccomponent.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpccomponent.surface.cloud.arrangement import PackedPoints
 from hpccomponent.surface.extraction.parts import MeshPart, join_parts
 from hpccomponent.surface.fitting.cell_points import SortedPoints
@@ -33,10 +33,10 @@ from hpccomponent.surface.tiles.prepared import PreparedTile, lay_corners
 from hpccomponent.surface.types.points import PointCloud
 
 
-def ball(count: int) -> PointCloud:
+def ball(count: int) -> MemoryCloud:
     points = np.random.default_rng(5).normal(size=(count, 3))
     normals = points / np.linalg.norm(points, axis=1)[:, None]
-    return arrange_cloud(PointCloud(normals, normals)).cloud
+    return arrange_cloud(PointCloud(normals, normals))
 
 
 def assert_same(found: Any, wanted: Any) -> None:

@@ -13,12 +13,16 @@ from hypothesis import strategies as st
 
 from hpccomponent.surface.build import load_native
 from hpccomponent.surface.cloud.arranged import arrange_cloud
-from hpccomponent.surface.cloud.arrangement import PackedPoints, pack_points
+from hpccomponent.surface.cloud.arrangement import (
+    PackedPoints,
+    pack_points,
+    unpacking_arguments,
+)
 from hpccomponent.surface.fitting.cell_points import CloudRows
 from hpccomponent.surface.kernels import native, portable
 from hpccomponent.surface.kernels.portable.cells import sort_points, take_cells
 from hpccomponent.surface.tiles import packed_cells
-from hpccomponent.surface.tiles.packed_cells import count_points, sort_tile
+from hpccomponent.surface.tiles.packed_cells import sort_tile
 from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.lattice import pack_places, unique_keys
 from hpccomponent.surface.types.points import PointCloud
@@ -38,7 +42,7 @@ def sorted_tile(points: int, size: float, depth: int, seed: int) -> tuple[Any, .
     """Return a cloud's points in two groups of coarse cells: unpacked, and packed and sorted."""
     random = np.random.default_rng(seed)
     arranged = arrange_cloud(PointCloud(*random.normal(size=(2, points, 3))))
-    positions, normals = arranged.cloud.positions, arranged.cloud.normals
+    positions, normals = arranged.points.positions, arranged.points.normals
     assert normals is not None
     origin = random.normal(size=3)
     coarse = sort_points(positions, origin, size * 2.0**depth)[0]
@@ -100,19 +104,19 @@ def test_no_cell_is_wanted(build: ModuleType) -> None:
     assert not len(rows.seed_bricks(Grid(np.zeros(3), 0.1, (2, 2, 2)), offsets, groups == 0))
 
 
-@pytest.mark.usefixtures("build")
 @pytest.mark.parametrize("size", [0.05, 0.7, 9.0])
-def test_points_are_counted_as_if_they_were_sorted(size: float) -> None:
+def test_points_are_counted_as_if_they_were_sorted(build: ModuleType, size: float) -> None:
     random = np.random.default_rng(4)
     arranged = arrange_cloud(PointCloud(*random.uniform(size=(2, 30_000, 3)) ** 9))
-    blocks, cloud = arranged.arrangement, arranged.cloud
+    blocks, cloud = arranged.arrangement, arranged.points
     assert cloud.normals is not None
     packed = pack_points(blocks, cloud.positions, cloud.normals)
     assert packed.counts.max() > 64  # what the kernel takes at once
     origin = random.normal(size=3)
     cells, offsets, _ = sort_points(cloud.positions, origin, size)
-    keys, counts = count_points(blocks, packed, origin, size)
+    keys, counts = build.count_packed(*unpacking_arguments(blocks, packed), origin, size)
     np.testing.assert_array_equal(keys, cells)
     np.testing.assert_array_equal(counts, np.diff(offsets))
     nothing = PackedPoints(*(column[:0] for column in astuple(packed)))
-    assert [len(column) for column in count_points(blocks, nothing, origin, size)] == [0, 0]
+    counted = build.count_packed(*unpacking_arguments(blocks, nothing), origin, size)
+    assert [len(column) for column in counted] == [0, 0]

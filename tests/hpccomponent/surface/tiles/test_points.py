@@ -17,7 +17,7 @@ from hpccomponent.surface.types.points import PointCloud
 def test_a_tiles_work_is_known_whichever_way_its_points_go() -> None:
     points = np.random.default_rng(1).random((5000, 3)) * (1.0, 0.0, 0.0)
     arranged = arrange_cloud(PointCloud(points, points))
-    packed = pack_cloud(arranged.arrangement, arranged.cloud)
+    packed = pack_cloud(arranged.arrangement, arranged.points)
     shared = make_blob(*encode_values((packed,)))
     sent: Any  # on the master a shared value is a blob still
     for sent in ((packed,), (shared,), (packed, shared)):
@@ -27,7 +27,7 @@ def test_a_tiles_work_is_known_whichever_way_its_points_go() -> None:
     assert estimate_work(whole) == pytest.approx(10_000, rel=0.1)
     cells = np.arange(7), np.arange(3)
     assert estimate_work(PointsThere("/nowhere", cells)) == 11.0
-    nothing = pack_cloud(arranged.arrangement, arranged.cloud.take(np.empty(0, np.int64)))
+    nothing = pack_cloud(arranged.arrangement, arranged.points.take(np.empty(0, np.int64)))
     assert estimate_work((nothing,)) > 0.0
 
 

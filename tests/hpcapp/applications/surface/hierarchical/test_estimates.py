@@ -3,14 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.hierarchical.estimates import (
-    choose_scale,
-    draw_sample,
-    first_share,
-)
-from hpccomponent.surface import kernels
+from hpcapp.applications.surface.hierarchical.estimates import choose_scale
+from hpccomponent.surface.cloud.measured import measure_points
 from hpccomponent.surface.cloud.spacing import estimate_spacing
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpccomponent.surface.types.points import PointCloud
 
 
 def noisy_sphere(noise: float, count: int = 20_000) -> PointCloud:
@@ -21,7 +17,7 @@ def noisy_sphere(noise: float, count: int = 20_000) -> PointCloud:
 
 
 def find_noise(cloud: PointCloud) -> float:
-    return choose_scale(cloud, 0.001, 1.0, 1.0).noise
+    return choose_scale(measure_points(cloud), 0.001, 1.0, 1.0).noise
 
 
 @pytest.mark.parametrize("noise", [0.003, 0.01, 0.03])
@@ -43,14 +39,14 @@ def test_a_few_points_have_no_noise_that_could_be_found() -> None:
 
 
 def test_cells_follow_the_spacing_of_clean_clouds_and_the_noise_of_others() -> None:
-    clean = choose_scale(noisy_sphere(0.0), 0.001, 1.0, 1.0)
+    clean = choose_scale(measure_points(noisy_sphere(0.0)), 0.001, 1.0, 1.0)
     assert clean.cell_size == pytest.approx(1.5 * clean.spacing)
-    noisy = choose_scale(noisy_sphere(0.01), 0.001, 1.0, 1.0)
+    noisy = choose_scale(measure_points(noisy_sphere(0.01)), 0.001, 1.0, 1.0)
     assert noisy.cell_size == pytest.approx(6 * noisy.noise)
 
 
 def test_hands_on_the_wheel() -> None:
-    cloud = noisy_sphere(0.01)
+    cloud = measure_points(noisy_sphere(0.01))
     scale = choose_scale(cloud, 0.001, 1.0, 1.0)
     smoother = choose_scale(cloud, 0.001, 2.0, 1.0)
     finer = choose_scale(cloud, 0.001, 1.0, 2.0)
@@ -59,31 +55,4 @@ def test_hands_on_the_wheel() -> None:
 
 
 def test_no_cell_is_smaller_than_a_step_of_the_grid() -> None:
-    assert choose_scale(noisy_sphere(0.0), 0.2, 1.0, 1.0).cell_size == 0.2
-
-
-@pytest.mark.parametrize("count", [20_000, 200_000])
-def test_large_clouds_are_judged_by_a_sample(count: int) -> None:
-    drawn = []
-
-    def draw(one_in: int) -> tuple[FloatArray, FloatArray]:
-        drawn.append(one_in)
-        return np.zeros((count // one_in, 3)), np.zeros((count // one_in, 3))
-
-    assert len(draw_sample(draw, count)[0]) <= 20_000
-    assert drawn == [max(count // 15_000, 1)]
-
-
-def test_a_sample_of_few_boxes_is_drawn_anew() -> None:
-    """Lumps in eight boxes: a share of them, as of the boxes of a surface, may be none."""
-    lumps = np.random.default_rng(3).normal(size=(200_000, 3)) * 1e-3
-    lumps += np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])[
-        np.arange(len(lumps)) % 8
-    ]
-
-    def draw(one_in: int) -> tuple[FloatArray, FloatArray]:
-        rows = kernels.sample_boxes(lumps, lumps.min(axis=0), 24 * 0.01, one_in)
-        return lumps[rows], lumps[rows]
-
-    assert len(draw(first_share(len(lumps)))[0]) <= 15_000 // 4
-    assert len(draw_sample(draw, len(lumps))[0]) > 15_000 // 4
+    assert choose_scale(measure_points(noisy_sphere(0.0)), 0.2, 1.0, 1.0).cell_size == 0.2

@@ -14,7 +14,6 @@ from recorder import Recorder
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.hierarchical import estimates, slabs
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod, plan_grid
-from hpcapp.applications.surface.input.clean import arrange_points
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError, UsageError
@@ -39,10 +38,10 @@ def reconstruct(
     cloud: PointCloud, method: HierarchicalMethod, tiles: int | None = None
 ) -> tuple[Mesh, dict[str, float]]:
     """Run the method as one tile in this process, or in so many tiles on threads."""
-    cloud = arrange_points(cloud)
+    arranged = arrange_cloud(cloud)
     with ThreadPoolExecutor(2) as executor:
         workforce = Workforce(executor, tiles or 1, in_process=tiles is None)
-        partition = method.partition(cloud, workforce)
+        partition = method.partition(arranged, workforce)
         quadrics = method.fit(partition, workforce, ignore)
         surface = method.extract(partition, quadrics, workforce, ignore)
         return surface.mesh(), method.facts(partition)
@@ -273,8 +272,8 @@ def test_impossible_settings_are_refused(arguments: tuple[Any, ...], message: st
 
 
 def test_a_cloud_that_says_nothing_is_refused() -> None:
-    with pytest.raises(InputError, match="no points with normals"):
-        reconstruct(PointCloud(np.zeros((5, 3))), HierarchicalMethod(32))
+    with pytest.raises(InputError, match="no normals"):
+        reconstruct(PointCloud(np.eye(3)), HierarchicalMethod(32))
     with pytest.raises(InputError, match="at one place"):
         reconstruct(PointCloud(np.ones((5, 3)), np.ones((5, 3))), HierarchicalMethod(32))
 
@@ -298,13 +297,13 @@ def test_moments_of_tiles_go_through_the_folder_that_points_are_read_from(
     points = tmp_path / "points"
     points.mkdir()
     writer = DiskCloudWriter(points, cloud.arrangement, cloud.origin)
-    assert cloud.cloud.normals is not None
-    writer.add(cloud.cloud.positions, cloud.cloud.normals)
+    assert cloud.points.normals is not None
+    writer.add(cloud.points.positions, cloud.points.normals)
     keeping = Keeping(str(tmp_path / "kept"), "job", is_shared=is_shared)
     keeping.make_folders()
     method = HierarchicalMethod(48, keeping=keeping)
     fitted, sums = [], []
-    for given in (writer.finish(), cloud.cloud):
+    for given in (writer.finish(), cloud):
         with Recorder(2) as executor:
             workforce = Workforce(executor, 3)
             partition = method.partition(given, workforce)

@@ -13,18 +13,24 @@ from hpcapp.applications.simulate.scanner import simulate_scan
 from hpcapp.applications.simulate.settings import ScanSettings
 from hpcapp.applications.simulate.shapes import SHAPES, diagonal_of
 from hpcapp.applications.surface.api import reconstruct
-from hpcapp.applications.surface.input.clean import Cleaned, arrange_points, clean_cloud, drop_far
+from hpcapp.applications.surface.input.clean import Cleaned, clean_cloud, drop_far
 from hpcapp.io import drop_unusable, read_points
 from hpccomponent.surface.cloud import arranged as arranged_cloud
+from hpccomponent.surface.cloud.arranged import MemoryCloud, arrange_cloud
 from hpccomponent.surface.cloud.arrangement import choose_arrangement, snap_points
 from hpccomponent.surface.types.points import PointCloud
+
+
+def clean(points: PointCloud, threads: int = 1) -> tuple[PointCloud, Cleaned]:
+    kept, cleaned = clean_cloud(MemoryCloud.as_they_are(points), threads)
+    return kept.points, cleaned
 
 
 @pytest.mark.parametrize("name", ["box", "frame"])
 def test_outliers_are_dropped_and_the_surface_is_not(name: str) -> None:
     settings = ScanSettings(points=40_000, outliers=0.03, noise=0.001, normals="exact")
     cloud = simulate_scan(SHAPES[name], settings)
-    kept, cleaned = clean_cloud(cloud)
+    kept, cleaned = clean(cloud)
     diagonal = diagonal_of(SHAPES[name])
     before, after = (np.abs(SHAPES[name].value(c.positions)) / diagonal for c in (cloud, kept))
     assert (after < 0.015).sum() >= (before < 0.015).sum() - 1
@@ -38,7 +44,7 @@ def test_outliers_are_dropped_and_the_surface_is_not(name: str) -> None:
 def test_clean_scans_come_through_as_they_are(name: str, points: int) -> None:
     """Thin parts, thin plates and sharp steps, sparse, with exact normals."""
     cloud = simulate_scan(SHAPES[name], ScanSettings(points=points, normals="exact"))
-    kept, cleaned = clean_cloud(cloud)
+    kept, cleaned = clean(cloud)
     assert cleaned == Cleaned(0, 0)
     assert kept is cloud
 
@@ -46,7 +52,7 @@ def test_clean_scans_come_through_as_they_are(name: str, points: int) -> None:
 @pytest.mark.parametrize("name", ["torus", "plate", "bracket"])
 def test_flipped_normals_are_turned_round(name: str) -> None:
     settings = ScanSettings(points=20_000, flipped=0.05, normals="exact")
-    kept, cleaned = clean_cloud(simulate_scan(SHAPES[name], settings))
+    kept, cleaned = clean(simulate_scan(SHAPES[name], settings))
     assert kept.normals is not None
     facing = np.einsum("ij,ij->i", kept.normals, SHAPES[name].normal(kept.positions))
     assert cleaned.outliers == 0
@@ -61,7 +67,7 @@ def test_a_marker_for_no_echo_does_not_spoil_the_rest() -> None:
     marked = PointCloud(positions, np.concatenate([cloud.normals, cloud.normals[:2]]))
     near = drop_far(marked)
     assert len(near) == len(cloud)
-    kept, cleaned = clean_cloud(near)
+    kept, cleaned = clean(near)
     assert cleaned == Cleaned(0, 0)
     np.testing.assert_array_equal(kept.positions, cloud.positions)
 
@@ -71,7 +77,7 @@ def test_colours_and_origin_stay_with_their_points() -> None:
     cloud = simulate_scan(SHAPES["sphere"], ScanSettings(points=3_000, outliers=0.03))
     colours = random.integers(0, 255, (len(cloud), 3)).astype(np.uint8)
     coloured = PointCloud(cloud.positions, None, colours, origin=np.array([7.0, 8.0, 9.0]))
-    kept, cleaned = clean_cloud(coloured)
+    kept, cleaned = clean(coloured)
     assert cleaned.outliers > 0
     assert cleaned.flipped == 0
     assert kept.normals is None
@@ -88,7 +94,7 @@ def test_points_are_rounded_sorted_by_block_and_keep_their_order_within() -> Non
     positions = random.random((20_000, 3)) * (1.0, 0.1, 0.1)
     colours = random.integers(0, 255, (len(positions), 3)).astype(np.uint8)
     cloud = PointCloud(positions, positions + 1.0, colours, origin=np.array([7.0, 8.0, 9.0]))
-    arranged = arrange_points(cloud)
+    arranged = arrange_cloud(cloud).points
     arrangement = choose_arrangement(positions.min(axis=0), positions.max(axis=0))
     snapped = snap_points(arrangement, positions)
     row = {tuple(place): i for i, place in enumerate(snapped.tolist())}
@@ -121,15 +127,10 @@ def test_rounding_moves_a_mesh_by_nothing_to_speak_of(
     assert 0.0 < moved < 1e-6
 
 
-def test_points_of_no_extent_stay_as_they_are() -> None:
-    cloud = PointCloud(np.ones((20, 3)))
-    assert arrange_points(cloud) is cloud
-
-
 def test_threads_do_not_show() -> None:
     settings = ScanSettings(points=10_000, outliers=0.02, flipped=0.05)
     cloud = simulate_scan(SHAPES["knot"], settings)
-    one, three = clean_cloud(cloud, 1), clean_cloud(cloud, 3)
+    one, three = clean(cloud, 1), clean(cloud, 3)
     assert one[1] == three[1]
     assert one[0].positions.tobytes() == three[0].positions.tobytes()
     assert one[0].normals is not None
@@ -138,7 +139,7 @@ def test_threads_do_not_show() -> None:
 
 
 def test_no_points_are_no_problem() -> None:
-    assert clean_cloud(PointCloud(np.zeros((0, 3))))[1] == Cleaned(0, 0)
+    assert clean(PointCloud(np.zeros((0, 3))))[1] == Cleaned(0, 0)
 
 
 @pytest.mark.parametrize(
@@ -150,4 +151,4 @@ def test_real_scans_keep_their_points(name: str, most: int) -> None:
     if not path.exists():
         pytest.skip(f"HPCAPP_DATA names no folder with {name}.ply")
     cloud, _ = drop_unusable(read_points(path))
-    assert clean_cloud(cloud)[1].outliers <= most
+    assert clean(cloud)[1].outliers <= most

@@ -1,9 +1,11 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.input.info import describe
+from hpcapp.applications.surface.input.info import describe, describe_file
+from hpcapp.io import open_points
 from hpccomponent.surface.types.points import PointCloud
 
 
@@ -65,3 +67,24 @@ def test_nothing_to_measure_is_none(positions: np.ndarray) -> None:
 def test_the_facts_are_json() -> None:
     facts = describe(PointCloud(grid(), grid(), np.zeros((729, 3), np.uint8)))
     assert json.loads(json.dumps(facts)) == facts
+
+
+def test_all_that_a_file_holds_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{x},{y},{z},0,0,0,{i % 7},9" for i, (x, y, z) in enumerate(grid())]
+    rows += ["0,0,0,0,0,0,0,9"] * 40 + ["nan,0,0,0,0,0,1,9"]
+    names = "x,y,z,nx,ny,nz,classification,mark"
+    path.write_text("\n".join([names, *rows]) + "\n")
+    facts, cloud = describe_file(open_points(path))
+    assert json.loads(json.dumps(facts)) == facts
+    assert facts["points"] == len(cloud) == 729
+    assert facts["dropped"] == {"repeated": 41, "not finite": 1}  # one of the grid is there, too
+    assert facts["normals"] is None
+    assert facts["columns"] == {
+        "x": "position", "y": "position", "z": "position",
+        "nx": "left out", "ny": "left out", "nz": "left out",
+        "classification": "attribute", "mark": "attribute",
+    }  # fmt: skip
+    assert facts["attributes"] == ["classification", "mark"]
+    assert len(facts["scans"]) == 1
+    assert ["origin" in facts["warnings"][0], "normals" in facts["warnings"][1]] == [True, True]

@@ -77,7 +77,7 @@ def test_parts_arranged_on_disk_are_the_cloud_in_memory(
     edges = list(found.boxes)
     assert len(edges) == 2
     for edge in edges:
-        counted = count_boxes(expected.cloud.positions, expected.low, edge, 1)
+        counted = count_boxes(expected.points.positions, expected.low, edge, 1)
         assert found.boxes[edge] == counted
 
 

@@ -13,6 +13,7 @@ from hpcapp.applications.surface.paper.method import PaperMethod, PaperPartition
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.cloud.arranged import MemoryCloud
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
@@ -38,7 +39,7 @@ def workforce() -> Iterator[Workforce]:
 def run(
     method: PaperMethod, cloud: PointCloud, workforce: Workforce
 ) -> tuple[PaperPartition, FloatArray, Mesh]:
-    partition = method.partition(cloud, workforce)
+    partition = method.partition(MemoryCloud.as_they_are(cloud), workforce)
     quadrics = method.fit(partition, workforce, ignore)
     surface = method.extract(partition, quadrics, workforce, ignore)
     return partition, quadrics, surface.mesh()
@@ -112,7 +113,7 @@ def test_each_worker_gets_as_many_patches() -> None:
     method = PaperMethod(patches=40)
     with RecordingExecutor() as executor:
         workforce = Workforce(executor, 4)
-        partition = method.partition(sphere(), workforce)
+        partition = method.partition(MemoryCloud.as_they_are(sphere()), workforce)
         method.fit(partition, workforce, lambda *counts: told.append(counts))
     assert executor.patches == [10, 10, 10, 10]
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
@@ -120,7 +121,7 @@ def test_each_worker_gets_as_many_patches() -> None:
 
 def test_points_lie_patch_after_patch_with_their_normals(workforce: Workforce) -> None:
     cloud = sphere()
-    partition = PaperMethod().partition(cloud, workforce)
+    partition = PaperMethod().partition(MemoryCloud.as_they_are(cloud), workforce)
     order = partition.patches.order
     assert np.array_equal(partition.points.positions, cloud.positions[order])
     assert cloud.normals is not None
@@ -141,7 +142,7 @@ def test_facts_say_what_was_chosen_and_found(workforce: Workforce) -> None:
 
 def test_facts_of_a_given_number_of_patches_name_no_cone(workforce: Workforce) -> None:
     method = PaperMethod(patches=12)
-    facts = method.facts(method.partition(sphere(), workforce))
+    facts = method.facts(method.partition(MemoryCloud.as_they_are(sphere()), workforce))
     assert facts["patches"] == 12
     assert "cone" not in facts
 
@@ -164,4 +165,4 @@ def test_bad_options_are_named_before_any_work(options: dict[str, Any], named: s
 
 def test_a_cloud_without_normals_is_refused(workforce: Workforce) -> None:
     with pytest.raises(InputError, match="no normals"):
-        PaperMethod().partition(PointCloud(sphere().positions), workforce)
+        PaperMethod().partition(MemoryCloud.as_they_are(PointCloud(sphere().positions)), workforce)

@@ -1,0 +1,198 @@
+"""Coordinate reference systems: their name and their unit, out of WKT or GeoTIFF keys.
+
+No projection is computed; what a scan's numbers mean must be known all the same.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+__all__ = ["Crs", "parse_epsg", "parse_geokeys", "parse_wkt"]
+
+
+@dataclass(frozen=True, slots=True)
+class Crs:
+    """A coordinate reference system.
+
+    Parameters
+    ----------
+    text : str or None
+        WKT, ``EPSG:`` and a code, or a mere name; None where a file states a unit only.
+    unit : str or None
+        Of the horizontal coordinates: ``m``, ``ft``, ``US ft``, ``mm``, ``cm``, ``km``,
+        ``degree``; None where it is not stated.
+    """
+
+    text: str | None
+    unit: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Node:
+    keyword: str
+    children: list[_Node | str]
+
+    def nodes(self, *keywords: str) -> Iterator[_Node]:
+        for child in self.children:
+            if isinstance(child, _Node) and child.keyword in keywords:
+                yield child
+
+
+_TOKEN = re.compile(r'"((?:[^"]|"")*)"|([A-Za-z_]\w*)\s*[\[(]|([\])])|([^\s,\[\]()"]+)')
+_PROJECTED = ("PROJCS", "PROJCRS", "PROJECTEDCRS", "LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")
+_GEOCENTRIC = ("GEOCCS", "GEODCRS", "GEODETICCRS")
+_GEOGRAPHIC = ("GEOGCS", "GEOGCRS", "GEOGRAPHICCRS")
+_METRES = {
+    "m": 1.0,
+    "ft": 0.3048,
+    "US ft": 1200 / 3937,
+    "mm": 0.001,
+    "cm": 0.01,
+    "km": 1000.0,
+}
+_SAME_FACTOR = 1e-7  # the two feet differ by 2e-6; factors are written with 8 digits and more
+
+_MODEL, _CITATION, _GEOGRAPHIC_CODE, _GEOGRAPHIC_LENGTH = 1024, 1026, 2048, 2052
+_PROJECTED_CODE, _PROJECTED_NAME, _PROJECTED_LENGTH = 3072, 3073, 3076
+_UNIT_CODES = {9001: "m", 9002: "ft", 9003: "US ft", 9036: "km", 1025: "mm", 1033: "cm"}
+_ASCII = 34737
+_STATED = range(1, 32767)  # codes: 0 is undefined, 32767 defined by other keys
+
+
+def parse_wkt(text: str) -> Crs:
+    """Find the unit of a coordinate reference system in WKT, of either version.
+
+    Parameters
+    ----------
+    text : str
+        May be damaged: then the unit is not found.
+
+    Returns
+    -------
+    Crs
+
+    Examples
+    --------
+    >>> parse_wkt('PROJCS["a",GEOGCS["b",UNIT["degree",0.017]],UNIT["foot",0.3048]]').unit
+    'ft'
+    """
+    root = _parse_tree(text)
+    system = _find_first(root, (*_PROJECTED, *_GEOCENTRIC, *_GEOGRAPHIC))
+    if system is None:
+        return Crs(text, None)
+    if system.keyword in _GEOGRAPHIC:
+        return Crs(text, "degree")
+    for holder in (system, *system.nodes("AXIS")):
+        if any(holder.nodes("ANGLEUNIT")):
+            return Crs(text, "degree")
+        for unit in holder.nodes("UNIT", "LENGTHUNIT"):
+            return Crs(text, _find_unit(unit))
+    return Crs(text, None)
+
+
+def parse_geokeys(directory: bytes, texts: bytes) -> Crs | None:
+    """Find the code and the unit of a coordinate reference system in GeoTIFF keys.
+
+    Parameters
+    ----------
+    directory : bytes
+        Of the keys: four 16-bit numbers each, a header of four before.
+    texts : bytes
+        The ASCII parameters that keys refer to.
+
+    Returns
+    -------
+    Crs or None
+        None where the keys state neither.
+
+    Notes
+    -----
+    A projected system that gives a code alone, of UTM on the usual datums, has metres.
+    """
+    shorts = struct.unpack(f"<{len(directory) // 2}H", directory[: len(directory) // 2 * 2])
+    keys: dict[int, int] = {}
+    name = ""
+    for at in range(4, len(shorts) - 3, 4):
+        key, place, count, value = shorts[at : at + 4]
+        if place == 0:
+            keys[key] = value
+        elif place == _ASCII and key in (_CITATION, _PROJECTED_NAME) and not name:
+            name = texts[value : value + count].decode("latin-1").strip("|\0 ")
+    model = keys.get(_MODEL)
+    if model == 2:
+        code, unit = keys.get(_GEOGRAPHIC_CODE, 0), "degree"
+    else:
+        code = keys.get(_PROJECTED_CODE, 0)
+        lengths = (keys.get(_PROJECTED_LENGTH, 0), keys.get(_GEOGRAPHIC_LENGTH, 0))
+        found = [_UNIT_CODES[length] for length in lengths if length in _UNIT_CODES]
+        metric = model == 3 or _is_utm(code)
+        unit = found[0] if found else "m" if metric else ""
+    text = f"EPSG:{code}" if code in _STATED else name or None
+    return Crs(text, unit or None) if text or unit else None
+
+
+def parse_epsg(text: str) -> int | None:
+    """Return the code of a text like ``EPSG:32632``, or None.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    int or None
+
+    Examples
+    --------
+    >>> parse_epsg("EPSG:32632"), parse_epsg("unknown")
+    (32632, None)
+    """
+    match = re.fullmatch(r"EPSG:(\d{1,5})", text.strip(), re.IGNORECASE)
+    return int(match[1]) if match and int(match[1]) in _STATED else None
+
+
+def _is_utm(code: int) -> bool:
+    zones = (32600, 32700, 26900, 25800)  # WGS 84 north and south, NAD83, ETRS89
+    return any(zone < code <= zone + 60 for zone in zones)
+
+
+def _parse_tree(text: str) -> _Node:
+    """Parse brackets into a tree; what is not closed ends with the text."""
+    root = _Node("", [])
+    open_nodes = [root]
+    for quoted, keyword, closing, other in _TOKEN.findall(text):
+        if keyword:
+            node = _Node(keyword.upper(), [])
+            open_nodes[-1].children.append(node)
+            open_nodes.append(node)
+        elif closing:
+            if len(open_nodes) > 1:
+                open_nodes.pop()
+        else:
+            open_nodes[-1].children.append(quoted or other)
+    return root
+
+
+def _find_first(root: _Node, keywords: tuple[str, ...]) -> _Node | None:
+    """Return the first node of these keywords, outer ones before what they hold."""
+    waiting: list[_Node] = [root]
+    while waiting:
+        node = waiting.pop()
+        if node.keyword in keywords:
+            return node
+        waiting.extend(child for child in reversed(node.children) if isinstance(child, _Node))
+    return None
+
+
+def _find_unit(unit: _Node) -> str | None:
+    try:
+        factor = float(str(unit.children[1]))
+    except (IndexError, ValueError):
+        return None
+    for name, metres in _METRES.items():
+        if abs(factor - metres) <= _SAME_FACTOR * metres:
+            return name
+    return None

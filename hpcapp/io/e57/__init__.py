@@ -1,0 +1,1 @@
+"""E57: scans with their poses, read and written by libE57 (pye57)."""

@@ -1,0 +1,230 @@
+"""The points of an E57 file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.e57.image_file import load_library, open_image
+from hpcapp.io.e57.scans import GRID, SPHERICAL, E57Scan, describe_scan, read_fields
+from hpcapp.io.points.column_roles import COLOURS, NORMALS
+from hpcapp.io.points.point_source import Findings, PointSource, Scan
+from hpccomponent.errors import InputError
+from hpccomponent.surface.types.points import FloatArray, Int32Array, PointCloud
+
+__all__ = ["open_e57"]
+
+_NOWHERE = -1  # row and column of a point that belongs to no grid
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """What every part of a file has, whichever scan it is of."""
+
+    has_normals: bool
+    colours: type[np.generic] | None
+    has_grid: bool
+    has_scan: bool
+    attributes: tuple[str, ...]
+
+
+def open_e57(path: Path) -> PointSource:
+    """Open the points of all scans of an E57 file.
+
+    Points that the file says are invalid are left out and counted. Columns that a scan lacks and
+    another has are NaN, or zero for colours and normals; these are left out where not even half
+    of the points have them.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    PointSource
+        Poses applied; a scan without one has the identity, and its scanner at the origin.
+        Colours are of 8 bits where all scans say so, else of 16, or floats as in the file.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or holds no scan or no points.
+    UsageError
+        The library that reads it is not installed.
+    OSError
+        The file cannot be read.
+    """
+    library = load_library(path)
+    findings = Findings()
+    with open_image(path) as image:
+        scans = _describe_scans(library, image, path)
+        crs = _find_crs(image)
+    columns = _join_columns(scans, findings)
+
+    def scan(rows: int) -> Iterator[PointCloud]:
+        findings.dropped.clear()  # they are counted anew
+        some = False
+        with open_image(path) as image:
+            for one in scans:
+                for fields in _read_valid(library, image, one, rows, findings):
+                    some = True
+                    yield _decode(fields, one, columns)
+        if not some:
+            yield _decode({}, scans[0], columns)
+
+    return PointSource(
+        path,
+        sum(one.points for one in scans),
+        True,
+        columns.has_normals,
+        scan,
+        format="E57",
+        columns=_names(scans),
+        scans=tuple(Scan(one.points, one.translation, one.grid) for one in scans),
+        crs=crs,
+        unit="m",  # by the standard
+        findings=findings,
+    )
+
+
+def _describe_scans(library: Any, image: Any, path: Path) -> list[E57Scan]:
+    root = image.root()
+    count = len(root["data3D"]) if root.isDefined("data3D") else 0
+    if not count:
+        raise InputError(f"{path}: holds no scan", "check that the right file was exported")
+    scans = [describe_scan(library, image, i, path) for i in range(count)]
+    if not any(one.points for one in scans):
+        raise InputError(
+            f"{path}: no points: its scans are empty", "check that the right file was exported"
+        )
+    return scans
+
+
+def _find_crs(image: Any) -> str | None:
+    root = image.root()
+    if not root.isDefined("coordinateMetadata"):
+        return None
+    return str(root["coordinateMetadata"].value()).strip() or None
+
+
+def _names(scans: Sequence[E57Scan]) -> tuple[str, ...]:
+    names: dict[str, None] = {}
+    for one in scans:
+        names.update(dict.fromkeys((*one.position, *one.columns.values())))
+    return tuple(names)
+
+
+def _join_columns(scans: Sequence[E57Scan], findings: Findings) -> _Columns:
+    """Decide what every part has; say what some scans lack."""
+    kept = {}
+    total = sum(one.points for one in scans)
+    for names, what in ((NORMALS, "normals"), (COLOURS, "colours")):
+        having = sum(one.points for one in scans if one.has(names))
+        kept[what] = 2 * having > total
+        if 0 < having < total:
+            done = "zero there" if kept[what] else "left out"
+            findings.warn(
+                f"{total - having} of {total} points are of scans without {what}: they are {done}"
+            )
+    limits = {one.colour_limit for one in scans if one.has(COLOURS)}
+    colours = np.float64 if None in limits else np.uint8 if limits == {255.0} else np.uint16
+    attributes: dict[str, None] = {}
+    for one in scans:
+        attributes.update(dict.fromkeys(one.columns))
+    special = (*NORMALS, *COLOURS, *GRID)
+    return _Columns(
+        kept["normals"],
+        colours if kept["colours"] else None,
+        any(one.grid for one in scans),
+        len(scans) > 1,
+        tuple(name for name in attributes if name not in special),
+    )
+
+
+def _read_valid(
+    library: Any, image: Any, one: E57Scan, rows: int, findings: Findings
+) -> Iterator[dict[str, FloatArray]]:
+    """Yield the fields of a scan's points, those left out that are invalid."""
+    if not one.points:
+        return
+    names = [*one.position, *one.columns.values()]
+    if one.invalid is not None:
+        names.append(one.invalid)
+    for fields in read_fields(library, image, one.index, names, rows):
+        if one.invalid is None:
+            yield fields
+            continue
+        valid = fields[one.invalid] == 0
+        findings.drop("invalid", int((~valid).sum()))
+        if valid.any():
+            yield {name: values[valid] for name, values in fields.items()}
+
+
+def _decode(fields: dict[str, FloatArray], one: E57Scan, columns: _Columns) -> PointCloud:
+    """Return a scan's points as a cloud in the file's coordinates; without fields, of none."""
+    count = len(fields[one.position[0]]) if fields else 0
+
+    def stack(names: Sequence[str]) -> FloatArray:
+        if not count:
+            return np.zeros((0, 3))
+        return np.stack([fields[name] for name in names], axis=1)
+
+    positions = stack(one.position)
+    if one.position is SPHERICAL:
+        positions = _from_spherical(positions)
+    positions = _rotate(positions, one.rotation) + one.translation
+    normals: FloatArray | None = None
+    if columns.has_normals:
+        normals = np.zeros((count, 3))
+        if one.has(NORMALS):
+            normals = _rotate(stack([one.columns[name] for name in NORMALS]), one.rotation)
+    colours: NDArray[Any] | None = None
+    if columns.colours is not None:
+        colours = np.zeros((count, 3), columns.colours)
+        if one.has(COLOURS):
+            colours = _scale(stack([one.columns[name] for name in COLOURS]), one, columns.colours)
+    attributes: dict[str, NDArray[Any]] = {}
+    for name in columns.attributes:
+        held = count and name in one.columns
+        attributes[name] = fields[one.columns[name]].copy() if held else np.full(count, np.nan)
+    for name, least in zip(GRID, one.corner, strict=True) if columns.has_grid else ():
+        place: Int32Array = np.full(count, _NOWHERE, np.int32)
+        if count and one.grid:
+            place = (fields[one.columns[name]] - least).astype(np.int32)
+        attributes[name] = place
+    if columns.has_scan:
+        attributes["scan"] = np.full(count, one.index, np.int32)
+    return PointCloud(positions, normals, colours, attributes)
+
+
+def _rotate(vectors: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Rotate vectors, to the same bits however many there are: a matrix product is not so."""
+    if (rotation == np.eye(3)).all():
+        return vectors
+    x, y, z = vectors.T
+    return np.stack([a * x + b * y + c * z for a, b, c in rotation], axis=1)
+
+
+def _from_spherical(points: FloatArray) -> FloatArray:
+    """Convert range, azimuth and elevation, in metres and radians, to coordinates."""
+    distance, azimuth, elevation = points.T
+    flat = distance * np.cos(elevation)
+    return np.stack(
+        [flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)], axis=1
+    )
+
+
+def _scale(colours: FloatArray, one: E57Scan, dtype: type[np.generic]) -> NDArray[Any]:
+    """Bring colours to the type of the file; as they are where their limit is that of the type."""
+    if dtype is np.float64 or one.colour_limit is None:
+        return colours
+    most = 255 if dtype is np.uint8 else 65535
+    scaled: NDArray[Any] = np.nan_to_num(colours)
+    if one.colour_limit != most:
+        scaled = np.rint(scaled * (most / one.colour_limit))
+    return np.clip(scaled, 0, most, out=scaled).astype(dtype)

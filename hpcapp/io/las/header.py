@@ -1,0 +1,209 @@
+"""The header of a LAS file and the variable length records behind it.
+
+Every number in it may be wrong. What bounds it is the size of the file and the place where the
+points begin; the number of records is only believed as far as there are records.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from hpcapp.io.crs import Crs, parse_geokeys, parse_wkt
+from hpcapp.io.points.point_source import Findings
+from hpccomponent.errors import InputError
+from hpccomponent.surface.types.points import FloatArray
+
+__all__ = ["LasHeader", "find_crs", "read_header"]
+
+_FIXED = struct.Struct("<4s20x2B68xHIIBHI20x12d")  # of 227 bytes, as in LAS 1.0 to 1.2
+_EXTENDED = struct.Struct("<QIQ")  # at byte 235 in LAS 1.4: start and number of EVLRs, points
+_EXTENDED_SIZE = 375
+_RECORD = struct.Struct("<2x16sHH32x")
+_LONG_RECORD = struct.Struct("<2x16sHQ32x")
+_MOST_PAYLOAD = 1 << 20  # of a record that is kept: a CRS in WKT takes some thousand bytes
+_COMPRESSED = 0xC0  # bits of the point format that LAZ sets
+
+_KEPT = {
+    ("laszip encoded", 22204),
+    ("LASF_Spec", 4),
+    ("copc", 1),
+    ("LASF_Projection", 34735),
+    ("LASF_Projection", 34737),
+    ("LASF_Projection", 2112),
+    ("liblas", 2112),
+}
+
+Records = dict[tuple[str, int], bytes]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LasHeader:
+    """What the header of a LAS file says.
+
+    Parameters
+    ----------
+    version : tuple of int
+        Major and minor.
+    point_format : int
+        From 0 to 10.
+    is_compressed : bool
+        Whether the points are LAZ.
+    points_start : int
+        Byte at which they begin.
+    record_length : int
+        Bytes of a point, uncompressed.
+    count : int
+        How many points it announces.
+    scales, offsets : ndarray of float64, shape (3,)
+        Coordinates are integers times scale plus offset.
+    records : dict of tuple of str and int to bytes
+        Payloads of the variable length records that say something about points, by user and
+        number.
+    """
+
+    version: tuple[int, int]
+    point_format: int
+    is_compressed: bool
+    points_start: int
+    record_length: int
+    count: int
+    scales: FloatArray
+    offsets: FloatArray
+    records: Records
+
+
+def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
+    """Read the header of a LAS file.
+
+    Parameters
+    ----------
+    file : file
+        Binary, open for reading.
+    path : Path
+        Its name, for messages.
+    findings : Findings
+        Gets a warning where there are fewer records than announced.
+
+    Returns
+    -------
+    LasHeader
+
+    Raises
+    ------
+    InputError
+        This is no LAS file, or its header contradicts the file's size.
+    """
+    start = file.read(_EXTENDED_SIZE)
+    if start[:4] != b"LASF":
+        raise InputError(
+            f"{path}: is no LAS file: it does not begin with LASF", "check the file's name"
+        )
+    if len(start) < _FIXED.size:
+        raise _cut(path, "in its header")
+    _, major, minor, header_size, points_start, announced, bits, length, count, *boxes = (
+        _FIXED.unpack_from(start)
+    )
+    extended = None
+    if minor >= 4 and header_size >= _EXTENDED_SIZE <= len(start):
+        extended = _EXTENDED.unpack_from(start, 235)
+        count = extended[2] or count
+    size = file.seek(0, os.SEEK_END)
+    if not _FIXED.size <= header_size <= points_start:
+        raise InputError(
+            f"{path}: the header is damaged: {header_size} bytes long, points from byte "
+            f"{points_start}",
+            "export the file again",
+        )
+    if points_start > size:
+        raise _cut(path, f"before its points, which begin at byte {points_start}")
+    found, records = _read_records(file, (header_size, points_start), announced, _RECORD)
+    if found < announced:
+        findings.warn(
+            f"the header announces {announced} variable length records, there are {found}"
+        )
+    if extended is not None and points_start < extended[0] < size:
+        _, later = _read_records(file, (extended[0], size), extended[1], _LONG_RECORD)
+        records = {**later, **records}
+    header = LasHeader(
+        (major, minor), bits & ~_COMPRESSED, bool(bits & _COMPRESSED), points_start, length, count,
+        np.array(boxes[:3]), np.array(boxes[3:6]), records,
+    )  # fmt: skip
+    _check_scales(header, path)
+    return header
+
+
+def _read_records(
+    file: BinaryIO, place: tuple[int, int], announced: int, layout: struct.Struct
+) -> tuple[int, Records]:
+    """Walk through variable length records as long as there are any; count them, keep some."""
+    kept: Records = {}
+    found = 0
+    for user, number, payload, length in _walk(file, place, announced, layout):
+        found += 1
+        name = user.split(b"\0")[0].decode("latin-1")
+        if (name, number) in _KEPT and length <= _MOST_PAYLOAD:
+            file.seek(payload)
+            kept.setdefault((name, number), file.read(length))
+    return found, kept
+
+
+def _walk(
+    file: BinaryIO, place: tuple[int, int], announced: int, layout: struct.Struct
+) -> Iterator[tuple[bytes, int, int, int]]:
+    at, end = place
+    for _ in range(announced):
+        file.seek(at)
+        head = file.read(layout.size)
+        if at + layout.size > end or len(head) < layout.size:
+            return
+        user, number, length = layout.unpack(head)
+        if not head.strip(b"\0") or at + layout.size + length > end:
+            return
+        yield user, number, at + layout.size, length
+        at += layout.size + length
+
+
+def _check_scales(header: LasHeader, path: Path) -> None:
+    numbers = np.concatenate([header.scales, header.offsets])
+    if not np.isfinite(numbers).all() or not header.scales.all():
+        raise InputError(
+            f"{path}: the header is damaged: scale {header.scales.tolist()}, "
+            f"offset {header.offsets.tolist()}",
+            "export the file again",
+        )
+
+
+def _cut(path: Path, where: str) -> InputError:
+    return InputError(f"{path}: ends {where}", "the file is cut: copy or export it again")
+
+
+def find_crs(records: Records) -> Crs | None:
+    """Return the coordinate reference system that a file's records state.
+
+    Parameters
+    ----------
+    records : dict
+        As `LasHeader.records`.
+
+    Returns
+    -------
+    Crs or None
+        None where they state none.
+    """
+    keys = None
+    if ("LASF_Projection", 34735) in records:
+        texts = records.get(("LASF_Projection", 34737), b"")
+        keys = parse_geokeys(records["LASF_Projection", 34735], texts)
+    for user in ("LASF_Projection", "liblas"):
+        wkt = records.get((user, 2112), b"").split(b"\0")[0].decode("utf-8", "replace").strip()
+        if wkt:
+            crs = parse_wkt(wkt)
+            return Crs(wkt, crs.unit or (keys.unit if keys else None))
+    return keys

@@ -1,0 +1,145 @@
+"""The points of a LAS, LAZ or COPC file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.las.decompression import Fill, open_decompressor
+from hpcapp.io.las.header import LasHeader, find_crs, read_header
+from hpcapp.io.las.layout import LasLayout, find_layout
+from hpcapp.io.points.point_source import Findings, PointSource, Scan
+from hpccomponent.errors import InputError
+from hpccomponent.surface.types.points import ByteArray, PointCloud
+
+__all__ = ["open_las"]
+
+_COORDINATES = 12  # bytes of a point that hold its coordinates
+
+
+def open_las(path: Path) -> PointSource:
+    """Open the points of a LAS, LAZ or COPC file.
+
+    Points that are flagged as withheld, and those of the classes for noise, are left out and
+    counted; a part that has none left is passed over. Waveforms are passed over. COPC is read in
+    the order of the file, which is that of its octree.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    PointSource
+        Colours are of 16 bits: the values of the file, whatever their range. Normals come from
+        extra bytes with names as ``NormalX``.
+
+    Raises
+    ------
+    InputError
+        The file is cut, its header is damaged, or it holds no points.
+    UsageError
+        The library that decompresses is not installed.
+    OSError
+        The file cannot be read.
+    """
+    findings = Findings()
+    with path.open("rb") as file:
+        header = _read_sound_header(file, path, findings)
+        if header.is_compressed:
+            open_decompressor(file, path, header)
+    layout = find_layout(header, path)
+    crs = find_crs(header.records)
+
+    def scan(rows: int) -> Iterator[PointCloud]:
+        findings.dropped.clear()  # they are counted anew
+        some = False
+        with path.open("rb") as file:
+            for points in _read_points(file, path, header, layout, rows):
+                withheld, noise = layout.select(points)
+                left_out = withheld | noise
+                if left_out.any():
+                    findings.drop("withheld", int(withheld.sum()))
+                    findings.drop("noise", int(noise.sum()))
+                    points = points[~left_out]
+                if len(points):
+                    some = True
+                    yield layout.decode(points)
+        if not some:
+            yield layout.decode(np.empty(0, layout.dtype))
+
+    return PointSource(
+        path,
+        header.count,
+        True,
+        layout.has_normals,
+        scan,
+        format=_describe(header),
+        columns=layout.columns,
+        scans=(Scan(header.count),),
+        crs=crs.text if crs else None,
+        unit=crs.unit if crs else None,
+        findings=findings,
+    )
+
+
+def _describe(header: LasHeader) -> str:
+    name = "LAS"
+    if header.is_compressed:
+        name = "COPC" if ("copc", 1) in header.records else "LAZ"
+    major, minor = header.version
+    return f"{name} {major}.{minor}, point format {header.point_format}"
+
+
+def _read_sound_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
+    """Read the header; what it announces must be there."""
+    header = read_header(file, path, findings)
+    if not header.count:
+        raise InputError(
+            f"{path}: no points: the header announces none",
+            "check that the right file was exported",
+        )
+    if header.is_compressed:
+        return header
+    there = file.seek(0, os.SEEK_END) - header.points_start
+    whole, rest = divmod(there, max(header.record_length, 1))
+    if whole == header.count - 1 and rest >= _COORDINATES:
+        findings.warn("the last point is cut behind its coordinates; its other columns are zero")
+    elif whole < header.count:
+        raise InputError(
+            f"{path}: ends after {whole} of {header.count} points",
+            "the file is cut: copy or export it again",
+        )
+    return header
+
+
+def _read_points(
+    file: BinaryIO, path: Path, header: LasHeader, layout: LasLayout, rows: int
+) -> Iterator[NDArray[np.void]]:
+    """Yield the points of a file, so many at a time."""
+    fill: Fill
+    if header.is_compressed:
+        fill = open_decompressor(file, path, header)
+    else:
+        file.seek(header.points_start)
+        fill = _read_plain(file, path, header.record_length - _COORDINATES)
+    for start in range(0, header.count, rows):
+        size = min(rows, header.count - start) * header.record_length
+        points: ByteArray = np.zeros(size, np.uint8)
+        fill(points)
+        yield points.view(layout.dtype)
+
+
+def _read_plain(file: BinaryIO, path: Path, spared: int) -> Fill:
+    """Return what fills an array from a file; `spared` bytes may be missing at its end."""
+
+    def fill(points: ByteArray) -> None:
+        if file.readinto(points) + spared < len(points):  # type: ignore[attr-defined]
+            raise InputError(f"{path}: ends before its last point", "copy or export it again")
+
+    return fill

@@ -1,0 +1,218 @@
+"""Write LAS 1.4 and LAZ: point format 6, or 7 where there are colours."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.crs import parse_epsg
+from hpcapp.io.frame import finite_bounds
+from hpcapp.io.las.layout import DEGREES_A_STEP
+from hpcapp.io.staging import replacing
+from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.surface.types.points import FloatArray, PointCloud
+
+__all__ = ["choose_grid", "write_las"]
+
+_FINEST = 1e-6  # length units; of small clouds, the same share of their extent
+_MOST_STEPS = 4e9  # of an int32, counted from the middle, with room for a rounded offset
+_ROWS_AT_ONCE = 1 << 18
+_LONGEST_NAME = 31  # bytes
+_LONGEST_RECORD = 65535
+
+_MOST = {
+    "intensity": 65535,
+    "classification": 255,
+    "return_number": 15,
+    "number_of_returns": 15,
+    "user_data": 255,
+    "point_source_id": 65535,
+}
+_STEEPEST = 180.0  # degrees of the scan angle
+
+
+def write_las(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
+    """Write a point cloud as LAS, or as LAZ where the suffix says so.
+
+    Parameters
+    ----------
+    path : Path
+        Appears whole or not at all.
+    cloud : PointCloud
+        Written in the input's frame. Colours of 8 bits become 16. Normals become extra bytes
+        ``NormalX``, ``NormalY``, ``NormalZ``; so do attributes that no field of the format holds,
+        or whose values it cannot hold: these get ``_raw`` behind their name. Intensities that
+        are no whole numbers of 16 bits are in both places: scaled, and as they are.
+    crs : str or None
+        Coordinate reference system, as WKT or an EPSG code; a mere name is not kept.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written, or a coordinate is NaN or infinite.
+    UsageError
+        The library that writes it is not installed.
+
+    Notes
+    -----
+    Coordinates are rounded to a millionth of the unit or, if that is less, of the extent; to more
+    where 32 bits do not suffice, above an extent of 4,000 units.
+    """
+    laspy = _load_laspy(path)
+    if not np.isfinite(cloud.positions).all():
+        raise OutputError(
+            f"{path}: LAS holds no NaN or infinite coordinates", "drop those points first"
+        )
+    header = laspy.LasHeader(version="1.4", point_format=6 if cloud.colours is None else 7)
+    header.generating_software = "hpcapp"
+    scale, offset = choose_grid(*(c + cloud.origin for c in finite_bounds(cloud.positions)))
+    header.scales, header.offsets = np.full(3, scale), offset
+    layout = header.point_format
+    reserved = {*layout.dimension_names, *layout.dtype().names, *"xyz"}
+    fields, extras = _assign(cloud, reserved)
+    header.add_extra_dims(
+        [laspy.ExtraBytesParams(name, values.dtype) for name, values in extras.items()]
+    )
+    _add_crs(laspy, header, crs, path)
+    is_compressed = path.suffix.lower() == ".laz"
+    with (
+        replacing(path) as file,
+        laspy.LasWriter(file, header, do_compress=is_compressed, closefd=False) as writer,
+    ):
+        for start in range(0, len(cloud), _ROWS_AT_ONCE):
+            rows = slice(start, min(start + _ROWS_AT_ONCE, len(cloud)))
+            points = laspy.ScaleAwarePointRecord.zeros(rows.stop - start, header=header)
+            steps = np.rint((cloud.positions[rows] + (cloud.origin - offset)) / scale)
+            for axis, name in enumerate("XYZ"):
+                points[name] = steps[:, axis].astype(np.int32)
+            for name, values in (fields | extras).items():
+                points[name] = values[rows]
+            writer.write_points(points)
+
+
+def choose_grid(low: FloatArray, high: FloatArray) -> tuple[float, FloatArray]:
+    """Choose the grid to which coordinates are rounded.
+
+    Parameters
+    ----------
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around the points.
+
+    Returns
+    -------
+    scale : float
+        Width of a cell, a power of ten.
+    offset : ndarray of float64, shape (3,)
+        A point of the grid near the middle, a round number.
+
+    Examples
+    --------
+    >>> choose_grid(np.array([10.0, 20.0, 0.0]), np.array([12.0, 30.0, 4.0]))
+    (1e-06, array([11., 25.,  2.]))
+    """
+    extent = float((high - low).max())
+    finest = min(1.0, extent or 1.0) * _FINEST
+    power = math.floor(math.log10(finest) + 1e-9)
+    if extent:
+        power = max(power, math.ceil(math.log10(extent / _MOST_STEPS)))
+    offset = np.array([round(float(middle), -(power + 6)) for middle in low / 2 + high / 2])
+    return float(f"1e{power}"), offset
+
+
+def _load_laspy(path: Path) -> Any:
+    try:
+        return import_module("laspy")
+    except ImportError as error:
+        raise UsageError(
+            f"{path}: LAS is written with the package laspy", "pip install 'hpcapp[las]'"
+        ) from error
+
+
+def _assign(
+    cloud: PointCloud, reserved: set[str]
+) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+    """Assign columns to the fields of the format, and what is left to extra bytes."""
+    fields: dict[str, NDArray[Any]] = {}
+    extras: dict[str, NDArray[Any]] = {}
+    if cloud.colours is not None:
+        widened = cloud.colours.astype(np.uint16)
+        if cloud.colours.dtype == np.uint8:
+            widened *= 257
+        fields |= {name: widened[:, i] for i, name in enumerate(("red", "green", "blue"))}
+    if cloud.normals is not None:
+        for i, axis in enumerate("XYZ"):
+            extras[f"Normal{axis}"] = cloud.normals[:, i].astype(np.float32)
+    for name, values in cloud.attributes.items():
+        if name == "gps_time":
+            fields[name] = values.astype(np.float64)
+        elif name == "scan_angle" and np.abs(values).max(initial=0) <= _STEEPEST:
+            fields[name] = np.rint(values / DEGREES_A_STEP).astype(np.int16)
+        elif name in _MOST and _is_whole(values, _MOST[name]):
+            fields[name] = values.astype(np.uint16)
+        else:
+            extras[_free_name(f"{name}_raw" if name in reserved else name, extras)] = _as_extra(
+                values
+            )
+            if name == "intensity":
+                fields[name] = _stretch(values)
+    for name in ("return_number", "number_of_returns"):
+        fields.setdefault(name, np.ones(len(cloud), np.uint8))
+    return fields, extras
+
+
+def _stretch(values: NDArray[Any]) -> NDArray[np.uint16]:
+    """Scale values to what an intensity can be; without a value it is 0."""
+    finite = np.where(np.isfinite(values), values, np.nan)
+    low, high = (np.nanmin(finite), np.nanmax(finite)) if np.isfinite(values).any() else (0, 0)
+    share = (finite - low) / (high - low or 1)
+    return np.rint(np.nan_to_num(share) * _MOST["intensity"]).astype(np.uint16)
+
+
+def _is_whole(values: NDArray[Any], most: int) -> bool:
+    with np.errstate(invalid="ignore"):
+        return bool(((values >= 0) & (values <= most) & (values == np.rint(values))).all())
+
+
+def _as_extra(values: NDArray[Any]) -> NDArray[Any]:
+    """Return values in a type that extra bytes can have."""
+    if values.dtype.kind in "iu":
+        return values.astype(values.dtype.newbyteorder("="))
+    small = values.dtype.kind == "f" and values.dtype.itemsize <= 4
+    return values.astype(np.uint8 if values.dtype.kind == "b" else np.float32 if small else float)
+
+
+def _free_name(name: str, taken: Mapping[str, object]) -> str:
+    """Cut a name to what a description has room for; names stay different."""
+    free, number = name.encode()[:_LONGEST_NAME].decode(errors="ignore") or "extra", 1
+    while free in taken:
+        number += 1
+        free = name.encode()[: _LONGEST_NAME - 4].decode(errors="ignore") + f"_{number}"
+    return free
+
+
+def _add_crs(laspy: Any, header: Any, crs: str | None, path: Path) -> None:
+    """Add the coordinate reference system: WKT, or GeoTIFF keys for a code."""
+    code = parse_epsg(crs) if crs else None
+    if not crs or (code is None and "[" not in crs):
+        return
+    if code is None:
+        record = crs.encode() + b"\0"
+        header.global_encoding.wkt = True
+    else:
+        is_geographic = 4000 <= code < 5000  # the codes that EPSG set aside for them
+        kind, key = (2, 2048) if is_geographic else (1, 3072)
+        record = struct.pack("<12H", 1, 1, 0, 2, 1024, 0, 1, kind, key, 0, 1, code)
+    if len(record) > _LONGEST_RECORD:
+        raise OutputError(
+            f"{path}: the coordinate reference system has {len(record)} bytes",
+            f"LAS holds {_LONGEST_RECORD}: name it by its EPSG code",
+        )
+    number = 2112 if code is None else 34735
+    header.vlrs.append(laspy.VLR("LASF_Projection", number, "", record))

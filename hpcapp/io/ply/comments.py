@@ -1,0 +1,87 @@
+"""What a PLY has no place for, kept in comments of its header.
+
+::
+
+    comment unit m
+    comment crs EPSG:2180
+    comment scanner 0 1.5 2 0.25        the number of the scan, and where its scanner stood
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hpcapp.io.points.point_source import PointSource
+from hpccomponent.surface.types.points import FloatArray
+
+__all__ = ["Kept", "keep", "parse_comments"]
+
+
+@dataclass(slots=True, eq=False)
+class Kept:
+    """What comments say of a file's points.
+
+    Parameters
+    ----------
+    unit, crs : str or None
+    scanners : dict of int to ndarray of float64, shape (3,)
+        By the number of the scan.
+    """
+
+    unit: str | None = None
+    crs: str | None = None
+    scanners: dict[int, FloatArray] = field(default_factory=dict)
+
+
+def keep(sources: Sequence[PointSource]) -> Iterator[str]:
+    """Yield the comment lines that keep what sources say of their points.
+
+    Parameters
+    ----------
+    sources : sequence of PointSource
+        Of one unit and one coordinate reference system; their scans are numbered on.
+
+    Yields
+    ------
+    str
+    """
+    unit = next((source.unit for source in sources if source.unit), None)
+    crs = next((source.crs for source in sources if source.crs), None)
+    if unit:
+        yield f"comment unit {unit}"
+    if crs:
+        yield f"comment crs {' '.join(crs.split())}"
+    for number, scan in enumerate(scan for source in sources for scan in source.scans):
+        if scan.scanner is not None:
+            yield "comment scanner {} {!r} {!r} {!r}".format(number, *scan.scanner.tolist())
+
+
+def parse_comments(comments: Sequence[Sequence[str]]) -> Kept:
+    """Find what `keep` has written; other comments are passed over.
+
+    Parameters
+    ----------
+    comments : sequence of sequence of str
+        The words behind ``comment`` of each line.
+
+    Returns
+    -------
+    Kept
+    """
+    kept = Kept()
+    for words in comments:
+        match words:
+            case ["unit", *rest] if 0 < len(rest) < 3:
+                kept.unit = " ".join(rest)
+            case ["crs", *rest] if rest:
+                kept.crs = " ".join(rest)
+            case ["scanner", number, *place] if number.isdecimal() and len(place) == 3:
+                try:
+                    scanner = np.array(place, np.float64)
+                except ValueError:
+                    continue
+                kept.scanners[int(number)] = scanner
+    return kept

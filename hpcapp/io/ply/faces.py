@@ -1,0 +1,98 @@
+"""The faces of a PLY file: which of its lists they are, and the normals that they give."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.columns import Ragged, positions_within
+from hpcapp.io.ply.header import Header
+from hpccomponent.errors import InputError
+from hpccomponent.surface.types.points import BoolArray, FloatArray
+
+__all__ = ["find_polygons", "vertex_normals"]
+
+_FACE_LISTS = ("vertex_indices", "vertex_index")
+
+
+def find_polygons(header: Header) -> str | None:
+    """Return the name of the list of element ``face`` that holds the corners of polygons.
+
+    Parameters
+    ----------
+    header : Header
+
+    Returns
+    -------
+    str or None
+        None where there is no such element or list, or its numbers are not whole.
+    """
+    for element in header.elements:
+        if element.name == "face":
+            lists = {p.name: p.dtype for p in element.properties if p.count_dtype is not None}
+            return next((name for name in _FACE_LISTS if lists.get(name, "f")[0] in "iu"), None)
+    return None
+
+
+def vertex_normals(
+    positions: FloatArray, polygons: Iterable[Ragged], path: Path
+) -> tuple[FloatArray, BoolArray]:
+    """Add up the area vectors of the polygons at each vertex.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    polygons : iterable of Ragged
+        Vertex indices, counted from 0; some polygons at a time.
+    path : Path
+        The file, for messages.
+
+    Returns
+    -------
+    normals : ndarray of float64, shape (n, 3)
+        Of any length: larger polygons weigh more.
+    has_face : ndarray of bool, shape (n,)
+
+    Raises
+    ------
+    InputError
+        A polygon names a vertex that does not exist.
+    """
+    normals, has_face = np.zeros_like(positions), np.zeros(len(positions), np.bool_)
+    for some in polygons:
+        corners = _check_corners(some, len(positions), path)
+        areas = np.repeat(_area_vectors(positions, some.lengths, corners), some.lengths, axis=0)
+        has_face[corners] = True
+        for target, weights in zip(normals.T, areas.T, strict=True):
+            np.add.at(target, corners, weights)
+    return normals, has_face
+
+
+def _check_corners(polygons: Ragged, vertices: int, path: Path) -> NDArray[np.int64]:
+    corners: NDArray[Any] = polygons.values
+    wrong = (corners < 0) | (corners >= vertices)
+    if wrong.any():
+        raise InputError(
+            f"{path}: a face names vertex {corners[np.argmax(wrong)]}, but the file has {vertices}",
+            "the file is damaged: export it again",
+        )
+    return corners.astype(np.int64)
+
+
+def _area_vectors(
+    positions: FloatArray, lengths: NDArray[np.int64], corners: NDArray[np.int64]
+) -> FloatArray:
+    """Return the area vector of each polygon, the sum of those of the triangles of its fan."""
+    triangles = np.maximum(lengths - 2, 0)
+    first = np.repeat(np.cumsum(lengths) - lengths, triangles)
+    second = first + positions_within(triangles) + 1
+    apex = positions[corners[first]]
+    with np.errstate(over="ignore", invalid="ignore"):  # vertices may be NaN, or far beyond all
+        areas = np.cross(positions[corners[second]] - apex, positions[corners[second + 1]] - apex)
+    polygon = np.repeat(np.arange(len(lengths)), triangles)
+    vectors = [np.bincount(polygon, column, len(lengths)) for column in areas.T]
+    return np.stack(vectors, axis=1) / 2

@@ -1,0 +1,105 @@
+"""Gaussian splats in PLY files: flat ellipsoids, whose shortest axis is the normal.
+
+References
+----------
+Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023.
+doi:10.1145/3592433
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.points.named_columns import ColumnPlan, build_cloud, stack
+from hpccomponent.surface.types.points import FloatArray, PointCloud
+
+__all__ = ["are_splats", "build_splats", "plan_splats"]
+
+_BANDS = ("f_dc_0", "f_dc_1", "f_dc_2")
+_SCALES = ("scale_0", "scale_1", "scale_2")
+_ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+_CONSTANT_BAND = 0.28209479177387814
+"""The spherical harmonic of degree 0: 1 / (2 sqrt(pi))."""
+
+
+def are_splats(names: Collection[str]) -> bool:
+    """Tell by the properties of the vertices whether they are splats.
+
+    Parameters
+    ----------
+    names : collection of str
+
+    Returns
+    -------
+    bool
+        Flat splats, which have two scales only, are some, too.
+    """
+    return all(name in names for name in (*_BANDS, *_SCALES[:2], *_ROTATION))
+
+
+def plan_splats(plan: ColumnPlan) -> ColumnPlan:
+    """Leave out what makes a splat, and the normals, which are zero by custom.
+
+    Parameters
+    ----------
+    plan : ColumnPlan
+
+    Returns
+    -------
+    ColumnPlan
+    """
+    own = (*_BANDS, *_SCALES, *_ROTATION)
+    others = (
+        (ours, name)
+        for ours, name in plan.attributes
+        if name not in own and not name.startswith("f_rest_")
+    )
+    return ColumnPlan(plan.positions, (), (), tuple(others))
+
+
+def build_splats(columns: Mapping[str, NDArray[Any]], plan: ColumnPlan) -> PointCloud:
+    """Copy splats into a point cloud.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, shape (n,)
+    plan : ColumnPlan
+        As `plan_splats` gave it.
+
+    Returns
+    -------
+    PointCloud
+        Normals are the shortest axes, up to their sign; colours, from 0 to 1, those of the
+        constant band.
+    """
+    scales = [name for name in _SCALES if name in columns]
+    shortest = np.full(len(columns[scales[0]]), 2)
+    if len(scales) == len(_SCALES):
+        shortest = np.argmin(stack(columns, scales), axis=1)
+    colours = np.clip(0.5 + _CONSTANT_BAND * stack(columns, _BANDS), 0.0, 1.0)
+    return replace(
+        build_cloud(columns, plan),
+        normals=_rotated_axes(stack(columns, _ROTATION), shortest),
+        colours=colours.astype(np.float32),
+    )
+
+
+def _rotated_axes(quaternions: FloatArray, axes: NDArray[np.intp]) -> FloatArray:
+    """Rotate an axis of the frame by each quaternion w, x, y, z, of any length."""
+    w, x, y, z = quaternions.T
+    rows = np.arange(len(axes))
+    with np.errstate(all="ignore"):  # of a quaternion that is none, NaN
+        columns = np.array(
+            [
+                [w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)],
+                [2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)],
+                [2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z],
+            ]
+        )
+        rotated: FloatArray = columns[axes, :, rows] / (quaternions**2).sum(axis=1)[:, None]
+    return rotated

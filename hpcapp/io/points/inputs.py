@@ -1,0 +1,211 @@
+"""What a user names as points, as one file: several files, patterns, ``-``, compressed ones.
+
+::
+
+    a.ply                              itself
+    a.ply.gz, -                        a copy, unpacked, in a temporary folder
+    a.laz b.laz, 'scans/*.e57'         one PLY there, with all points (`ply.joined`)
+    part.stl --sample 100000           one PLY there, with points on the mesh's faces
+
+So every later step, on workers and other machines too, has one file to read.
+"""
+
+from __future__ import annotations
+
+import glob
+import gzip
+import logging
+import re
+import shutil
+import sys
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+from hpcapp.io.formats import open_points, read_mesh
+from hpcapp.io.ply.joined import write_joined
+from hpcapp.io.points.mesh_points import sample_faces, slice_cloud
+from hpcapp.io.points.point_source import PointSource, translated
+from hpccomponent.errors import HpcError, InputError, UsageError
+from hpccomponent.files.held_folders import temporary_folder
+
+__all__ = ["STANDARD_INPUT", "find_files", "gather_points"]
+
+log = logging.getLogger("hpcapp")
+
+STANDARD_INPUT = "-"
+_ALSO_STANDARD = ("/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
+_COMPRESSED = ".gz"
+_MAGIC = (
+    (b"ply", ".ply"), (b"LASF", ".las"), (b"ASTM-E57", ".e57"), (b"\x93NUMPY", ".npy"),
+    (b"PK\x03\x04", ".npz"), (b"# .PCD", ".pcd"), (b"VERSION", ".pcd"), (b"# vtk", ".vtk"),
+    (b"OFF", ".off"), (b"\x1f\x8b", ".gz"),
+)  # fmt: skip
+
+
+@contextmanager
+def gather_points(names: Sequence[str], sample: int | None = None) -> Iterator[Path]:
+    """Yield one file with all points that a user has named.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Files, patterns as ``scans/*.laz``, or ``-`` for the standard input.
+    sample : int, optional
+        The files are meshes: so many points on the faces of each are taken.
+
+    Yields
+    ------
+    Path
+        The file itself where it is one that is read as it is; else one in a temporary folder,
+        which goes when the block ends.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or is damaged; the message has the name that the user gave.
+    UsageError
+        The standard input is named beside other files, or a suffix is unknown.
+    """
+    files = find_files(names)
+    if len(files) == 1 and sample is None and not _is_packed(files[0]):
+        yield Path(files[0])
+        return
+    with temporary_folder() as folder:
+        places = [folder / str(number) for number in range(len(files))]
+        renamed = {f"{place}/input": _name(file) for place, file in zip(places, files, strict=True)}
+        with _named(renamed):
+            paths = [_fetch(file, place) for file, place in zip(files, places, strict=True)]
+        if len(paths) == 1 and sample is None:
+            with _named(renamed):
+                yield paths[0]
+            return
+        joined = folder / "points.ply"
+        with _named(renamed):
+            sources = [_open(path, sample) for path in paths]
+            write_joined(joined, sources)
+            for file, source in zip(files, sources, strict=True):
+                _report(file, source)
+        with _named({str(joined): _shorten(files)}):
+            yield joined
+
+
+def find_files(names: Sequence[str]) -> list[str]:
+    """Return the files that a user has named, patterns replaced by the files they fit.
+
+    Parameters
+    ----------
+    names : sequence of str
+
+    Returns
+    -------
+    list of str
+        In the order of the names; those of a pattern sorted.
+
+    Raises
+    ------
+    InputError
+        Nothing fits a pattern.
+    UsageError
+        The standard input is named beside other files.
+    """
+    files: list[str] = []
+    for named in names:
+        name = STANDARD_INPUT if named in _ALSO_STANDARD else named
+        if not glob.has_magic(name) or Path(name).exists():
+            files.append(name)
+            continue
+        found = sorted(glob.glob(name, recursive=True))
+        if not found:
+            raise InputError(f"{name}: no file fits", "check the pattern")
+        files += found
+    if STANDARD_INPUT in files and len(files) > 1:
+        raise UsageError("- reads the standard input, and stands alone", "give files, or -")
+    return files
+
+
+def _is_packed(file: str) -> bool:
+    return file == STANDARD_INPUT or Path(file).suffix.lower() == _COMPRESSED
+
+
+def _fetch(file: str, folder: Path) -> Path:
+    """Return a file that can be read as it is."""
+    if not _is_packed(file):
+        return Path(file)
+    folder.mkdir()
+    return _unpack(file, folder)
+
+
+def _unpack(file: str, folder: Path) -> Path:
+    """Write what is packed in a file, or comes by the standard input, into a folder."""
+    path = folder / "unpacked"
+    with path.open("wb") as target:
+        if file == STANDARD_INPUT:
+            shutil.copyfileobj(sys.stdin.buffer, target)
+        else:
+            with translated(Path(file)), open(file, "rb") as packed:
+                _decompress(packed, target, file)
+    inner = "" if file == STANDARD_INPUT else Path(Path(file).stem).suffix
+    suffix = inner or _guess_suffix(path)
+    if not suffix:
+        raise InputError(f"{_name(file)} is empty", "check what it was made of")
+    named = path.rename(folder / f"input{suffix}")
+    return _unpack(str(named), folder) if suffix == _COMPRESSED else named
+
+
+def _guess_suffix(path: Path) -> str:
+    """Return the suffix that a file should have by its first bytes; none where it has none."""
+    with path.open("rb") as file:
+        head = file.read(16)
+    guess = next((suffix for magic, suffix in _MAGIC if head.startswith(magic)), ".xyz")
+    return guess if head else ""
+
+
+def _name(file: str) -> str:
+    return "the standard input" if file == STANDARD_INPUT else file
+
+
+def _decompress(packed: BinaryIO, target: BinaryIO, file: str) -> None:
+    try:
+        with gzip.open(packed) as stream:
+            shutil.copyfileobj(stream, target)
+    except EOFError:
+        raise InputError(
+            f"{file}: cut: it ends before its compressed data do", "copy the file again"
+        ) from None
+    except (gzip.BadGzipFile, zlib.error) as error:
+        raise InputError(
+            f"{file}: damaged, or not compressed by gzip: {error}", "copy the file again"
+        ) from None
+
+
+def _open(path: Path, sample: int | None) -> PointSource:
+    if sample is None:
+        return open_points(path)
+    return slice_cloud(path, "a sampled mesh", sample_faces(read_mesh(path), sample))
+
+
+def _report(file: str, source: PointSource) -> None:
+    """Log what is odd about a file that is read now and not again."""
+    for line in source.findings.lines():
+        log.warning("warning: %s: %s", file, line)
+
+
+def _shorten(files: Sequence[str]) -> str:
+    return files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
+
+
+@contextmanager
+def _named(renamed: dict[str, str]) -> Iterator[None]:
+    """Say the user's names in the messages of errors, not those of copies."""
+    try:
+        yield
+    except HpcError as error:
+        problem = error.problem
+        for ours, name in renamed.items():  # with any suffix
+            problem = re.sub(re.escape(ours) + r"[.\w]*", name.replace("\\", r"\\"), problem)
+        if problem == error.problem:
+            raise
+        raise type(error)(problem, error.advice, error.excerpt) from error

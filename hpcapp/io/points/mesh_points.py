@@ -1,0 +1,240 @@
+"""Meshes as point clouds: their vertices, or points sampled on their faces.
+
+A vertex takes its normal from the faces around it, weighted by their areas; an OBJ may also have
+normals and colours of its own, or no faces at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.meshes.obj import read_obj
+from hpcapp.io.meshes.off import read_off
+from hpcapp.io.meshes.stl import read_stl
+from hpcapp.io.points.point_source import Findings, PointSource
+from hpcapp.io.rows import Line, line_error, numbered, parse_table
+from hpccomponent.errors import InputError
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, PointCloud
+
+__all__ = ["open_obj", "open_off", "open_stl", "sample_faces", "slice_cloud", "vertex_normals"]
+
+UNUSED = "vertices without a face"
+
+
+def open_stl(path: Path) -> PointSource:
+    """Open the corners of an STL file as points, each place once.
+
+    Parameters
+    ----------
+    path : Path
+        ascii or binary.
+
+    Returns
+    -------
+    PointSource
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or has no triangles.
+    OSError
+        The file cannot be read.
+    """
+    return _open_mesh(path, "STL, a mesh", read_stl(path))
+
+
+def open_off(path: Path) -> PointSource:
+    """Open the vertices of an OFF file as points.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    PointSource
+
+    Raises
+    ------
+    InputError
+        The file is damaged.
+    OSError
+        The file cannot be read.
+    """
+    return _open_mesh(path, "OFF, a mesh", read_off(path))
+
+
+def open_obj(path: Path) -> PointSource:
+    """Open the vertices of an OBJ file as points, with faces or without.
+
+    Parameters
+    ----------
+    path : Path
+        Colours behind the coordinates of ``v`` are read; ``vn`` are the normals where there are
+        no faces and as many of them as vertices.
+
+    Returns
+    -------
+    PointSource
+
+    Raises
+    ------
+    InputError
+        A line is wrong, or there are no vertices.
+    OSError
+        The file cannot be read.
+    """
+    vertex_lines: list[Line] = []
+    normal_lines: list[Line] = []
+    has_faces = False
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for number, text in numbered(file):
+            keyword, _, rest = text.strip().partition(" ")
+            if keyword == "v":
+                vertex_lines.append((number, rest))
+            elif keyword == "vn":
+                normal_lines.append((number, rest))
+            has_faces = has_faces or keyword == "f"
+    if not vertex_lines:
+        raise InputError(f"{path}: no points (lines that start with v)", "check the file")
+    positions, colours = _parse_vertices(vertex_lines, path)
+    if has_faces:
+        return _open_mesh(path, "OBJ, a mesh", read_obj(path), colours)
+    normals = None
+    if len(normal_lines) == len(vertex_lines):
+        normals = parse_table(iter(normal_lines), 3, path)
+    return slice_cloud(path, "OBJ", PointCloud(positions, normals, colours))
+
+
+def _parse_vertices(lines: list[Line], path: Path) -> tuple[FloatArray, NDArray[np.float64] | None]:
+    """Return coordinates and colours: x y z, x y z w, x y z r g b or x y z r g b a."""
+    columns = len(lines[0][1].split())
+    if columns not in (3, 4, 6, 7):
+        raise line_error(
+            path, lines[0], f"{columns} numbers", "write v x y z, or v x y z red green blue"
+        )
+    table = parse_table(iter(lines), columns, path)
+    positions = np.ascontiguousarray(table[:, :3])
+    if columns == 4:
+        weights = table[:, 3:]
+        positions = np.divide(positions, weights, out=positions, where=weights != 0)
+    return positions, table[:, 3:6].copy() if columns >= 6 else None
+
+
+def _open_mesh(
+    path: Path, name: str, mesh: Mesh, colours: NDArray[Any] | None = None
+) -> PointSource:
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    used = np.zeros(len(mesh.vertices), np.bool_)
+    used[mesh.faces] = True
+    findings = Findings()
+    findings.drop(UNUSED, int(len(used) - used.sum()))
+    cloud = PointCloud(mesh.vertices + mesh.origin, normals, colours).take(used)
+    return replace(slice_cloud(path, name, cloud, findings), normals_from="faces")
+
+
+def slice_cloud(
+    path: Path, name: str, cloud: PointCloud, findings: Findings | None = None
+) -> PointSource:
+    """Return a cloud in memory as a source.
+
+    Parameters
+    ----------
+    path : Path
+        Where it is from.
+    name : str
+        Of the format, for people.
+    cloud : PointCloud
+        In the file's coordinates.
+    findings : Findings, optional
+
+    Returns
+    -------
+    PointSource
+    """
+
+    def scan(rows: int) -> Iterator[PointCloud]:
+        for start in range(0, max(len(cloud), 1), rows):
+            yield cloud.take(np.arange(start, min(start + rows, len(cloud))))
+
+    return PointSource(
+        path, len(cloud), True, cloud.normals is not None, scan, format=name,
+        columns=_columns(cloud), findings=findings or Findings(),
+    )  # fmt: skip
+
+
+def _columns(cloud: PointCloud) -> tuple[str, ...]:
+    normals = ("nx", "ny", "nz") if cloud.normals is not None else ()
+    colours = ("red", "green", "blue") if cloud.colours is not None else ()
+    return ("x", "y", "z", *normals, *colours, *cloud.attributes)
+
+
+def vertex_normals(vertices: FloatArray, faces: NDArray[Any]) -> FloatArray:
+    """Return the normals of a mesh's vertices: the sum over their faces, by area.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (v, 3)
+    faces : ndarray of int, shape (f, 3)
+        Anticlockwise as seen from outside.
+
+    Returns
+    -------
+    ndarray of float64, shape (v, 3)
+        Of unit length; zero where a vertex has no face with an area.
+    """
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    doubled = np.cross(b - a, c - a)  # as long as twice the face's area
+    summed = np.zeros_like(vertices)
+    for axis in range(3):
+        for corner in range(3):
+            summed[:, axis] += np.bincount(
+                faces[:, corner], doubled[:, axis], minlength=len(vertices)
+            )
+    lengths = np.linalg.norm(summed, axis=1, keepdims=True)
+    units: FloatArray = np.divide(summed, lengths, out=np.zeros_like(summed), where=lengths > 0)
+    return units
+
+
+def sample_faces(mesh: Mesh, points: int) -> PointCloud:
+    """Sample points evenly on the faces of a mesh, with the faces' normals.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    points : int
+        How many.
+
+    Returns
+    -------
+    PointCloud
+        In the mesh's own coordinates (its origin is added). The same mesh and number give the
+        same points.
+
+    Raises
+    ------
+    InputError
+        The mesh has no area.
+    """
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    doubled = np.linalg.norm(normals, axis=1)
+    ends = np.cumsum(doubled)
+    if not len(ends) or not ends[-1] > 0:
+        raise InputError("the mesh has no area to sample", "check that the right file was exported")
+    random = np.random.default_rng(0)
+    # One point in each of as many equal shares of the area: more even than independent ones.
+    places = (np.arange(points) + random.random(points)) / points * ends[-1]
+    face = np.minimum(np.searchsorted(ends, places, side="right"), len(ends) - 1)
+    u, v = random.random((2, points, 1))
+    folded = u + v > 1
+    u, v = np.where(folded, 1 - u, u), np.where(folded, 1 - v, v)
+    positions = a[face] + u * (b[face] - a[face]) + v * (c[face] - a[face]) + mesh.origin
+    return PointCloud(positions, normals[face] / doubled[face][:, None])

@@ -1,0 +1,199 @@
+"""Columns that have names, put together to a point cloud: those of PLY, PCD and NumPy files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
+from hpccomponent.errors import InputError
+from hpccomponent.surface.cloud.point_records import Column, PointRecords, colour_type
+from hpccomponent.surface.types.points import IntArray, PointCloud
+
+__all__ = ["ColumnPlan", "add_grid", "build_cloud", "describe_records", "plan_columns", "stack"]
+
+_ROWS_AT_ONCE = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnPlan:
+    """What the columns of a file are to be, by their names in the file.
+
+    Parameters
+    ----------
+    positions, normals, colours : tuple of str
+        Three each; the last two none where the file has none.
+    attributes : tuple of (str, str)
+        The other columns: our name of each, and the file's.
+    """
+
+    positions: tuple[str, ...]
+    normals: tuple[str, ...]
+    colours: tuple[str, ...]
+    attributes: tuple[tuple[str, str], ...]
+
+
+def plan_columns(names: Sequence[str], place: str) -> ColumnPlan:
+    """Tell what columns are by their names.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Each once. Where two have one role, it goes to the one that is spelled like it, else to the
+        first; the other is an attribute.
+    place : str
+        Of the columns, for messages: the file, and what in it.
+
+    Returns
+    -------
+    ColumnPlan
+
+    Raises
+    ------
+    InputError
+        A coordinate is missing, or one or two components of the normals are.
+
+    Examples
+    --------
+    >>> plan_columns(["X", "Y", "Z", "height", "diffuse_red", "class"], "a.ply").attributes
+    (('height', 'height'), ('diffuse_red', 'diffuse_red'), ('classification', 'class'))
+    """
+    by_role: dict[str, str] = {}
+    for name in sorted(names, key=lambda name: find_role(name) != name.lower()):
+        by_role.setdefault(find_role(name), name)
+    missing = [axis for axis in AXES if axis not in by_role]
+    if missing:
+        raise InputError(
+            f"{place} has no {', '.join(missing)}", "export the file with coordinates x, y and z"
+        )
+    present = [name for name in NORMALS if name in by_role]
+    if present and len(present) < len(NORMALS):
+        raise InputError(
+            f"{place} has {', '.join(present)} but not all of nx, ny, nz",
+            "export the file with whole normals, or without",
+        )
+    groups = [AXES, NORMALS if present else ()]
+    groups.append(COLOURS if all(name in by_role for name in COLOURS) else ())
+    positions, normals, colours = (tuple(by_role[role] for role in group) for group in groups)
+    taken = {*positions, *normals, *colours}
+    attributes = tuple((_own_name(name, by_role), name) for name in names if name not in taken)
+    return ColumnPlan(positions, normals, colours, attributes)
+
+
+def _own_name(name: str, by_role: Mapping[str, str]) -> str:
+    """Return the name of an attribute: its role, where it has one for itself alone."""
+    role = find_role(name)
+    return name if by_role[role] != name or role in COLOURS else role
+
+
+def build_cloud(columns: Mapping[str, NDArray[Any]], plan: ColumnPlan) -> PointCloud:
+    """Copy columns into a point cloud.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, shape (n,)
+        By their names in the file, of any numeric type and byte order.
+    plan : ColumnPlan
+
+    Returns
+    -------
+    PointCloud
+        Colours as they are, uint8, uint16 or float32.
+    """
+    colours = None
+    if plan.colours:
+        dtype = colour_type(columns[name].dtype for name in plan.colours)
+        colours = stack(columns, plan.colours, dtype)
+    return PointCloud(
+        stack(columns, plan.positions),
+        stack(columns, plan.normals) if plan.normals else None,
+        colours,
+        {
+            ours: columns[name].astype(columns[name].dtype.newbyteorder("="))
+            for ours, name in plan.attributes
+        },
+    )
+
+
+def stack(
+    columns: Mapping[str, NDArray[Any]],
+    names: Sequence[str],
+    dtype: np.dtype[Any] = np.dtype(np.float64),  # noqa: B008 - a constant
+) -> NDArray[Any]:
+    """Copy columns into those of one array, block by block for the cache.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, shape (n,)
+    names : sequence of str
+        Of columns, in order.
+    dtype : dtype, optional
+        Of the array.
+
+    Returns
+    -------
+    ndarray, shape (n, len(names))
+    """
+    chosen = [columns[name] for name in names]
+    stacked = np.empty((len(chosen[0]), len(chosen)), dtype)
+    with np.errstate(invalid="ignore", over="ignore"):  # colours that are none
+        for start in range(0, len(stacked), _ROWS_AT_ONCE):
+            block = slice(start, start + _ROWS_AT_ONCE)
+            for i, column in enumerate(chosen):
+                stacked[block, i] = column[block]
+    return stacked
+
+
+def add_grid(cloud: PointCloud, cells: IntArray, width: int) -> PointCloud:
+    """Give the points of an organised scan their places in its grid.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+    cells : ndarray of int64, shape (n,)
+        Numbers of their cells, row by row; -1 of points that are in none.
+    width : int
+        Of the grid.
+
+    Returns
+    -------
+    PointCloud
+        With the attributes ``row`` and ``column``, -1 of points in no cell.
+    """
+    row, column = np.divmod(cells, width)
+    column[cells < 0] = -1
+    places = {"row": row.astype(np.int32), "column": column.astype(np.int32)}
+    return replace(cloud, attributes={**cloud.attributes, **places})
+
+
+def describe_records(
+    path: Path, start: int, length: int, count: int, columns: Mapping[str, Column], plan: ColumnPlan
+) -> PointRecords:
+    """Describe points in a binary file, to be read from any of them on.
+
+    Parameters
+    ----------
+    path : Path
+    start, length, count : int
+        See `PointRecords`.
+    columns : mapping of str to Column
+        By their names in the file.
+    plan : ColumnPlan
+
+    Returns
+    -------
+    PointRecords
+    """
+
+    def pick(names: tuple[str, ...]) -> tuple[Column, ...]:
+        return tuple(columns[name] for name in names)
+
+    return PointRecords(
+        str(path), start, length, count, pick(plan.positions), pick(plan.normals),
+        pick(plan.colours), tuple((ours, columns[name]) for ours, name in plan.attributes),
+    )  # fmt: skip

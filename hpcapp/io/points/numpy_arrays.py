@@ -1,0 +1,148 @@
+"""Arrays of NPY and NPZ files: read or mapped, and never a pickle.
+
+References
+----------
+"numpy.lib.format", https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tokenize import TokenError
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib import format as npy_format
+from numpy.typing import NDArray
+
+from hpccomponent.errors import InputError
+
+__all__ = ["is_archive", "map_array", "read_archive"]
+
+_COPY_AGAIN = "copy or export the file again"
+_SAVE_NUMBERS = "save arrays of numbers: what is pickled runs as a program, and is never opened"
+_DAMAGED = (
+    ValueError, TypeError, KeyError, IndexError, OverflowError, EOFError, SyntaxError,
+    TokenError, RecursionError, MemoryError, NotImplementedError, RuntimeError, zlib.error,
+    zipfile.BadZipFile,
+)  # fmt: skip
+
+
+def is_archive(path: Path) -> bool:
+    """Tell by its first bytes whether a file is an NPZ file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+    """
+    with path.open("rb") as file:
+        return file.read(2) == b"PK"
+
+
+def map_array(path: Path) -> NDArray[Any]:
+    """Map the array of an NPY file into memory.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    ndarray
+        Of numbers, or of records.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or its array is of objects.
+    OSError
+        The file cannot be read.
+    """
+    size = path.stat().st_size
+    if not size:
+        raise InputError(f"{path}: the file is empty", "export or copy it again")
+    with path.open("rb") as file, _translated(path, "the array"):
+        shape, order, dtype = _read_header(file, size, f"{path}: the array")
+        if 0 in shape:
+            return np.empty(shape, dtype)
+        return np.memmap(path, dtype, "r", file.tell(), shape, order)
+
+
+def read_archive(path: Path) -> dict[str, NDArray[Any]]:
+    """Read the arrays of an NPZ file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    dict of str to ndarray
+        Those of numbers or records, by their names in the file.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or has arrays of objects.
+    OSError
+        The file cannot be read.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    with _translated(path, "the archive"), zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            if not member.filename.endswith(".npy"):
+                continue
+            name = member.filename.removesuffix(".npy")
+            with _translated(path, f"array {name!r}"), archive.open(member) as file:
+                arrays[name] = _read_array(file, member.file_size, f"{path}: array {name!r}")
+    return arrays
+
+
+def _read_array(file: IO[bytes], size: int, place: str) -> NDArray[Any]:
+    shape, order, dtype = _read_header(file, size, place)
+    content = file.read()  # to its end, so that its checksum is looked at
+    return np.ndarray(shape, dtype, content, order=order)
+
+
+def _read_header(
+    file: IO[bytes], size: int, place: str
+) -> tuple[tuple[int, ...], Any, np.dtype[Any]]:
+    """Return shape, order and type of an array, of which all numbers are there."""
+    version = npy_format.read_magic(file)
+    read = (
+        npy_format.read_array_header_1_0 if version == (1, 0) else npy_format.read_array_header_2_0
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about headers of Python 2
+        shape, is_fortran, dtype = read(file)
+    if dtype.hasobject:
+        raise InputError(f"{place} is one of Python objects, a pickle", _SAVE_NUMBERS)
+    least = math.prod(shape) * dtype.itemsize
+    if least > size - file.tell():
+        raise InputError(
+            f"{place} is cut: shape {shape} takes {least} bytes, {size - file.tell()} follow",
+            _COPY_AGAIN,
+        )
+    return shape, "F" if is_fortran else "C", dtype
+
+
+@contextmanager
+def _translated(path: Path, what: str) -> Iterator[None]:
+    """Turn the errors of numpy, zipfile and zlib into ours."""
+    try:
+        yield
+    except InputError:
+        raise
+    except _DAMAGED as error:
+        said = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
+        raise InputError(f"{path}: {what} is damaged: {said}", _COPY_AGAIN) from error

@@ -1,0 +1,54 @@
+"""Colours that PCL packs into one number of four bytes: 0xAARRGGBB, as uint32 or float32."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.surface.types.points import ByteArray, FloatArray
+
+__all__ = ["PACKED", "unpack_float_text", "unpack_words"]
+
+PACKED = (("red", 2), ("green", 1), ("blue", 0))
+"""The colours and which bytes of the number they are, counted from its lowest."""
+
+
+def unpack_words(words: NDArray[Any], byte: int) -> ByteArray:
+    """Return one byte of each number.
+
+    Parameters
+    ----------
+    words : ndarray of four bytes, shape (n,)
+        Of any type and byte order.
+    byte : int
+        Counted from the lowest.
+
+    Returns
+    -------
+    ndarray of uint8, shape (n,)
+    """
+    little = np.ascontiguousarray(words.astype(words.dtype.newbyteorder("<")))
+    return little.view(np.uint8).reshape(-1, 4)[:, byte]
+
+
+def unpack_float_text(numbers: FloatArray, byte: int) -> ByteArray:
+    """Return one byte of each packed number that stood in a text.
+
+    Parameters
+    ----------
+    numbers : ndarray of float64, shape (n,)
+        The float32 as it is, or the whole number that its bits make.
+    byte : int
+        Counted from the lowest.
+
+    Returns
+    -------
+    ndarray of uint8, shape (n,)
+    """
+    is_whole = (numbers >= 1) & (numbers < 2**32) & (numbers == np.rint(numbers))
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        as_floats = numbers.astype("<f4").view("<u4")
+        as_whole = np.where(is_whole, numbers, 0).astype("<u4")
+    return unpack_words(np.where(is_whole, as_whole, as_floats), byte)

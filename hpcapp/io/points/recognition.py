@@ -1,0 +1,352 @@
+"""What the columns of a file hold, by their values: nothing is taken for what it is not.
+
+A look at the points decides, once for all parts of a file: which colours they have, whether the
+normals are some, which places are those of missing returns, whether x and y are degrees.
+
+=================================  ==========================================================
+found                              done
+=================================  ==========================================================
+colours of 16 bit, or from 0 to 1  scaled to 8 bit; 8-bit colours in wider fields stay
+colours that are all zero          left out
+colours of other values            left out, with a warning
+normals that are all zero          left out, with a warning
+normals that hold (n + 1) / 2      decoded, with a warning
+colours in the place of normals    taken for colours, with a warning
+other vectors off the surface      left out, with a warning
+many points at the origin          dropped and counted, with a warning
+many points at another same place  dropped and counted, with a warning
+degrees                            a warning
+=================================  ==========================================================
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_normals
+from hpcapp.io.points.point_source import Findings, PointSource, translated
+from hpccomponent.surface.cloud.point_records import PointRecords
+from hpccomponent.surface.types.points import BoolArray, FloatArray, PointCloud
+
+__all__ = ["recognise"]
+
+_ROWS = 1 << 16  # of a part that is looked at
+_ENOUGH_PARTS, _MOST_PARTS = 4, 64  # looked at where nothing is in doubt, and where something is
+_THIN = 16  # one row in so many is kept of the parts after the first
+_LOOKED_AT = ("normals", "colours")  # beside positions
+_RUNS = 64  # over a file that is read from any row on
+
+_FEWEST_AT_ORIGIN, _FEWEST_ELSEWHERE = 10, 100  # rows that make a place one of missing returns
+_LEAST_SHARE = 0.01  # of the rows, for a place other than the origin
+_TIMES_USUAL = 10  # as many rows as other places have
+
+_BRIGHT = 63  # no 16-bit colours are all below this, or 0
+_OVERSHOOT = 0.05  # of colours from 0 to 1 that were computed
+
+_TREE_ROWS, _NEIGHBOURS = 20_000, 12
+_FEWEST_TO_DOUBT = 10  # points: fewer say nothing of a surface
+_NARROWEST = 1e-3  # of a plane: the square of its second extent over that of its first
+_AGREEMENT = 0.8  # |cos| between normals and the planes of the neighbours
+
+_STEEPEST = 100.0  # z's extent over those of x and y, in a cloud whose x and y may be degrees
+_GEOGRAPHIC = re.compile(r"^\s*(GEOGCS|GEOGCRS|GEODCRS)|^(EPSG:)?(4326|4269|4258|4979)$", re.I)
+_DEGREES = {"lon", "long", "lng", "longitude", "lat", "latitude"}
+
+Use = Literal["normals", "encoded", "encoded bytes", "colours", "nothing"]
+"""What the columns of normals are used for."""
+
+_ENCODED = {"encoded": 1.0, "encoded bytes": 255.0}  # what stands for 1 in (n + 1) / 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Decisions:
+    """What is done to each part of a file.
+
+    Parameters
+    ----------
+    colours : ColourScale or None
+        How colours are scaled; None where there are none.
+    normals : Use
+    missing : ndarray of float64, shape (k, 3)
+        Places of missing returns.
+    """
+
+    colours: ColourScale | None
+    normals: Use
+    missing: FloatArray
+
+    def apply(self, part: PointCloud, findings: Findings) -> PointCloud:
+        """Return a part as it is meant, and count what is dropped of it."""
+        colours = part.normals if self.normals == "colours" else part.colours
+        normals = None if self.normals in ("colours", "nothing") else part.normals
+        if normals is not None and self.normals in _ENCODED:
+            normals = 2 * normals / _ENCODED[self.normals] - 1
+        scaled = None
+        if colours is not None and self.colours is not None:
+            scaled = _scale_colours(colours, self.colours)
+        meant = replace(part, normals=normals, colours=scaled)
+        dropped = _find_any(part.positions, self.missing)
+        if not dropped.any():
+            return meant
+        findings.drop("repeated", int(dropped.sum()))
+        return meant.take(~dropped)
+
+
+def recognise(source: PointSource) -> PointSource:
+    """Find out what the columns of a file hold.
+
+    Parameters
+    ----------
+    source : PointSource
+        As a reader made it: colours of any type, normals as they are named.
+
+    Returns
+    -------
+    PointSource
+        Colours of its parts are uint8, normals are some. It has `records` only where a point is
+        what they say. What is odd is in its findings; what is dropped is counted anew by each
+        pass.
+
+    Raises
+    ------
+    InputError
+        The file is damaged where it was looked at.
+
+    Notes
+    -----
+    Of a file that is read from any row on, 64 runs of rows spread over it are looked at. Others
+    are read from their start: so far as is certain, 262,144 rows or all at least, 4 million at
+    most.
+    """
+    findings, counted = source.findings, dict(source.findings.dropped)
+    with translated(source.path):
+        seen = _look_through(source)
+    finite = np.flatnonzero(np.isfinite(seen.positions).all(axis=1))
+    seen = seen.take(finite)
+    missing = _find_missing(seen.positions, findings)
+    usable = seen.take(~_find_any(seen.positions, missing)) if len(missing) else seen
+    use: Use = "normals" if source.normals_from == "faces" else _judge_use(usable, findings)
+    colours = usable.normals if use == "colours" else usable.colours
+    scale = None if colours is None else _judge_scale(colours, findings)
+    decisions = _Decisions(scale, use, missing)
+    is_degree = _are_degrees(source, usable.positions)
+    if is_degree:
+        findings.warn(
+            "x and y are in degrees: project them to metres, a surface in degrees is distorted"
+        )
+
+    def scan(rows: int) -> Iterator[PointCloud]:
+        findings.dropped.clear()
+        findings.dropped.update(counted)
+        for part in source.scan(rows):
+            yield decisions.apply(part, findings)
+
+    records = _keep_records(source.records, decisions)
+    return replace(
+        source,
+        has_normals=source.has_normals and use not in ("colours", "nothing"),
+        scan=scan,
+        records=records,
+        check_rest=None if records is None else source.check_rest,
+        unit="degree" if is_degree else source.unit,
+    )
+
+
+def _keep_records(records: PointRecords | None, decisions: _Decisions) -> PointRecords | None:
+    """Return where the points are; None where they are not used as they are there."""
+    if records is None or len(decisions.missing):
+        return None
+    if decisions.normals not in ("normals", "nothing"):
+        return None
+    if decisions.colours and any(dtype != "|u1" for _, dtype in records.colours):
+        return None
+    return replace(
+        records,
+        normals=records.normals if decisions.normals == "normals" else (),
+        colours=records.colours if decisions.colours else (),
+    )
+
+
+def _look_through(source: PointSource) -> PointCloud:
+    """Return some of a file's points; all of them where they are few."""
+    if source.records is not None:
+        return _join(list(_read_runs(source.records)))
+    seen: list[PointCloud] = []
+    for number, part in enumerate(source.scan(_ROWS)):
+        seen.append(part if number < _ENOUGH_PARTS else part.take(np.arange(0, len(part), _THIN)))
+        if number + 1 == _MOST_PARTS or (number + 1 >= _ENOUGH_PARTS and _is_certain(_join(seen))):
+            break
+    return _join(seen)
+
+
+def _read_runs(records: PointRecords) -> Iterator[PointCloud]:
+    if records.count <= _ROWS:
+        yield records.read(0, records.count, _LOOKED_AT)
+        return
+    length = _ROWS // _RUNS
+    for start in np.linspace(0, records.count - length, _RUNS).astype(int).tolist():
+        yield records.read(start, start + length, _LOOKED_AT)
+
+
+def _join(parts: list[PointCloud]) -> PointCloud:
+    """Return the positions, normals and colours of some parts as one."""
+    normals = [part.normals for part in parts if part.normals is not None]
+    colours: list[NDArray[Any]] = [part.colours for part in parts if part.colours is not None]
+    return PointCloud(
+        np.concatenate([part.positions for part in parts]),
+        np.concatenate(normals) if normals else None,
+        np.concatenate(colours) if colours else None,
+    )
+
+
+def _is_certain(seen: PointCloud) -> bool:
+    """Tell whether more points would change nothing of what these say."""
+    if not np.isfinite(seen.positions).all(axis=1).any() or not seen.positions.any():
+        return False
+    if seen.normals is not None and judge_normals(seen.normals) not in ("unit", "any length"):
+        return False
+    if seen.colours is None or seen.colours.dtype == np.uint8:
+        return True
+    scale = judge_colours(seen.colours)
+    if scale == "8 bit":  # or dark ones of 16 bit
+        return bool(seen.colours.max() > _BRIGHT)
+    return scale == "16 bit" or (scale == "float" and bool((seen.colours % 1 > 0).any()))
+
+
+def _find_missing(positions: FloatArray, findings: Findings) -> FloatArray:
+    """Find the places where so many points are the same that they are missing returns."""
+    nowhere = np.zeros((0, 3))
+    if len(positions) < _FEWEST_AT_ORIGIN:
+        return nowhere
+    _, first, counts = np.unique(_sum_coordinates(positions), return_index=True, return_counts=True)
+    fewest = max(_FEWEST_AT_ORIGIN, _TIMES_USUAL * float(np.median(counts)))
+    if len(counts) <= _FEWEST_AT_ORIGIN:
+        return nowhere
+    missing = []
+    for place in positions[first[counts >= fewest]]:
+        count = int((positions == place).all(axis=1).sum())
+        if not place.any() and count >= fewest:
+            findings.warn("points at the origin (0, 0, 0) are missing returns: they are dropped")
+        elif count >= max(fewest, _FEWEST_ELSEWHERE, _LEAST_SHARE * len(positions)):
+            named = ", ".join(f"{coordinate:.9g}" for coordinate in place)
+            findings.warn(
+                f"many points are at the same place ({named}), which is that of missing returns: "
+                "they are dropped"
+            )
+        else:
+            continue
+        missing.append(place)
+    return np.array(missing) if missing else nowhere
+
+
+def _sum_coordinates(positions: FloatArray) -> FloatArray:
+    """Return a number of each point that is another where the point is another, but for chance."""
+    x, y, z = positions.T
+    sums: FloatArray = x + math.pi * y + math.e * z
+    return sums
+
+
+def _find_any(positions: FloatArray, places: FloatArray) -> BoolArray:
+    """Tell which points are at one of some places."""
+    found = np.zeros(len(positions), np.bool_)
+    for place in places:
+        found |= np.logical_and.reduce([a == b for a, b in zip(positions.T, place, strict=True)])
+    return found
+
+
+def _judge_use(seen: PointCloud, findings: Findings) -> Use:
+    """Find out what the columns of normals hold."""
+    if seen.normals is None or not len(seen):
+        return "normals"
+    kind = judge_normals(seen.normals)
+    if kind in ("unit", "any length"):
+        return "normals"
+    if kind == "zero":
+        findings.warn("all normals are zero, or not finite: they are left out")
+        return "nothing"
+    if kind == "encoded":
+        findings.warn("the normals hold (n + 1) / 2: they are decoded")
+        return "encoded"
+    if kind == "none" and judge_normals(seen.normals / 255) == "encoded":
+        findings.warn("the normals hold (n + 1) / 2 as bytes: they are decoded")
+        return "encoded bytes"
+    if len(seen) < _FEWEST_TO_DOUBT or _fit_surface(seen.positions, seen.normals):
+        return "normals"
+    if kind == "none" and seen.colours is None and judge_colours(seen.normals) is not None:
+        findings.warn("the columns of normals hold colours: they are taken for colours")
+        return "colours"
+    findings.warn("the normals do not stand on the surface: they are left out")
+    return "nothing"
+
+
+def _fit_surface(positions: FloatArray, normals: FloatArray) -> bool:
+    """Tell whether vectors are across the planes of the points around them, if there are any."""
+    from scipy.spatial import cKDTree  # few clouds are in doubt
+
+    rows = np.flatnonzero(np.isfinite(normals).all(axis=1) & normals.any(axis=1))
+    rows = rows[np.sort(np.unique(_sum_coordinates(positions[rows]), return_index=True)[1])]
+    if len(rows) < _FEWEST_TO_DOUBT:
+        return True
+    rows = rows[:: -(-len(rows) // _TREE_ROWS)]  # scan lines of a file's order are broken up
+    places = positions[rows]
+    _, near = cKDTree(places).query(places, k=min(_NEIGHBOURS, len(rows)))
+    arms = places[near] - places[near].mean(axis=1, keepdims=True)
+    squares, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", arms, arms))
+    is_plane = squares[:, 1] > _NARROWEST * squares[:, 2]
+    units = normals[rows] / np.linalg.norm(normals[rows], axis=1, keepdims=True)
+    cosines = np.abs(np.einsum("ni,ni->n", units, vectors[:, :, 0]))[is_plane]
+    return not len(cosines) or bool(np.median(cosines) > _AGREEMENT)
+
+
+def _judge_scale(colours: NDArray[Any], findings: Findings) -> ColourScale | None:
+    """Find out how colours are scaled; None where they are none."""
+    known = colours[np.isfinite(colours).all(axis=1)]
+    if not known.any():  # the format has colours, the scan has not
+        return None
+    scale = judge_colours(known)
+    if scale is not None:
+        return scale
+    least, most = float(known.min()), float(known.max())  # of numbers that need not be whole
+    if least >= -_OVERSHOOT and most <= 1 + _OVERSHOOT:
+        return "float"
+    if least >= 0 and most <= 65535:
+        return "8 bit" if most <= 255 else "16 bit"
+    findings.warn(f"the colours go from {least:g} to {most:g}: they are left out")
+    return None
+
+
+def _scale_colours(colours: NDArray[Any], scale: ColourScale) -> NDArray[np.uint8]:
+    """Return colours as bytes."""
+    if colours.dtype == np.uint8:
+        return colours
+    if scale == "16 bit":  # both 256 and 257 times a byte give the byte
+        scaled = np.nan_to_num(colours) // 256
+    else:
+        scaled = np.rint(np.nan_to_num(colours) * (255 if scale == "float" else 1))
+    as_bytes: NDArray[np.uint8] = np.clip(scaled, 0, 255).astype(np.uint8)
+    return as_bytes
+
+
+def _are_degrees(source: PointSource, positions: FloatArray) -> bool:
+    """Tell whether x and y are longitude and latitude: as the file says, or as they look."""
+    if source.unit is not None:
+        return source.unit.startswith("deg")
+    if source.crs is not None and _GEOGRAPHIC.search(source.crs):
+        return True
+    names = {name.strip().strip('"').lower() for name in source.columns}
+    if names & _DEGREES and "x" not in names:
+        return True
+    if source.crs is not None or len(positions) < _FEWEST_TO_DOUBT:
+        return False
+    if (np.abs(positions[:, :2]).max(axis=0) > (180, 90)).any():
+        return False
+    low, high = np.quantile(positions, (0.02, 0.98), axis=0)
+    x, y, z = high - low
+    return bool(min(x, y) > 0 and z > _STEEPEST * max(x, y))

@@ -1,0 +1,293 @@
+"""What the columns of a text file are: by their names, by the file's suffix, or by their values.
+
+Where nothing is named, x, y and z come first. What follows is told by its values: three columns of
+unit vectors are normals, three of whole numbers (or of numbers from 0 to 1) are colours, and others
+are single. Of four columns that could all be of a colour the first is the intensity, as PTS files
+have it, unless the last is opaque throughout: then that is alpha.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.points.column_roles import (
+    AXES,
+    COLOURS,
+    NORMALS,
+    ColourScale,
+    find_role,
+    judge_colours,
+    judge_normals,
+)
+from hpcapp.io.points.point_source import Findings
+from hpcapp.io.text.tables import RowNotes
+from hpccomponent.errors import InputError
+from hpccomponent.surface.types.points import FloatArray, PointCloud
+
+__all__ = ["DEGREES", "Columns", "assign_by_name", "assign_by_value"]
+
+DEGREES = ("lon", "long", "longitude", "lat", "latitude")
+"""Names of coordinates that are angles, in lower case."""
+
+_PROMISED = {".xyzn": NORMALS, ".pwn": NORMALS, ".xyzrgb": COLOURS, ".xyzi": ("intensity",)}
+_OPAQUE = {"8 bit": 255, "16 bit": 65535, "float": 1}
+_Kind = Literal["normals", "vectors", "zeros"] | ColourScale
+_DOUBTS: dict[_Kind | None, str] = {
+    "float": "colours of 0 to 1",
+    "16 bit": "colours of 16 bit",
+    "vectors": "normals, though their lengths differ from 1",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """Which columns of a table are what.
+
+    Parameters
+    ----------
+    roles : tuple of str
+        Of each column, as `find_role` names them; no two are the same.
+    scale : ColourScale or None
+        Of the colours, by a sample.
+    """
+
+    roles: tuple[str, ...]
+    scale: ColourScale | None
+
+    @property
+    def has_normals(self) -> bool:
+        """Whether there are all three components of normals."""
+        return set(NORMALS) <= set(self.roles)
+
+    @property
+    def has_colours(self) -> bool:
+        """Whether there are red, green and blue."""
+        return set(COLOURS) <= set(self.roles)
+
+    def make_cloud(self, table: FloatArray, first: int, notes: RowNotes) -> PointCloud:
+        """Make points of rows.
+
+        Parameters
+        ----------
+        table : ndarray of float64, shape (n, columns)
+        first : int
+            The number of the first of these points in the file, for messages.
+        notes : RowNotes
+            Is told of points without a colour.
+
+        Returns
+        -------
+        PointCloud
+            Normals as they are; colours of 8 or 16 bit, or as they are.
+
+        Raises
+        ------
+        InputError
+            A colour is none of the scale of the others.
+        """
+        normals = self._take(table, NORMALS) if self.has_normals else None
+        colours: NDArray[Any] | None = None
+        if self.has_colours:
+            colours = self._as_colours(self._take(table, COLOURS), first, notes)
+        grouped = (*AXES, *(NORMALS if self.has_normals else ()))
+        grouped += COLOURS if self.has_colours else ()
+        attributes = {
+            role: table[:, i].copy() for i, role in enumerate(self.roles) if role not in grouped
+        }
+        return PointCloud(self._take(table, AXES), normals, colours, attributes)
+
+    def _take(self, table: FloatArray, roles: tuple[str, ...]) -> FloatArray:
+        return table[:, [self.roles.index(role) for role in roles]]
+
+    def _as_colours(self, values: FloatArray, first: int, notes: RowNotes) -> NDArray[Any]:
+        if self.scale not in ("8 bit", "16 bit"):
+            return values
+        none = np.isnan(values).any(axis=1)
+        if none.any():
+            values[none] = 0
+            notes.note("colour", f"point {first + int(np.argmax(none))} has no colour: it is black")
+        most = _OPAQUE[self.scale]
+        wrong = ~((values >= 0) & (values <= most) & (values == np.rint(values))).all(axis=1)
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise InputError(
+                f"{notes.path}: point {first + row} has the colour {values[row].tolist()}",
+                f"the others are whole numbers of 0 to {most}: correct or remove it",
+            )
+        return values.astype(np.uint8 if self.scale == "8 bit" else np.uint16)
+
+
+def assign_by_name(names: list[str], sample: FloatArray) -> Columns:
+    """Say what columns are by their names.
+
+    Parameters
+    ----------
+    names : list of str
+        As the file spells them; x, y and z are among them.
+    sample : ndarray of float64, shape (n, columns)
+
+    Returns
+    -------
+    Columns
+        Of several columns with one role the best named has it, the others keep their names.
+    """
+    best: dict[str, int] = {}
+    for i in sorted(range(len(names)), key=lambda i: _rank(names[i])):
+        best.setdefault(find_role(names[i]), i)
+    roles: list[str] = []
+    for i, name in enumerate(names):
+        role, again = find_role(name), 2
+        if best[role] != i:
+            role = name
+        while role in roles or best.get(role, i) != i:
+            role, again = f"{name}_{again}", again + 1
+        roles.append(role)
+    return _make_columns(roles, sample)
+
+
+def _rank(name: str) -> int:
+    """Return 0 for a plain name, 1 for another spelling, 2 for degrees: the last choice."""
+    return 2 if name.lower() in DEGREES else int(find_role(name) != name.lower())
+
+
+def assign_by_value(
+    path: Path, sample: FloatArray, numbers: tuple[int, ...], findings: Findings
+) -> Columns:
+    """Say what columns without names are.
+
+    Parameters
+    ----------
+    path : Path
+        Its suffix may promise columns.
+    sample : ndarray of float64, shape (n, columns)
+        Rows from all over the file.
+    numbers : tuple of int
+        Of these columns in the file, from 0.
+    findings : Findings
+        Is told what was guessed against the usual, and what could not be told.
+
+    Returns
+    -------
+    Columns
+
+    Raises
+    ------
+    InputError
+        There are fewer columns than the suffix promises.
+    """
+    suffix = path.suffix.lower()
+    roles = dict(enumerate(AXES + _PROMISED.get(suffix, ())))
+    if sample.shape[1] < len(roles):
+        raise InputError(
+            f"{path}: {sample.shape[1]} columns, a {suffix} file has {' '.join(roles.values())}",
+            "give the file the suffix .xyz",
+        )
+    kinds = {at: _judge(sample[:, at : at + 3]) for at in range(len(roles), sample.shape[1] - 2)}
+    if NORMALS[0] not in roles.values():
+        _place_normals(kinds, roles)
+    if COLOURS[0] not in roles.values():
+        _place_colours(sample, kinds, roles, suffix == ".pts")
+    _place_zeros(kinds, roles)
+    guessed = [at for at, role in roles.items() if role in (NORMALS[0], COLOURS[0])]
+    for at in guessed:
+        if at in kinds and kinds[at] in _DOUBTS:
+            columns = f"columns {numbers[at] + 1} to {numbers[at + 2] + 1}"
+            findings.warn(f"{columns} have no names and are taken for {_DOUBTS[kinds[at]]}")
+    for column in range(sample.shape[1]):
+        if column not in roles:
+            roles[column] = _name_single(sample, column, roles)
+            if roles[column].startswith("column"):
+                findings.warn(f"{roles[column]} has no name, and is kept as an attribute")
+    return _make_columns([roles[i] for i in range(sample.shape[1])], sample)
+
+
+def _judge(values: FloatArray) -> _Kind | None:
+    """Tell what three columns look like."""
+    if not len(values):
+        return None
+    normals = judge_normals(values)
+    if normals in ("unit", "one octant", "encoded"):
+        return "normals"
+    if normals == "zero":
+        return "zeros"
+    scale = judge_colours(values[np.isfinite(values).all(axis=1)])
+    if scale is not None:
+        return scale
+    return "vectors" if normals == "any length" else None
+
+
+def _place(group: tuple[str, ...], at: int, roles: dict[int, str]) -> None:
+    roles.update(zip(range(at, at + 3), group, strict=True))
+
+
+def _find_free(
+    kinds: dict[int, _Kind | None], roles: dict[int, str], wanted: tuple[str, ...]
+) -> list[int]:
+    """Return where there are three columns of a kind that have no role yet."""
+    return [
+        at
+        for at, kind in kinds.items()
+        if kind in wanted and not roles.keys() & {at, at + 1, at + 2}
+    ]
+
+
+def _place_normals(kinds: dict[int, _Kind | None], roles: dict[int, str]) -> None:
+    for kind in ("normals", "vectors"):
+        if places := _find_free(kinds, roles, (kind,)):
+            _place(NORMALS, places[0], roles)
+            return
+    for at in _find_free(kinds, roles, ("zeros",)):
+        if kinds.get(at + 3) in _OPAQUE:  # before colours, which zeros could be part of
+            _place(NORMALS, at, roles)
+            return
+
+
+def _place_colours(
+    sample: FloatArray, kinds: dict[int, _Kind | None], roles: dict[int, str], is_pts: bool
+) -> None:
+    places = _find_free(kinds, roles, ("8 bit", "16 bit", "float", "zeros"))
+    if not any(kinds[at] != "zeros" for at in places):
+        return
+    at = places[0]
+    if at + 1 in places:
+        is_alpha = _is_opaque(sample[:, at + 3]) and sample[:, at].any()
+        are_four = at == len(roles) and at + 2 not in places and kinds[at + 1] != "float"
+        if not is_alpha and (is_pts or are_four):
+            at += 1
+    _place(COLOURS, at, roles)
+
+
+def _place_zeros(kinds: dict[int, _Kind | None], roles: dict[int, str]) -> None:
+    """Take zeros for normals, or else for colours: who asks for them finds that they are none."""
+    for group in (NORMALS, COLOURS):
+        places = _find_free(kinds, roles, ("zeros",))
+        if places and group[0] not in roles.values():
+            _place(group, places[0], roles)
+
+
+def _is_opaque(values: FloatArray) -> bool:
+    return len(values) > 0 and values[0] in _OPAQUE.values() and bool((values == values[0]).all())
+
+
+def _name_single(sample: FloatArray, column: int, roles: dict[int, str]) -> str:
+    values = sample[:, column]
+    if roles.get(column - 1) == COLOURS[-1] and len(values):
+        is_share = (
+            values.min() >= 0 and values.max() <= 1 and sample[:, column - 3 : column].max() <= 1
+        )
+        if _is_opaque(values) or is_share:
+            return "alpha"
+    return "intensity" if "intensity" not in roles.values() else f"column_{column + 1}"
+
+
+def _make_columns(roles: list[str], sample: FloatArray) -> Columns:
+    scale = None
+    if set(COLOURS) <= set(roles):
+        values = sample[:, [roles.index(role) for role in COLOURS]]
+        scale = judge_colours(values[np.isfinite(values).all(axis=1)])
+    return Columns(tuple(roles), scale)

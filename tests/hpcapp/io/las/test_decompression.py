@@ -1,0 +1,173 @@
+"""Compressed points: the libraries, and what a damaged file can ask of them."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hpcapp.io import write_points
+from hpcapp.io.las.points import open_las
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.types.points import PointCloud
+
+pytest.importorskip("laspy", reason="laspy is not installed")
+pytest.importorskip("lazrs", reason="lazrs is not installed")
+
+
+@pytest.fixture
+def laz(tmp_path: Path) -> Path:
+    """120,000 points with colours: three chunks of seven layers and more."""
+    random = np.random.default_rng(3)
+    colours = random.integers(0, 256, (120_000, 3)).astype(np.uint8)
+    path = tmp_path / "a.laz"
+    write_points(path, PointCloud(random.normal(size=(120_000, 3)), None, colours))
+    return path
+
+
+def read(path: Path, rows: int = 50_000) -> PointCloud:
+    parts = list(open_las(path).chunks(rows))
+    return PointCloud(np.concatenate([part.positions for part in parts]))
+
+
+@pytest.mark.parametrize("rows", [7_001, 50_000, 1 << 20])
+def test_parts_are_the_whole(laz: Path, rows: int) -> None:
+    plain = laz.with_suffix(".las")
+    random = np.random.default_rng(3)
+    colours = random.integers(0, 256, (120_000, 3)).astype(np.uint8)
+    write_points(plain, PointCloud(random.normal(size=(120_000, 3)), None, colours))
+    assert read(laz, rows).positions.tobytes() == read(plain).positions.tobytes()
+
+
+def test_laszip_reads_the_same(laz: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("laszip", reason="laszip is not installed")
+    expected = read(laz).positions
+    monkeypatch.setitem(sys.modules, "lazrs", None)
+    assert read(laz).positions.tobytes() == expected.tobytes()
+
+
+def test_no_library(laz: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for library in ("lazrs", "laszip"):
+        monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(UsageError, match=r"need the package lazrs; pip install 'hpcapp\[las\]'"):
+        open_las(laz)
+
+
+def damage(path: Path, at: int, value: bytes) -> None:
+    content = bytearray(path.read_bytes())
+    content[at : at + len(value)] = value
+    path.write_bytes(content)
+
+
+def points_start(path: Path) -> int:
+    return int.from_bytes(path.read_bytes()[96:100], "little")
+
+
+def table_at(path: Path) -> int:
+    start = points_start(path)
+    return int.from_bytes(path.read_bytes()[start : start + 8], "little")
+
+
+def test_table_of_chunks_outside_the_file(laz: Path) -> None:
+    damage(laz, points_start(laz), struct.pack("<q", 3))
+    with pytest.raises(InputError, match="it has no table of chunks"):
+        open_las(laz)
+
+
+def test_place_of_the_table_at_the_end(laz: Path) -> None:
+    expected, place = read(laz).positions, table_at(laz)
+    damage(laz, points_start(laz), struct.pack("<q", -1))
+    laz.write_bytes(laz.read_bytes() + struct.pack("<q", place))
+    assert read(laz).positions.tobytes() == expected.tobytes()
+
+
+def test_too_many_chunks(laz: Path) -> None:
+    damage(laz, table_at(laz) + 4, struct.pack("<I", 1 << 31))
+    with pytest.raises(InputError, match="its table announces 2147483648 chunks"):
+        open_las(laz)
+
+
+def test_layers_longer_than_their_chunk(laz: Path) -> None:
+    damage(laz, points_start(laz) + 8 + 36 + 4, b"\xff\xff\xff\x7f")
+    with pytest.raises(InputError, match="its layers are longer than their chunk"):
+        open_las(laz)
+
+
+def test_points_of_another_length(laz: Path) -> None:
+    damage(laz, 105, struct.pack("<H", 40))
+    with pytest.raises(InputError, match="does not fit the points"):
+        open_las(laz)
+
+
+def test_more_points_announced_than_there_are(laz: Path) -> None:
+    damage(laz, 247, struct.pack("<Q", 1 << 40))
+    with pytest.raises(InputError, match="cannot be decompressed"):
+        read(laz)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.999])
+def test_cut(laz: Path, share: float) -> None:
+    laz.write_bytes(laz.read_bytes()[: int(share * laz.stat().st_size)])
+    with pytest.raises(InputError):
+        read(laz)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_flipped_bytes(tmp_path: Path, seed: int) -> None:
+    path = tmp_path / "a.laz"
+    write_points(path, PointCloud(np.random.default_rng(seed).normal(size=(300, 3))))
+    content = bytearray(path.read_bytes())
+    random = np.random.default_rng(seed)
+    for at in random.integers(0, len(content), 4):
+        content[at] = random.integers(0, 256)
+    path.write_bytes(content)
+    with suppress(InputError):
+        read(path)
+
+
+PANIC = """
+import sys
+from pathlib import Path
+import lazrs
+from hpccomponent.errors import InputError
+class Compressor:
+    def __init__(self, file, record): pass
+    def decompress_many(self, points): raise Panic("as lazrs does")
+Panic = type("PanicException", (BaseException,), {"__module__": sys.argv[2]})
+lazrs.ParLasZipDecompressor = Compressor
+from hpcapp.io.las.points import open_las
+try:
+    list(open_las(Path(sys.argv[1])).chunks(10))
+except InputError as error:
+    print(error)
+except BaseException as error:
+    print("passed on", type(error).__name__)
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "said"), [("pyo3_runtime", "lazrs gave up"), ("builtins", "passed on")]
+)
+def test_panic_of_lazrs(laz: Path, module: str, said: str) -> None:
+    command = [sys.executable, "-P", "-c", PANIC, str(laz), module]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert said in done.stdout
+    assert not done.stderr
+
+
+def test_oldest_compressor(capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("laszip", reason="laszip is not installed")
+    folder = Path(os.environ.get("HPCAPP_DATA", "nowhere")) / "real" / "las"
+    path = folder / "simple-laszip-compressor-version-1.2r0.laz"
+    if not path.exists():
+        pytest.skip(f"HPCAPP_DATA names no folder with real/las/{path.name}")
+    positions = read(path, 100).positions
+    assert len(positions) == 1065
+    np.testing.assert_allclose(positions[-1], [637342.85, 853240.32, 423.92], atol=1e-6)
+    assert capfd.readouterr() == ("", "")

@@ -1,0 +1,139 @@
+"""One file, several, patterns, compressed ones, the standard input: all are one file to read."""
+
+import gzip
+import io
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hpcapp.io import read_points, write_points
+from hpcapp.io.points.inputs import find_files, gather_points
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.types.points import FloatArray, PointCloud
+
+TETRAHEDRON = "v 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 4\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def make_cloud(seed: int, count: int = 50) -> PointCloud:
+    normals = np.random.default_rng(seed).normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return PointCloud(3.0 * normals, normals)
+
+
+def read(names: list[str], sample: int | None = None) -> PointCloud:
+    with gather_points(names, sample) as path:
+        return read_points(path)
+
+
+def give_input(monkeypatch: pytest.MonkeyPatch, content: bytes) -> None:
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(content)))
+
+
+def test_a_single_file_is_read_where_it_is(tmp_path: Path) -> None:
+    write_points(tmp_path / "a.ply", make_cloud(0))
+    with gather_points([str(tmp_path / "a.ply")]) as path:
+        assert path == tmp_path / "a.ply"
+
+
+def test_files_that_fit_a_pattern_are_joined_in_their_order(tmp_path: Path) -> None:
+    clouds = [make_cloud(seed) for seed in range(3)]
+    for name, cloud in zip("cab", clouds, strict=True):
+        write_points(tmp_path / f"{name}.xyz", cloud)
+    joined = read([str(tmp_path / "?.xyz")])
+    wanted = np.concatenate([clouds[i].positions for i in (1, 2, 0)])
+    np.testing.assert_array_equal(joined.positions, wanted)
+    assert joined.attributes["scan"].tolist() == [0] * 50 + [1] * 50 + [2] * 50
+
+
+def test_what_only_some_files_have_is_left_out_and_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    cloud = make_cloud(0)
+    write_points(tmp_path / "a.ply", cloud)
+    write_points(tmp_path / "b.ply", PointCloud(cloud.positions))
+    assert read([str(tmp_path / "a.ply"), str(tmp_path / "b.ply")]).normals is None
+    assert "a.ply: left out, as not all files have it: nx, ny, nz" in caplog.text
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".xyz"])
+def test_compressed_files_hold_what_was_compressed(tmp_path: Path, suffix: str) -> None:
+    write_points(tmp_path / f"a{suffix}", make_cloud(0))
+    packed = tmp_path / f"b{suffix}.gz"
+    packed.write_bytes(gzip.compress((tmp_path / f"a{suffix}").read_bytes()))
+    plain = read_points(tmp_path / f"a{suffix}")
+    np.testing.assert_array_equal(read([str(packed)]).positions, plain.positions)
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[:-20], lambda b: b[:40] + b"\0" * 9 + b[49:]])
+def test_a_damaged_compressed_file_is_refused_by_its_name(tmp_path: Path, damage: object) -> None:
+    assert callable(damage)
+    write_points(tmp_path / "a.ply", make_cloud(0))
+    packed = tmp_path / "a.ply.gz"
+    packed.write_bytes(damage(gzip.compress((tmp_path / "a.ply").read_bytes())))
+    with pytest.raises(InputError, match=r"a\.ply\.gz: (cut|damaged)"):
+        read([str(packed)])
+
+
+def test_an_error_names_the_file_that_the_user_named(tmp_path: Path) -> None:
+    packed = tmp_path / "bad.ply.gz"
+    packed.write_bytes(gzip.compress(b"ply\nformat ascii 1.0\nend_header\n"))
+    with pytest.raises(InputError) as caught:
+        read([str(packed)])
+    assert str(caught.value).startswith(f"{packed}: ")
+
+
+@pytest.mark.parametrize("is_packed", [False, True])
+@pytest.mark.parametrize("suffix", [".ply", ".xyz"])
+def test_the_standard_input_is_known_by_its_first_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, is_packed: bool
+) -> None:
+    write_points(tmp_path / f"a{suffix}", make_cloud(0))
+    content = (tmp_path / f"a{suffix}").read_bytes()
+    give_input(monkeypatch, gzip.compress(content) if is_packed else content)
+    plain = read_points(tmp_path / f"a{suffix}")
+    np.testing.assert_array_equal(read(["-"]).positions, plain.positions)
+
+
+def test_an_empty_standard_input_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    give_input(monkeypatch, b"")
+    with pytest.raises(InputError, match="standard input is empty"):
+        read(["-"])
+
+
+def test_the_standard_input_stands_alone() -> None:
+    with pytest.raises(UsageError, match="standard input"):
+        find_files(["-", "a.ply"])
+
+
+def test_a_pattern_that_nothing_fits_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no file fits"):
+        find_files([str(tmp_path / "*.laz")])
+
+
+def test_a_name_with_brackets_is_a_file_where_there_is_one(tmp_path: Path) -> None:
+    (tmp_path / "a[1].ply").touch()
+    assert find_files([str(tmp_path / "a[1].ply")]) == [str(tmp_path / "a[1].ply")]
+
+
+def test_sampled_points_lie_evenly_on_the_faces(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text(TETRAHEDRON)
+    cloud = read([str(tmp_path / "a.obj")], 4000)
+    assert cloud.normals is not None
+    assert len(cloud) == 4000
+    on_slope = cloud.normals.min(axis=1) > 0.5
+    distances: FloatArray = np.where(
+        on_slope, cloud.positions.sum(axis=1) - 4.0, cloud.positions.min(axis=1)
+    )
+    np.testing.assert_allclose(distances, 0.0, atol=1e-12)
+    share = np.sqrt(3.0) / (np.sqrt(3.0) + 3.0)  # of the area: the slope's
+    assert abs(on_slope.mean() - share) < 0.01
+
+
+def test_temporary_files_are_gone_afterwards(tmp_path: Path) -> None:
+    packed = tmp_path / "a.xyz.gz"
+    packed.write_bytes(gzip.compress(b"0 0 0\n1 2 3\n"))
+    with gather_points([str(packed)]) as path:
+        assert path.exists()
+    assert not path.exists()
