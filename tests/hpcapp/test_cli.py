@@ -7,6 +7,7 @@ import logging
 import os
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -351,7 +352,7 @@ def test_an_interrupt_while_the_command_is_imported(start_command: StartCommand)
     with start_command("--version") as process:  # the same interpreter and environment
         process.communicate()
     done = subprocess.run(
-        [process.args[0], "-c", script], capture_output=True, text=True, check=False
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (130, "hpcapp: interrupted\n")
 
