@@ -98,13 +98,13 @@ def test_regions_give_the_normals_of_the_whole(
     given = np.random.default_rng(3).normal(size=scan.shape)
     given /= np.linalg.norm(given, axis=1, keepdims=True)
     arranged = arrange_cloud(PointCloud(scan, given if what == "given" else None))
-    positions = arranged.cloud.positions
-    expected, oriented = orient_cloud(arranged.cloud, None)
+    positions = arranged.points.positions
+    expected, oriented = orient_cloud(arranged.points, None)
     for folder in ("bare", "estimated", "oriented"):
         (tmp_path / folder).mkdir()
     writer = DiskCloudWriter(tmp_path / "bare", arranged.arrangement, arranged.origin)
     bare = np.zeros_like(positions)
-    writer.add(positions, bare if arranged.cloud.normals is None else arranged.cloud.normals)
+    writer.add(positions, bare if arranged.points.normals is None else arranged.points.normals)
     found, same = orient_regions(
         writer.finish(),
         what == "given",
