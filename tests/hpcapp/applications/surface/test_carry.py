@@ -161,13 +161,15 @@ def test_normals_beside_a_cloud_and_unknown_columns_are_refused(cloud: PointClou
 
 @pytest.fixture
 def painted_file(cloud: PointCloud, tmp_path: Path) -> Path:
-    """The sphere in a file, with a hole and some outliers."""
-    is_kept = cloud.positions[:, 1] < CENTRE[1] + 1.8
-    rows = cloud.take(is_kept)
-    positions = rows.positions.copy()
-    positions[::2000] += np.random.default_rng(1).uniform(0.5, 2.0, positions[::2000].shape)
+    """The sphere in a file, with a hole, some outliers, and points twice in other colours."""
+    rng = np.random.default_rng(1)
+    rows = cloud.take(np.flatnonzero(cloud.positions[:, 1] < CENTRE[1] + 1.8))
+    rows.positions[::2000] += rng.uniform(0.5, 2.0, rows.positions[::2000].shape)
+    rows = rows.take(rng.permutation(np.append(np.arange(len(rows)), np.arange(5000))))
+    assert rows.colours is not None
+    rows.colours[::7] = 255 - rows.colours[::7]
     path = tmp_path / "painted.ply"
-    write_points(path, PointCloud(positions, rows.normals, rows.colours))
+    write_points(path, rows)
     return path
 
 
@@ -200,7 +202,10 @@ def test_tiles_and_workers_give_the_bytes_of_memory(
     )
     report = run_job(settings, SILENT)
     assert report["tiles"] > 1
-    assert report["attributes"] == ["normals", "colours", "support"]
+    assert report["attributes"] == [
+        "normals", "colours", "intensity", "classification", "support",
+    ]  # fmt: skip
+    assert report["dropped"]["duplicates"] == 5000
     assert tiled.read_bytes() == whole.read_bytes()
     assert not list((tmp_path / "temp").iterdir())
 
@@ -208,10 +213,12 @@ def test_tiles_and_workers_give_the_bytes_of_memory(
 def test_a_column_that_is_not_there_is_refused_before_the_work(
     painted_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    chosen = parse_attributes("intensity")
+    chosen = parse_attributes("auto,depth")
     settings = JobSettings(painted_file, str(tmp_path / "m.ply"), attributes=chosen)
     for _ in range(2):
-        with pytest.raises(UsageError, match=r"painted.ply has colours; normals and support"):
+        with pytest.raises(
+            UsageError, match=r"painted.ply has colours, intensity, classification, row;"
+        ):
             run_job(settings, SILENT)
         monkeypatch.setattr(room, "fits_memory", lambda *_: False)
 
@@ -229,7 +236,8 @@ def test_tiles_carry_what_needs_no_other_tile(
     assert len(tiles) > 1
     seen: dict[bytes, bytes] = {}
     for tile in tiles:
-        assert tile.dtype.names == ("x", "y", "z", "red", "green", "blue")
+        assert tile.dtype.names is not None
+        assert tile.dtype.names[3:] == ("red", "green", "blue", "intensity", "classification")
         for row in tile:
-            place, colour = row.tobytes()[:-3], row.tobytes()[-3:]
-            assert seen.setdefault(place, colour) == colour
+            place, carried = row.tobytes()[:12], row.tobytes()[12:]
+            assert seen.setdefault(place, carried) == carried

@@ -45,6 +45,8 @@ def test_a_mesh_is_read_with_what_its_vertices_carry(tmp_path: Path, painted: Me
     again = read_mesh(tmp_path / "mesh.ply")
     np.testing.assert_array_equal(again.faces, painted.faces)
     np.testing.assert_array_equal(again.colours, painted.colours)
+    assert again.normals is not None
+    assert painted.normals is not None
     np.testing.assert_allclose(again.normals, painted.normals, atol=1e-7)
     found = {name: column.dtype.str for name, column in again.attributes.items()}
     assert found == {
