@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import hpcapp
-from hpcapp.applications.surface import job, steps
+from hpcapp.applications.surface import job, steps, surface
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.input import room
 from hpcapp.applications.surface.job import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.errors import InputError, JobError, UsageError
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 SILENT = SilentProgress()
@@ -241,3 +241,28 @@ def test_tiles_carry_what_needs_no_other_tile(
         for row in tile:
             place, carried = row.tobytes()[:12], row.tobytes()[12:]
             assert seen.setdefault(place, carried) == carried
+
+
+def test_a_job_that_is_resumed_carries_the_same(
+    painted_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, again = tmp_path / "whole.ply", tmp_path / "again.ply"
+    run_job(JobSettings(painted_file, str(whole), grid=48), SILENT)
+    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+    for module in (job, steps):
+        monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
+    settings = JobSettings(
+        painted_file, str(again), grid=48, temp_dir=str(tmp_path / "temp"), resume=True
+    )
+
+    def fail(*_: object) -> None:
+        raise JobError("stopped", "go on")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(surface, "write_mesh", fail)
+        with pytest.raises(JobError, match="stopped"):
+            run_job(settings, SILENT)
+    assert list((tmp_path / "temp").iterdir())
+    run_job(settings, SILENT)
+    assert again.read_bytes() == whole.read_bytes()
+    assert not list((tmp_path / "temp").iterdir())
