@@ -39,7 +39,7 @@ Chosen = TypeVar("Chosen")
 
 _STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
 
-_TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")
+_TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")  # what blanks separate in any program
 _POINT_WRITERS: dict[str, Callable[[Path, PointCloud, str | None], None]] = {
     ".ply": lambda path, cloud, _: write_ply_points(path, cloud),
     **dict.fromkeys(_TEXT_SUFFIXES, lambda path, cloud, _: write_text_points(path, cloud)),

@@ -1,6 +1,6 @@
 """Lines of numbers into tables, fast while they are right and exact about the line that is not.
 
-Used by the readers of ascii PLY, XYZ, OBJ and OFF.
+Used by the readers of ascii PLY, OBJ, OFF and ascii STL.
 """
 
 from __future__ import annotations
@@ -146,10 +146,8 @@ def take_lines(lines: Iterator[Line], count: int, path: Path, rows: str) -> Iter
         )
 
 
-def parse_table(
-    lines: Iterator[Line], columns: int, path: Path, delimiter: str | None = None
-) -> FloatArray:
-    """Parse lines of numbers, each with the same number of columns.
+def parse_table(lines: Iterator[Line], columns: int, path: Path) -> FloatArray:
+    """Parse lines of numbers between blanks, each with the same number of columns.
 
     Parameters
     ----------
@@ -159,8 +157,6 @@ def parse_table(
         How many numbers each line must hold.
     path : Path
         The file, for messages.
-    delimiter : str, optional
-        What separates the numbers; white space by default.
 
     Returns
     -------
@@ -173,41 +169,40 @@ def parse_table(
     """
     parts = []
     while chunk := list(islice(lines, _LINES_AT_ONCE)):
-        part = _parse([text for _, text in chunk], delimiter)
+        part = _parse([text for _, text in chunk])
         if part is None or part.shape != (len(chunk), columns):
-            raise _find_fault(chunk, columns, path, delimiter)
+            raise _find_fault(chunk, columns, path)
         parts.append(part)
     return np.concatenate(parts) if parts else np.empty((0, columns))
 
 
-def _parse(texts: list[str], delimiter: str | None) -> FloatArray | None:
+def _parse(texts: list[str]) -> FloatArray | None:
     if not any(map(str.strip, texts)):
         return None  # loadtxt would warn
     try:
-        return np.loadtxt(texts, np.float64, delimiter=delimiter, comments=None, ndmin=2)
+        return np.loadtxt(texts, np.float64, comments=None, ndmin=2)
     except ValueError:
         return None
 
 
-def _find_fault(chunk: list[Line], columns: int, path: Path, delimiter: str | None) -> InputError:
+def _find_fault(chunk: list[Line], columns: int, path: Path) -> InputError:
     """Look line by line for what the fast way stumbled over."""
     for line in chunk:
-        row = _parse([line[1]], delimiter)
+        row = _parse([line[1]])
         if row is not None and row.size == columns:
             continue
-        tokens = [token.strip() for token in line[1].split(delimiter)]
+        tokens = line[1].split()
         bad = next((token for token in tokens if not _is_number(token)), None)
         if bad is None:
             problem = f"{len(tokens)} columns where {columns} are expected"
             return line_error(path, line, problem, "correct or remove the line")
-        decimal_comma = "," in bad or (delimiter == "," and " " in bad)
-        advice = "use a decimal point" if decimal_comma else "correct or remove the line"
+        advice = "use a decimal point" if "," in bad else "correct or remove the line"
         return line_error(path, line, f"{bad[:40]!r} is not a number", advice)
     return line_error(path, chunk[0], "lines that are not a table of numbers", "check the file")
 
 
 def _is_number(token: str) -> bool:
-    parsed = _parse([token], None)
+    parsed = _parse([token])
     return parsed is not None and parsed.size == 1
 
 

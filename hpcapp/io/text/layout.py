@@ -6,6 +6,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -25,6 +26,7 @@ __all__ = ["Layout", "find_layout"]
 _COMMENT_MARK = re.compile(r"\s*(?:#+|//+|;+|%+|!+)\s*")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?", re.ASCII)
 _LONGEST_COUNT = 24
+_COUNTED_ROWS = 20
 _MOST_COUNTS = 10_000
 _HEAD_ROWS = 1 << 12
 _PROBED_ROWS = 1 << 11
@@ -107,8 +109,12 @@ def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
         wanted=_find_numbers(fields, names, first, path, findings),
         takes_surplus=names is not None,
     )
+    sample = parse_sample(texts, rows)
+    if names is None and _counts_points(sample):
+        findings.warn(f"column {rows.wanted[0] + 1} counts the points, and is passed over")
+        rows, sample = replace(rows, wanted=rows.wanted[1:]), sample[:, 1:]
     counts = _find_counts(path, encoding, head.count) if head.count else ()
-    return Layout(encoding, first[0], counts, names, rows), parse_sample(texts, rows)
+    return Layout(encoding, first[0], counts, names, rows), sample
 
 
 def _read_head(lines: Iterator[Line], path: Path, findings: Findings) -> tuple[_Head, Line]:
@@ -146,13 +152,18 @@ def _may_be_names(text: str) -> bool:
 
 def _split_names(text: str) -> tuple[str, ...]:
     separator = next((mark for mark in (";", "\t", ",") if mark in text), None)
-    names = text.split()
-    if separator is not None:
-        names = next(csv.reader([text.strip(" ")], delimiter=separator, skipinitialspace=True), [])
+    names = text.split() if separator is None else _split_quoted(text.strip(" "), separator)
     names = [name.strip().strip("\"'").strip() for name in names]
     while names and not names[-1]:
         names.pop()  # a separator at the end
     return tuple(names)
+
+
+def _split_quoted(text: str, separator: str) -> list[str]:
+    """Split where the separator is not within quotes."""
+    with suppress(csv.Error):  # a field of more than 128 KiB
+        return next(csv.reader([text], delimiter=separator, skipinitialspace=True), [])
+    return []
 
 
 def _has_axes(names: Iterable[str]) -> bool:
@@ -177,7 +188,7 @@ def _judge_commas(texts: list[str], first: Line, path: Path) -> RowFormat:
             return RowFormat(None, ".")
         problem = "is the comma a decimal comma, or does it separate numbers?"
         raise line_error(path, first, problem, "use a decimal point")
-    quoted = (word for text in texts if '"' in text for word in next(csv.reader([text]), []))
+    quoted = (word for text in texts if '"' in text for word in _split_quoted(text, ","))
     if any(map(_DECIMAL_COMMA.fullmatch, quoted)):
         raise line_error(path, first, "decimal commas within quotes", "use a decimal point")
     texts = RowFormat(",").clean("\n".join(texts)).split("\n")
@@ -241,6 +252,15 @@ def _find_numbers(
         problem = f"{len(wanted)} columns of numbers, x, y and z are 3"
         raise line_error(path, first, problem, "check the file")
     return wanted
+
+
+def _counts_points(sample: FloatArray) -> bool:
+    """Tell whether the first column goes 1, 2, 3, and three that are no whole numbers follow."""
+    start = sample[:_COUNTED_ROWS]
+    if sample.shape[1] < 4 or len(start) < _COUNTED_ROWS or start[0, 0] not in (0, 1):
+        return False
+    has_fractions = (start[:, 1:4] != np.rint(start[:, 1:4])).any(axis=0).all()
+    return bool(has_fractions and (np.diff(start[:, 0]) == 1).all())
 
 
 def _find_counts(

@@ -169,8 +169,9 @@ def _parse_count(line: tuple[int, str], path: Path, what: str) -> int:
 def _parse_numbers(line: tuple[int, str], path: Path, count: int) -> list[float]:
     rows = RowFormat(None, ",", count, tuple(range(count)))
     numbers = parse_block(line, rows, RowNotes(path))
-    if not np.isfinite(numbers).all():
-        raise line_error(path, line, "a number of the pose is not finite", _EXPORT_AGAIN)
+    if not len(numbers) or not np.isfinite(numbers).all():
+        problem = f"{line[1][:40]!r} are not {count} finite numbers of a pose"
+        raise line_error(path, line, problem, _EXPORT_AGAIN)
     return [float(number) for number in numbers[0]]
 
 
@@ -227,7 +228,8 @@ def _complete(cloud: PointCloud, roles: tuple[str, ...]) -> PointCloud:
 def _place(cloud: PointCloud, pose: FloatArray, places: dict[str, NDArray[np.int64]]) -> PointCloud:
     """Apply a pose, and say where in the grid the points are."""
     x, y, z = cloud.positions.T
-    # Written out: a product of matrices may round otherwise for another number of points.
-    positions = np.column_stack([x * a + y * b + z * c + d for a, b, c, d in pose.T])
+    with np.errstate(over="ignore", invalid="ignore"):  # infinity stays no number
+        # Written out: a product of matrices may round otherwise for another number of points.
+        positions = np.column_stack([x * a + y * b + z * c + d for a, b, c, d in pose.T])
     numbers = {name: values.astype(np.int32) for name, values in places.items()}
     return PointCloud(positions, None, cloud.colours, {**cloud.attributes, **numbers})

@@ -86,6 +86,19 @@ def test_columns_that_hold_no_numbers_are_passed_over(make_file: Make) -> None:
     assert warnings == ["column 1 holds no numbers, and is passed over"]
 
 
+@pytest.mark.parametrize("start", [0, 1])
+def test_a_column_that_counts_the_points_is_passed_over(make_file: Make, start: int) -> None:
+    text = "".join(f"{i + start} {i * 0.3} {i % 7 + 0.5} 0.25\n" for i in range(30))
+    layout, warnings = _find(make_file("a.xyz", text))
+    assert layout.rows.wanted == (1, 2, 3)
+    assert warnings == ["column 1 counts the points, and is passed over"]
+    named, warnings = _find(make_file("b.xyz", "x y z i\n" + text))
+    assert named.rows.wanted == (0, 1, 2, 3)
+    assert warnings == []
+    layout, warnings = _find(make_file("c.xyz", text.replace(" 0.25", " 2")))
+    assert layout.rows.wanted == (0, 1, 2, 3)
+
+
 def test_fewer_names_than_columns(make_file: Make) -> None:
     layout, warnings = _find(make_file("a.csv", "x,y,z\n1,2,3,4,5\n"))
     assert layout.names == ("x", "y", "z", "", "")
@@ -135,6 +148,7 @@ def test_the_sample_spans_the_file(make_file: Make) -> None:
         ("5\n1\n1\n1\n", ": no points"),
         ("1\n1 2 3\n" + "1\n" * 20_000, ": more than 10000 lines announce points"),
         ("9" * 5000, ":1: 1 columns of numbers"),
+        ("a" * 200_000 + ",y,z\n1,2,3\n", ":1: no column is named X, Y, Z"),
     ],
 )
 def test_what_is_no_layout_is_named(make_file: Make, content: str, said: str) -> None:
