@@ -8,6 +8,7 @@ Greg Turk, "The PLY Polygon File Format", 1994.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -88,6 +89,8 @@ class Header:
         What is odd about the header, and was passed over.
     comments : tuple of tuple of str
         The words behind ``comment`` of each such line.
+    remarks : dict of str to str
+        What lines of ``obj_info`` say of one word: ``num_cols 512``.
     """
 
     byte_order: str
@@ -96,6 +99,7 @@ class Header:
     body_line: int
     warnings: tuple[str, ...] = ()
     comments: tuple[tuple[str, ...], ...] = ()
+    remarks: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_header(path: Path) -> Header:
@@ -144,7 +148,7 @@ def read_header(path: Path) -> Header:
         if count and not properties:
             raise InputError(f"{path}: PLY element {name!r} has no properties", _EXPORT_AGAIN)
     elements = tuple(Element(n, c, tuple(p)) for n, c, p in parser.elements)
-    found = tuple(parser.warnings), tuple(parser.comments)
+    found = tuple(parser.warnings), tuple(parser.comments), parser.remarks
     return Header(byte_order, elements, end.end(), len(lines) + 1, *found)
 
 
@@ -157,10 +161,13 @@ class _HeaderParser:
         self.elements: list[tuple[str, int, list[Property]]] = []
         self.warnings: list[str] = []
         self.comments: list[tuple[str, ...]] = []
+        self.remarks: dict[str, str] = {}
 
     def line(self, number: int, words: list[str]) -> None:
         """Take one line, split into words."""
         match words:
+            case ["obj_info", word, value]:
+                self.remarks[word] = value
             case [] | ["obj_info", *_]:
                 pass
             case ["comment", *rest]:

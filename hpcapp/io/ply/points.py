@@ -14,9 +14,11 @@ from hpcapp.io.ply.binary import find_records, read_binary, scan_binary
 from hpcapp.io.ply.comments import Kept, parse_comments
 from hpcapp.io.ply.faces import find_polygons, vertex_normals
 from hpcapp.io.ply.header import Element, Header, Property, read_header
+from hpcapp.io.ply.range_grid import GRID_LIST, find_cells, find_range_grid
 from hpcapp.io.ply.splats import are_splats, build_splats, plan_splats
 from hpcapp.io.points.named_columns import (
     ColumnPlan,
+    add_grid,
     build_cloud,
     describe_records,
     plan_columns,
@@ -73,6 +75,7 @@ def open_ply(path: Path) -> PointSource:
     splats = are_splats(types)
     faces = next((e.count for e in header.elements if e.name == "face"), 0)
     polygons = None if plan.normals or splats or not faces else find_polygons(header)
+    is_mesh = polygons is not None
     records, check_rest = None, None
     if splats:
         body = replace(body, plan=plan_splats(plan), build=build_splats)
@@ -85,17 +88,20 @@ def open_ply(path: Path) -> PointSource:
         body = replace(body, records=records)
         scan, check_rest = body.scan, body.check_rest
     kept = parse_comments(header.comments)
+    grid = None if is_mesh else find_range_grid(header)
+    if grid is not None:
+        records, check_rest, scan = None, None, _GridScan(body, vertex.count, grid[0])
     return PointSource(
         path,
         vertex.count,
         is_double,
-        bool(plan.normals) or splats or polygons is not None,
+        bool(plan.normals) or splats or is_mesh,
         scan,
         records,
         check_rest,
-        f"PLY, {_ENCODINGS[header.byte_order]}",
+        f"PLY, {_ENCODINGS[header.byte_order]}{', splats' * splats}{', a mesh' * is_mesh}",
         tuple(p.name for p in vertex.properties),
-        _find_scans(path, header, vertex.count, kept),
+        _find_scans(path, header, vertex.count, kept, grid),
         kept.crs,
         kept.unit,
         findings,
@@ -186,6 +192,23 @@ class _MeshScan:
             yield faces.lists[self.polygons]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _GridScan:
+    """Vertices with their places in a grid."""
+
+    body: _Body
+    vertices: int
+    width: int
+
+    def __call__(self, rows: int) -> Iterator[PointCloud]:
+        parts = self.body.parts("range_grid", _ROWS_AT_ONCE)
+        lists = (part.lists[GRID_LIST] for part in parts)
+        cells, first = find_cells(lists, self.vertices, self.body.path), 0
+        for part in self.body.scan(rows):
+            yield add_grid(part, cells[first : first + len(part)], self.width)
+            first += len(part)
+
+
 _FACELESS = "vertices without a face"
 
 
@@ -267,10 +290,12 @@ def _starts_with(path: Path, header: Header, vertex: Element) -> bool:
     return first.name == vertex.name and len(words) == len(first.properties)
 
 
-def _find_scans(path: Path, header: Header, count: int, kept: Kept) -> tuple[Scan, ...]:
+def _find_scans(
+    path: Path, header: Header, count: int, kept: Kept, grid: tuple[int, int] | None
+) -> tuple[Scan, ...]:
     """Return the scans that comments number, or the one that the file is."""
     if not kept.scanners:
-        return (Scan(count, _find_scanner(path, header)),)
+        return (Scan(count, _find_scanner(path, header), grid),)
     last = max(kept.scanners)
     if last >= _MOST_SCANS:
         raise InputError(

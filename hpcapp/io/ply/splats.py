@@ -9,12 +9,13 @@ doi:10.1145/3592433
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.points.named_columns import ColumnPlan, stack
+from hpcapp.io.points.named_columns import ColumnPlan, build_cloud, stack
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["are_splats", "build_splats", "plan_splats"]
@@ -81,11 +82,10 @@ def build_splats(columns: Mapping[str, NDArray[Any]], plan: ColumnPlan) -> Point
     if len(scales) == len(_SCALES):
         shortest = np.argmin(stack(columns, scales), axis=1)
     colours = np.clip(0.5 + _CONSTANT_BAND * stack(columns, _BANDS), 0.0, 1.0)
-    return PointCloud(
-        stack(columns, plan.positions),
-        _rotated_axes(stack(columns, _ROTATION), shortest),
-        colours.astype(np.float32),
-        {ours: columns[name].astype(np.float64) for ours, name in plan.attributes},
+    return replace(
+        build_cloud(columns, plan),
+        normals=_rotated_axes(stack(columns, _ROTATION), shortest),
+        colours=colours.astype(np.float32),
     )
 
 

@@ -128,17 +128,23 @@ def judge_normals(values: FloatArray) -> NormalKind:
         Rows with NaN or infinity do not count.
     """
     finite = values[np.isfinite(values).all(axis=1)]
-    if not len(finite) or not finite.any():
-        return "zero"
-    lengths = np.linalg.norm(finite, axis=1)
+    lengths = _lengths(finite)
     directed = lengths > 0
+    if not directed.any():
+        return "zero"
     is_unit = (np.abs(lengths[directed] - 1) < _UNIT).mean() > _MOST
     if finite.min() >= 0:
-        decoded = np.linalg.norm(2 * finite - 1, axis=1)
-        if finite.max() <= 1 and (np.abs(decoded - 1) < _UNIT).mean() > _MOST:
+        if finite.max() <= 1 and (np.abs(_lengths(2 * finite - 1) - 1) < _UNIT).mean() > _MOST:
             return "encoded"
         return "one octant" if is_unit else "none"
     if is_unit:
         return "unit"
     # Without unit length only vectors on all sides are taken for normals.
     return "any length" if (finite.min(axis=0) < 0).all() else "none"
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    """Return the lengths of vectors, infinite ones among them."""
+    with np.errstate(over="ignore", under="ignore"):
+        lengths: FloatArray = np.linalg.norm(vectors, axis=1)
+    return lengths

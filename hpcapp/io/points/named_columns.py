@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
 from hpccomponent.errors import InputError
 from hpccomponent.surface.cloud.point_records import Column, PointRecords, colour_type
-from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.surface.types.points import IntArray, PointCloud
 
-__all__ = ["ColumnPlan", "build_cloud", "describe_records", "plan_columns", "stack"]
+__all__ = ["ColumnPlan", "add_grid", "build_cloud", "describe_records", "plan_columns", "stack"]
 
 _ROWS_AT_ONCE = 1 << 16
 
@@ -147,6 +147,28 @@ def stack(
             for i, column in enumerate(chosen):
                 stacked[block, i] = column[block]
     return stacked
+
+
+def add_grid(cloud: PointCloud, cells: IntArray, width: int) -> PointCloud:
+    """Give the points of an organised scan their places in its grid.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+    cells : ndarray of int64, shape (n,)
+        Numbers of their cells, row by row; -1 of points that are in none.
+    width : int
+        Of the grid.
+
+    Returns
+    -------
+    PointCloud
+        With the attributes ``row`` and ``column``, -1 of points in no cell.
+    """
+    row, column = np.divmod(cells, width)
+    column[cells < 0] = -1
+    places = {"row": row.astype(np.int32), "column": column.astype(np.int32)}
+    return replace(cloud, attributes={**cloud.attributes, **places})
 
 
 def describe_records(

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS
 from hpcapp.io.points.named_columns import (
     ColumnPlan,
+    add_grid,
     build_cloud,
     describe_records,
     plan_columns,
@@ -34,7 +35,7 @@ from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.text.columns import assign_by_value
 from hpccomponent.errors import InputError
 from hpccomponent.surface.cloud.point_records import Column, PointRecords
-from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["open_npy"]
 
@@ -42,7 +43,7 @@ Columns = dict[str, NDArray[Any]]
 
 _MOST_COLUMNS = 16
 _EXACT_IN_SINGLE = {"f2", "f4", "i1", "u1", "i2", "u2"}
-_SAMPLE = 1 << 14  # rows that tell what columns without names are
+_RUNS, _RUN = 16, 1024  # rows that tell what columns without names are
 _POSITIONS = (
     "positions", "position", "points", "point", "xyz", "vertices", "verts", "coords", "coord",
     "coordinates", "pos", "pcd", "pc", "cloud", "pointcloud", "point_cloud", "data", "arr_0",
@@ -90,7 +91,9 @@ def open_npy(path: Path) -> PointSource:
     def scan(rows: int) -> Iterator[PointCloud]:
         for start in range(0, max(count, 1), rows):
             part = {name: column[start : start + rows] for name, column in columns.items()}
-            yield _build_part(part, plan, start, grid)
+            cloud = build_cloud(part, plan)
+            cells = np.arange(start, start + len(cloud))
+            yield cloud if grid is None else add_grid(cloud, cells, grid[0])
 
     return PointSource(
         path, count, not types <= _EXACT_IN_SINGLE, bool(plan.normals),
@@ -113,17 +116,6 @@ def _find_records(
         placed[name] = (at, column.dtype.str)
     count = len(columns[plan.positions[0]])
     return describe_records(path, mapped.offset, length, count, placed, plan)
-
-
-def _build_part(
-    part: Columns, plan: ColumnPlan, start: int, grid: tuple[int, int] | None
-) -> PointCloud:
-    cloud = build_cloud(part, plan)
-    if grid is None:
-        return cloud
-    row, column = np.divmod(np.arange(start, start + len(cloud)), grid[0])
-    places = {"row": row.astype(np.int32), "column": column.astype(np.int32)}
-    return PointCloud(cloud.positions, cloud.normals, cloud.colours, {**cloud.attributes, **places})
 
 
 def _columns_of_array(
@@ -156,10 +148,17 @@ def _columns_of_table(path: Path, table: NDArray[Any], findings: Findings) -> Co
     """Name the columns of a table by what they can be."""
     roles: tuple[str, ...] = AXES
     if table.shape[1] > len(AXES):
-        rows = table[:: max(1, -(-len(table) // _SAMPLE))].astype(np.float64)
+        rows = _sample(table)
         rows = rows[np.isfinite(rows).all(axis=1)]
         roles = assign_by_value(path, rows, tuple(range(table.shape[1])), findings).roles
     return dict(zip(roles, table.T, strict=True))
+
+
+def _sample(table: NDArray[Any]) -> FloatArray:
+    """Return runs of rows from all over a table, which may be a mapped file."""
+    starts = np.linspace(0, max(len(table) - _RUN, 0), _RUNS).astype(np.int64)
+    runs = [table[start : start + _RUN] for start in np.unique(starts)]
+    return np.concatenate(runs).astype(np.float64)
 
 
 def _columns_of_records(path: Path, records: NDArray[Any]) -> Columns:

@@ -8,6 +8,7 @@ References
 from __future__ import annotations
 
 import io
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import accumulate, islice
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from hpcapp.io.points.lzf import MOST_EXPANSION, expand_lzf
 from hpcapp.io.points.named_columns import (
     ColumnPlan,
+    add_grid,
     build_cloud,
     describe_records,
     plan_columns,
@@ -35,6 +37,7 @@ from hpccomponent.surface.types.points import FloatArray, PointCloud
 __all__ = ["open_pcd"]
 
 _MOST_COLUMNS = 4  # of one field: more of them are a descriptor, not attributes
+_LONGEST_ROW = 1 << 20
 _COPY_AGAIN = "copy or export the file again"
 
 
@@ -75,7 +78,8 @@ def open_pcd(path: Path) -> PointSource:
     def scan(rows: int) -> Iterator[PointCloud]:
         first = 0
         for part in scan_body(rows):
-            yield part if header.grid is None else _with_grid(part, first, header.grid[0])
+            cells = np.arange(first, first + len(part))
+            yield part if header.grid is None else add_grid(part, cells, header.grid[0])
             first += len(part)
 
     return PointSource(
@@ -139,12 +143,6 @@ def _is_packed(field: PcdField) -> bool:
     return field.name.lower() in ("rgb", "rgba") and field.size == 4 and field.count == 1
 
 
-def _with_grid(part: PointCloud, first: int, width: int) -> PointCloud:
-    row, column = np.divmod(np.arange(first, first + len(part)), width)
-    grid = {"row": row.astype(np.int32), "column": column.astype(np.int32)}
-    return PointCloud(part.positions, part.normals, part.colours, {**part.attributes, **grid})
-
-
 def _describe_body(
     path: Path,
     header: PcdHeader,
@@ -188,14 +186,14 @@ class _Ascii:
         starts = [0, *accumulate(field.count for field in self.header.fields)]
         with self.path.open("rb") as file, io.TextIOWrapper(file, "latin-1") as text:
             file.seek(self.header.body_start)
-            start = file.tell()
-            delimiter = "," if b"," in file.readline(1 << 20) else None
-            file.seek(start)
-            lines = numbered(text, self.header.body_line)
+            has_commas = b"," in file.readline(_LONGEST_ROW)
+            file.seek(self.header.body_start)
+            rows_of_text = (row.replace(",", " ") for row in text) if has_commas else text
+            lines = numbered(rows_of_text, self.header.body_line)
             taken = take_lines(lines, self.header.points, self.path, "points")
             for _ in range(0, max(self.header.points, 1), rows):
                 some = islice(taken, rows)
-                table = parse_table(some, starts[-1], self.path, delimiter)
+                table = parse_table(some, starts[-1], self.path)
                 yield self._build(table, starts)
             more = sum(1 for _ in lines)
         if more:
@@ -255,14 +253,15 @@ class _Compressed:
     def _expand(self, size: int) -> bytearray:
         with self.path.open("rb") as file:
             file.seek(self.header.body_start)
-            sizes = np.frombuffer(file.read(8), "<u4")
-            packed = file.read(int(sizes[0])) if len(sizes) == 2 else b""
-        if len(sizes) < 2 or len(packed) < sizes[0]:
+            head = file.read(8)
+            packed_size, whole_size = struct.unpack("<II", head.ljust(8, b"\0"))
+            packed = file.read(min(packed_size, self.path.stat().st_size))
+        if len(head) < 8 or len(packed) < packed_size:
             raise InputError(f"{self.path}: truncated: the compressed points are cut", _COPY_AGAIN)
-        if size != sizes[1] or size > MOST_EXPANSION * len(packed):
+        if size != whole_size or size > MOST_EXPANSION * len(packed):
             raise InputError(
                 f"{self.path}: the fields announce {size} bytes of points, "
-                f"the compressed block {sizes[1]} from {len(packed)}",
+                f"the compressed block {whole_size} from {len(packed)}",
                 _COPY_AGAIN,
             )
         try:

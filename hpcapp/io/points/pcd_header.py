@@ -164,7 +164,7 @@ class _HeaderReader:
         fields = []
         for name, size, kind, count in zip(names, sizes, kinds, counts, strict=True):
             if kind not in _TYPES or size not in ((4, 8) if kind == "F" else (1, 2, 4, 8)):
-                raise self._wrong("TYPE", f"names {kind} of {size} bytes, which no number has")
+                raise self._wrong("SIZE", f"makes {name!r} {size} bytes, which type {kind} has not")
             if count > _MOST_NUMBERS:
                 raise self._wrong("COUNT", f"is {count} for field {name!r}")
             fields.append(PcdField(name, f"<{_TYPES[kind]}{size}", count))

@@ -128,8 +128,9 @@ class PointRecords:
                 for first in range(0, wanted, step):
                     rows = slice(first, min(first + step, wanted))
                     self._fill(file, buffer[: (rows.stop - first) * self.length])
-                    for target, source in targets:
-                        self._copy(buffer, source, target[rows])
+                    with np.errstate(invalid="ignore", over="ignore"):  # NaN of any kind
+                        for target, source in targets:
+                            self._copy(buffer, source, target[rows])
         except OSError as error:
             raise InputError(
                 f"{self.path}: cannot be read: {error.strerror or error}", "check the file's name"

@@ -86,6 +86,58 @@ def test_other_damaged_files(
             read_mesh(path)
 
 
+PCD = (
+    b"VERSION 0.7\nFIELDS x y z rgb _ n\nSIZE 4 4 8 4 1 2\nTYPE F F F U U I\nCOUNT 1 1 1 1 3 1\n"
+    b"WIDTH 2\nHEIGHT 2\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 4\nDATA "
+)
+PCDS = [
+    PCD + b"ascii\n" + b"1 2 3.5 4000000000 0 0 0 7\n" * 4,
+    PCD + b"binary\n" + struct.pack("<ffdI3Bh", 1, 2, 3.5, 9, 0, 0, 0, 7) * 4,
+    PCD + b"binary_compressed\n" + struct.pack("<II", 8, 100) + b"\x00a\xe0\x5a\x00",
+]
+
+
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=150, deadline=None
+)
+@given(st.sampled_from(PCDS), damages, st.floats(0, 1))
+def test_damaged_pcd(
+    tmp_path: Path, whole: bytes, cuts: list[tuple[float, int, bytes]], kept: float
+) -> None:
+    path = tmp_path / "damaged.pcd"
+    content = damage(whole, cuts)
+    path.write_bytes(content[: int(kept * 2 * len(content))])
+    with suppress(InputError):
+        read_points(path)
+
+
+def save_numpy(path: Path, kind: str) -> None:
+    """Save a small cloud in one of NumPy's ways."""
+    table = np.arange(30.0).reshape(5, 6)
+    if kind == "npz":
+        np.savez(path, points=table[:, :3], rgb=table[:, 3:], label=np.arange(5))
+    elif kind == "packed":
+        np.savez_compressed(path, points=table)
+    else:
+        fields = [("x", "f4"), ("y", "i2"), ("z", "f8"), ("rgb", "u4")]
+        np.save(path, np.zeros(5, fields) if kind == "records" else table)
+
+
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=150, deadline=None
+)
+@given(st.sampled_from(["npy", "records", "npz", "packed"]), damages, st.floats(0, 1))
+def test_damaged_numpy(
+    tmp_path: Path, kind: str, cuts: list[tuple[float, int, bytes]], kept: float
+) -> None:
+    path = tmp_path / ("damaged.npy" if kind in ("npy", "records") else "damaged.npz")
+    save_numpy(path, kind)
+    content = damage(path.read_bytes(), cuts)
+    path.write_bytes(content[: int(kept * 2 * len(content))])
+    with suppress(InputError):
+        read_points(path)
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(*[st.floats()] * 6), max_size=30))
 def test_any_numbers_are_judged(rows: list[tuple[float, ...]]) -> None:

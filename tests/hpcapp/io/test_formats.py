@@ -19,7 +19,7 @@ from hpccomponent.surface.types.points import PointCloud
 
 Make = Callable[..., Path]
 MESH_SUFFIXES = [".ply", ".obj", ".off", ".stl", ".PLY", ".Obj"]
-POINT_SUFFIXES = [".ply", ".xyz", ".txt", ".asc", ".pts"]
+POINT_SUFFIXES = [".ply", ".npz", ".xyz", ".txt", ".asc", ".pts"]
 
 
 def corners(mesh: Mesh) -> np.ndarray:
