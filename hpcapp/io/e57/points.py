@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.crs import parse_wkt
 from hpcapp.io.e57.image_file import load_library, open_image
 from hpcapp.io.e57.scans import GRID, SPHERICAL, E57Scan, describe_scan, read_fields
 from hpcapp.io.points.column_roles import COLOURS, NORMALS
@@ -110,7 +109,7 @@ def _find_crs(image: Any) -> str | None:
     root = image.root()
     if not root.isDefined("coordinateMetadata"):
         return None
-    return parse_wkt(str(root["coordinateMetadata"].value()).strip()).text or None
+    return str(root["coordinateMetadata"].value()).strip() or None
 
 
 def _names(scans: Sequence[E57Scan]) -> tuple[str, ...]:
@@ -178,12 +177,12 @@ def _decode(fields: dict[str, FloatArray], one: E57Scan, columns: _Columns) -> P
     positions = stack(one.position)
     if one.position is SPHERICAL:
         positions = _from_spherical(positions)
-    positions = positions @ one.rotation.T + one.translation
+    positions = _rotate(positions, one.rotation) + one.translation
     normals: FloatArray | None = None
     if columns.has_normals:
         normals = np.zeros((count, 3))
         if one.has(NORMALS):
-            normals = stack([one.columns[name] for name in NORMALS]) @ one.rotation.T
+            normals = _rotate(stack([one.columns[name] for name in NORMALS]), one.rotation)
     colours: NDArray[Any] | None = None
     if columns.colours is not None:
         colours = np.zeros((count, 3), columns.colours)
@@ -203,6 +202,14 @@ def _decode(fields: dict[str, FloatArray], one: E57Scan, columns: _Columns) -> P
     return PointCloud(positions, normals, colours, attributes)
 
 
+def _rotate(vectors: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Rotate vectors, to the same bits however many there are: a matrix product is not so."""
+    if (rotation == np.eye(3)).all():
+        return vectors
+    x, y, z = vectors.T
+    return np.stack([a * x + b * y + c * z for a, b, c in rotation], axis=1)
+
+
 def _from_spherical(points: FloatArray) -> FloatArray:
     """Convert range, azimuth and elevation, in metres and radians, to coordinates."""
     distance, azimuth, elevation = points.T
@@ -217,5 +224,7 @@ def _scale(colours: FloatArray, one: E57Scan, dtype: type[np.generic]) -> NDArra
     if dtype is np.float64 or one.colour_limit is None:
         return colours
     most = 255 if dtype is np.uint8 else 65535
-    scaled: NDArray[Any] = np.rint(np.clip(colours * (most / one.colour_limit), 0, most))
-    return scaled.astype(dtype)
+    scaled: NDArray[Any] = np.nan_to_num(colours)
+    if one.colour_limit != most:
+        scaled = np.rint(scaled * (most / one.colour_limit))
+    return np.clip(scaled, 0, most, out=scaled).astype(dtype)

@@ -197,11 +197,13 @@ def find_crs(records: Records) -> Crs | None:
     Crs or None
         None where they state none.
     """
+    keys = None
+    if ("LASF_Projection", 34735) in records:
+        texts = records.get(("LASF_Projection", 34737), b"")
+        keys = parse_geokeys(records["LASF_Projection", 34735], texts)
     for user in ("LASF_Projection", "liblas"):
         wkt = records.get((user, 2112), b"").split(b"\0")[0].decode("utf-8", "replace").strip()
         if wkt:
-            return parse_wkt(wkt)
-    directory = records.get(("LASF_Projection", 34735))
-    if directory is None:
-        return None
-    return parse_geokeys(directory, records.get(("LASF_Projection", 34737), b""))
+            crs = parse_wkt(wkt)
+            return Crs(wkt, crs.unit or (keys.unit if keys else None))
+    return keys

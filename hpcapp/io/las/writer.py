@@ -51,7 +51,7 @@ def write_las(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
         or whose values it cannot hold: these get ``_raw`` behind their name. Intensities that
         are no whole numbers of 16 bits are in both places: scaled, and as they are.
     crs : str or None
-        Coordinate reference system, as WKT or an EPSG code.
+        Coordinate reference system, as WKT or an EPSG code; a mere name is not kept.
 
     Raises
     ------
@@ -199,9 +199,9 @@ def _free_name(name: str, taken: Mapping[str, object]) -> str:
 
 def _add_crs(laspy: Any, header: Any, crs: str | None, path: Path) -> None:
     """Add the coordinate reference system: WKT, or GeoTIFF keys for a code."""
-    if crs is None:
+    code = parse_epsg(crs) if crs else None
+    if not crs or (code is None and "[" not in crs):
         return
-    code = parse_epsg(crs)
     if code is None:
         record = crs.encode() + b"\0"
         header.global_encoding.wkt = True

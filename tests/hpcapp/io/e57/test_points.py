@@ -75,6 +75,13 @@ def test_rotation_that_is_none(
     assert read(path)[1].positions.tolist() == [[5, 7, 9]]
 
 
+@pytest.mark.parametrize("rows", [1, 7, 50])
+def test_parts_have_the_bits_of_the_whole(make_e57: MakeE57, scan: MakeScan, rows: int) -> None:
+    positions = np.random.default_rng(1).normal(size=(100, 3))
+    path = make_e57(scan(positions, rotation=(0.1, 0.7, -0.3, 0.4), translation=(0.1, 0.2, 1e6)))
+    assert read(path, rows)[1].positions.tobytes() == read(path)[1].positions.tobytes()
+
+
 def test_normals_turn_with_the_scan(make_e57: MakeE57, scan: MakeScan) -> None:
     fields = {f"nor:normal{axis}": np.array([float(axis == "X")]) for axis in "XYZ"}
     turned = scan([[1, 0, 0]], fields=fields, rotation=(0.5**0.5, 0, 0, 0.5**0.5))
@@ -153,6 +160,7 @@ def test_what_is_no_grid(
         (np.array([[1, 2, 255]], np.uint16), 255, np.array([[1, 2, 255]], np.uint8)),
         (np.array([[0, 1023, 0]], np.uint16), 1023, np.array([[0, 65535, 0]], np.uint16)),
         (np.array([[0.0, 1.0, 0.5]]), 1.0, np.array([[0, 65535, 32768]], np.uint16)),
+        (np.array([[np.nan, -1.0, 300.0]]), 255.0, np.array([[0, 0, 255]], np.uint8)),
         (np.array([[0.0, 1.0, 0.5]]), None, np.array([[0.0, 1.0, 0.5]])),
     ],
 )

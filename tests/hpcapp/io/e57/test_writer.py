@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.io import write_points
+from hpcapp.io import read_points, write_points
 from hpcapp.io.e57.points import open_e57
 from hpccomponent.errors import OutputError, UsageError
 from hpccomponent.surface.types.points import PointCloud
@@ -63,6 +63,11 @@ def test_many_points(tmp_path: Path) -> None:
     write_points(tmp_path / "a.e57", PointCloud(positions))
     again = np.concatenate([part.positions for part in open_e57(tmp_path / "a.e57").chunks(77_777)])
     assert again.tobytes() == positions.tobytes()
+
+
+def test_suffix_in_capitals(tmp_path: Path, cloud: PointCloud) -> None:
+    write_points(tmp_path / "A.E57", cloud)
+    assert read_points(tmp_path / "A.E57").positions.tobytes() == cloud.positions.tobytes()
 
 
 def test_no_points(tmp_path: Path) -> None:

@@ -74,6 +74,14 @@ def test_crs_behind_the_points(make_las: MakeLas) -> None:
     assert crs.unit == "ft"
 
 
+def test_unit_that_only_the_keys_state(make_las: MakeLas) -> None:
+    keys = struct.pack("<8H", 1, 1, 0, 1, 3076, 0, 1, 9003)
+    vlrs = [(b"LASF_Projection", 34735, keys), (b"LASF_Projection", 2112, b'PROJCS["a"]')]
+    crs = find_crs(read(make_las([POINT], vlrs=vlrs))[0].records)
+    assert crs is not None
+    assert (crs.text, crs.unit) == ('PROJCS["a"]', "US ft")
+
+
 def test_no_crs(make_las: MakeLas) -> None:
     assert find_crs(read(make_las([POINT]))[0].records) is None
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.io import write_points
+from hpcapp.io import read_points, write_points
 from hpcapp.io.las.points import open_las
 from hpcapp.io.las.writer import choose_grid
 from hpccomponent.errors import OutputError, UsageError
@@ -145,6 +145,11 @@ def test_crs(tmp_path: Path, crs: str | None, unit: str | None) -> None:
     assert (source.crs, source.unit) == (crs, unit)
 
 
+def test_crs_of_which_the_name_is_known(tmp_path: Path) -> None:
+    write_points(tmp_path / "a.las", PointCloud(np.eye(3)), "local grid")
+    assert open_las(tmp_path / "a.las").crs is None
+
+
 def test_crs_too_long(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="has 70009 bytes"):
         write_points(tmp_path / "a.las", PointCloud(np.eye(3)), f'PROJCS["{"a" * 70_000}')
@@ -156,6 +161,15 @@ def test_coordinates_that_are_no_numbers(tmp_path: Path, value: float) -> None:
     with pytest.raises(OutputError, match="NaN or infinite"):
         write_points(tmp_path / "a.las", PointCloud(np.array([[0, 0, value]])))
     assert not list(tmp_path.iterdir())
+
+
+def test_far_from_zero(tmp_path: Path, cloud: PointCloud) -> None:
+    far = PointCloud(cloud.positions, origin=np.array([5e5, 5.4e6, 0.0]))
+    write_points(tmp_path / "A.LAZ", far)
+    again = read_points(tmp_path / "A.LAZ")
+    assert again.origin.any()
+    away = (again.positions - cloud.positions) + (again.origin - far.origin)
+    assert np.abs(away).max() < 0.501e-6
 
 
 def test_no_points(tmp_path: Path) -> None:
