@@ -340,7 +340,8 @@ def _are_degrees(source: PointSource, positions: FloatArray) -> bool:
         return source.unit.startswith("deg")
     if source.crs is not None and _GEOGRAPHIC.search(source.crs):
         return True
-    if {name.strip().strip('"').lower() for name in source.columns} & _DEGREES:
+    names = {name.strip().strip('"').lower() for name in source.columns}
+    if names & _DEGREES and "x" not in names:
         return True
     if source.crs is not None or len(positions) < _FEWEST_TO_DOUBT:
         return False
