@@ -222,6 +222,21 @@ def test_missing_returns_at_the_origin_are_dropped(share: float) -> None:
     expect_warning(source, "origin")
 
 
+@pytest.mark.parametrize("missing", [1, 500])
+def test_missing_returns_behind_all_that_was_looked_at_are_dropped(missing: int) -> None:
+    positions = make_torus(200_000)[0] + UTM
+    source = recognise(make_source(np.vstack([positions, np.zeros((missing, 3))])))
+    assert sum(len(part) for part in source.chunks(30_000)) == len(positions)
+    assert source.findings.dropped == {"repeated": missing}
+    expect_warning(source, "origin")
+
+
+def test_a_point_at_the_origin_is_one_where_others_are_near() -> None:
+    source = recognise(make_source(np.vstack([TORUS, np.zeros((1, 3))])))
+    assert len(read(source)) == POINTS + 1
+    assert not source.findings.warnings
+
+
 def test_missing_returns_at_another_place_are_dropped() -> None:
     missing = np.arange(POINTS) % 3 == 0
     positions = np.where(missing[:, None], [7.5, -2.0, 1.25], TORUS)
