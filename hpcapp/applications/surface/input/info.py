@@ -29,7 +29,7 @@ def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
     facts : dict
         JSON values. ``format``; ``columns``: as what each of them was taken, by its name;
         ``normals``: where they are from, ``file`` or ``faces``, or None; ``is_oriented``:
-        False where their signs are not known; ``attributes``: names
+        False where their signs are not known, None without them; ``attributes``: names
         of other columns that are kept; ``scans``: for each its ``points``, ``scanner`` and
         ``grid``, or None; ``grid`` of the first; ``crs``; ``unit``; ``dropped``: points that are
         no part of the cloud, by reason; ``warnings``; and all that `describe` tells.
@@ -50,7 +50,7 @@ def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
         "format": source.format,
         **facts,
         "normals": source.normals_from if cloud.normals is not None else None,
-        "is_oriented": source.oriented,
+        "is_oriented": source.oriented if cloud.normals is not None else None,
         "attributes": list(cloud.attributes),
         "columns": {name: _tell_use(name, cloud) for name in source.columns},
         "scans": [
