@@ -57,7 +57,7 @@ _FEWEST_TO_DOUBT = 10  # points: fewer say nothing of a surface
 _NARROWEST = 1e-3  # of a plane: the square of its second extent over that of its first
 _AGREEMENT = 0.8  # |cos| between normals and the planes of the neighbours
 
-_STEEPEST = 100.0  # z's extent over those of x and y, in a cloud whose x and y may be degrees
+_STEEPEST = 1000.0  # z's extent over those of x and y: a relief of 1 % in metres over degrees
 _GEOGRAPHIC = re.compile(r"^\s*(GEOGCS|GEOGCRS|GEODCRS)|^(EPSG:)?(4326|4269|4258|4979)$", re.I)
 _DEGREES = {"lon", "long", "lng", "longitude", "lat", "latitude"}
 
@@ -291,7 +291,8 @@ def _judge_use(seen: PointCloud, findings: Findings) -> Use:
     if seen.normals is None or not len(seen):
         return "normals"
     kind = judge_normals(seen.normals)
-    if kind in ("unit", "any length"):
+    is_constant = bool((seen.normals == seen.normals[0]).all())  # as programs fill a column
+    if kind in ("unit", "any length") and not is_constant:
         return "normals"
     if kind == "zero":
         findings.warn("all normals are zero, or not finite: they are left out")

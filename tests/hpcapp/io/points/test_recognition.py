@@ -167,6 +167,15 @@ def test_normals_of_a_flat_or_tilted_patch_are_normals() -> None:
         assert not source.findings.warnings
 
 
+@pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+def test_the_same_vector_everywhere_is_a_normal_of_planes_only(normal: list[float]) -> None:
+    source = recognise(make_source(TORUS, np.tile(normal, (POINTS, 1))))
+    assert not source.has_normals
+    expect_warning(source, "normal")
+    flat = TORUS * (np.array(normal) == 0)
+    assert recognise(make_source(flat, np.tile(normal, (POINTS, 1)))).has_normals
+
+
 def test_zeros_are_no_normals() -> None:
     source = recognise(make_source(TORUS, np.zeros((POINTS, 3))))
     assert not source.has_normals
@@ -279,6 +288,11 @@ def test_degrees_are_told(more: dict[str, Any]) -> None:
     expect_warning(source, "degree")
     assert source.unit == "degree"
     assert np.array_equal(read(source).positions, positions)
+
+
+def test_a_pole_is_not_in_degrees() -> None:
+    source = recognise(make_source(TORUS * np.array([0.1, 0.1, 40.0]) + 5.0))
+    assert not source.findings.warnings
 
 
 @pytest.mark.parametrize(
