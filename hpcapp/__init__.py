@@ -3,6 +3,7 @@
 From Python::
 
     mesh = hpcapp.reconstruct(points, normals)
+    mesh = hpcapp.reconstruct(hpcapp.read_points("scan.ply"))
     hpcapp.write_mesh("mesh.ply", mesh)
 
     with hpcapp.open_executor("cluster.yaml") as backend:
@@ -19,14 +20,27 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.hierarchical.settings import Hierarchical
     from hpcapp.applications.surface.paper.settings import Paper
     from hpcapp.backends.selection import open_executor
-    from hpcapp.io import write_mesh
+    from hpcapp.io import read_mesh, read_points, write_mesh
+    from hpccomponent.surface.types.points import PointCloud
 
-__all__ = ["Hierarchical", "Paper", "open_executor", "reconstruct", "write_mesh"]
+__all__ = [
+    "Hierarchical",
+    "Paper",
+    "PointCloud",
+    "open_executor",
+    "read_mesh",
+    "read_points",
+    "reconstruct",
+    "write_mesh",
+]
 
 _HOMES = {
     "Hierarchical": "hpcapp.applications.surface.hierarchical.settings",
     "Paper": "hpcapp.applications.surface.paper.settings",
+    "PointCloud": "hpccomponent.surface.types.points",
     "open_executor": "hpcapp.backends.selection",
+    "read_mesh": "hpcapp.io",
+    "read_points": "hpcapp.io",
     "reconstruct": "hpcapp.applications.surface.api",
     "write_mesh": "hpcapp.io",
 }

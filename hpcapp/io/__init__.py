@@ -6,6 +6,7 @@ renamed. Only this package knows formats; it imports `hpccomponent` and nothing 
 
 from hpcapp.io.formats import (
     check_writable,
+    describe_losses,
     open_points,
     read_mesh,
     read_points,
@@ -25,6 +26,7 @@ __all__ = [
     "MeshStream",
     "PointSource",
     "check_writable",
+    "describe_losses",
     "drop_unusable",
     "needs_double",
     "open_points",

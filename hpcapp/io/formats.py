@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Literal, TypeVar
 
 from hpcapp.io.e57.writer import write_e57
 from hpcapp.io.las.writer import write_las
+from hpcapp.io.meshes.glb import write_glb
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.obj import read_obj, write_obj
 from hpcapp.io.meshes.off import read_off, write_off
 from hpcapp.io.meshes.stl import read_stl, write_stl
 from hpcapp.io.meshes.tiles import TILES_SUFFIX, check_tiles, write_tiles
+from hpcapp.io.meshes.vtp import write_vtp
 from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh, write_ply_points
 from hpcapp.io.points.npz_writer import write_npz_points
 from hpcapp.io.points.point_source import PointSource, read_whole, translated
@@ -28,12 +32,15 @@ from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
     "check_writable",
+    "describe_losses",
     "open_points",
     "read_mesh",
     "read_points",
     "write_mesh",
     "write_points",
 ]
+
+log = logging.getLogger("hpcapp")
 
 Chosen = TypeVar("Chosen")
 
@@ -54,12 +61,32 @@ _MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".off": read_off,
     ".stl": read_stl,
 }
-_MESH_WRITERS: dict[str, Callable[[Path, Mesh | MeshStream], None]] = {
-    ".ply": write_ply_mesh,
-    ".obj": write_obj,
-    ".off": write_off,
-    ".stl": write_stl,
-    TILES_SUFFIX: lambda path, mesh: write_tiles(path, [(0, as_stream(mesh))]),
+
+
+@dataclass(frozen=True, slots=True)
+class _MeshWriter:
+    """A format that meshes are written to, and which columns of vertices it holds."""
+
+    write: Callable[[Path, Mesh | MeshStream], None]
+    holds_normals: bool = False
+    holds_colours: bool = False
+    holds_attributes: bool = False
+
+    @property
+    def holds_all(self) -> bool:
+        return self.holds_normals and self.holds_colours and self.holds_attributes
+
+
+_MESH_WRITERS: dict[str, _MeshWriter] = {
+    ".ply": _MeshWriter(write_ply_mesh, True, True, True),
+    ".obj": _MeshWriter(write_obj, True, True),
+    ".off": _MeshWriter(write_off),
+    ".stl": _MeshWriter(write_stl),
+    ".glb": _MeshWriter(write_glb, True, True, True),
+    ".vtp": _MeshWriter(write_vtp, True, True, True),
+    TILES_SUFFIX: _MeshWriter(
+        lambda path, mesh: write_tiles(path, [(0, as_stream(mesh))]), False, True, True
+    ),
 }
 
 
@@ -171,9 +198,11 @@ def write_points(path: str | PathLike[str], cloud: PointCloud, crs: str | None =
 
 
 def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
-    """Write a mesh: .ply, .obj, .off in the input's coordinates, .stl in the local frame.
+    """Write a mesh: .ply, .obj, .off, .vtp in the input's coordinates, .stl in the local frame.
 
-    ``.tiles`` makes a folder with the mesh as one tile (see `write_tiles`).
+    ``.glb`` is in the local frame, too, and says where that is; ``.tiles`` makes a folder with the
+    mesh as one tile (see `write_tiles`). What its vertices carry and the format does not hold is
+    logged as a warning.
 
     Parameters
     ----------
@@ -187,7 +216,39 @@ def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
     OutputError
         The suffix is unknown, or the file cannot be written.
     """
-    _choose(_MESH_WRITERS, Path(path), OutputError, "a mesh is written to")(Path(path), mesh)
+    writer = _choose(_MESH_WRITERS, Path(path), OutputError, "a mesh is written to")
+    stream = as_stream(mesh)
+    if losses := describe_losses(path, stream.layout):
+        log.warning("warning: %s", losses)
+    writer.write(Path(path), stream)
+
+
+def describe_losses(path: str | PathLike[str], layout: PointCloud) -> str | None:
+    """Say what a mesh's vertices carry that the format of a file does not hold.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        The suffix chooses the format.
+    layout : PointCloud
+        Without points; see `MeshStream`.
+
+    Returns
+    -------
+    str or None
+        One line; None where all is held.
+    """
+    writer = _choose(_MESH_WRITERS, Path(path), OutputError, "a mesh is written to")
+    lost = ["normals"] if layout.normals is not None and not writer.holds_normals else []
+    lost += ["colours"] if layout.colours is not None and not writer.holds_colours else []
+    lost += [] if writer.holds_attributes else layout.attributes
+    if not lost:
+        return None
+    others = [suffix for suffix, other in _MESH_WRITERS.items() if other.holds_all]
+    return (
+        f"{path}: {Path(path).suffix} holds no {', no '.join(lost)} of vertices: left out; "
+        f"{', '.join(others)} hold all"
+    )
 
 
 def check_writable(path: str | PathLike[str], kind: Literal["mesh", "points"] = "mesh") -> None:

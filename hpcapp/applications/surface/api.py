@@ -11,12 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.backend_choice import approach_workers
+from hpcapp.applications.surface.carry import carry_from_memory
 from hpcapp.applications.surface.input.load import Loaded, arrange_usable, clean_points
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
@@ -33,8 +36,9 @@ from hpcapp.io.frame import to_local
 from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.progress import Progress, SilentProgress, StageClock
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.attributes.labels import find_labels
 from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpccomponent.surface.types.points import ByteArray, FloatArray, PointCloud
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -45,8 +49,8 @@ Report = Callable[[str, int, int], object]
 
 
 def reconstruct(
-    points: ArrayLike,
-    normals: ArrayLike,
+    points: ArrayLike | PointCloud,
+    normals: ArrayLike | None = None,
     grid: int = DEFAULT_GRID,
     *,
     voxel_size: float | None = None,
@@ -54,6 +58,7 @@ def reconstruct(
     smoothness: float | None = None,
     detail: float | None = None,
     clean: bool | None = None,
+    attributes: str = "auto",
     executor: str | Executor | Client | None = None,
     workers: int | None = None,
     progress: Report | None = None,
@@ -62,10 +67,11 @@ def reconstruct(
 
     Parameters
     ----------
-    points : array_like, shape (n, 3)
-        Coordinates in any unit and any frame, georeferenced ones too.
+    points : array_like, shape (n, 3), or PointCloud
+        Coordinates in any unit and any frame, georeferenced ones too. A cloud brings its normals,
+        and the colours and attributes that the mesh is to carry.
     normals : array_like, shape (n, 3)
-        Pointing out of the object, of any length but zero.
+        Pointing out of the object, of any length but zero; not beside a cloud.
     grid : int
         Cells along the longest side, 16 to 4096.
     voxel_size : float, optional
@@ -74,6 +80,9 @@ def reconstruct(
         ``hierarchical``, ``paper``, or a method with its options: ``hpcapp.Paper(delta=0.2)``.
     smoothness, detail, clean : float, float and bool, optional
         Options of the default method, where `method` is a name; see `hpcapp.Hierarchical`.
+    attributes : str
+        What the mesh's vertices carry: ``auto`` (all that the cloud has), ``none``, or names with
+        commas between them, of which ``normals`` and ``support`` are made for the vertices.
     executor : str, concurrent.futures.Executor or distributed.Client, optional
         Where batches run: a name that ``--backend`` takes or the file of a cluster, or what is
         open already and stays so; by default what pays for so many points.
@@ -86,8 +95,9 @@ def reconstruct(
     Returns
     -------
     Mesh
-        Vertices in the coordinates of `points`, float64 (``origin`` is zero); faces anticlockwise
-        as seen from outside. What is to be doubted in it is logged as a warning.
+        Vertices in the coordinates of `points`, float64 (``origin`` is zero), with their normals,
+        colours and attributes; faces anticlockwise as seen from outside. What is to be doubted in
+        it is logged as a warning.
 
     Raises
     ------
@@ -113,9 +123,11 @@ def reconstruct(
         voxel_size=voxel_size,
         backend=executor if isinstance(executor, str) else "auto",
         workers=workers,
+        attributes=parse_attributes(attributes),
     )
     _check_settings(settings)
-    checked = _check_cloud(points, normals)
+    checked = settings.attributes.select(_check_cloud(points, normals), "the cloud")
+    labels = find_labels(checked.attributes)
     clock = StageClock(SilentProgress() if progress is None else _Calls(progress))
     given = None if isinstance(executor, str) else executor
     with approach_workers(settings) as opener:
@@ -123,10 +135,12 @@ def reconstruct(
         del checked  # makes room
         refuse_too_few(len(cloud), Dropped(0, 0), "points")
         cloud, cleaned = clean_points(settings, cloud, cleaned, clock)
-        loaded = Loaded(cloud, Dropped(0, 0), cleaned)
+        columns = cloud.points.view(slice(0))
+        loaded = Loaded(cloud, Dropped(0, 0), cleaned, columns=columns, labels=labels)
         with run_memory(settings, loaded, opener, clock, executor=given) as outcome:
-            mesh = outcome.result.surface.mesh()
-    return Mesh(mesh.vertices + mesh.origin, mesh.faces)
+            carrying = carry_from_memory(settings, loaded, outcome, clock)
+            mesh = outcome.result.surface.mesh(carrying)
+    return replace(mesh, vertices=mesh.vertices + mesh.origin, origin=np.zeros(3))
 
 
 class _Calls(Progress):
@@ -186,22 +200,67 @@ def _check_range(name: str, value: Any, low: float, high: float) -> None:
         raise UsageError(f"{name} is {value!r}", f"give a number from {low:g} to {high:g}")
 
 
-def _check_cloud(points: ArrayLike, normals: ArrayLike) -> PointCloud:
+def _check_cloud(points: ArrayLike | PointCloud, normals: ArrayLike | None) -> PointCloud:
     """Return the arrays as a cloud in its local frame; InputError names the argument at fault."""
-    positions, directions = _check_rows("points", points), _check_rows("normals", normals)
+    if isinstance(points, PointCloud):
+        if normals is not None:
+            raise UsageError("normals stands beside a cloud", "give the cloud its normals")
+        given = points
+    else:
+        given = PointCloud(_check_rows("points", points), _check_normals(normals))
+    positions, directions = _check_rows("points", given.positions), _check_normals(given.normals)
     if len(positions) != len(directions):
         raise InputError(
             f"points has {len(positions)} rows and normals {len(directions)}",
             "give one normal for each point",
         )
-    local, origin = to_local(positions)
-    cloud, dropped = drop_unusable(PointCloud(local, directions, origin=origin), "points")
+    colours = None if given.colours is None else _check_colours(given.colours, len(positions))
+    attributes = {
+        name: _check_column(name, column, len(positions))
+        for name, column in given.attributes.items()
+    }
+    local, origin = (positions, given.origin) if given.origin.any() else to_local(positions)
+    whole = PointCloud(local, directions, colours, attributes, origin)
+    cloud, dropped = drop_unusable(whole, "points")
     if dropped.total:
         raise InputError(
             f"normals has {dropped.total} of {len(directions)} rows of length zero",
             "leave those points out",
         )
     return cloud
+
+
+def _check_normals(normals: ArrayLike | None) -> FloatArray:
+    if normals is None:
+        raise InputError("the points have no normals", "give one normal for each point")
+    return _check_rows("normals", normals)
+
+
+def _check_colours(values: ArrayLike, points: int) -> ByteArray:
+    """Return colours as bytes, where they are those of so many points."""
+    array = np.asarray(values)
+    if array.shape != (points, 3):
+        raise InputError(
+            f"colours has the shape {array.shape}, not ({points}, 3)",
+            "give red, green and blue of each point",
+        )
+    if array.dtype.kind not in "iu" or (points and not 0 <= array.min() <= array.max() <= 255):
+        raise InputError(
+            f"colours holds {array.dtype} beyond whole numbers from 0 to 255",
+            "scale them to 0 to 255, as uint8",
+        )
+    return np.ascontiguousarray(array, dtype=np.uint8)
+
+
+def _check_column(name: str, values: ArrayLike, points: int) -> NDArray[Any]:
+    """Return an attribute as an array, where it has a number for each of so many points."""
+    array = np.asarray(values)
+    if array.shape != (points,) or array.dtype.kind not in "biuf":
+        raise InputError(
+            f"the attribute {name!r} holds {array.dtype} of the shape {array.shape}",
+            f"give numbers, one for each of the {points} points",
+        )
+    return array
 
 
 def _check_rows(name: str, values: ArrayLike) -> FloatArray:

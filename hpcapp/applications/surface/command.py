@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 
+from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, METHODS, find_method
 from hpcapp.applications.surface.options import check_exclusive, make_click_options, option_names
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
@@ -107,6 +108,7 @@ def check_flags(ctx: click.Context) -> None:
         from hpcapp.backends.selection import check_backend
 
         check_backend(ctx.params["backend"])
+    parse_attributes(ctx.params["attributes"])
     _check_method_options(ctx)
 
 
@@ -126,8 +128,8 @@ def _add_method_options(command: click.Command) -> click.Command:
     "--output",
     required=True,
     metavar="MESH",
-    help="Mesh to write: .ply, .obj, .off, .stl, or a folder of PLYs, .tiles; - writes a PLY to "
-    "standard output.",
+    help="Mesh to write: .ply, .obj, .glb, .vtp, .off, .stl, or a folder of PLYs, .tiles; - writes "
+    "a PLY to standard output.",
 )
 @click.option(
     "--method",
@@ -211,6 +213,14 @@ def _add_method_options(command: click.Command) -> click.Command:
     help="Resample the points to even density first.",
 )
 @click.option(
+    "--attributes",
+    default="auto",
+    show_default=True,
+    metavar="NAMES",
+    help="What the vertices carry: auto (colours and all other columns of the points), none, or "
+    "names as a,b,c; normals and support are made where they are named.",
+)
+@click.option(
     "--events",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
@@ -255,6 +265,7 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
 
         if options["max_memory"] is not None:
             options["max_memory"] = parse_limit(options["max_memory"])
+        options["attributes"] = parse_attributes(options["attributes"])
         own = {name: options.pop(name) for name in METHOD_OPTIONS}
         method = find_method(options.pop("method"))
         chosen = {name: own[name] for name in option_names(method)}

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpcapp.applications.surface.backend_choice import Job, approach_workers
+from hpcapp.applications.surface.carry import carry_from_file
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.input.folder import choose_tile, plan_passes
 from hpcapp.applications.surface.input.load import Loaded, load_folder, load_memory
@@ -27,6 +28,7 @@ from hpcapp.applications.surface.settings import (
 )
 from hpcapp.applications.surface.sizes import TILE_POINTS
 from hpcapp.backends.selection import Backend
+from hpcapp.io import describe_losses
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.freed_memory import keep_memory
@@ -145,12 +147,19 @@ def _write(
     settings: JobSettings, loaded: Loaded, outcome: Outcome, target: Path, clock: StageClock
 ) -> dict[str, Any]:
     """Write the mesh, and describe what came of the job."""
+    carrying = carry_from_file(settings, loaded, outcome, clock)
     with clock.stage("write"):
-        outcome.result.surface.write(target, outcome.backend.workforce)
+        outcome.result.surface.write(target, outcome.backend.workforce, carrying)
     with clock.stage("check"):  # most of it is done while workers write
         topology = outcome.result.surface.check()
     report = _describe(settings, outcome, topology)
-    report["warnings"] = loaded.findings.warnings + outcome.warnings
+    report["attributes"] = carrying.names
+    losses = describe_losses(target, carrying.columns)
+    report["warnings"] = [
+        *loaded.findings.warnings,
+        *outcome.warnings,
+        *([losses] if losses else []),
+    ]
     report["dropped"] = {
         **loaded.findings.dropped,
         "non_finite_points": loaded.dropped.non_finite_points,

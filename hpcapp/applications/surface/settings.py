@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hpcapp.applications.surface.attributes.choice import AttributeChoice
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.sizes import MARGIN
@@ -61,6 +62,8 @@ class Settings:
         Whether to go on from what an earlier run left in `temp_dir`.
     outliers, denoise, resample : bool
         The paper's preprocessing, step by step.
+    attributes : AttributeChoice
+        What the mesh's vertices carry.
     """
 
     method: MethodSettings = field(default_factory=Hierarchical)
@@ -77,6 +80,7 @@ class Settings:
     outliers: bool = False
     denoise: bool = False
     resample: bool = False
+    attributes: AttributeChoice = field(default_factory=AttributeChoice)
 
 
 @dataclass(frozen=True, slots=True)

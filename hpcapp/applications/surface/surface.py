@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
+from hpcapp.applications.surface.attributes.carrying import NOTHING, Carrying
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.stitching.assemble import (
     LoadPart,
@@ -20,7 +22,16 @@ from hpcapp.applications.surface.stitching.assemble import (
 )
 from hpcapp.applications.surface.stitching.plan import WeldPlan, plan_weld
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
-from hpcapp.io import TILES_SUFFIX, needs_double, shared_ply, shared_tiles, write_mesh, write_tiles
+from hpcapp.io import (
+    TILES_SUFFIX,
+    describe_losses,
+    needs_double,
+    shared_ply,
+    shared_tiles,
+    write_mesh,
+    write_tiles,
+)
+from hpcapp.io.meshes.mesh_stream import as_stream
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.runtime.background import Deferred
@@ -34,6 +45,8 @@ from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["PartSurface", "Surface", "WholeSurface"]
+
+log = logging.getLogger("hpcapp")
 
 
 class Surface(Protocol):
@@ -57,11 +70,21 @@ class Surface(Protocol):
         """
         ...
 
-    def mesh(self) -> Mesh:
-        """Return all of it."""
+    def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
+        """Return all of it.
+
+        Parameters
+        ----------
+        carrying : Carrying
+            What its vertices carry.
+
+        Returns
+        -------
+        Mesh
+        """
         ...
 
-    def write(self, path: Path, workforce: Workforce) -> None:
+    def write(self, path: Path, workforce: Workforce, carrying: Carrying = NOTHING) -> None:
         """Write it to a file, whose suffix chooses the format.
 
         Parameters
@@ -69,6 +92,8 @@ class Surface(Protocol):
         path : Path
         workforce : Workforce
             Its workers may write their parts themselves.
+        carrying : Carrying
+            What its vertices carry.
 
         Raises
         ------
@@ -107,11 +132,11 @@ class WholeSurface:
         """
         return _count_outside(self.whole.vertices, low, high) / max(1, len(self.whole.vertices))
 
-    def mesh(self) -> Mesh:
-        """Return all of it."""
-        return self.whole
+    def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
+        """Return all of it; see `Surface.mesh`."""
+        return carrying.to_mesh(self.whole)
 
-    def write(self, path: Path, workforce: Workforce) -> None:
+    def write(self, path: Path, workforce: Workforce, carrying: Carrying = NOTHING) -> None:
         """Write it to a file, whose suffix chooses the format.
 
         Parameters
@@ -119,6 +144,8 @@ class WholeSurface:
         path : Path
         workforce : Workforce
             Not needed: the mesh is in this process.
+        carrying : Carrying
+            What its vertices carry.
 
         Raises
         ------
@@ -126,7 +153,7 @@ class WholeSurface:
             See `Surface.write`.
         """
         del workforce  # it is here already
-        write_mesh(path, self.whole)
+        write_mesh(path, carrying.to_stream(as_stream(self.whole)))
 
 
 @dataclass(slots=True, eq=False)
@@ -205,22 +232,24 @@ class PartSurface:
             total += len(own)
         return outside / max(1, total)
 
-    def mesh(self) -> Mesh:
-        """Return all of it."""
-        return assemble_mesh(self.plan, self.load, self.origin)
+    def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
+        """Return all of it; see `Surface.mesh`."""
+        return carrying.to_mesh(assemble_mesh(self.plan, self.load, self.origin))
 
-    def write(self, path: Path, workforce: Workforce) -> None:
+    def write(self, path: Path, workforce: Workforce, carrying: Carrying = NOTHING) -> None:
         """Write it to a file, whose suffix chooses the format.
 
         Workers write their parts of a PLY, or their tiles, themselves where they have put their
-        parts away themselves, and the topology is judged meanwhile; what they do not see, and every
-        other format, is written here.
+        parts away themselves, and the topology is judged meanwhile; what they do not see, every
+        other format, and vertices that carry something are written here.
 
         Parameters
         ----------
         path : Path
         workforce : Workforce
             Whose workers have made the parts.
+        carrying : Carrying
+            What its vertices carry.
 
         Raises
         ------
@@ -228,16 +257,21 @@ class PartSurface:
             See `Surface.write`.
         """
         suffix = path.suffix.lower()
-        if suffix in (".ply", TILES_SUFFIX) and self.keeping is not None and self.keeping.is_shared:
+        is_shared = self.keeping is not None and self.keeping.is_shared
+        if suffix in (".ply", TILES_SUFFIX) and is_shared and not carrying.is_something:
+            assert self.keeping is not None  # noqa: S101 - it is shared
             self._topology = self._topology or workforce.defer(self.plan.judge)
             write = self._share_ply if suffix == ".ply" else self._share_tiles
             write(path, workforce, self.keeping.place)
             return
         with self._fetched() as load:
             if suffix == TILES_SUFFIX:
-                write_tiles(path, stream_tiles(self.plan, load, self.origin))
+                if losses := describe_losses(path, carrying.columns):
+                    log.warning("warning: %s", losses)
+                tiles = stream_tiles(self.plan, load, self.origin)
+                write_tiles(path, ((index, carrying.to_tile(tile)) for index, tile in tiles))
             else:
-                write_mesh(path, stream_mesh(self.plan, load, self.origin))
+                write_mesh(path, carrying.to_stream(stream_mesh(self.plan, load, self.origin)))
 
     @contextmanager
     def _fetched(self) -> Iterator[LoadPart]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from hpcapp.io.frame import finite_bounds
 from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["MeshStream", "as_stream"]
 
@@ -28,20 +28,23 @@ class MeshStream:
     box : ndarray of float64, shape (2, 3)
         The lowest and highest finite coordinates of the vertices; zeros where there are none.
     vertices : callable
-        Returns an iterator over blocks of vertices, shape (n, 3), in the local frame.
+        Returns an iterator over blocks of vertices, in the local frame, with what they carry.
     faces : callable
         Returns an iterator over blocks of faces, shape (n, 3).
     corners : callable
         Returns an iterator over blocks of the faces' corners, shape (n, 3, 3), in the local frame.
+    layout : PointCloud
+        Without points: tells which normals, colours and attributes the vertices carry.
     """
 
     vertex_count: int
     face_count: int
     origin: FloatArray
     box: FloatArray
-    vertices: Callable[[], Iterator[FloatArray]]
+    vertices: Callable[[], Iterator[PointCloud]]
     faces: Callable[[], Iterator[IntArray]]
     corners: Callable[[], Iterator[FloatArray]]
+    layout: PointCloud = field(default_factory=lambda: PointCloud(np.empty((0, 3))))
 
 
 def as_stream(mesh: Mesh | MeshStream) -> MeshStream:
@@ -58,14 +61,16 @@ def as_stream(mesh: Mesh | MeshStream) -> MeshStream:
     """
     if isinstance(mesh, MeshStream):
         return mesh
+    vertices = PointCloud(mesh.vertices, mesh.normals, mesh.colours, mesh.attributes)
     return MeshStream(
         len(mesh.vertices),
         len(mesh.faces),
         mesh.origin,
         np.stack(finite_bounds(mesh.vertices)),
-        lambda: (mesh.vertices[rows] for rows in _blocks(len(mesh.vertices))),
+        lambda: map(vertices.view, _blocks(len(mesh.vertices))),
         lambda: (mesh.faces[rows] for rows in _blocks(len(mesh.faces))),
         lambda: (mesh.vertices[mesh.faces[rows]] for rows in _blocks(len(mesh.faces))),
+        vertices.view(slice(0)),
     )
 
 

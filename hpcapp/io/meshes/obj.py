@@ -1,4 +1,4 @@
-"""Wavefront OBJ: vertices and faces; everything else in it is passed over."""
+"""Wavefront OBJ: vertices and faces, colours and normals of vertices; the rest is passed over."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
         Appears whole or not at all.
     mesh : Mesh or MeshStream
         Its coordinates are written to the last digit if an origin was subtracted, else to the
-        nine digits that tell one ``float`` from another.
+        nine digits that tell one ``float`` from another; colours behind them, from 0 to 1.
 
     Raises
     ------
@@ -84,12 +84,23 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
         The file cannot be written.
     """
     stream = as_stream(mesh)
-    row = "v " + " ".join([coordinate_format(stream.origin)] * 3) + "\n"
+    formats = [coordinate_format(stream.origin)] * 3
+    if stream.layout.colours is not None:
+        formats += ["%.4f"] * 3
+    row = "v " + " ".join(formats) + "\n"
+    has_normals = stream.layout.normals is not None
+    face = "f %d//%d %d//%d %d//%d\n" if has_normals else "f %d %d %d\n"
     with replacing(path) as file:
         for vertices in stream.vertices():
-            file.writelines(write_rows(row, vertices + stream.origin))
+            places = vertices.positions + stream.origin
+            if vertices.colours is not None:
+                places = np.hstack([places, vertices.colours / 255.0])
+            file.writelines(write_rows(row, places))
+            if vertices.normals is not None:
+                file.writelines(write_rows("vn %.6g %.6g %.6g\n", vertices.normals))
         for faces in stream.faces():
-            file.writelines(write_rows("f %d %d %d\n", faces + 1))
+            corners = np.repeat(faces, 2, axis=1) if has_normals else faces
+            file.writelines(write_rows(face, corners + 1))
 
 
 def coordinate_format(origin: FloatArray) -> str:

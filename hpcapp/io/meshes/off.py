@@ -114,6 +114,6 @@ def write_off(path: Path, mesh: Mesh | MeshStream) -> None:
     with replacing(path) as file:
         file.write(f"OFF\n{stream.vertex_count} {stream.face_count} 0\n".encode("ascii"))
         for vertices in stream.vertices():
-            file.writelines(write_rows(row, vertices + stream.origin))
+            file.writelines(write_rows(row, vertices.positions + stream.origin))
         for faces in stream.faces():
             file.writelines(write_rows("3 %d %d %d\n", faces))

@@ -6,7 +6,7 @@ mean: ``vertex`` is a point cloud (`points`), ``vertex`` and ``face`` are a mesh
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +20,7 @@ from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpcapp.io.ply.ascii import read_ascii
 from hpcapp.io.ply.binary import read_binary
+from hpcapp.io.ply.columns import VertexProperties
 from hpcapp.io.ply.faces import find_polygons
 from hpcapp.io.ply.header import SCALAR_TYPES, read_header
 from hpcapp.io.ply.points import plan_vertex
@@ -129,7 +130,8 @@ def write_ply_mesh(path: Path, mesh: Mesh | MeshStream) -> None:
     path : Path
         Appears whole or not at all.
     mesh : Mesh or MeshStream
-        Vertices are written like the points of `write_ply_points`.
+        Vertices are written like the points of `write_ply_points`, with all that they carry:
+        normals as ``float``, colours as ``uchar``, attributes under their names.
 
     Raises
     ------
@@ -138,10 +140,13 @@ def write_ply_mesh(path: Path, mesh: Mesh | MeshStream) -> None:
     """
     stream = as_stream(mesh)
     is_double = needs_double(stream.box, stream.origin)
+    carried = VertexProperties.of(stream.layout)
+    counts = stream.vertex_count, stream.face_count
     with replacing(path) as file:
-        file.write(_mesh_header((stream.vertex_count, stream.face_count), is_double))
+        file.write(_mesh_header(counts, is_double, carried.lines))
         for vertices in stream.vertices():
-            file.write(vertex_rows(vertices, stream.origin, is_double).data)
+            places = vertex_rows(vertices.positions, stream.origin, is_double)
+            file.write(_join_rows(places, vertices, carried).data)
         for faces in stream.faces():
             file.write(face_rows(faces).data)
 
@@ -182,13 +187,29 @@ def shared_ply(
         yield SharedPly(str(file.name), str(path), len(header), face_start, is_double, origin)
 
 
-def _mesh_header(counts: tuple[int, int], is_double: bool) -> bytes:
+def _join_rows(
+    places: NDArray[Any], vertices: PointCloud, carried: VertexProperties
+) -> NDArray[Any]:
+    """Return the rows of some vertices with what they carry."""
+    if not carried.names:
+        return places
+    coordinates = [(name, places.dtype.str) for name in AXES]
+    rows = np.empty(len(places), coordinates + carried.fields)
+    for name, column in zip(AXES, places.T, strict=True):
+        rows[name] = column
+    carried.fill(rows, vertices)
+    return rows
+
+
+def _mesh_header(
+    counts: tuple[int, int], is_double: bool, property_lines: Sequence[str] = ()
+) -> bytes:
     if counts[0] > _MOST_VERTICES:
         raise OutputError(
             f"{counts[0]} vertices are more than the faces of a PLY file can name",
             "choose an output that ends in .tiles",
         )
-    return mesh_header(*counts, is_double)
+    return mesh_header(*counts, is_double, property_lines)
 
 
 def _plain_columns(names: tuple[str, ...], dtype: str, values: NDArray[Any]) -> list[_Column]:

@@ -20,10 +20,11 @@ from hpcapp.io.meshes.stl import read_stl
 from hpcapp.io.points.point_source import Findings, PointSource
 from hpcapp.io.rows import Line, line_error, numbered, parse_table
 from hpccomponent.errors import InputError
+from hpccomponent.surface.attributes.vertex_normals import add_face_normals, scale_normals
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
-__all__ = ["open_obj", "open_off", "open_stl", "sample_faces", "slice_cloud", "vertex_normals"]
+__all__ = ["open_obj", "open_off", "open_stl", "sample_faces", "slice_cloud"]
 
 UNUSED = "vertices without a face"
 
@@ -131,7 +132,9 @@ def _parse_vertices(lines: list[Line], path: Path) -> tuple[FloatArray, NDArray[
 def _open_mesh(
     path: Path, name: str, mesh: Mesh, colours: NDArray[Any] | None = None
 ) -> PointSource:
-    normals = vertex_normals(mesh.vertices, mesh.faces)
+    sums = np.zeros((3, len(mesh.vertices)))
+    add_face_normals(sums, mesh.faces, mesh.vertices[mesh.faces])
+    normals = scale_normals(sums)
     used = np.zeros(len(mesh.vertices), np.bool_)
     used[mesh.faces] = True
     findings = Findings()
@@ -174,33 +177,6 @@ def _columns(cloud: PointCloud) -> tuple[str, ...]:
     normals = ("nx", "ny", "nz") if cloud.normals is not None else ()
     colours = ("red", "green", "blue") if cloud.colours is not None else ()
     return ("x", "y", "z", *normals, *colours, *cloud.attributes)
-
-
-def vertex_normals(vertices: FloatArray, faces: NDArray[Any]) -> FloatArray:
-    """Return the normals of a mesh's vertices: the sum over their faces, by area.
-
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (v, 3)
-    faces : ndarray of int, shape (f, 3)
-        Anticlockwise as seen from outside.
-
-    Returns
-    -------
-    ndarray of float64, shape (v, 3)
-        Of unit length; zero where a vertex has no face with an area.
-    """
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    doubled = np.cross(b - a, c - a)  # as long as twice the face's area
-    summed = np.zeros_like(vertices)
-    for axis in range(3):
-        for corner in range(3):
-            summed[:, axis] += np.bincount(
-                faces[:, corner], doubled[:, axis], minlength=len(vertices)
-            )
-    lengths = np.linalg.norm(summed, axis=1, keepdims=True)
-    units: FloatArray = np.divide(summed, lengths, out=np.zeros_like(summed), where=lengths > 0)
-    return units
 
 
 def sample_faces(mesh: Mesh, points: int) -> PointCloud:

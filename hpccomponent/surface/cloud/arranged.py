@@ -21,7 +21,7 @@ from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import find_keys
 from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
 
-__all__ = ["ArrangedCloud", "MemoryCloud", "Place", "arrange_cloud", "replace_points"]
+__all__ = ["ArrangedCloud", "MemoryCloud", "Place", "arrange_cloud", "find_runs", "replace_points"]
 
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 _ENDLESS = Arrangement(np.zeros(3), np.inf)
@@ -148,12 +148,16 @@ class MemoryCloud:
     keys : ndarray of int64, shape (b,)
     offsets : ndarray of int64, shape (b + 1,)
         Block i holds the points offsets[i] to offsets[i + 1].
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around all points.
     """
 
     points: PointCloud
     arrangement: Arrangement
     keys: IntArray
     offsets: IntArray
+    low: FloatArray
+    high: FloatArray
 
     @classmethod
     def as_they_are(cls, points: PointCloud) -> MemoryCloud:
@@ -162,13 +166,15 @@ class MemoryCloud:
         Parameters
         ----------
         points : PointCloud
+            One or more.
 
         Returns
         -------
         MemoryCloud
             For a method that cuts the cloud up by itself.
         """
-        return cls(points, _ENDLESS, np.zeros(1, np.int64), np.array([0, len(points)]))
+        box = bound_points(points.positions)
+        return cls(points, _ENDLESS, np.zeros(1, np.int64), np.array([0, len(points)]), *box)
 
     @property
     def place(self) -> Place:
@@ -184,16 +190,6 @@ class MemoryCloud:
     def counts(self) -> IntArray:
         """See `ArrangedCloud`."""
         return np.diff(self.offsets)
-
-    @property
-    def low(self) -> FloatArray:
-        """See `ArrangedCloud`."""
-        return bound_points(self.points.positions)[0]
-
-    @property
-    def high(self) -> FloatArray:
-        """See `ArrangedCloud`."""
-        return bound_points(self.points.positions)[1]
 
     def __len__(self) -> int:
         return len(self.points)
@@ -229,6 +225,7 @@ class MemoryCloud:
         Parameters
         ----------
         kept : ndarray of bool, shape (n,)
+            One point or more.
 
         Returns
         -------
@@ -237,7 +234,9 @@ class MemoryCloud:
         """
         counts = np.add.reduceat(kept, self.offsets[:-1], dtype=np.int64)
         offsets = np.append(0, np.cumsum(counts[counts > 0]))
-        return MemoryCloud(self.points.take(kept), self.arrangement, self.keys[counts > 0], offsets)
+        points, keys = self.points.take(kept), self.keys[counts > 0]
+        box = bound_points(points.positions)
+        return MemoryCloud(points, self.arrangement, keys, offsets, *box)
 
 
 def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
@@ -257,7 +256,8 @@ def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
     InputError
         All points are the same.
     """
-    arrangement = choose_arrangement(*bound_points(cloud.positions))
+    box = bound_points(cloud.positions)
+    arrangement = choose_arrangement(*box)
     snapped = snap_points(arrangement, cloud.positions)
     keys, offsets, rows = kernels.sort_points(snapped, arrangement.origin, arrangement.edge)
     positions = snapped.take(rows, axis=0)
@@ -266,7 +266,9 @@ def arrange_cloud(cloud: PointCloud) -> MemoryCloud:
     colours = None if cloud.colours is None else cloud.colours.take(rows, axis=0)
     attributes = {name: column.take(rows) for name, column in cloud.attributes.items()}
     arranged = PointCloud(positions, normals, colours, attributes, cloud.origin)
-    return MemoryCloud(arranged, arrangement, keys, offsets)
+    # Rounding leaves the least the least.
+    low, high = snap_points(arrangement, np.stack(box))
+    return MemoryCloud(arranged, arrangement, keys, offsets, low, high)
 
 
 def replace_points(cloud: ArrangedCloud, points: PointCloud) -> MemoryCloud:

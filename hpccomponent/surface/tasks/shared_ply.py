@@ -8,6 +8,7 @@ each, so that a part that is written twice, as after the loss of a worker, gives
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -94,7 +95,9 @@ def ply_header(element_lines: list[str]) -> bytes:
     return "\n".join([*start, *element_lines, "end_header", ""]).encode("utf-8")
 
 
-def mesh_header(vertex_count: int, face_count: int, is_double: bool) -> bytes:
+def mesh_header(
+    vertex_count: int, face_count: int, is_double: bool, property_lines: Sequence[str] = ()
+) -> bytes:
     """Return the header of a mesh.
 
     Parameters
@@ -102,6 +105,8 @@ def mesh_header(vertex_count: int, face_count: int, is_double: bool) -> bytes:
     vertex_count, face_count : int
     is_double : bool
         Whether coordinates are float64, not float32.
+    property_lines : sequence of str
+        Further properties of the vertices.
 
     Returns
     -------
@@ -112,6 +117,7 @@ def mesh_header(vertex_count: int, face_count: int, is_double: bool) -> bytes:
         [
             f"element vertex {vertex_count}",
             *(f"property {kind} {name}" for name in "xyz"),
+            *property_lines,
             f"element face {face_count}",
             "property list uchar int vertex_indices",
         ]

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
+from hpccomponent.surface.types.points import (
+    BoolArray,
+    ByteArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+)
 
 __all__ = ["BrickMesh", "BrickSums", "Mesh", "Seams", "Survey"]
 
@@ -24,11 +32,20 @@ class Mesh:
         Vertex indices, anticlockwise as seen from outside.
     origin : ndarray of float64, shape (3,)
         To be added to the vertices for the input's own coordinates.
+    normals : ndarray of float64, shape (v, 3), or None
+        Of the vertices: unit length, pointing out of the object.
+    colours : ndarray of uint8, shape (v, 3), or None
+        Red, green, blue of the vertices.
+    attributes : dict of str to ndarray, shape (v,)
+        Any other numbers that the vertices have, by name.
     """
 
     vertices: FloatArray
     faces: NDArray[np.int64]
     origin: FloatArray = field(default_factory=lambda: np.zeros(3))
+    normals: FloatArray | None = None
+    colours: ByteArray | None = None
+    attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -54,6 +54,26 @@ class PointCloud:
     def __len__(self) -> int:
         return len(self.positions)
 
+    def view(self, rows: slice) -> PointCloud:
+        """Return a run of the points, without a copy.
+
+        Parameters
+        ----------
+        rows : slice
+
+        Returns
+        -------
+        PointCloud
+            Its origin is the same.
+        """
+        return PointCloud(
+            self.positions[rows],
+            None if self.normals is None else self.normals[rows],
+            None if self.colours is None else self.colours[rows],
+            {name: column[rows] for name, column in self.attributes.items()},
+            self.origin,
+        )
+
     def take(self, selection: NDArray[Any]) -> PointCloud:
         """Return the points that a selection names, in its order.
 

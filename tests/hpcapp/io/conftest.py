@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,3 +54,23 @@ def tetrahedron() -> Mesh:
     """The simplest closed mesh, with corners that float32 holds exactly."""
     vertices = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.5]])
     return Mesh(vertices, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))
+
+
+@pytest.fixture
+def painted(tetrahedron: Mesh) -> Mesh:
+    """The simplest mesh with something of all that vertices can carry."""
+    normals = tetrahedron.vertices + np.array([0.25, 0.5, 0.125])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return replace(
+        tetrahedron,
+        origin=np.array([4.0e5, 5.4e6, 0.0]),
+        normals=normals,
+        colours=np.array([[0, 1, 2], [255, 254, 253], [127, 128, 129], [50, 100, 200]], np.uint8),
+        attributes={
+            "intensity": np.array([1, 65535, 300, 4], np.uint16),
+            "gps time": np.array([3.5e8, 3.5e8 + 1e-6, np.nan, -1.0]),
+            "is <good>": np.array([True, False, True, True]),
+            "number": np.array([1, -2, 3, 2**40]),
+            "half": np.array([0.5, 1.0, -2.0, 8.0], np.float16),
+        },
+    )

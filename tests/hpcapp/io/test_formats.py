@@ -63,8 +63,8 @@ def test_unknown_suffixes_are_answered_with_the_known(
         lambda: read_points(tmp_path / "scan.abc"),
         lambda: write_points(tmp_path / "scan.stl", cloud),
         lambda: read_mesh(tmp_path / "mesh"),
-        lambda: write_mesh(tmp_path / "mesh.glb", tetrahedron),
-        lambda: check_writable(tmp_path / "mesh.glb"),
+        lambda: write_mesh(tmp_path / "mesh.dae", tetrahedron),
+        lambda: check_writable(tmp_path / "mesh.dae"),
         lambda: check_writable(tmp_path / "mesh.obj", "points"),
     ):
         with pytest.raises(UsageError, match=r"suffix.*\.ply, "):
@@ -110,3 +110,34 @@ def test_the_stanford_bunny_is_read() -> None:
     assert mesh.faces.shape == (69_451, 3)
     used = np.unique(mesh.faces)  # a vertex without a face is no point of the surface
     assert (read_points(truth).positions == mesh.vertices[used]).all()
+
+
+@pytest.mark.parametrize(
+    ("suffix", "lost"),
+    [
+        (".ply", None),
+        (".glb", None),
+        (".vtp", None),
+        (".obj", "no intensity, no gps time, no is <good>, no number, no half"),
+        (".off", "no normals, no colours, no intensity"),
+        (".stl", "no normals, no colours, no intensity"),
+        (".tiles", "no normals of vertices: left out; .ply, .glb, .vtp hold all"),
+    ],
+)
+def test_what_a_format_does_not_hold_is_said(
+    tmp_path: Path,
+    painted: Mesh,
+    tetrahedron: Mesh,
+    caplog: pytest.LogCaptureFixture,
+    suffix: str,
+    lost: str | None,
+) -> None:
+    write_mesh(tmp_path / f"mesh{suffix}", painted)
+    if lost is None:
+        assert not caplog.messages
+    else:
+        (message,) = caplog.messages
+        assert f"mesh{suffix}: {suffix} holds {lost}" in message
+    caplog.clear()
+    write_mesh(tmp_path / f"plain{suffix}", tetrahedron)
+    assert not caplog.messages

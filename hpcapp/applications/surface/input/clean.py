@@ -186,8 +186,6 @@ def clean_cloud(cloud: MemoryCloud, threads: int = 1) -> tuple[MemoryCloud, Clea
     Far points must have been dropped (see `drop_far`). See `find_outliers` and `mend_normals`
     for the rest; `clean_regions` does the same to a cloud that is not in memory.
     """
-    if not len(cloud):
-        return cloud, Cleaned(0, 0)
     kept, positions = cloud, cloud.points.positions
     spacing = estimate_spacing(positions)
     strays = find_outliers(positions, spacing)

@@ -11,12 +11,14 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
+
 from hpcapp.applications.surface.checkpoint import POINTS_NOTE
 from hpcapp.applications.surface.input.clean import Cleaned, clean_cloud, drop_far, drop_repeated
 from hpcapp.applications.surface.input.ingest import ingest_file
 from hpcapp.applications.surface.scans import Passes, measure_spacing
 from hpcapp.applications.surface.settings import JobSettings, Settings
-from hpcapp.io import drop_unusable, open_points, read_whole
+from hpcapp.io import PointSource, drop_unusable, open_points, read_whole
 from hpcapp.io.points.point_source import Findings
 from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.progress import StageClock
@@ -24,11 +26,18 @@ from hpccomponent.errors import JobError
 from hpccomponent.files.private_files import make_private_folder, remove_path
 from hpccomponent.store.base import FolderStore
 from hpccomponent.store.value import DamagedError
+from hpccomponent.surface.attributes.labels import find_labels
 from hpccomponent.surface.cloud.arranged import ArrangedCloud, MemoryCloud, arrange_cloud
 from hpccomponent.surface.cloud.disk import open_disk_cloud
 from hpccomponent.surface.types.points import PointCloud
 
-__all__ = ["Loaded", "arrange_usable", "clean_points", "load_folder", "load_memory"]
+__all__ = [
+    "Loaded",
+    "arrange_usable",
+    "clean_points",
+    "load_folder",
+    "load_memory",
+]
 
 log = logging.getLogger("hpcapp")
 
@@ -52,12 +61,18 @@ class Loaded:
     cleaned : Cleaned
     findings : Findings
         What is odd about the file.
+    columns : PointCloud
+        Without points: colours and attributes that are to be carried to the mesh.
+    labels : frozenset of str
+        Attributes of a cloud in memory of which no mean is to be taken.
     """
 
     cloud: ArrangedCloud
     dropped: Dropped
     cleaned: Cleaned
     findings: Findings = field(default_factory=Findings)
+    columns: PointCloud = field(default_factory=lambda: PointCloud(np.empty((0, 3))))
+    labels: frozenset[str] = frozenset()
 
     def report(self, shown: str) -> None:
         """Log what was left out of the input.
@@ -96,12 +111,16 @@ def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
     name = str(settings.points)
     with clock.stage("read"):
         source = open_points(settings.points)
-        points, dropped = drop_unusable(read_whole(source), name)
+        read = settings.attributes.select(read_whole(source), name)
+        labels = find_labels(read.attributes)
+        points, dropped = drop_unusable(read, name)
+        del read
     cloud, cleaned = arrange_usable(settings, points, clock)
     del points  # makes room
     refuse_too_few(len(cloud), dropped, name)
     cloud, cleaned = clean_points(settings, cloud, cleaned, clock)
-    return Loaded(cloud, dropped, cleaned, source.findings)
+    columns = cloud.points.view(slice(0))
+    return Loaded(cloud, dropped, cleaned, source.findings, columns, labels)
 
 
 def arrange_usable(
@@ -180,8 +199,10 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
     Loaded
         The same points as `load_memory` gives, bit for bit; measured.
     """
+    source = open_points(settings.points)
+    columns = _find_columns(settings, source)
     if settings.resume and (found := _find_loaded(folder)) is not None:
-        return found
+        return replace(found, columns=columns)
     remove_path(folder)
     run = secrets.token_hex(4)  # a worker that is late must not write into a later run's points
     arranged, distinct, cleaned_folder = (
@@ -192,7 +213,6 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
     for module in _LATER:
         passes.workforce.defer(partial(import_module, module))
     with clock.stage("read"):
-        source = open_points(settings.points)
         read = ingest_file(source, arranged, passes, drop_far=settings.method.cleans)
     from hpcapp.applications.surface.input.clean_regions import (
         clean_regions,
@@ -217,7 +237,7 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
         if not cloud.uses(place):
             shutil.rmtree(place, ignore_errors=True)  # one may write there still
     cleaned = Cleaned(read.far + cleaned.outliers, cleaned.flipped, repeated)
-    loaded = Loaded(cloud, read.dropped, cleaned, source.findings)
+    loaded = Loaded(cloud, read.dropped, cleaned, source.findings, columns)
     told = {
         "cloud": cloud.folder.name,
         "dropped": asdict(loaded.dropped),
@@ -226,6 +246,12 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
     }
     FolderStore(folder).put(_NOTE, told)
     return loaded
+
+
+def _find_columns(settings: JobSettings, source: PointSource) -> PointCloud:
+    """Return no points, with the columns of a file that are to be carried to the mesh."""
+    first = next(source.chunks(1))
+    return settings.attributes.select(first, str(settings.points)).view(slice(0))
 
 
 def _find_loaded(folder: Path) -> Loaded | None:

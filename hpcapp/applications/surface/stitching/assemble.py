@@ -17,7 +17,7 @@ from hpccomponent.surface.extraction.parts import Int32Array, MeshPart
 from hpccomponent.surface.tasks.tile_ply import cut_tile
 from hpccomponent.surface.types.lattice import unique_keys
 from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["LoadPart", "assemble_mesh", "stream_mesh", "stream_tiles", "take_tile"]
 
@@ -139,7 +139,7 @@ def _whole(mesh: Mesh, box: FloatArray) -> MeshStream:
         len(mesh.faces),
         mesh.origin,
         box,
-        lambda: iter([mesh.vertices]),
+        lambda: iter([PointCloud(mesh.vertices)]),
         lambda: iter([mesh.faces]),
         lambda: iter([mesh.vertices[mesh.faces]]),
     )
@@ -168,14 +168,14 @@ class _Blocks:
         self._load = load
         self._places: dict[int, PartPlaces] = {}  # grows with the bricks, like the plan
 
-    def vertices(self) -> Iterator[FloatArray]:
+    def vertices(self) -> Iterator[PointCloud]:
         for first, last in _cut(self._plan.vertex_starts):
             start = int(self._plan.vertex_starts[first])
             block = np.empty((int(self._plan.vertex_starts[last] - start), 3))
             for index, bricks in self._plan.givers(first, last):
                 found, runs = place_vertices(self._load(index), self._places_of(index), bricks)
                 runs.put(found, block, start)
-            yield block
+            yield PointCloud(block)
 
     def faces(self) -> Iterator[IntArray]:
         for first, last in _cut(self._plan.face_starts):

@@ -113,7 +113,7 @@ def spoilt(row: int, value: float) -> np.ndarray[Any, Any]:
         ([[0.0, 1.0, 2.0], [3.0]], GOOD, "points is no array"),
         (GOOD.astype(str), GOOD, "points holds <U32, not numbers"),
         (GOOD.astype(complex), GOOD, "points holds complex128"),
-        (GOOD, None, "normals holds object"),
+        (GOOD, None, "the points have no normals; give one normal for each point"),
         (spoilt(7, np.nan), GOOD, r"points has 1 of 50 rows with NaN or infinity, .* points\[7\]"),
         (
             GOOD,

@@ -51,3 +51,10 @@ def test_two_options_of_one_meaning_contradict(sphere_file: Path) -> None:
     done = CliRunner().invoke(reconstruct, [*arguments, "--method", "paper"])
     assert isinstance(done.exception, UsageError)
     assert "--delta" in str(done.exception)
+
+
+def test_attributes_that_make_no_sense_are_refused_before_the_work(sphere_file: Path) -> None:
+    arguments = [str(sphere_file), "-o", "mesh.ply", "--attributes", "none,colours"]
+    done = CliRunner().invoke(reconstruct, arguments)
+    assert isinstance(done.exception, UsageError)
+    assert "none excludes all others" in str(done.exception)

@@ -1,10 +1,12 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from hpcapp.io.meshes.obj import read_obj
+from hpcapp.io.meshes.obj import read_obj, write_obj
 from hpccomponent.errors import InputError
+from hpccomponent.surface.types.mesh import Mesh
 
 Make = Callable[..., Path]
 SQUARE = "v 0 0 0\nv 1 0 0 1.0\nv 1 1 0 0.5 0.5 0.5\nv 0 1 0\n"
@@ -38,3 +40,17 @@ def test_corners_in_every_spelling(make_file: Make, face: str) -> None:
 def test_wrong_lines_are_named(make_file: Make, lines: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         read_obj(make_file("bad.obj", SQUARE + lines))
+
+
+def test_colours_and_normals_of_vertices_are_written(tmp_path: Path, painted: Mesh) -> None:
+    write_obj(tmp_path / "mesh.obj", painted)
+    lines = [line.split() for line in (tmp_path / "mesh.obj").read_text().splitlines()]
+    rows = np.array([line[1:] for line in lines if line[0] == "v"], float)
+    np.testing.assert_array_equal(rows[:, :3], painted.vertices + painted.origin)
+    np.testing.assert_array_equal(np.rint(255 * rows[:, 3:]), painted.colours)
+    normals = np.array([line[1:] for line in lines if line[0] == "vn"], float)
+    assert painted.normals is not None
+    np.testing.assert_allclose(normals, painted.normals, atol=1e-5)
+    assert lines[-1] == ["f", "1//1", "4//4", "3//3"]
+    again = read_obj(tmp_path / "mesh.obj")
+    np.testing.assert_array_equal(again.faces, painted.faces)

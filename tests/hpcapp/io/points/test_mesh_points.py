@@ -7,7 +7,7 @@ import pytest
 
 from hpcapp.io import read_whole
 from hpcapp.io.meshes.stl import write_stl
-from hpcapp.io.points.mesh_points import open_obj, open_off, open_stl, sample_faces, vertex_normals
+from hpcapp.io.points.mesh_points import open_obj, open_off, open_stl, sample_faces
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray
@@ -30,13 +30,6 @@ def test_normals_point_out_of_a_closed_mesh(tmp_path: Path) -> None:
     cloud = read_whole(open_obj(tmp_path / "a.obj"))
     assert cloud.normals is not None
     np.testing.assert_allclose(cloud.normals, OCTAHEDRON, atol=1e-12)
-
-
-def test_faces_weigh_by_their_area() -> None:
-    vertices = np.array([[0.0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, -1], [0, 1, 0]])
-    faces = np.array([[0, 1, 2], [0, 3, 4]])  # up, 81 times as large as the one along -x or +x
-    normal = vertex_normals(vertices, faces)[0]
-    assert normal[2] > 0.99
 
 
 def test_a_vertex_without_a_face_is_left_out_and_counted(tmp_path: Path) -> None:

@@ -101,6 +101,8 @@ def test_a_selection_keeps_the_blocks(memory: MemoryCloud) -> None:
     kept = np.random.default_rng(1).random(len(memory)) < 0.1
     some = memory.select(kept)
     assert len(some) == kept.sum()
+    assert (some.low == some.points.positions.min(axis=0)).all()
+    assert (some.high == some.points.positions.max(axis=0)).all()
     assert some.points.positions.tobytes() == memory.points.positions[kept].tobytes()
     again = arrange_cloud(PointCloud(memory.points.positions[kept], np.zeros((kept.sum(), 3))))
     if again.arrangement.edge == memory.arrangement.edge:

@@ -138,10 +138,6 @@ def test_threads_do_not_show() -> None:
     assert one[0].normals.tobytes() == three[0].normals.tobytes()
 
 
-def test_no_points_are_no_problem() -> None:
-    assert clean(PointCloud(np.zeros((0, 3))))[1] == Cleaned(0, 0)
-
-
 @pytest.mark.parametrize(
     ("name", "most"),
     [("bunny_35947", 0), ("bunny_raw_362272", 5), ("kinect_table", 0), ("kitten_5210", 0)],

@@ -39,7 +39,7 @@ def welds(draw):
 few = settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".stl"])
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".stl", ".glb", ".vtp"])
 @few
 @given(drawn=welds())
 def test_every_format_is_streamed_as_the_whole_is_written(tmp_path, suffix, drawn):
@@ -70,7 +70,7 @@ def test_tiles_are_the_faces_of_their_parts_and_meet_exactly(drawn):
     triangles = []
     for index, tile in welded.stream_tiles(plan, parts.__getitem__, whole.origin):
         assert len(parts[index].faces)
-        vertices, faces = next(tile.vertices()), next(tile.faces())
+        vertices, faces = next(tile.vertices()).positions, next(tile.faces())
         assert len(np.unique(faces)) == len(vertices) == tile.vertex_count
         triangles.append(vertices[faces])
     together = np.concatenate(triangles)
@@ -96,7 +96,9 @@ def test_blocks_are_bounded_and_mapped_parts_do(tmp_path):
 
     blocks = list(welded.stream_mesh(plan, load, np.zeros(3)).vertices())
     assert max(map(len, blocks)) < 1000
-    assert np.concatenate(blocks).tobytes() == mesh.vertices.tobytes()
+    assert (
+        np.concatenate([block.positions for block in blocks]).tobytes() == mesh.vertices.tobytes()
+    )
 
 
 def test_a_shared_file_that_is_not_finished_leaves_nothing(tmp_path):

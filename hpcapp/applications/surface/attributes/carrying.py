@@ -1,0 +1,163 @@
+"""A mesh whose vertices carry what the points near them have.
+
+Vertices are looked up block by block, as they are written: a block depends on where its vertices
+are and on nothing else, so that tiles and workers give the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from tempfile import TemporaryFile
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpccomponent.surface.attributes.vertex_normals import add_face_normals, scale_normals
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, PointCloud
+
+if TYPE_CHECKING:
+    from hpccomponent.surface.attributes.carry import Carried
+
+__all__ = ["NOTHING", "SUPPORT", "Carrying", "Evaluate"]
+
+SUPPORT = "support"
+"""Attribute of a vertex: distance of the nearest point, in spacings of the points."""
+
+Evaluate = Callable[[FloatArray], "Carried"]
+"""Returns what places take from the points near them: see `AttributeField.evaluate`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Carrying:
+    """What a mesh's vertices shall carry.
+
+    Parameters
+    ----------
+    layout : PointCloud
+        Without points: colours and attributes that the points have.
+    evaluate : Evaluate or None
+        None where nothing is taken from the points.
+    spacing : float or None
+        Of the points, in length units of the input, where the support is asked for.
+    has_normals : bool
+        Whether the vertices get normals.
+    """
+
+    layout: PointCloud
+    evaluate: Evaluate | None = None
+    spacing: float | None = None
+    has_normals: bool = False
+
+    @property
+    def is_something(self) -> bool:
+        """Whether the vertices get anything at all."""
+        return self.has_normals or self.evaluate is not None
+
+    @property
+    def names(self) -> list[str]:
+        """What the vertices get, by the names that ``--attributes`` knows."""
+        made = [("normals", self.has_normals), ("colours", self.layout.colours is not None)]
+        names = [name for name, is_there in made if is_there]
+        return [*names, *self.layout.attributes, *[SUPPORT] * (self.spacing is not None)]
+
+    @property
+    def columns(self) -> PointCloud:
+        """Without points: all that the vertices get."""
+        none, attributes = np.empty((0, 3)), dict(self.layout.attributes)
+        if self.spacing is not None:
+            attributes[SUPPORT] = np.empty(0, np.float32)
+        normals = none if self.has_normals else None
+        return PointCloud(none, normals, self.layout.colours, attributes)
+
+    def to_stream(self, stream: MeshStream) -> MeshStream:
+        """Return a mesh whose vertices carry it.
+
+        Parameters
+        ----------
+        stream : MeshStream
+
+        Returns
+        -------
+        MeshStream
+            Vertices are looked up as they are asked for.
+        """
+        if not self.is_something:
+            return stream
+        return replace(stream, vertices=lambda: self._carry(stream), layout=self.columns)
+
+    def to_tile(self, tile: MeshStream) -> MeshStream:
+        """Return a tile of a mesh whose vertices carry it, but for normals.
+
+        A vertex on a seam has faces in other tiles, too.
+
+        Parameters
+        ----------
+        tile : MeshStream
+
+        Returns
+        -------
+        MeshStream
+        """
+        return replace(self, has_normals=False).to_stream(tile)
+
+    def to_mesh(self, mesh: Mesh) -> Mesh:
+        """Return a mesh in memory whose vertices carry it.
+
+        Parameters
+        ----------
+        mesh : Mesh
+
+        Returns
+        -------
+        Mesh
+            The same vertices and faces.
+        """
+        if not self.is_something:
+            return mesh
+        stream = self.to_stream(as_stream(mesh))
+        blocks = list(stream.vertices())
+        layout = stream.layout
+        normals = [block.normals for block in blocks if block.normals is not None]
+        colours = [block.colours for block in blocks if block.colours is not None]
+        return replace(
+            mesh,
+            normals=np.concatenate(normals) if normals else None,
+            colours=np.concatenate(colours) if colours else None,
+            attributes={
+                name: np.concatenate([block.attributes[name] for block in blocks])
+                for name in layout.attributes
+            },
+        )
+
+    def _carry(self, stream: MeshStream) -> Iterator[PointCloud]:
+        """Yield the vertices with what they carry."""
+        sums = _sum_normals(stream) if self.has_normals else None
+        start = 0
+        for block in stream.vertices():
+            stop = start + len(block)
+            if self.evaluate is not None:
+                carried = self.evaluate(block.positions)
+                block = carried.points
+                if self.spacing is not None:
+                    support = (carried.nearest / self.spacing).astype(np.float32)
+                    block = replace(block, attributes={**block.attributes, SUPPORT: support})
+            if sums is not None:
+                block = replace(block, normals=scale_normals(sums[:, start:stop]))
+            yield block
+            start = stop
+
+
+NOTHING = Carrying(PointCloud(np.empty((0, 3))))
+"""For meshes of which only the shape is asked for."""
+
+
+def _sum_normals(stream: MeshStream) -> FloatArray:
+    """Return the sums of the faces' normals at the vertices, shape (3, v), in a file."""
+    with TemporaryFile() as file:  # the array holds it open
+        sums = np.memmap(file, np.float64, "w+", shape=(3, max(stream.vertex_count, 1)))
+    for faces, corners in zip(stream.faces(), stream.corners(), strict=True):
+        add_face_normals(sums, faces, corners)
+    return sums

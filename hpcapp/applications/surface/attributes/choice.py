@@ -1,0 +1,119 @@
+"""What ``--attributes`` asks for.
+
+This module is imported for every ``--help``: nothing heavy is imported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from hpccomponent.errors import UsageError
+
+if TYPE_CHECKING:
+    from hpccomponent.surface.types.points import PointCloud
+
+__all__ = ["AttributeChoice", "parse_attributes"]
+
+_COLOURS = ("colours", "colors", "rgb")
+_MADE = ("normals", "support")
+_OF_THE_SCAN = ("scan", "row", "column")  # which say where a point stands in the file
+
+
+@dataclass(frozen=True, slots=True)
+class AttributeChoice:
+    """Which attributes a mesh's vertices get.
+
+    Parameters
+    ----------
+    is_auto : bool
+        Colours and every other column of the points, but for those that number scans, rows and
+        columns.
+    names : tuple of str
+        Columns by name; ``colours`` are three.
+    has_normals : bool
+        Normals of the vertices.
+    has_support : bool
+        Distances of the nearest points.
+    """
+
+    is_auto: bool = True
+    names: tuple[str, ...] = ()
+    has_normals: bool = False
+    has_support: bool = False
+
+    def select(self, cloud: PointCloud, source: str) -> PointCloud:
+        """Leave out the columns that are not asked for.
+
+        Parameters
+        ----------
+        cloud : PointCloud
+        source : str
+            The file it came from, for messages.
+
+        Returns
+        -------
+        PointCloud
+            With the same positions and normals.
+
+        Raises
+        ------
+        UsageError
+            A column that is asked for is not there; the message names those that are.
+        """
+        known = list(cloud.attributes)
+        if cloud.colours is not None:
+            known.insert(0, _COLOURS[0])
+        for name in self.names:
+            if name not in known:
+                there = f"{source} has {', '.join(known) if known else 'no other columns'}"
+                raise UsageError(
+                    f"--attributes {name}: the points have no such column",
+                    f"{there}; {' and '.join(_MADE)} can always be had",
+                )
+        automatic = [name for name in known if self.is_auto and name not in _OF_THE_SCAN]
+        wanted = {*self.names, *automatic}
+        return replace(
+            cloud,
+            colours=cloud.colours if _COLOURS[0] in wanted else None,
+            attributes={name: c for name, c in cloud.attributes.items() if name in wanted},
+        )
+
+
+def parse_attributes(text: str) -> AttributeChoice:
+    """Return what ``--attributes`` asks for.
+
+    Parameters
+    ----------
+    text : str
+        ``none``, or names with commas between them, of which ``auto`` means all columns,
+        ``normals`` and ``support`` what is made for the vertices.
+
+    Returns
+    -------
+    AttributeChoice
+
+    Raises
+    ------
+    UsageError
+        A name is empty, or stands beside ``none``.
+
+    Examples
+    --------
+    >>> parse_attributes("auto,normals")
+    AttributeChoice(is_auto=True, names=(), has_normals=True, has_support=False)
+    """
+    words = [word.strip() for word in text.split(",")]
+    if not all(words):
+        raise UsageError(
+            f"--attributes {text!r} holds an empty name", "give auto, none, or names as a,b,c"
+        )
+    if "none" in words:
+        if len(words) > 1:
+            raise UsageError(
+                f"--attributes {text}: none excludes all others", "leave it out, or give it alone"
+            )
+        return AttributeChoice(is_auto=False)
+    names = [_COLOURS[0] if word.lower() in _COLOURS else word for word in words]
+    own = tuple(dict.fromkeys(name for name in names if name not in ("auto", *_MADE)))
+    return AttributeChoice("auto" in words, own, "normals" in words, "support" in words)

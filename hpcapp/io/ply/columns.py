@@ -1,0 +1,113 @@
+"""Columns beside the coordinates, as properties of a binary PLY file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.points.column_roles import COLOURS, NORMALS
+from hpccomponent.surface.types.points import PointCloud
+
+__all__ = ["VertexProperties"]
+
+_TYPES = {
+    "i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint",
+    "f4": "float", "f8": "double",
+}  # fmt: skip
+_TAKEN = ("x", "y", "z", *NORMALS, *COLOURS)
+
+
+@dataclass(frozen=True, slots=True)
+class VertexProperties:
+    """The properties that follow on the coordinates.
+
+    Parameters
+    ----------
+    names : tuple of str
+        As PLY spells them: without blanks, in ASCII, each once.
+    types : tuple of str
+        Of numpy, little-endian.
+    """
+
+    names: tuple[str, ...]
+    types: tuple[str, ...]
+
+    @classmethod
+    def of(cls, points: PointCloud) -> VertexProperties:
+        """Return the properties for what some points have.
+
+        Parameters
+        ----------
+        points : PointCloud
+            Any number. Attributes keep their types; whole numbers of 64 bits, which PLY lacks,
+            become ``double``.
+
+        Returns
+        -------
+        VertexProperties
+        """
+        names: list[str] = []
+        types: list[str] = []
+        if points.normals is not None:
+            names += NORMALS
+            types += ["<f4"] * 3
+        if points.colours is not None:
+            names += COLOURS
+            types += ["u1"] * 3
+        for name, column in points.attributes.items():
+            names.append(_spell(name, names))
+            types.append(_choose_type(column.dtype))
+        return cls(tuple(names), tuple(types))
+
+    @property
+    def lines(self) -> list[str]:
+        """What the header says of them."""
+        return [
+            f"property {_TYPES[dtype.lstrip('<')]} {name}"
+            for name, dtype in zip(self.names, self.types, strict=True)
+        ]
+
+    @property
+    def fields(self) -> list[tuple[str, str]]:
+        """Fields of a structured type, in their order."""
+        return list(zip(self.names, self.types, strict=True))
+
+    def fill(self, rows: NDArray[Any], points: PointCloud) -> None:
+        """Fill these fields of some rows.
+
+        Parameters
+        ----------
+        rows : structured ndarray, shape (n,)
+        points : PointCloud
+            With the columns that the properties were made for.
+        """
+        columns: list[NDArray[Any]] = []
+        if points.normals is not None:
+            columns += list(points.normals.T)
+        if points.colours is not None:
+            columns += list(points.colours.T)
+        columns += points.attributes.values()
+        with np.errstate(over="ignore"):  # what float cannot hold becomes infinite
+            for name, column in zip(self.names, columns, strict=True):
+                rows[name] = column
+
+
+def _spell(name: str, taken: list[str]) -> str:
+    """Return a name as PLY can have it, and that no other property has."""
+    plain = "".join(c if c.isascii() and c.isprintable() and c != " " else "_" for c in name)
+    spelled, number = plain or "_", 2
+    while spelled in taken or spelled in _TAKEN:
+        spelled, number = f"{plain}_{number}", number + 1
+    return spelled
+
+
+def _choose_type(dtype: np.dtype[Any]) -> str:
+    if dtype.kind == "b":
+        return "u1"
+    code = f"{dtype.kind}{dtype.itemsize}"
+    if code in _TYPES:
+        return code if dtype.itemsize == 1 else f"<{code}"
+    return "<f4" if code == "f2" else "<f8"

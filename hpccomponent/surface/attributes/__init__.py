@@ -1,0 +1,1 @@
+"""From the points to the mesh's vertices: colours, labels and other numbers."""

@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hpcapp.applications.surface.attributes.choice import AttributeChoice, parse_attributes
+from hpccomponent.errors import UsageError
+from hpccomponent.surface.types.points import PointCloud
+
+CLOUD = PointCloud(
+    np.zeros((2, 3)),
+    np.ones((2, 3)),
+    np.zeros((2, 3), np.uint8),
+    {"intensity": np.zeros(2), "row": np.zeros(2), "scan": np.zeros(2), "label": np.zeros(2)},
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "has_colours", "names"),
+    [
+        ("auto", True, ["intensity", "label"]),
+        ("none", False, []),
+        ("normals", False, []),
+        ("colours", True, []),
+        ("colors,label", True, ["label"]),
+        ("rgb", True, []),
+        ("auto,row", True, ["intensity", "row", "label"]),
+        (" label , intensity ", False, ["intensity", "label"]),
+    ],
+)
+def test_columns_are_chosen_in_the_order_of_the_points(
+    text: str, has_colours: bool, names: list[str]
+) -> None:
+    chosen = parse_attributes(text).select(CLOUD, "scan.ply")
+    assert (chosen.colours is not None) == has_colours
+    assert list(chosen.attributes) == names
+    assert chosen.normals is not None
+
+
+def test_what_is_made_for_the_vertices_is_asked_for_by_name() -> None:
+    assert parse_attributes("auto") == AttributeChoice()
+    assert parse_attributes("auto,support,normals") == AttributeChoice(True, (), True, True)
+
+
+def test_an_unknown_column_is_refused_with_those_there_are() -> None:
+    with pytest.raises(UsageError) as refused:
+        parse_attributes("auto,reflectance").select(CLOUD, "scan.ply")
+    assert str(refused.value) == (
+        "--attributes reflectance: the points have no such column; scan.ply has colours, "
+        "intensity, row, scan, label; normals and support can always be had"
+    )
+    with pytest.raises(UsageError, match=r"scan.ply has no other columns"):
+        parse_attributes("colours").select(PointCloud(np.zeros((2, 3))), "scan.ply")
+
+
+@pytest.mark.parametrize("text", ["", "a,,b", "auto,", "none,auto"])
+def test_what_makes_no_sense_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="--attributes"):
+        parse_attributes(text)

@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hpcapp.io.meshes.glb import write_glb
+from hpcapp.io.meshes.mesh_stream import as_stream
+from hpccomponent.errors import OutputError
+from hpccomponent.surface.types.mesh import Mesh
+
+TYPES = {5121: "u1", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+
+
+def read_glb(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]:
+    """Return the JSON, and the arrays by their semantics, as the specification reads them."""
+    raw = path.read_bytes()
+    magic, version, total, size, kind = np.frombuffer(raw, "<u4", 5).tolist()
+    assert (magic, version, total, kind) == (0x46546C67, 2, len(raw), 0x4E4F534A)
+    assert size % 4 == 0
+    told = json.loads(raw[20 : 20 + size])
+    length, kind = np.frombuffer(raw, "<u4", 2, 20 + size).tolist()
+    assert kind == 0x004E4942
+    body = raw[28 + size :]
+    assert len(body) == length == told["buffers"][0]["byteLength"]
+    assert length % 4 == 0
+    (primitive,) = told["meshes"][0]["primitives"]
+    found = {}
+    for semantic, number in {**primitive["attributes"], "faces": primitive["indices"]}.items():
+        accessor = told["accessors"][number]
+        view = told["bufferViews"][accessor["bufferView"]]
+        dtype, width = np.dtype(TYPES[accessor["componentType"]]), WIDTHS[accessor["type"]]
+        stride = view.get("byteStride", dtype.itemsize * width)
+        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        assert start % 4 == stride % 4 == 0
+        assert accessor["count"] * stride <= view["byteLength"]
+        rows = (accessor["count"], width), (stride, dtype.itemsize)
+        found[semantic] = np.ndarray(rows[0], dtype, body, start, rows[1])
+    return told, found
+
+
+def test_a_mesh_with_everything_comes_back(tmp_path: Path, painted: Mesh) -> None:
+    write_glb(tmp_path / "mesh.glb", painted)
+    told, found = read_glb(tmp_path / "mesh.glb")
+    assert told["nodes"][told["scenes"][told["scene"]]["nodes"][0]]["translation"] == [
+        4e5,
+        5.4e6,
+        0,
+    ]
+    np.testing.assert_array_equal(found["POSITION"], painted.vertices)
+    np.testing.assert_array_equal(found["faces"].reshape(-1, 3), painted.faces)
+    assert painted.normals is not None
+    assert painted.colours is not None
+    np.testing.assert_array_equal(found["NORMAL"], painted.normals.astype(np.float32))
+    np.testing.assert_array_equal(found["COLOR_0"][:, :3], painted.colours)
+    assert (found["COLOR_0"][:, 3] == 255).all()
+    position, colour = (
+        told["accessors"][told["meshes"][0]["primitives"][0]["attributes"][name]]
+        for name in ("POSITION", "COLOR_0")
+    )
+    assert (position["min"], position["max"]) == ([0, 0, 0], [1, 1, 1.5])
+    assert colour["normalized"]
+    assert found["_INTENSITY"].ravel().tolist() == [1, 65535, 300, 4]
+    assert found["_IS__GOOD_"].ravel().tolist() == [1, 0, 1, 1]
+    assert found["_GPS_TIME"].ravel().tolist() == [3.5e8, 3.5e8, 0, -1]
+    assert found["_HALF"].ravel().tolist() == [0.5, 1, -2, 8]
+
+
+def test_a_plain_mesh_is_places_and_faces(tmp_path: Path, tetrahedron: Mesh) -> None:
+    write_glb(tmp_path / "mesh.glb", tetrahedron)
+    told, found = read_glb(tmp_path / "mesh.glb")
+    assert set(found) == {"POSITION", "faces"}
+    assert "translation" not in told["nodes"][0]
+
+
+def test_names_that_become_one_are_told_apart(tmp_path: Path, tetrahedron: Mesh) -> None:
+    columns = {name: np.full(4, i) for i, name in enumerate(("a b", "A_B", "a-b"))}
+    write_glb(tmp_path / "mesh.glb", replace(tetrahedron, attributes=columns))
+    told, found = read_glb(tmp_path / "mesh.glb")
+    names = told["meshes"][0]["extras"]["attributes"]
+    assert names == {"a b": "_A_B", "A_B": "_A_B_2", "a-b": "_A_B_3"}
+    assert [found[names[name]][0, 0] for name in columns] == [0, 1, 2]
+
+
+def test_a_vertex_without_a_normal_gets_one_with_a_length(tmp_path: Path, painted: Mesh) -> None:
+    write_glb(tmp_path / "mesh.glb", replace(painted, normals=np.zeros((4, 3))))
+    assert (read_glb(tmp_path / "mesh.glb")[1]["NORMAL"] == [0, 0, 1]).all()
+
+
+def test_what_is_too_large_for_the_format_is_refused(tmp_path: Path, painted: Mesh) -> None:
+    many = replace(painted, attributes={f"a{i}": np.zeros(4) for i in range(60)})
+    large = replace(as_stream(painted), vertex_count=10**8, face_count=2 * 10**8)
+    for mesh in (many, large):
+        with pytest.raises(OutputError, match="too large for a GLB"):
+            write_glb(tmp_path / "mesh.glb", mesh)
+    assert not list(tmp_path.iterdir())
