@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from hpcapp.io import PointSource, read_whole
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
+from hpccomponent.surface.cloud.repeated import find_repeated
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
@@ -114,7 +115,7 @@ def describe(cloud: PointCloud) -> dict[str, Any]:
     among all points.
     """
     finite = cloud.positions[np.isfinite(cloud.positions).all(axis=1)]
-    distinct = _distinct(finite)
+    distinct = finite[~find_repeated(finite)]
     return {
         "points": len(cloud),
         "has_normals": cloud.normals is not None,
@@ -146,15 +147,6 @@ def _count_normals(normals: FloatArray | None) -> dict[str, int]:
         "non_finite_normals": int((~np.isfinite(normals).all(axis=1)).sum()),
         "zero_normals": int((normals == 0).all(axis=1).sum()),
     }
-
-
-def _distinct(finite: FloatArray) -> FloatArray:
-    """Return the first point at each place, in the order of the input."""
-    order = np.lexsort(finite.T)  # stable: of equal points the first stays first
-    ordered = finite[order]
-    first = np.ones(len(finite), bool)
-    first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    return finite[np.sort(order[first])]
 
 
 def _spacing(distinct: FloatArray) -> float | None:
