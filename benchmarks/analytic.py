@@ -39,7 +39,8 @@ class Analytic:
 
 def _draw_directions(random: Random, count: int) -> FloatArray:
     arms: FloatArray = random.normal(size=(count, 3))
-    return arms / np.linalg.norm(arms, axis=1, keepdims=True)
+    values: FloatArray = arms / np.linalg.norm(arms, axis=1, keepdims=True)
+    return values
 
 
 def _draw_sphere(random: Random, count: int) -> tuple[FloatArray, FloatArray]:

@@ -27,7 +27,8 @@ NAMES = ("x", "y", "z", "nx", "ny", "nz")
 
 def radius(directions: FloatArray) -> FloatArray:
     """Return how far the surface is from the middle, in some directions (n, 3) of length 1."""
-    return 1.0 + HEIGHT * np.prod(np.sin(WAVES * directions), axis=1)
+    values: FloatArray = 1.0 + HEIGHT * np.prod(np.sin(WAVES * directions), axis=1)
+    return values
 
 
 def normal(directions: FloatArray) -> FloatArray:
@@ -38,7 +39,8 @@ def normal(directions: FloatArray) -> FloatArray:
     along = (slope * directions).sum(axis=1)[:, None]
     # The gradient of |p| - r(p / |p|); only what of the slope is across a direction counts.
     gradient = directions - (slope - along * directions) / radius(directions)[:, None]
-    return gradient / np.sqrt((gradient * gradient).sum(axis=1))[:, None]
+    values: FloatArray = gradient / np.sqrt((gradient * gradient).sum(axis=1))[:, None]
+    return values
 
 
 def make_rows(points: int, sweep: bool) -> Iterator[np.ndarray]:

@@ -24,7 +24,7 @@ import numpy as np
 from big_cloud import write_cloud
 
 from hpcapp.applications.surface.settings import THREADS_FROM_POINTS
-from hpcapp.backends.selection import available_cores
+from hpccomponent.limits import available_cores
 
 SIZES = (1_000, 10_000, 100_000, 1_000_000)
 WAYS = ((), ("--workers", "2"))
@@ -75,7 +75,8 @@ def local_backend(points: int) -> str:
 
 def compare(cloud: Path, points: int, grid: int, way: Sequence[str], pairs: int) -> dict[str, Any]:
     """Run pairs of `auto` and one process, each first as often as the other."""
-    ours, theirs = [], []
+    ours: list[Run] = []
+    theirs: list[Run] = []
     for number in range(pairs):
         both = [(ours, tuple(way)), (theirs, ("--backend", local_backend(points)))]
         for found, options in both if number % 2 else reversed(both):

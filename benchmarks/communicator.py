@@ -19,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -100,7 +100,10 @@ class Communicator:
 
     def no_operations(self, count: int) -> None:
         """Run empty tasks."""
-        for future in [self._executor.submit("bench.no_operation") for _ in range(count)]:
+        futures: list[Future[Any]] = [
+            self._executor.submit("bench.no_operation") for _ in range(count)
+        ]
+        for future in futures:
             future.result()
 
     def map_items(self, count: int) -> None:
@@ -110,7 +113,9 @@ class Communicator:
 
     def shrink_blocks(self, block: np.ndarray[Any, Any], count: int) -> list[Any]:
         """Send blocks."""
-        futures = [self._executor.submit("bench.shrink", block) for _ in range(count)]
+        futures: list[Future[Any]] = [
+            self._executor.submit("bench.shrink", block) for _ in range(count)
+        ]
         return [future.result() for future in futures]
 
 
@@ -177,7 +182,7 @@ def run_peer(port: str, server_key: str) -> None:
         while True:
             kind, payload = dealer.recv_multipart(copy=False)
             if kind.bytes == b"s":
-                dealer.send(shrink(np.frombuffer(payload.buffer)), copy=False)
+                dealer.send(shrink(np.frombuffer(payload.buffer)).data, copy=False)
             else:
                 dealer.send(b"")
 
@@ -194,15 +199,16 @@ class Dask:
         """Start the cluster, and have a task answer."""
         from distributed import Client, LocalCluster, Security
 
-        cluster = LocalCluster(
+        # Dask's interface is typed in parts
+        cluster = LocalCluster(  # type: ignore[no-untyped-call]
             n_workers=WORKERS,
             threads_per_worker=1,
             protocol="tls",
-            security=Security.temporary(),
+            security=Security.temporary(),  # type: ignore[no-untyped-call]
             dashboard_address=":0",
         )
         self._stack.enter_context(cluster)
-        self._client = self._stack.enter_context(Client(cluster))
+        self._client = self._stack.enter_context(Client(cluster))  # type: ignore[no-untyped-call]
         self.no_operations(WORKERS)
 
     def no_operations(self, count: int) -> None:
@@ -217,7 +223,9 @@ class Dask:
 
     def shrink_blocks(self, block: np.ndarray[Any, Any], count: int) -> list[Any]:
         """Send blocks."""
-        futures = [self._client.submit(shrink, block, pure=False) for _ in range(count)]
+        futures: list[Future[Any]] = [
+            self._client.submit(shrink, block, pure=False) for _ in range(count)
+        ]
         return list(self._client.gather(futures))
 
 
@@ -251,7 +259,7 @@ class Pool:
 
     def shrink_blocks(self, block: np.ndarray[Any, Any], count: int) -> list[Any]:
         """Send blocks."""
-        futures = [self._executor.submit(shrink, block) for _ in range(count)]
+        futures: list[Future[Any]] = [self._executor.submit(shrink, block) for _ in range(count)]
         return [future.result() for future in futures]
 
 

@@ -132,7 +132,7 @@ def fit_rates(results: Sequence[dict[str, Any]], halo: float) -> Rates:
     start, point = _solve(
         [[1.0, run["report"]["points"]] for run in serial], [run["head_cpu_s"] for run in serial]
     )
-    head = _solve(
+    head_start, head_point, head_tile = _solve(
         [[1.0, run["report"]["points"], run["report"]["tiles"]] for run, _ in shared],
         [run["head_cpu_s"] for run, _ in shared],
     )
@@ -142,7 +142,8 @@ def fit_rates(results: Sequence[dict[str, Any]], halo: float) -> Rates:
         points, work = run["report"]["points"], sum(run["worker_cpu_s"])
         halos.append([shape.halo_share(run["report"]["tiles"], grid) * points])
         rest.append(work - start * run["machines"] - point * points)
-    return Rates(start, point, *_solve(halos, rest), *head, halo)
+    (halo_point,) = _solve(halos, rest)
+    return Rates(start, point, halo_point, head_start, head_point, head_tile, halo)
 
 
 def _solve(rows: list[list[float]], values: list[float]) -> list[float]:

@@ -34,10 +34,11 @@ from clouds import SimulatedCloud
 from hpcapp.applications.simulate.scanner import ScanSettings
 from hpcapp.applications.surface.paper.method import PaperMethod
 from hpcapp.applications.surface.pipeline import reconstruct
-from hpcapp.backends.selection import Backend, available_cores, open_executor
+from hpcapp.backends.selection import Backend, open_executor
 from hpcapp.io import drop_unusable, read_points
 from hpcapp.progress import SilentProgress, StageClock
 from hpccomponent.errors import UsageError
+from hpccomponent.limits import available_cores
 from hpccomponent.surface.cloud.arranged import MemoryCloud
 
 __all__ = [

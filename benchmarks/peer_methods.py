@@ -20,7 +20,7 @@ def run_open3d(depth: int, source: str, target: str) -> None:
 
 def run_pymeshlab(depth: int, source: str, target: str) -> None:
     """Reconstruct by pymeshlab's screened Poisson."""
-    import pymeshlab  # type: ignore[import-untyped]
+    import pymeshlab
 
     meshes = pymeshlab.MeshSet()
     meshes.load_new_mesh(source)

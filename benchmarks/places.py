@@ -22,8 +22,9 @@ def reconstruct(place: str, arguments: list[str]) -> int:
     """Run ``hpcapp`` in this process with its points in one place, whatever pays."""
     from hpcapp.__main__ import main
 
-    room.fits_memory = lambda *_: place == "memory"
-    room.may_pay_in_folder = lambda *_: place == "folder"
+    vars(room).update(
+        fits_memory=lambda *_: place == "memory", may_pay_in_folder=lambda *_: place == "folder"
+    )
     sys.argv = ["hpcapp", "reconstruct", *arguments]
     return main()
 

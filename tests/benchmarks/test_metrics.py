@@ -1,5 +1,7 @@
 """The metrics on meshes whose distance from the truth is known."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from metrics import MeshTruth, ShapeTruth, measure_mesh, sample_mesh
@@ -10,21 +12,23 @@ from hpcapp.applications.simulate.shapes import SHAPES, diagonal_of
 from hpccomponent.surface.types.mesh import Mesh
 
 
-def ball(radius=1.0, cells=40):
+def ball(radius: float = 1.0, cells: int = 40) -> Mesh:
     axis = np.linspace(-1.3, 1.3, cells) * radius
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
     value = np.linalg.norm(grid, axis=-1) - radius
-    vertices, faces, _, _ = marching_cubes(value, 0.0, spacing=(axis[1] - axis[0],) * 3)
+    sides = (axis[1] - axis[0],) * 3
+    # scikit-image has no types
+    vertices, faces, _, _ = marching_cubes(value, 0.0, spacing=sides)  # type: ignore[no-untyped-call]
     vertices += axis[0]
     return Mesh(radius * vertices / np.linalg.norm(vertices, axis=1)[:, None], faces.astype(int))
 
 
 @pytest.fixture(scope="module")
-def sphere():
+def sphere() -> ShapeTruth:
     return ShapeTruth(SHAPES["sphere"])
 
 
-def test_a_fine_mesh_of_the_truth_is_close_in_every_measure(sphere):
+def test_a_fine_mesh_of_the_truth_is_close_in_every_measure(sphere: ShapeTruth) -> None:
     found = measure_mesh(ball(), sphere, samples=4000)
     assert found.l1 < 0.1
     assert found.normal_deg < 3.0
@@ -32,7 +36,7 @@ def test_a_fine_mesh_of_the_truth_is_close_in_every_measure(sphere):
     assert found.topology.watertight
 
 
-def test_a_swollen_mesh_is_as_far_away_as_it_swelled(sphere):
+def test_a_swollen_mesh_is_as_far_away_as_it_swelled(sphere: ShapeTruth) -> None:
     found = measure_mesh(ball(radius=1.02, cells=60), sphere, samples=4000)
     expected = 100 * 0.02 / diagonal_of(SHAPES["sphere"])
     assert found.accuracy == pytest.approx(expected, rel=0.05)
@@ -40,7 +44,7 @@ def test_a_swollen_mesh_is_as_far_away_as_it_swelled(sphere):
     assert found.f_scores["0.5"] == 0.0
 
 
-def test_a_missing_half_costs_completeness_and_not_accuracy(sphere):
+def test_a_missing_half_costs_completeness_and_not_accuracy(sphere: ShapeTruth) -> None:
     whole = ball()
     half = Mesh(whole.vertices, whole.faces[whole.vertices[whole.faces, 2].mean(axis=1) > 0])
     found = measure_mesh(half, sphere, samples=4000)
@@ -50,21 +54,21 @@ def test_a_missing_half_costs_completeness_and_not_accuracy(sphere):
     assert not found.topology.watertight
 
 
-def test_an_open_truth_is_judged_by_completeness():
+def test_an_open_truth_is_judged_by_completeness() -> None:
     whole = ball()
     found = measure_mesh(whole, MeshTruth(Mesh(whole.vertices, whole.faces[50:])), samples=2000)
     assert np.isnan(found.accuracy)
     assert found.l1 == found.completeness < 1e-10
 
 
-def test_samples_lie_on_the_faces_evenly():
+def test_samples_lie_on_the_faces_evenly() -> None:
     cloud = sample_mesh(ball(), 8000)
     assert NearestFace(ball()).query(cloud.positions)[0].max() < 1e-12
     share = np.histogram(cloud.positions[:, 2], bins=5, range=(-1, 1))[0] / 8000
     assert share == pytest.approx(0.2, abs=0.02)
 
 
-def test_the_nearest_face_is_that_of_a_search_through_all():
+def test_the_nearest_face_is_that_of_a_search_through_all() -> None:
     rng = np.random.default_rng(1)
     # One triangle a hundred times the others' size must not hide behind its distant middle.
     corners = rng.random((60, 3, 3)) * 0.2 + rng.random((60, 1, 3))
@@ -77,7 +81,7 @@ def test_the_nearest_face_is_that_of_a_search_through_all():
     assert np.array(every)[faces, np.arange(200)] == pytest.approx(distances, abs=1e-12)
 
 
-def test_the_distance_to_a_triangle_knows_face_side_and_corner():
+def test_the_distance_to_a_triangle_knows_face_side_and_corner() -> None:
     triangle = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
     points = np.array([[0.2, 0.2, 3.0], [0.5, -2.0, 0.0], [-3.0, -4.0, 0.0], [1.0, 1.0, 0.0]])
     assert NearestFace(triangle).query(points)[0] == pytest.approx([3, 2, 5, np.sqrt(0.5)])

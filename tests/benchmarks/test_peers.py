@@ -1,7 +1,10 @@
 """The side-by-side run, with copies of finished meshes in the place of reconstructions."""
 
+from __future__ import annotations
+
 import sys
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,19 +22,21 @@ SMALL = SimulatedCloud("sphere-small", "clean", "sphere", ScanSettings(points=50
 COPY = "import shutil, sys; shutil.copy(sys.argv[1], sys.argv[2])"
 
 
-def write_ball(path, radius):
+def write_ball(path: Path, radius: float) -> Path:
     axis = np.linspace(-1.3, 1.3, 24)
     value = np.linalg.norm(np.meshgrid(axis, axis, axis, indexing="ij"), axis=0) - radius
-    vertices, faces, _, _ = marching_cubes(value, 0.0, spacing=(axis[1] - axis[0],) * 3)
+    sides = (axis[1] - axis[0],) * 3
+    # scikit-image has no types
+    vertices, faces, _, _ = marching_cubes(value, 0.0, spacing=sides)  # type: ignore[no-untyped-call]
     write_mesh(path, Mesh(vertices.astype(float) + axis[0], faces.astype(np.int64)))
     return path
 
 
-def copier(name, source):
+def copier(name: str, source: Path) -> Contender:
     return Contender(name, [sys.executable, "-c", COPY, str(source), "{output}"])
 
 
-def test_what_a_process_takes_is_counted(tmp_path):
+def test_what_a_process_takes_is_counted(tmp_path: Path) -> None:
     idle = measure_process([sys.executable, "-c", "pass"], tmp_path / "log")
     large = measure_process(
         [sys.executable, "-c", "x = b'x' * 200_000_000; print('done')"], tmp_path / "log"
@@ -42,19 +47,24 @@ def test_what_a_process_takes_is_counted(tmp_path):
     assert (tmp_path / "log").read_text() == "done\n"
 
 
-def test_a_failing_process_is_an_outcome(tmp_path):
+def test_a_failing_process_is_an_outcome(tmp_path: Path) -> None:
     log = tmp_path / "log"
     assert measure_process([sys.executable, "-c", "raise SystemExit(3)"], log).exit_code == 3
 
 
-def test_contenders_are_ranked_and_peers_remembered(tmp_path, capsys):
+def test_contenders_are_ranked_and_peers_remembered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     ours = copier("ours", write_ball(tmp_path / "near.ply", 1.01))
     peer = copier("peer:1", write_ball(tmp_path / "far.ply", 1.02))
     broken = Contender("peer:2", [sys.executable, "-c", "raise SystemExit(1)"])
     [first] = run_all([SMALL], [ours, peer, broken], tmp_path / "kept", samples=2000)
     assert [outcome.contender for outcome in first] == ["ours", "peer:1", "peer:2"]
-    assert first[0].measures["l1"] < first[1].measures["l1"]
-    assert first[0].measures["topology"]["watertight"]
+    own, others = first[0].measures, first[1].measures
+    assert own is not None
+    assert others is not None
+    assert own["l1"] < others["l1"]
+    assert own["topology"]["watertight"]
     assert first[2].measures is None
     [again] = run_all([SMALL], [ours, peer, broken], tmp_path / "kept", samples=2000)
     assert again[1].usage == first[1].usage
@@ -66,8 +76,8 @@ def test_contenders_are_ranked_and_peers_remembered(tmp_path, capsys):
     assert "best of them" in printed
 
 
-def test_the_best_peer_is_chosen_cloud_by_cloud():
-    def row(name, l1):
+def test_the_best_peer_is_chosen_cloud_by_cloud() -> None:
+    def row(name: str, l1: float) -> dict[str, dict[str, float] | str]:
         return {"contender": name, "usage": {}, "measures": {"l1": l1}}
 
     rows = [
@@ -79,7 +89,7 @@ def test_the_best_peer_is_chosen_cloud_by_cloud():
     assert geometric_mean([0.5, 2.0]) == pytest.approx(1.0)
 
 
-def test_a_cloud_is_made_once_and_the_same_each_time(tmp_path):
+def test_a_cloud_is_made_once_and_the_same_each_time(tmp_path: Path) -> None:
     first = read_points(SMALL.place(tmp_path / "a"))
     second = read_points(SMALL.place(tmp_path / "b"))
     assert np.array_equal(first.positions, second.positions)
@@ -89,7 +99,7 @@ def test_a_cloud_is_made_once_and_the_same_each_time(tmp_path):
     assert open_truth(SMALL).diagonal == pytest.approx(np.sqrt(12))
 
 
-def test_names_and_groups_find_clouds(monkeypatch):
+def test_names_and_groups_find_clouds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert {cloud.group for cloud in CLOUDS.values()} == set(GROUPS)
     assert [cloud.name for cloud in find_clouds(["knot-clean"])] == ["knot-clean"]
     assert {cloud.group for cloud in find_clouds(["thin", "pose"])} == {"thin", "pose"}
@@ -98,4 +108,4 @@ def test_names_and_groups_find_clouds(monkeypatch):
     with pytest.raises(UsageError, match="no cloud or group"):
         find_clouds(["teapot"])
     with pytest.raises(UsageError, match="HPCAPP_DATA"):
-        CLOUDS["bunny-36k"].place(None)
+        CLOUDS["bunny-36k"].place(tmp_path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,7 +73,7 @@ def announce_and_wait(started: str, released: str) -> int:
 
 def leave_work(path: str, released: str) -> None:
     """Leave a file to be written when there is time, and a failure before it."""
-    steps = iter([lambda: None, lambda: Path(path).touch()])
+    steps: Iterator[Callable[[], None]] = iter([no_operation, Path(path).touch])
 
     def step() -> bool:
         found = next(steps, None)
@@ -80,7 +81,10 @@ def leave_work(path: str, released: str) -> None:
             found()
         return found is not None
 
-    worker_background.add(lambda: fail("nobody asked for it") or False)
+    def stumble() -> bool:
+        raise ValueError("nobody asked for it")
+
+    worker_background.add(stumble)
     worker_background.add(step)
     wait_for_file(released)
 

@@ -1,7 +1,12 @@
 """Meshes cut into parts by their bricks, as tiles would give them: for the tests of the weld."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from hpcapp.applications.surface.stitching.plan import SMALL_SHARE, find_large
 from hpccomponent.surface.extraction.parts import MeshPart
@@ -11,15 +16,18 @@ from hpccomponent.surface.kernels.portable.marching_cubes import extract_surface
 from hpccomponent.surface.types.grid import BRICK, OWN, BrickKinds, Grid
 from hpccomponent.surface.types.lattice import pack_places, unpack_keys
 from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, IntArray
 
 GRID = Grid(np.array([-1.0, -1.0, -1.0]), 1 / 24, (6, 6, 6))
 
 
-def extract_shape(shape, grid=GRID):
+def extract_shape(
+    shape: Callable[[FloatArray], FloatArray], grid: Grid = GRID
+) -> tuple[Mesh, IntArray, IntArray]:
     """Extract an analytic shape; return the mesh, and the bricks of its vertices and faces."""
     nodes = np.stack(np.meshgrid(*[np.arange(BRICK + 1)] * 3, indexing="ij"), axis=-1)
 
-    def evaluate(bricks):
+    def evaluate(bricks: IntArray) -> NDArray[np.float32]:
         points = grid.origin + grid.step * (BRICK * bricks[:, None, None, None] + nodes)
         values = shape(points).astype(np.float32)
         return np.where(values == 0.0, np.float32(1e-6), values)
@@ -31,30 +39,32 @@ def extract_shape(shape, grid=GRID):
     cells = (mesh.vertices - grid.origin) / grid.step
     of_vertex = np.floor(cells + 1e-4).astype(np.int64)
     of_face = np.floor(cells[mesh.faces].mean(axis=1)).astype(np.int64)
-    return mesh, *(pack_places(cell // BRICK) for cell in (of_vertex, of_face))
+    return mesh, pack_places(of_vertex // BRICK), pack_places(of_face // BRICK)
 
 
-def torus(points):
+def torus(points: FloatArray) -> FloatArray:
     x, y, z = np.moveaxis(points, -1, 0)
-    return np.hypot(np.hypot(x, y) - 0.55, z) - 0.21
+    values: FloatArray = np.hypot(np.hypot(x, y) - 0.55, z) - 0.21
+    return values
 
 
-def ball(points, center, radius):
-    return np.linalg.norm(points - center, axis=-1) - radius
+def ball(points: FloatArray, center: tuple[float, float, float], radius: float) -> FloatArray:
+    values: FloatArray = np.linalg.norm(points - center, axis=-1) - radius
+    return values
 
 
-def large_and_small(points):
+def large_and_small(points: FloatArray) -> FloatArray:
     """Two spheres, of which the second is dropped."""
     return np.minimum(ball(points, (0, 0, 0), 0.6), ball(points, (0.75, 0.75, 0.75), 0.03))
 
 
-def crumb_in_brick(points):
+def crumb_in_brick(points: FloatArray) -> FloatArray:
     """A large sphere, and a crumb, to be dropped, in a brick that the sphere passes through."""
     crumb = ball(points, (13 / 24, 12 / 24, 5 / 24), 0.03)
     return np.minimum(ball(points, (0.1, 0, 0), 0.62), crumb)
 
 
-def twins(points):
+def twins(points: FloatArray) -> FloatArray:
     """Two equal tori and a sphere between them: a tie, and unlike genus."""
     up = np.array([0.0, 0.0, 0.5])
     rings = np.minimum(torus(points + up), torus(points - up))
@@ -64,13 +74,20 @@ def twins(points):
 SHAPES = {s.__name__: s for s in (torus, large_and_small, crumb_in_brick, twins)}
 
 
-def spread_mesh(mesh, count, rng):
+def spread_mesh(mesh: Mesh, count: int, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
     """Give the vertices and faces of any mesh bricks, without regard to where they are."""
     keys = np.unique(pack_places(rng.integers(0, 40, (count, 3))))
-    return tuple(np.sort(rng.choice(keys, len(each))) for each in (mesh.vertices, mesh.faces))
+    of_vertex = np.sort(rng.choice(keys, len(mesh.vertices)))
+    return of_vertex, np.sort(rng.choice(keys, len(mesh.faces)))
 
 
-def cut_mesh(mesh, of_vertex, of_face, owners, guests=()):
+def cut_mesh(
+    mesh: Mesh,
+    of_vertex: IntArray,
+    of_face: IntArray,
+    owners: dict[int, int],
+    guests: Sequence[tuple[int, int]] = (),
+) -> list[MeshPart]:
     """Cut a mesh.
 
     ``of_vertex`` and ``of_face`` are keys of bricks, rising. ``owners`` names the part of each
@@ -89,7 +106,9 @@ def cut_mesh(mesh, of_vertex, of_face, owners, guests=()):
     ]
 
 
-def _part(mesh, of_vertex, of_face, own, guests):
+def _part(
+    mesh: Mesh, of_vertex: IntArray, of_face: IntArray, own: set[int], guests: set[int]
+) -> MeshPart:
     bricks = np.array(sorted(own | guests), np.int64)
     first = np.searchsorted(of_vertex, of_vertex)  # the first vertex of each one's brick
     mine = np.isin(of_vertex, bricks)
@@ -113,7 +132,9 @@ def _part(mesh, of_vertex, of_face, own, guests):
 
 
 @st.composite
-def cuts(draw, of_vertex, of_face, most=6):
+def cuts(
+    draw: st.DrawFn, of_vertex: IntArray, of_face: IntArray, most: int = 6
+) -> tuple[dict[int, int], list[tuple[int, int]]]:
     """Draw owners and guests for the bricks of a mesh."""
     keys = sorted({*of_vertex.tolist(), *of_face.tolist()})
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))

@@ -157,7 +157,7 @@ def start_command(tmp_path: Path) -> StartCommand:
     """Start ``hpcapp`` in a process group of its own, in the test's folder."""
 
     def start(*arguments: str, **settings: object) -> subprocess.Popen[str]:
-        return subprocess.Popen(
+        values: subprocess.Popen[str] = subprocess.Popen(
             [sys.executable, "-P", "-m", "hpcapp", *arguments],
             cwd=tmp_path,
             env={**os.environ, "TMPDIR": str(tmp_path)},
@@ -165,6 +165,7 @@ def start_command(tmp_path: Path) -> StartCommand:
             start_new_session=True,
             **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **settings},  # type: ignore[call-overload]
         )
+        return values
 
     return start
 

@@ -84,6 +84,7 @@ def test_results_are_bitwise_equal_in_whichever_order_they_come(
 def test_every_kind_of_value_travels(executor: Executor, tasks: Any) -> None:
     numbers = (1, -(2**70), 0.1, True, None)
     pair = tasks.Pair("two", 2)
+    values: Any
     values = (*numbers, "text", b"bytes", (1, 2), [3, "x"], {"k": (4.5,)}, pair, [(pair,)])
     received = executor.submit(tasks.echo, *values).result(WAIT)
     assert received == values

@@ -6,7 +6,6 @@ import os
 
 import pytest
 
-from hpcapp import progress_display
 from hpcapp.progress import Progress
 from hpcapp.progress_display import LineProgress, open_progress
 
@@ -27,7 +26,7 @@ def test_elsewhere_a_short_stage_is_one_line() -> None:
 
 def test_elsewhere_a_long_stage_speaks_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
-    monkeypatch.setattr(progress_display.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr("hpcapp.progress_display.time.monotonic", lambda: now[0])
     stream = io.StringIO()
     progress = LineProgress(stream)
     progress.begin("fit")

@@ -108,7 +108,13 @@ def test_what_is_left_for_later_is_found_while_results_are_awaited() -> None:
     found: list[str] = []
     with ThreadPoolExecutor(1) as pool:
         workforce, asked = Workforce(pool), Event()
-        later = workforce.defer(lambda: (found.append("once"), asked.set()))
+
+        def find() -> list[str]:
+            found.append("once")
+            asked.set()
+            return found
+
+        later = workforce.defer(find)
         assert map_batches(workforce, asked.wait, [(30.0,)]) == [True]
         assert later() == later()
     assert found == ["once"]
@@ -127,7 +133,12 @@ def test_what_is_left_for_later_is_found_when_it_is_asked_for() -> None:
 def test_what_cannot_be_found_says_so_to_whom_asks_for_it() -> None:
     with ThreadPoolExecutor(1) as pool:
         workforce, asked = Workforce(pool), Event()
-        later = workforce.defer(lambda: (asked.set(), divide(1.0, 0.0)))
+
+        def find() -> float:
+            asked.set()
+            return divide(1.0, 0.0)
+
+        later = workforce.defer(find)
         assert map_batches(workforce, asked.wait, [(30.0,)]) == [True]
         with pytest.raises(ZeroDivisionError):
             later()

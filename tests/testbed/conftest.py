@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from testbed.machine import Machine, build_image
@@ -34,7 +35,7 @@ def start_machine(network: Network, tmp_path: Path) -> Iterator[StartMachine]:
     image = build_image(tmp_path / "image")
     service = MetadataService(network.router.listen(METADATA, 80), find)
 
-    def start(**more: object) -> Machine:
+    def start(**more: Any) -> Machine:
         last = 10 + len(machines)
         machine = Machine(
             network, image, f"m-{last}", f"172.31.0.{last}", f"203.0.113.{last}", **more

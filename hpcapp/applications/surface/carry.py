@@ -118,7 +118,7 @@ def _put_columns(
     make_private_folder(folder)
     columns, search = ColumnBlocks(folder, cloud, loaded.columns), LabelSearch()
     for part in open_points(settings.points).chunks(at_once):
-        chosen = settings.attributes.select(part, str(settings.points))
+        chosen = settings.attributes.select(part, settings.shown)
         search.add(chosen.attributes)
         local = chosen.positions - cloud.origin if cloud.origin.any() else chosen.positions
         columns.add(PointCloud(local, None, chosen.colours, chosen.attributes))

@@ -357,7 +357,7 @@ def _readable(value: Any) -> str:
     """Return a JSON value as people read it."""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if value is None or value == "":
+    if value is None or (not value and isinstance(value, str | list | dict)):
         return "-"
     if isinstance(value, float):
         return f"{value:.6g}"

@@ -2,7 +2,7 @@
 
 ::
 
-    header │ JSON: one node, one mesh, one primitive │ vertices, interleaved │ faces
+    header │ JSON: one node, one mesh, one primitive │ each column of the vertices │ faces
 
 https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +31,21 @@ _MAGIC, _VERSION = b"glTF", 2
 _JSON, _BINARY = b"JSON", b"BIN\0"
 _BYTE, _UINT, _FLOAT = 5121, 5125, 5126  # component types
 _VERTICES, _FACES = 34962, 34963  # targets of buffer views
-_MOST_STRIDE = 252  # bytes of a vertex
 _MOST_BYTES = 2**32 - 1
+_SHAPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+
+
+@dataclass(frozen=True, slots=True)
+class _Array:
+    """The numbers of all vertices for one semantic, 4 bytes or a multiple of them each."""
+
+    semantic: str
+    dtype: str
+    width: int
+
+    @property
+    def size(self) -> int:
+        return np.dtype(self.dtype).itemsize * self.width
 
 
 def write_glb(path: Path, mesh: Mesh | MeshStream) -> None:
@@ -51,27 +66,32 @@ def write_glb(path: Path, mesh: Mesh | MeshStream) -> None:
         The file cannot be written, or would have more than 4 GB.
     """
     stream = as_stream(mesh)
-    names, dtype = _lay_out(stream.layout)
-    sizes = stream.vertex_count * dtype.itemsize, 12 * stream.face_count
-    text = json.dumps(_describe(stream, names, dtype, sizes), separators=(",", ":")).encode()
+    names = _name_attributes(stream.layout)
+    arrays = list(_list_arrays(stream.layout, names))
+    sizes = [stream.vertex_count * array.size for array in arrays] + [12 * stream.face_count]
+    text = json.dumps(_describe(stream, names, arrays, sizes), separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     total = 12 + 8 + len(text) + 8 + sum(sizes)
-    if total > _MOST_BYTES or dtype.itemsize > _MOST_STRIDE:
+    if total > _MOST_BYTES:
         raise OutputError(
-            f"{path}: the mesh is too large for a GLB: {total} bytes, {dtype.itemsize} a vertex",
-            "write a .ply, or carry fewer --attributes",
+            f"{path}: {total} bytes are too many for a GLB", "write a .ply, or fewer --attributes"
         )
     with replacing(path) as file:
         file.write(_MAGIC + _integers(_VERSION, total) + _integers(len(text)) + _JSON + text)
         file.write(_integers(sum(sizes)) + _BINARY)
+        starts = [file.tell(), *sizes]
+        places = [sum(starts[: number + 1]) for number in range(len(arrays))]
         for vertices in stream.vertices():
-            file.write(_join_rows(vertices, names, dtype).data)
+            for number, rows in enumerate(_columns(vertices)):
+                file.seek(places[number])
+                places[number] += file.write(rows.data)
+        file.seek(sum(starts[:-1]))
         for faces in stream.faces():
             file.write(np.ascontiguousarray(faces, "<u4").data)
 
 
-def _lay_out(layout: PointCloud) -> tuple[dict[str, str], np.dtype[Any]]:
-    """Return what glTF calls each attribute, and the structure of a vertex."""
+def _name_attributes(layout: PointCloud) -> dict[str, str]:
+    """Return what glTF calls each attribute."""
     names: dict[str, str] = {}
     for name in layout.attributes:
         semantic = stem = "_" + re.sub(r"[^A-Z0-9]", "_", name.upper())
@@ -79,42 +99,49 @@ def _lay_out(layout: PointCloud) -> tuple[dict[str, str], np.dtype[Any]]:
         while semantic in names.values():
             semantic, number = f"{stem}_{number}", number + 1
         names[name] = semantic
-    fields: list[tuple[Any, ...]] = [("POSITION", "<f4", 3)]
+    return names
+
+
+def _list_arrays(layout: PointCloud, names: dict[str, str]) -> Iterator[_Array]:
+    """Yield the arrays of what vertices have, in the order of `_columns`."""
+    yield _Array("POSITION", "<f4", 3)
     if layout.normals is not None:
-        fields.append(("NORMAL", "<f4", 3))
+        yield _Array("NORMAL", "<f4", 3)
     if layout.colours is not None:
-        fields.append(("COLOR_0", "u1", 4))
-    return names, np.dtype(fields + [(semantic, "<f4") for semantic in names.values()])
+        yield _Array("COLOR_0", "u1", 4)
+    for name in layout.attributes:
+        yield _Array(names[name], "<f4", 1)
 
 
 def _describe(
-    stream: MeshStream, names: dict[str, str], dtype: np.dtype[Any], sizes: tuple[int, int]
+    stream: MeshStream, names: dict[str, str], arrays: list[_Array], sizes: list[int]
 ) -> dict[str, Any]:
     """Return the JSON of a mesh."""
-    assert dtype.fields is not None  # noqa: S101 - it has some
     accessors: list[dict[str, Any]] = []
-    for semantic, (kind, offset, *_) in dtype.fields.items():
-        is_colour = semantic == "COLOR_0"
+    for number, array in enumerate(arrays):
         accessor = {
-            "bufferView": 0,
-            "byteOffset": offset,
-            "componentType": _BYTE if is_colour else _FLOAT,
+            "bufferView": number,
+            "componentType": _FLOAT if array.dtype == "<f4" else _BYTE,
             "count": stream.vertex_count,
-            "type": {(): "SCALAR", (3,): "VEC3", (4,): "VEC4"}[kind.shape],
+            "type": _SHAPES[array.width],
         }
-        if is_colour:
+        if array.semantic == "COLOR_0":
             accessor["normalized"] = True
-        if semantic == "POSITION":
+        if array.semantic == "POSITION":
             low, high = np.asarray(stream.box, np.float32).tolist()
             accessor |= {"min": low, "max": high}
         accessors.append(accessor)
-    attributes = {semantic: number for number, semantic in enumerate(dtype.fields)}
-    indices = {"bufferView": 1, "componentType": _UINT, "count": 3 * stream.face_count}
     node: dict[str, Any] = {"mesh": 0, "name": "mesh"}
     if stream.origin.any():
         node["translation"] = stream.origin.tolist()
     # No material: readers that find one look for its texture, and set colours aside.
-    primitive = {"attributes": attributes, "indices": len(accessors), "mode": 4}
+    primitive = {
+        "attributes": {array.semantic: number for number, array in enumerate(arrays)},
+        "indices": len(arrays),
+        "mode": 4,
+    }
+    indices = {"bufferView": len(arrays), "componentType": _UINT, "count": 3 * stream.face_count}
+    targets = [_VERTICES] * len(arrays) + [_FACES]
     return {
         "asset": {"version": "2.0", "generator": "hpcapp"},
         "scene": 0,
@@ -123,33 +150,29 @@ def _describe(
         "meshes": [{"primitives": [primitive], "extras": {"attributes": names}}],
         "accessors": [*accessors, {**indices, "type": "SCALAR"}],
         "bufferViews": [
-            {
-                "buffer": 0,
-                "byteLength": sizes[0],
-                "byteStride": dtype.itemsize,
-                "target": _VERTICES,
-            },
-            {"buffer": 0, "byteOffset": sizes[0], "byteLength": sizes[1], "target": _FACES},
+            {"buffer": 0, "byteOffset": sum(sizes[:number]), "byteLength": size, "target": target}
+            for number, (size, target) in enumerate(zip(sizes, targets, strict=True))
         ],
         "buffers": [{"byteLength": sum(sizes)}],
     }
 
 
-def _join_rows(vertices: PointCloud, names: dict[str, str], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return some vertices as rows of the buffer."""
-    rows = np.zeros(len(vertices), dtype)
-    rows["POSITION"] = vertices.positions
+def _columns(vertices: PointCloud) -> Iterator[NDArray[Any]]:
+    """Yield what some vertices have."""
+    yield np.ascontiguousarray(vertices.positions, "<f4")
     if vertices.normals is not None:
-        rows["NORMAL"] = vertices.normals
-        rows["NORMAL"][~vertices.normals.any(axis=1)] = (0, 0, 1)  # they must have a length
+        normals = vertices.normals.astype("<f4")
+        normals[~vertices.normals.any(axis=1)] = (0, 0, 1)  # they must have a length
+        yield normals
     if vertices.colours is not None:
-        rows["COLOR_0"][:, :3] = vertices.colours
-        rows["COLOR_0"][:, 3] = 255
-    with np.errstate(over="ignore"):
-        for name, semantic in names.items():
-            column = vertices.attributes[name].astype(np.float32)
-            rows[semantic] = np.where(np.isfinite(column), column, np.float32(0))
-    return rows
+        colours = np.full((len(vertices), 4), 255, np.uint8)
+        colours[:, :3] = vertices.colours
+        yield colours
+    for column in vertices.attributes.values():
+        with np.errstate(over="ignore"):  # what float cannot hold becomes infinite, and zero
+            single = column.astype("<f4")
+        single[~np.isfinite(single)] = 0
+        yield single
 
 
 def _integers(*values: int) -> bytes:

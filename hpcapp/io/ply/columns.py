@@ -8,15 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.io.ply.header import SCALAR_TYPES
 from hpcapp.io.points.column_roles import COLOURS, NORMALS
 from hpccomponent.surface.types.points import PointCloud
 
-__all__ = ["VertexProperties"]
+__all__ = ["VertexProperties", "choose_type", "name_type"]
 
-_TYPES = {
-    "i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint",
-    "f4": "float", "f8": "double",
-}  # fmt: skip
+_NAMES = {dtype: name for name, dtype in reversed(SCALAR_TYPES.items())}
 _TAKEN = ("x", "y", "z", *NORMALS, *COLOURS)
 
 
@@ -56,17 +54,17 @@ class VertexProperties:
             types += ["<f4"] * 3
         if points.colours is not None:
             names += COLOURS
-            types += ["u1"] * 3
+            types += [choose_type(points.colours.dtype)] * 3
         for name, column in points.attributes.items():
             names.append(_spell(name, names))
-            types.append(_choose_type(column.dtype))
+            types.append(choose_type(column.dtype))
         return cls(tuple(names), tuple(types))
 
     @property
     def lines(self) -> list[str]:
         """What the header says of them."""
         return [
-            f"property {_TYPES[dtype.lstrip('<')]} {name}"
+            f"property {name_type(dtype)} {name}"
             for name, dtype in zip(self.names, self.types, strict=True)
         ]
 
@@ -104,10 +102,33 @@ def _spell(name: str, taken: list[str]) -> str:
     return spelled
 
 
-def _choose_type(dtype: np.dtype[Any]) -> str:
-    if dtype.kind == "b":
-        return "u1"
-    code = f"{dtype.kind}{dtype.itemsize}"
-    if code in _TYPES:
-        return code if dtype.itemsize == 1 else f"<{code}"
-    return "<f4" if code == "f2" else "<f8"
+def choose_type(dtype: np.dtype[Any]) -> str:
+    """Return the type that numbers are written as.
+
+    Parameters
+    ----------
+    dtype : dtype
+
+    Returns
+    -------
+    str
+        Of numpy, little-endian; whole numbers of 64 bits, which PLY lacks, become float64.
+    """
+    code = {"b1": "u1", "f2": "f4"}.get(dtype.str[1:], dtype.str[1:])
+    if code not in _NAMES:
+        code = "f8"
+    return code if code.endswith("1") else f"<{code}"
+
+
+def name_type(dtype: str) -> str:
+    """Return what PLY calls a type of `choose_type`.
+
+    Parameters
+    ----------
+    dtype : str
+
+    Returns
+    -------
+    str
+    """
+    return _NAMES[dtype.lstrip("<|")]

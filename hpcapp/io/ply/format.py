@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +22,16 @@ from hpcapp.io.ply.ascii import read_ascii
 from hpcapp.io.ply.binary import read_binary
 from hpcapp.io.ply.columns import VertexProperties
 from hpcapp.io.ply.faces import find_polygons
-from hpcapp.io.ply.header import SCALAR_TYPES, read_header
+from hpcapp.io.ply.header import read_header
 from hpcapp.io.ply.points import plan_vertex
-from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS
-from hpcapp.io.points.named_columns import stack
+from hpcapp.io.points.column_roles import AXES
+from hpcapp.io.points.named_columns import build_cloud
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError, OutputError
 from hpccomponent.surface.tasks.shared_ply import (
     FACE_SIZE,
     SharedPly,
+    coordinate_lines,
     face_rows,
     mesh_header,
     ply_header,
@@ -46,16 +47,6 @@ _ROWS_AT_ONCE = 1 << 16
 _MOST_VERTICES = 2**31 - 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Column:
-    """One property of the vertices, as it is to be written."""
-
-    name: str
-    dtype: str
-    values: NDArray[Any]
-    shift: float = 0.0
-
-
 def read_ply_mesh(path: Path) -> Mesh:
     """Read a PLY file as a triangle mesh; polygons become triangle fans.
 
@@ -67,6 +58,7 @@ def read_ply_mesh(path: Path) -> Mesh:
     Returns
     -------
     Mesh
+        Its normals, colours of one byte and attributes are those of the vertices.
 
     Raises
     ------
@@ -85,8 +77,15 @@ def read_ply_mesh(path: Path) -> Mesh:
         )
     read = read_binary if header.byte_order else read_ascii
     elements = read(path, header, {"vertex", "face"})
-    positions = stack(elements["vertex"].scalars, plan.positions)
-    return mesh_of_polygons(positions, elements["face"].lists[polygons], path)
+    vertices = build_cloud(elements["vertex"].scalars, plan)
+    mesh = mesh_of_polygons(vertices.positions, elements["face"].lists[polygons], path)
+    has_bytes = vertices.colours is not None and vertices.colours.dtype == np.uint8
+    return replace(
+        mesh,
+        normals=vertices.normals,
+        colours=vertices.colours if has_bytes else None,
+        attributes=vertices.attributes,
+    )
 
 
 def write_ply_points(path: Path, cloud: PointCloud) -> None:
@@ -100,26 +99,21 @@ def write_ply_points(path: Path, cloud: PointCloud) -> None:
     path : Path
         Appears whole or not at all.
     cloud : PointCloud
-        Its normals are written as ``float``, its attributes under their names, whose blanks
-        become ``_``, as the type they have; whole numbers of 64 bit as ``double``.
+        Its normals are written as ``float``, its colours and attributes as the type they have,
+        these under their names, whose blanks become ``_``; whole numbers of 64 bits as ``double``.
 
     Raises
     ------
     OutputError
         The file cannot be written.
     """
-    columns = _coordinate_columns(cloud.positions, cloud.origin)
-    if cloud.normals is not None:
-        columns += _plain_columns(NORMALS, "<f4", cloud.normals)
-    if cloud.colours is not None:
-        columns += _plain_columns(COLOURS, _ply_type(cloud.colours.dtype), cloud.colours)
-    for name, values in cloud.attributes.items():
-        name = "_".join(name.split())
-        unique = f"{name}_attribute" if any(name == c.name for c in columns) else name
-        columns += _plain_columns((unique,), _ply_type(values.dtype), values[:, None])
+    is_double = needs_double(cloud.positions, cloud.origin)
+    properties = VertexProperties.of(cloud)
     with replacing(path) as file:
-        file.write(ply_header(_vertex_lines(columns)))
-        _write_columns(file, columns)
+        file.write(ply_header([*coordinate_lines(len(cloud), is_double), *properties.lines]))
+        for start in range(0, len(cloud), _ROWS_AT_ONCE):
+            some = cloud.view(slice(start, start + _ROWS_AT_ONCE))
+            file.write(_make_rows(some, cloud.origin, is_double, properties).data)
 
 
 def write_ply_mesh(path: Path, mesh: Mesh | MeshStream) -> None:
@@ -145,8 +139,7 @@ def write_ply_mesh(path: Path, mesh: Mesh | MeshStream) -> None:
     with replacing(path) as file:
         file.write(_mesh_header(counts, is_double, carried.lines))
         for vertices in stream.vertices():
-            places = vertex_rows(vertices.positions, stream.origin, is_double)
-            file.write(_join_rows(places, vertices, carried).data)
+            file.write(_make_rows(vertices, stream.origin, is_double, carried).data)
         for faces in stream.faces():
             file.write(face_rows(faces).data)
 
@@ -187,10 +180,11 @@ def shared_ply(
         yield SharedPly(str(file.name), str(path), len(header), face_start, is_double, origin)
 
 
-def _join_rows(
-    places: NDArray[Any], vertices: PointCloud, carried: VertexProperties
+def _make_rows(
+    vertices: PointCloud, origin: FloatArray, is_double: bool, carried: VertexProperties
 ) -> NDArray[Any]:
     """Return the rows of some vertices with what they carry."""
+    places = vertex_rows(vertices.positions, origin, is_double)
     if not carried.names:
         return places
     coordinates = [(name, places.dtype.str) for name in AXES]
@@ -210,35 +204,3 @@ def _mesh_header(
             "choose an output that ends in .tiles",
         )
     return mesh_header(*counts, is_double, property_lines)
-
-
-def _plain_columns(names: tuple[str, ...], dtype: str, values: NDArray[Any]) -> list[_Column]:
-    return [_Column(name, dtype, column) for name, column in zip(names, values.T, strict=True)]
-
-
-def _coordinate_columns(local: FloatArray, origin: FloatArray) -> list[_Column]:
-    dtype = "<f8" if needs_double(local, origin) else "<f4"
-    return [_Column(*column) for column in zip(AXES, [dtype] * 3, local.T, origin, strict=True)]
-
-
-def _vertex_lines(columns: list[_Column]) -> list[str]:
-    spelled = {dtype: name for name, dtype in reversed(SCALAR_TYPES.items())}
-    properties = [f"property {spelled[c.dtype[-2:]]} {c.name}" for c in columns]
-    return [f"element vertex {len(columns[0].values)}", *properties]
-
-
-def _ply_type(dtype: np.dtype[Any]) -> str:
-    """Return the PLY type that holds all values of a type, as numpy names it."""
-    fitting = (kind for kind in SCALAR_TYPES.values() if np.can_cast(dtype, kind))
-    return "<" + min(fitting, key=lambda kind: np.dtype(kind).itemsize, default="f8")
-
-
-def _write_columns(file: BinaryIO, columns: list[_Column]) -> None:
-    rows = len(columns[0].values)
-    with np.errstate(over="ignore"):  # what float cannot hold becomes infinite
-        for start in range(0, rows, _ROWS_AT_ONCE):
-            block = slice(start, min(start + _ROWS_AT_ONCE, rows))
-            part = np.empty(block.stop - start, [(c.name, c.dtype) for c in columns])
-            for c in columns:
-                part[c.name] = c.values[block] + c.shift if c.shift else c.values[block]
-            file.write(part.data)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.io.ply.columns import choose_type, name_type
 from hpcapp.io.ply.comments import keep
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS
 from hpcapp.io.points.point_source import PointSource
@@ -24,10 +25,6 @@ log = logging.getLogger("hpcapp")
 SCAN = "scan"
 _ROWS_AT_ONCE = 1 << 18
 _COUNT_DIGITS = 20  # the count is known when the last point is written
-_TYPES = {
-    "i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint",
-    "f4": "float", "f8": "double",
-}  # fmt: skip
 
 
 def write_joined(path: Path, sources: Sequence[PointSource]) -> int:
@@ -98,7 +95,7 @@ def _common_columns(sources: Sequence[PointSource]) -> np.dtype[Any]:
             names = ", ".join(left_out)
             log.warning("warning: %s: left out, as not all files have it: %s", source.path, names)
     types = [np.result_type(*(columns[name] for columns in held)) for name in common]
-    return np.dtype([(name, _storable(kind)) for name, kind in zip(common, types, strict=True)])
+    return np.dtype([(name, choose_type(kind)) for name, kind in zip(common, types, strict=True)])
 
 
 def _columns_of(part: PointCloud) -> dict[str, np.dtype[Any]]:
@@ -108,12 +105,6 @@ def _columns_of(part: PointCloud) -> dict[str, np.dtype[Any]]:
     if part.colours is not None:
         columns |= dict.fromkeys(COLOURS, part.colours.dtype)
     return columns | {name: values.dtype for name, values in part.attributes.items()}
-
-
-def _storable(kind: np.dtype[Any]) -> str:
-    """Return the type, little endian, that a PLY holds such numbers in."""
-    code = {"b1": "u1", "i8": "f8", "u8": "f8", "f2": "f4"}.get(kind.str[1:], kind.str[1:])
-    return f"<{code}" if code in _TYPES else "<f8"
 
 
 def _make_rows(part: PointCloud, dtype: np.dtype[Any], first_scan: int) -> NDArray[Any]:
@@ -137,6 +128,6 @@ def _make_header(count: int, dtype: np.dtype[Any], sources: Sequence[PointSource
     lines += keep(sources)
     lines += [f"element vertex {count}"]
     for name in dtype.names or ():
-        lines.append(f"property {_TYPES[dtype[name].str[1:]]} {name.replace(' ', '_')}")
+        lines.append(f"property {name_type(dtype[name].str)} {name.replace(' ', '_')}")
     filling = "comment ".ljust(8 + _COUNT_DIGITS - len(str(count)), "-")
     return "\n".join([*lines, filling, "end_header\n"]).encode("utf-8")

@@ -34,6 +34,7 @@ from hpccomponent.surface.types.points import FloatArray, IntArray
 __all__ = [
     "FACE_SIZE",
     "SharedPly",
+    "coordinate_lines",
     "face_rows",
     "mesh_header",
     "ply_header",
@@ -112,16 +113,31 @@ def mesh_header(
     -------
     bytes
     """
-    kind = "double" if is_double else "float"
     return ply_header(
         [
-            f"element vertex {vertex_count}",
-            *(f"property {kind} {name}" for name in "xyz"),
+            *coordinate_lines(vertex_count, is_double),
             *property_lines,
             f"element face {face_count}",
             "property list uchar int vertex_indices",
         ]
     )
+
+
+def coordinate_lines(vertex_count: int, is_double: bool) -> list[str]:
+    """Return what a header says of the vertices and their coordinates.
+
+    Parameters
+    ----------
+    vertex_count : int
+    is_double : bool
+        Whether coordinates are float64, not float32.
+
+    Returns
+    -------
+    list of str
+    """
+    kind = "double" if is_double else "float"
+    return [f"element vertex {vertex_count}", *(f"property {kind} {name}" for name in "xyz")]
 
 
 def vertex_size(is_double: bool) -> int:

@@ -53,7 +53,7 @@ def cloud(
 @pytest.fixture
 def cluster(cloud: StrictCloud, tmp_path: Path) -> Cluster:
     path = tmp_path / "cluster.yaml"
-    price = {"hourly_cost": 0.1} if cloud.profile == "generic" else {}
+    price: dict[str, object] = {"hourly_cost": 0.1} if cloud.profile == "generic" else {}
     block = cloud.provider_block(small=price)
     spec_text = {"version": 1, "cluster": "bunny", "provider": block, "workers": {"count": 0}}
     path.write_text(json.dumps(spec_text))

@@ -56,7 +56,7 @@ def cloud(profile: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iter
 
 def write_file(cloud: StrictCloud, folder: Path, **changes: Any) -> Path:
     """Write the one file, with the block of a cloud; JSON is YAML too."""
-    price = {"hourly_cost": 0.2} if cloud.profile == "generic" else {}
+    price: dict[str, object] = {"hourly_cost": 0.2} if cloud.profile == "generic" else {}
     block = cloud.provider_block(small=price, fast={"market": "spot_with_fallback"} | price)
     path = folder / "cluster.yaml"
     path.write_text(f"version: 1\ncluster: bunny\nprovider: {json.dumps(block | changes)}\n{REST}")
@@ -147,5 +147,6 @@ def test_the_file_knows_which_clouds_have_spot_machines(kind: str, profile: str)
         "endpoint_url": "http://cloud.example/",
         "profiles": {"small": {"image": {"id": "ami-1"}, "instance_type": "m5.large"}},
     }
-    cloud: CloudSpec = TypeAdapter(ProviderSpec).validate_python(block)
+    cloud = TypeAdapter(ProviderSpec).validate_python(block)
+    assert isinstance(cloud, CloudSpec)
     assert cloud.has_spot == capabilities_of(cloud).spot

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from xml.sax.saxutils import escape
 
+from cryptography.hazmat.primitives.asymmetric.rsa import RSAPublicKey
 from cryptography.hazmat.primitives.serialization import load_ssh_public_key
 
 from cloud.instances import Instance
@@ -24,6 +25,13 @@ Moto = Callable[[Parameters], Answer]
 XML = [("Content-Type", "text/xml")]
 USER_DATA_LIMIT = 16384
 TYPES = re.compile(r"^[a-z]\w*\.(nano|micro|small|medium|large|\d*xlarge|metal)$")
+
+
+def _is_common_rsa(key: bytes) -> bool:
+    if not key.startswith(b"ssh-rsa "):
+        return False
+    loaded = load_ssh_public_key(key)
+    return isinstance(loaded, RSAPublicKey) and loaded.key_size in (1024, 2048, 4096)
 
 
 class RefusedError(Exception):
@@ -231,9 +239,7 @@ class Rules:
 
     def _ImportKeyPair(self, parameters: Parameters, moto: Moto) -> Answer:  # noqa: N802
         key = base64.b64decode(parameters["PublicKeyMaterial"])
-        if not self._is_aws and not (
-            key.startswith(b"ssh-rsa ") and load_ssh_public_key(key).key_size in (1024, 2048, 4096)
-        ):
+        if not (self._is_aws or _is_common_rsa(key)):
             raise RefusedError("InvalidKey.Format", "Invalid or unsupported key format")
         return moto(parameters)
 

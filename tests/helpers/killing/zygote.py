@@ -74,13 +74,18 @@ def run(arguments: list[str], port: int, errors: Any) -> None:
         os._exit(int(end.code or 0))
 
 
+def make_key(bits: int) -> paramiko.RSAKey:
+    """Take the place of `paramiko.RSAKey.generate`."""
+    return KEY
+
+
 def serve(port: int) -> None:
     """Run every command that comes in, one after the other."""
     remember_models()
-    paramiko.RSAKey.generate = lambda bits: KEY  # type: ignore[method-assign,assignment]
-    hpcdeploy.machine.user_data.user_data = lambda *about: "#!/bin/sh\n"  # type: ignore[assignment]
+    paramiko.RSAKey.generate = make_key  # type: ignore[method-assign,assignment]
+    hpcdeploy.machine.user_data.user_data = lambda *about: "#!/bin/sh\n"
     short = functools.partial(Pace, poll_s=0.01, settle_s=0.05, end_s=20.0)
-    hpcdeploy.reconcile.converge.Pace = short  # type: ignore[assignment,misc]
+    hpcdeploy.reconcile.converge.Pace = short  # type: ignore[attr-defined,assignment]
     for line in sys.stdin:
         with tempfile.TemporaryFile() as errors:
             pid = os.fork()

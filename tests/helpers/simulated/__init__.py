@@ -77,7 +77,7 @@ class SetUp:
 
     broken_nodes: set[str] = field(default_factory=set)
     broken_once: set[str] = field(default_factory=set)
-    during: Callable[[], None] = lambda: None
+    during: Callable[[], object] = lambda: None
     calls: list[tuple[str, ...]] = field(default_factory=list)
 
     def __call__(

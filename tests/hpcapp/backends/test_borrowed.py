@@ -19,6 +19,7 @@ from hpccomponent.surface.types.points import PointCloud
 
 
 def test_an_executor_is_used_and_stays_open(sphere: PointCloud) -> None:
+    assert sphere.normals is not None
     alone = hpcapp.reconstruct(sphere.positions, sphere.normals, grid=32)
     with ThreadPoolExecutor(3) as pool:
         mesh = hpcapp.reconstruct(sphere.positions, sphere.normals, grid=32, executor=pool)

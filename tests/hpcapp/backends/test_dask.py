@@ -65,6 +65,7 @@ def test_the_command_gives_the_same_bytes(
 
 
 def test_a_client_is_used_and_stays_open(client: Any, sphere: PointCloud) -> None:
+    assert sphere.normals is not None
     alone = hpcapp.reconstruct(sphere.positions, sphere.normals, grid=32)
     mesh = hpcapp.reconstruct(sphere.positions, sphere.normals, grid=32, executor=client)
     assert mesh.vertices.tobytes() == alone.vertices.tobytes()
@@ -118,6 +119,7 @@ def test_tasks_of_a_killed_worker_run_on_the_other(
 
 
 def test_a_mesh_survives_the_death_of_a_worker(start_dask: StartDask, sphere: PointCloud) -> None:
+    assert sphere.normals is not None
     alone = hpcapp.reconstruct(sphere.positions, sphere.normals, grid=32)
     cluster = start_dask()
     with distributed.Client(cluster.address, set_as_default=False) as client:
@@ -193,9 +195,12 @@ def test_tls_without_certificates_is_refused() -> None:
 
 
 def test_a_client_for_coroutines_is_refused(address: str, sphere: PointCloud) -> None:
+    normals = sphere.normals
+    assert normals is not None
+
     async def reconstruct() -> None:
         async with distributed.Client(address, asynchronous=True, set_as_default=False) as client:
-            hpcapp.reconstruct(sphere.positions, sphere.normals, executor=client)
+            hpcapp.reconstruct(sphere.positions, normals, executor=client)
 
     with pytest.raises(UsageError, match="this Dask Client is asynchronous"):
         asyncio.run(reconstruct())

@@ -88,7 +88,9 @@ def family(cluster: LocalCluster) -> list[tuple[int, int]]:
     """Return (worker, component) of every machine."""
     found: set[tuple[int, int]] = set()
     while len(found) < cluster.workers:
-        futures = [cluster.executor.submit("cluster.family", i) for i in range(cluster.workers)]
+        futures: list[Future[Any]] = [
+            cluster.executor.submit("cluster.family", i) for i in range(cluster.workers)
+        ]
         found |= {(pids[0], pids[1]) for pids in (future.result() for future in futures)}
     return sorted(found)
 
@@ -104,7 +106,9 @@ def submit_many(cluster: LocalCluster, count: int) -> list[Future[int]]:
 @pytest.mark.parametrize("policy", ["adaptive", "pull", "equal"])
 def test_work_is_done_and_nothing_is_left(policy: str) -> None:
     with LocalCluster(2, policy=policy, extra_tasks=NAMES) as cluster:
-        futures = [cluster.executor.submit("cluster.add", i, 1) for i in range(20)]
+        futures: list[Future[Any]] = [
+            cluster.executor.submit("cluster.add", i, 1) for i in range(20)
+        ]
         assert [future.result() for future in futures] == list(range(1, 21))
         pids = all_pids(cluster)
         assert len(set(pids)) == 6
@@ -156,7 +160,9 @@ def test_a_killed_component_is_replaced() -> None:
 
 def test_the_job_ends_when_all_loaders_are_killed(tmp_path: Path) -> None:
     with LocalCluster(2, extra_tasks=NAMES) as cluster:
-        futures = [cluster.executor.submit("cluster.hang", str(tmp_path / "x")) for _ in range(3)]
+        futures: list[Future[Any]] = [
+            cluster.executor.submit("cluster.hang", str(tmp_path / "x")) for _ in range(3)
+        ]
         for pid in cluster.loader_pids:
             os.kill(pid, signal.SIGKILL)
         for future in futures:
@@ -247,7 +253,8 @@ def test_a_loader_that_cannot_be_found_is_named(monkeypatch: pytest.MonkeyPatch)
 def test_a_loader_for_which_the_system_has_no_room_is_one_less(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    start, started = subprocess.Popen, []
+    start = subprocess.Popen
+    started: list[subprocess.Popen[bytes]] = []
 
     def start_two(*arguments: Any, **settings: Any) -> subprocess.Popen[bytes]:
         if len(started) == 2:
@@ -305,7 +312,7 @@ import signal, sys
 from hpcapp.backends.local_cluster import LocalCluster
 
 def pids(cluster):
-    futures = [cluster.executor.submit("cluster.family", i) for i in range(2)]
+    futures: list[Future[Any]] = [cluster.executor.submit("cluster.family", i) for i in range(2)]
     return [*cluster.loader_pids, *(pid for future in futures for pid in future.result())]
 
 with LocalCluster(2, extra_tasks=sys.argv[2:]) as cluster:

@@ -8,6 +8,7 @@ import struct
 import threading
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,7 +22,8 @@ def test_a_worker_that_dies_while_it_writes_its_result_is_noticed() -> None:
         assert isinstance(pool, ProcessPoolExecutor)
         waiting = pool.submit(bytes, 8)
         waiting.result()
-        os.write(pool._result_queue._writer.fileno(), struct.pack("!i", 1 << 20))  # and no more
+        results: Any = pool._result_queue
+        os.write(results._writer.fileno(), struct.pack("!i", 1 << 20))  # and no more
         waiting = pool.submit(bytes, 8)
         os.kill(next(iter(pool._processes)), signal.SIGKILL)
         with pytest.raises(BrokenExecutor):
@@ -43,7 +45,8 @@ def test_the_pipe_that_the_watcher_closes_is_not_closed_a_second_time_meanwhile(
     monkeypatch.setattr(threading.Thread, "join", join_and_say_so)
     with open_processes(1) as pool:
         assert isinstance(pool, ProcessPoolExecutor)
-        writer = pool._result_queue._writer
+        results: Any = pool._result_queue
+        writer = results._writer
         close = writer.close
 
         def close_in_turn() -> None:

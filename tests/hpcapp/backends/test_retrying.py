@@ -238,7 +238,8 @@ def unaligned(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     there = raw[1:].view(values.dtype)
     there[:] = values
     assert not there.flags.aligned
-    return there
+    found: np.ndarray[Any, Any] = there
+    return found
 
 
 def test_unaligned_arrays_are_copied_wherever_they_stand() -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import zmq
+from fixture_types import StartComponent
 
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpcapp.communicator.loop import Timing
@@ -25,8 +26,6 @@ TASKS = [
     )
 ]  # fmt: skip
 QUICK = Timing(heartbeat_s=0.25, liveness_s=5.0, silence_s=20.0, worker_wait_s=20.0, probe_s=0.1)
-
-StartComponent = Callable[..., "subprocess.Popen[str]"]
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -6,14 +6,17 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, Future
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import zmq
+from fixture_types import StartComponent
 
+from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.errors import (
     JobError,
     NoWorkersError,
@@ -46,7 +49,7 @@ def is_alive(pid: int) -> bool:
 
 
 def test_a_worker_does_what_a_task_has_left_once_it_has_nothing_else(
-    executor, start_component, tmp_path
+    executor: CommunicatorExecutor, start_component: StartComponent, tmp_path: Path
 ) -> None:
     start_component()
     left, first, second = (str(tmp_path / name) for name in ("left", "first", "second"))
@@ -54,7 +57,7 @@ def test_a_worker_does_what_a_task_has_left_once_it_has_nothing_else(
     executor.submit("contract.leave_work", left, first).result(WAIT)
     await_file(Path(left))
     Path(left).unlink()
-    futures = [
+    futures: list[Future[Any]] = [
         executor.submit("contract.leave_work", left, second),
         executor.submit("contract.wait_for_file", second),
     ]
@@ -65,12 +68,14 @@ def test_a_worker_does_what_a_task_has_left_once_it_has_nothing_else(
     assert executor.submit("contract.echo", 5).result(WAIT) == 5
 
 
-def test_values_arrive_bit_by_bit_large_and_small(executor, start_component) -> None:
+def test_values_arrive_bit_by_bit_large_and_small(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
     start_component()
     rng = np.random.default_rng(7)
     for size in (0, 3, 600, 50_000, 1_500_000):  # header, inline, shared, in pieces
         sent = rng.standard_normal(size)
-        received = executor.submit("contract.echo", sent).result(WAIT)
+        received: Any = executor.submit("contract.echo", sent).result(WAIT)
         assert received.tobytes() == sent.tobytes()
         assert not received.flags.writeable
     mixed = {"a": (1, None, "x"), "b": [sent, b"raw"]}
@@ -79,11 +84,15 @@ def test_values_arrive_bit_by_bit_large_and_small(executor, start_component) -> 
     assert received["b"][0].tobytes() == sent.tobytes()
 
 
-def test_thousands_of_small_tasks_share_batches(executor, start_component) -> None:
+def test_thousands_of_small_tasks_share_batches(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
     start_component()
     start_component()
     executor.wait_for_workers(2, WAIT)
-    futures = [executor.submit("contract.echo", number) for number in range(2000)]
+    futures: list[Future[Any]] = [
+        executor.submit("contract.echo", number) for number in range(2000)
+    ]
     assert [future.result(WAIT) for future in futures] == list(range(2000))
     counts = executor.statistics()
     assert counts["tasks"] == 2000
@@ -93,7 +102,7 @@ def test_thousands_of_small_tasks_share_batches(executor, start_component) -> No
 
 
 def test_an_exception_comes_back_with_one_line_and_the_remote_traceback(
-    executor, start_component
+    executor: CommunicatorExecutor, start_component: StartComponent
 ) -> None:
     start_component()
     with pytest.raises(TaskError, match="ValueError: no luck") as caught:
@@ -102,7 +111,7 @@ def test_an_exception_comes_back_with_one_line_and_the_remote_traceback(
     assert "contract_tasks.py" in caught.value.__notes__[0]
 
 
-def test_what_cannot_be_submitted_is_refused_at_once(executor) -> None:
+def test_what_cannot_be_submitted_is_refused_at_once(executor: CommunicatorExecutor) -> None:
     with pytest.raises(UsageError, match="not a registered task"):
         executor.submit(len, [])
     with pytest.raises(UsageError, match="not a registered task"):
@@ -116,21 +125,24 @@ def test_what_cannot_be_submitted_is_refused_at_once(executor) -> None:
         executor.submit("contract.echo", 1)
 
 
-def test_workers_have_one_thread_and_a_process_of_their_own(executor, start_component) -> None:
+def test_workers_have_one_thread_and_a_process_of_their_own(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
     component = start_component()
-    pid, parent, threads = executor.submit("contract.read_process").result(WAIT)
+    found: tuple[int, int, str] = executor.submit("contract.read_process").result(WAIT)
+    pid, parent, threads = found
     assert pid != component.pid == parent
     assert threads == "1"
 
 
 def test_waiting_tasks_can_be_cancelled_and_running_ones_cannot(
-    executor, start_component, tmp_path: Path
+    executor: CommunicatorExecutor, start_component: StartComponent, tmp_path: Path
 ) -> None:
     start_component()
     started, released = tmp_path / "started", tmp_path / "released"
     names = str(started), str(released)
-    running = executor.submit("contract.announce_and_wait", *names)
-    waiting = [executor.submit("contract.echo", number) for number in range(50)]
+    running: Future[Any] = executor.submit("contract.announce_and_wait", *names)
+    waiting: list[Future[Any]] = [executor.submit("contract.echo", number) for number in range(50)]
     await_file(started)
     assert not running.cancel()
     assert waiting[-1].cancel()
@@ -141,28 +153,30 @@ def test_waiting_tasks_can_be_cancelled_and_running_ones_cannot(
 
 
 def test_shutdown_finishes_what_is_submitted_and_the_components_leave(
-    executor, start_component
+    executor: CommunicatorExecutor, start_component: StartComponent
 ) -> None:
     components = [start_component(), start_component()]
     executor.wait_for_workers(2, WAIT)
-    futures = [executor.submit("contract.echo", number) for number in range(200)]
+    futures: list[Future[Any]] = [executor.submit("contract.echo", number) for number in range(200)]
     executor.shutdown(wait=True)
     assert [future.result(0) for future in futures] == list(range(200))
     assert [component.wait() for component in components] == [0, 0]
 
 
-def test_shutdown_can_cancel_what_waits(executor) -> None:
-    futures = [executor.submit("contract.echo", number) for number in range(5)]
+def test_shutdown_can_cancel_what_waits(executor: CommunicatorExecutor) -> None:
+    futures: list[Future[Any]] = [executor.submit("contract.echo", number) for number in range(5)]
     executor.shutdown(wait=True, cancel_futures=True)
     assert all(future.cancelled() for future in futures)
 
 
 def test_leaving_with_an_error_abandons_running_tasks(
-    executor, start_component, tmp_path: Path
+    executor: CommunicatorExecutor, start_component: StartComponent, tmp_path: Path
 ) -> None:
     component = start_component()
     started = tmp_path / "started"
-    running = executor.submit("contract.announce_and_wait", str(started), str(tmp_path / "never"))
+    running: Future[Any] = executor.submit(
+        "contract.announce_and_wait", str(started), str(tmp_path / "never")
+    )
     worker = int(await_file(started))
     with pytest.raises(KeyboardInterrupt), executor:
         raise KeyboardInterrupt
@@ -190,11 +204,14 @@ def freeze_component(component_pid: int, worker_pid: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("harm", [kill_worker, kill_component, freeze_component])
 def test_the_batch_of_a_lost_worker_runs_elsewhere(
-    executor, start_component, tmp_path: Path, harm: Callable[[int, int], None]
+    executor: CommunicatorExecutor,
+    start_component: StartComponent,
+    tmp_path: Path,
+    harm: Callable[[int, int], None],
 ) -> None:
     victim = start_component()
     started, released = tmp_path / "started", tmp_path / "released"
-    future = executor.submit("contract.announce_and_wait", str(started), str(released))
+    future: Future[Any] = executor.submit("contract.announce_and_wait", str(started), str(released))
     worker = int(await_file(started))
     started.unlink()
     start_component()
@@ -209,14 +226,14 @@ def test_the_batch_of_a_lost_worker_runs_elsewhere(
 
 
 def test_the_task_of_a_worker_that_hangs_is_run_again_and_its_late_answer_dropped(
-    executor, start_component
+    executor: CommunicatorExecutor, start_component: StartComponent
 ) -> None:
     start_component()
     start_component()
     executor.wait_for_workers(2, WAIT)
     pids: set[int] = set()
     while len(pids) < 2:
-        futures = [executor.submit("contract.read_process") for _ in range(20)]
+        futures: list[Future[Any]] = [executor.submit("contract.read_process") for _ in range(20)]
         pids |= {future.result(WAIT)[0] for future in futures}
     hung = pids.pop()
     os.kill(hung, signal.SIGSTOP)  # its component speaks on: nothing else would notice
@@ -236,17 +253,22 @@ def test_the_task_of_a_worker_that_hangs_is_run_again_and_its_late_answer_droppe
 
 
 @pytest.mark.slow
-def test_a_task_that_kills_every_worker_is_given_up(executor, start_component) -> None:
+def test_a_task_that_kills_every_worker_is_given_up(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
     start_component()
-    poison = executor.submit("contract.kill_worker")
-    others = [executor.submit("contract.echo", number) for number in range(20)]
+    poison: Future[Any] = executor.submit("contract.kill_worker")
+    others: list[Future[Any]] = [executor.submit("contract.echo", number) for number in range(20)]
     with pytest.raises(WorkerLostError, match="SIGKILL"):
         poison.result(WAIT)
     assert [future.result(WAIT) for future in others] == list(range(20))
 
 
 def test_a_machine_that_loses_every_worker_is_retired_and_the_others_do_its_tasks(
-    executor, start_component, tmp_path: Path, caplog
+    executor: CommunicatorExecutor,
+    start_component: StartComponent,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     bad = start_component("bad")
     note = tmp_path / "bad"
@@ -256,7 +278,9 @@ def test_a_machine_that_loses_every_worker_is_retired_and_the_others_do_its_task
     executor.wait_for_workers(3, WAIT)
     done: list[int] = []
     for _ in range(100):
-        futures = [executor.submit("contract.kill_below", str(note)) for _ in range(12)]
+        futures: list[Future[Any]] = [
+            executor.submit("contract.kill_below", str(note)) for _ in range(12)
+        ]
         done += [future.result(WAIT) for future in futures]
         if executor.workers == 2:
             break
@@ -267,11 +291,11 @@ def test_a_machine_that_loses_every_worker_is_retired_and_the_others_do_its_task
 
 
 def test_a_preempted_component_says_goodbye_and_its_task_goes_on_elsewhere(
-    executor, start_component, tmp_path: Path
+    executor: CommunicatorExecutor, start_component: StartComponent, tmp_path: Path
 ) -> None:
     victim = start_component()
     started, released = tmp_path / "started", tmp_path / "released"
-    future = executor.submit("contract.announce_and_wait", str(started), str(released))
+    future: Future[Any] = executor.submit("contract.announce_and_wait", str(started), str(released))
     await_file(started)
     started.unlink()
     start_component()
@@ -283,9 +307,14 @@ def test_a_preempted_component_says_goodbye_and_its_task_goes_on_elsewhere(
     assert executor.statistics()["losses"] == 0
 
 
-def test_a_wrong_server_key_is_told_in_words(executor, start_component, caplog) -> None:
+def test_a_wrong_server_key_is_told_in_words(
+    executor: CommunicatorExecutor,
+    start_component: StartComponent,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     wrong = replace(executor.invite("w"), server_key=make_key_pair().public)
     component = start_component(connection=wrong)
+    assert component.stderr is not None
     for _ in component.stderr:
         break  # it complains too
     with pytest.raises(NoWorkersError, match="key"):
@@ -293,7 +322,9 @@ def test_a_wrong_server_key_is_told_in_words(executor, start_component, caplog) 
     assert executor.statistics()["refused"] >= 1
 
 
-def test_a_key_that_is_not_on_the_list_is_told_in_words(executor, start_component) -> None:
+def test_a_key_that_is_not_on_the_list_is_told_in_words(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
     stranger = make_key_pair()
     start_component(
         connection=Connection(
@@ -306,20 +337,26 @@ def test_a_key_that_is_not_on_the_list_is_told_in_words(executor, start_componen
         executor.wait_for_workers(2, 0.5)
 
 
-def test_a_revoked_worker_leaves(executor, start_component) -> None:
+def test_a_revoked_worker_leaves(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
     connection = executor.invite("w")
     component = start_component("w", connection)
     executor.wait_for_workers(1, WAIT)
     executor.revoke(connection.public_key)
     assert component.wait() == 2
+    assert component.stderr is not None
     assert "revoked" in component.stderr.read()
     assert executor.workers == 0
 
 
-def test_a_component_of_another_numerics_id_is_refused(start_component, executor) -> None:
+def test_a_component_of_another_numerics_id_is_refused(
+    start_component: StartComponent, executor: CommunicatorExecutor
+) -> None:
     executor._engine.scheduler._admission.numerics = "another machine's"
     component = start_component()
     assert component.wait(WAIT) == 2
+    assert component.stderr is not None
     assert "last bits" in component.stderr.read()
 
 
@@ -334,7 +371,7 @@ def test_a_component_of_another_numerics_id_is_refused(start_component, executor
     ],
 )
 def test_bad_messages_do_not_take_the_master_down(
-    executor, start_component, frames: list[bytes]
+    executor: CommunicatorExecutor, start_component: StartComponent, frames: list[bytes]
 ) -> None:
     connection = executor.invite("rogue")
     with zmq.Context() as context, context.socket(zmq.DEALER) as rogue:
@@ -351,7 +388,9 @@ def test_bad_messages_do_not_take_the_master_down(
         assert executor.statistics()["dropped"] >= 1
 
 
-def test_a_peer_without_curve_gets_nowhere(executor, start_component) -> None:
+def test_a_peer_without_curve_gets_nowhere(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
     with zmq.Context() as context, context.socket(zmq.DEALER) as plain:
         plain.setsockopt(zmq.LINGER, 0)
         plain.connect(executor.endpoint)
@@ -362,8 +401,8 @@ def test_a_peer_without_curve_gets_nowhere(executor, start_component) -> None:
         assert not plain.poll(0)
 
 
-def test_without_workers_the_launcher_ends_the_wait(executor) -> None:
-    future = executor.submit("contract.echo", 1)
+def test_without_workers_the_launcher_ends_the_wait(executor: CommunicatorExecutor) -> None:
+    future: Future[Any] = executor.submit("contract.echo", 1)
     executor.workers_gone("all loaders have ended")
     with pytest.raises(NoWorkersError, match="all loaders have ended"):
         future.result(WAIT)
@@ -371,7 +410,9 @@ def test_without_workers_the_launcher_ends_the_wait(executor) -> None:
         executor.wait_for_workers(1, WAIT)
 
 
-def test_a_defect_of_the_communicator_fails_every_future(executor, monkeypatch) -> None:
+def test_a_defect_of_the_communicator_fails_every_future(
+    executor: CommunicatorExecutor, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(executor._engine.scheduler, "tick", lambda: 1 / 0)
     for _ in range(2):  # before the thread ends, and after
         with pytest.raises(JobError, match="the communicator broke: ZeroDivisionError"):

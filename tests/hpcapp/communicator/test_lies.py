@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 import zmq
+from fixture_types import StartComponent
 
 from hpcapp.applications.quadrature.application import estimate
 from hpcapp.communicator.executor import CommunicatorExecutor
@@ -115,7 +116,9 @@ class Liar(threading.Thread):
                     dealer.send(encode_message(Heartbeat(session, 0, 0, [])))
 
 
-def test_a_liar_that_sends_nan_is_turned_away(executor, start_component) -> None:
+def test_a_liar_that_sends_nan_is_turned_away(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
     liar = Liar(executor, say(np.full((1, 10), np.nan)))
     assert liar.registered.wait(WAIT)
     points = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.array([0, 1])
@@ -129,7 +132,10 @@ def test_a_liar_that_sends_nan_is_turned_away(executor, start_component) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize("lie", LIES)
 def test_a_liar_is_turned_away_with_a_reason_and_the_work_is_done(
-    executor, start_component, caplog, lie: str
+    executor: CommunicatorExecutor,
+    start_component: StartComponent,
+    caplog: pytest.LogCaptureFixture,
+    lie: str,
 ) -> None:
     liar = Liar(executor, LIES[lie])
     assert liar.registered.wait(WAIT)

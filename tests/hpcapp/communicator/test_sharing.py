@@ -6,28 +6,36 @@ import gc
 import os
 import signal
 import threading
+from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from contract_tasks import Pair
+from fixture_types import StartComponent
 
+from hpcapp.communicator.executor import CommunicatorExecutor
 from hpccomponent.errors import UsageError
 
 WAIT = 30.0
 
 
-def test_a_shared_value_travels_once_to_each_machine(executor, start_component) -> None:
+def test_a_shared_value_travels_once_to_each_machine(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
     values = np.random.default_rng(1).random(200_000)
     blob = executor.share((values, {"small": np.arange(3)}))
     assert executor.share((values.copy(), {"small": np.arange(3)})) is blob
     start_component()
     start_component()
     executor.wait_for_workers(2, WAIT)
-    futures = [executor.submit("contract.add_to_first", blob, i) for i in range(40)]
+    futures: list[Future[Any]] = [
+        executor.submit("contract.add_to_first", blob, i) for i in range(40)
+    ]
     for number, future in enumerate(futures):
         assert future.result(WAIT) == values[0] + number
-    nested = executor.submit("contract.echo", [blob, 7]).result(WAIT)
+    nested: Any = executor.submit("contract.echo", [blob, 7]).result(WAIT)
     assert nested[0][0].tobytes() == values.tobytes()
     assert not nested[0][0].flags.writeable
     counts = executor.statistics()
@@ -35,7 +43,9 @@ def test_a_shared_value_travels_once_to_each_machine(executor, start_component) 
     assert counts["bytes_sent"] < 3 * values.nbytes
 
 
-def test_a_shared_record_arrives_before_its_module_is_imported(executor, start_component) -> None:
+def test_a_shared_record_arrives_before_its_module_is_imported(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
     pair = Pair("word", 3)
     blob = executor.share(pair)
     start_component()
@@ -44,13 +54,13 @@ def test_a_shared_record_arrives_before_its_module_is_imported(executor, start_c
 
 
 def test_a_worker_that_is_started_again_gets_the_value_from_its_component(
-    executor, start_component
+    executor: CommunicatorExecutor, start_component: StartComponent
 ) -> None:
     blob = executor.share(np.arange(100_000.0))
     start_component()
-    pid, _, _ = executor.submit("contract.read_process").result(WAIT)
+    found: tuple[int, int, str] = executor.submit("contract.read_process").result(WAIT)
     assert executor.submit("contract.total", blob).result(WAIT) == sum(range(100_000))
-    os.kill(pid, signal.SIGKILL)
+    os.kill(found[0], signal.SIGKILL)
     assert executor.submit("contract.total", blob).result(WAIT) == sum(range(100_000))
     assert executor.statistics()["blobs"] == 1
 
@@ -65,7 +75,9 @@ def memory_files(pid: int) -> int:
     return found
 
 
-def test_a_component_lets_go_of_what_nobody_refers_to(executor, start_component) -> None:
+def test_a_component_lets_go_of_what_nobody_refers_to(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
     component = start_component()
     blob = executor.share(np.arange(100_000.0))
     executor.submit("contract.total", blob).result(WAIT)
@@ -81,7 +93,7 @@ def test_a_component_lets_go_of_what_nobody_refers_to(executor, start_component)
 
 
 def test_a_value_that_is_changed_after_it_was_shared_fails_its_tasks_in_words(
-    executor, start_component
+    executor: CommunicatorExecutor, start_component: StartComponent
 ) -> None:
     values = np.arange(100_000.0)
     blob = executor.share(values)
@@ -92,7 +104,7 @@ def test_a_value_that_is_changed_after_it_was_shared_fails_its_tasks_in_words(
     assert executor.submit("contract.echo", 3).result(WAIT) == 3
 
 
-def test_what_cannot_travel_cannot_be_shared(executor) -> None:
+def test_what_cannot_travel_cannot_be_shared(executor: CommunicatorExecutor) -> None:
     with pytest.raises(UsageError, match="cannot travel"):
         executor.share(object())
     with pytest.raises(UsageError, match="more than 256"):

@@ -121,7 +121,8 @@ def test_a_name_stands_for_one_class() -> None:
 
 
 def small(**changes: Any) -> Pair:
-    return Pair(**{"rows": np.zeros((2, 3)), "count": 2} | changes)
+    given: dict[str, Any] = {"rows": np.zeros((2, 3)), "count": 2}
+    return Pair(**given | changes)
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from hpccomponent.protocol.messages import (
     Goodbye,
     Heartbeat,
     Lost,
+    MasterMessage,
     Need,
     Ping,
     Refused,
@@ -257,7 +258,7 @@ def test_whatever_happens_windows_hold_and_it_stops_once(events: list[tuple[Any,
         elif event[0] == "terminate":
             actions = session.terminate("told to")
         elif event[0] in ("again", "welcome", "drain", "ping"):
-            known = {
+            known: dict[str, MasterMessage] = {
                 "again": RegisterAgain(), "welcome": WELCOME, "drain": Drain("s"),
                 "ping": Ping("s", 0),
             }  # fmt: skip

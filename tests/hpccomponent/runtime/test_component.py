@@ -146,6 +146,7 @@ def test_a_refused_component_says_why_and_asks_not_to_be_started_again(
     identity, _ = master.hear_register()
     master.router.send_multipart([identity, encode_message(Refused("wrong release"))])
     assert component.wait() == 2
+    assert component.stderr is not None
     assert "wrong release" in component.stderr.read()
 
 
@@ -155,6 +156,7 @@ def test_a_silent_master_is_left(master: Master, start: Start) -> None:
     welcome = Registered("s", 0.1, 0.5, 1 << 20)
     master.router.send_multipart([identity, encode_message(welcome)])
     assert component.wait() == 5
+    assert component.stderr is not None
     assert "silent" in component.stderr.read()
 
 
@@ -170,6 +172,7 @@ def test_junk_from_the_master_is_dropped(master: Master, start: Start) -> None:
 def test_usage_and_configuration_errors_exit_2(start: Start, tmp_path: Path) -> None:
     component = start("--task", "malformed")
     assert component.wait() == 2
+    assert component.stderr is not None
     assert "NAME=module:function" in component.stderr.read()
     (tmp_path / "connection.json").unlink()
     command = [sys.executable, "-P", "-m", "hpccomponent", "--connection", str(tmp_path / "none")]

@@ -84,7 +84,8 @@ def test_blobs_among_the_arguments_are_looked_up() -> None:
 def test_cheap_results_share_a_message(ends: Ends) -> None:
     batch = Batch("s", 7, [call(number, "root", 4.0) for number in range(30)])
     run_batch(batch, memoryview(b""), TASKS, ends[0])
-    numbers, messages = [], 0
+    numbers: list[int] = []
+    messages = 0
     while len(numbers) < 30:
         results, _ = hear(ends[1])
         numbers += [result.task for result in results.results]

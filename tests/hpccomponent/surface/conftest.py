@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
+from fixture_types import BrickFunction, BrickValues, Function
+from numpy.typing import NDArray
 
 from hpccomponent.surface.types.grid import BRICK, NODES, Grid
-
-Function = Callable[[np.ndarray], np.ndarray]
+from hpccomponent.surface.types.points import IntArray
 
 
 @pytest.fixture(scope="session")
-def brick_values() -> Callable[[Function, Grid], Callable[[np.ndarray], np.ndarray]]:
+def brick_values() -> BrickValues:
     """Turn a function of positions into one of bricks, with the outermost nodes outside."""
 
-    def prepare(function: Function, grid: Grid) -> Callable[[np.ndarray], np.ndarray]:
-        def evaluate(places: np.ndarray) -> np.ndarray:
+    def prepare(function: Function, grid: Grid) -> BrickFunction:
+        def evaluate(places: IntArray) -> NDArray[np.float32]:
             steps = np.stack(np.meshgrid(*[np.arange(NODES)] * 3, indexing="ij"), axis=-1)
             nodes = BRICK * places[:, None, None, None, :] + steps
             values = function(grid.origin + grid.step * nodes).astype(np.float32)

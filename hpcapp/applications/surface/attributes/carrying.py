@@ -6,6 +6,7 @@ are and on nothing else, so that tiles and workers give the same bits.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from tempfile import TemporaryFile
@@ -156,8 +157,10 @@ NOTHING = Carrying(PointCloud(np.empty((0, 3))))
 
 def _sum_normals(stream: MeshStream) -> FloatArray:
     """Return the sums of the faces' normals at the vertices, shape (3, v), in a file."""
+    shape = (3, max(stream.vertex_count, 1))
     with TemporaryFile() as file:  # the array holds it open
-        sums = np.memmap(file, np.float64, "w+", shape=(3, max(stream.vertex_count, 1)))
+        os.posix_fallocate(file.fileno(), 0, 24 * shape[1])  # a full disk says so here
+        sums = np.memmap(file, np.float64, "r+", shape=shape)
     for faces, corners in zip(stream.faces(), stream.corners(), strict=True):
         add_face_normals(sums, faces, corners)
     return sums

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from hpcapp.io import PointSource, read_whole
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
+from hpccomponent.surface.cloud.repeated import find_repeated
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
@@ -29,7 +30,7 @@ def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
     facts : dict
         JSON values. ``format``; ``columns``: as what each of them was taken, by its name;
         ``normals``: where they are from, ``file`` or ``faces``, or None; ``is_oriented``:
-        False where their signs are not known; ``attributes``: names
+        False where their signs are not known, None without them; ``attributes``: names
         of other columns that are kept; ``scans``: for each its ``points``, ``scanner`` and
         ``grid``, or None; ``grid`` of the first; ``crs``; ``unit``; ``dropped``: points that are
         no part of the cloud, by reason; ``warnings``; and all that `describe` tells.
@@ -50,7 +51,7 @@ def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
         "format": source.format,
         **facts,
         "normals": source.normals_from if cloud.normals is not None else None,
-        "is_oriented": source.oriented,
+        "is_oriented": source.oriented if cloud.normals is not None else None,
         "attributes": list(cloud.attributes),
         "columns": {name: _tell_use(name, cloud) for name in source.columns},
         "scans": [
@@ -114,7 +115,7 @@ def describe(cloud: PointCloud) -> dict[str, Any]:
     among all points.
     """
     finite = cloud.positions[np.isfinite(cloud.positions).all(axis=1)]
-    distinct = _distinct(finite)
+    distinct = finite[~find_repeated(finite)]
     return {
         "points": len(cloud),
         "has_normals": cloud.normals is not None,
@@ -146,15 +147,6 @@ def _count_normals(normals: FloatArray | None) -> dict[str, int]:
         "non_finite_normals": int((~np.isfinite(normals).all(axis=1)).sum()),
         "zero_normals": int((normals == 0).all(axis=1).sum()),
     }
-
-
-def _distinct(finite: FloatArray) -> FloatArray:
-    """Return the first point at each place, in the order of the input."""
-    order = np.lexsort(finite.T)  # stable: of equal points the first stays first
-    ordered = finite[order]
-    first = np.ones(len(finite), bool)
-    first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    return finite[np.sort(order[first])]
 
 
 def _spacing(distinct: FloatArray) -> float | None:

@@ -125,7 +125,7 @@ def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
     name = str(settings.points)
     with clock.stage("read"):
         source = _open_source(settings)
-        read = settings.attributes.select(read_whole(source), name)
+        read = settings.attributes.select(read_whole(source), settings.shown)
         labels = find_labels(read.attributes)
         points, dropped = drop_unusable(read, name)
         del read
@@ -315,7 +315,7 @@ def load_folder(settings: JobSettings, folder: Path, passes: Passes, clock: Stag
 def _find_columns(settings: JobSettings, source: PointSource) -> PointCloud:
     """Return no points, with the columns of a file that are to be carried to the mesh."""
     first = next(source.chunks(1))
-    return settings.attributes.select(first, str(settings.points)).view(slice(0))
+    return settings.attributes.select(first, settings.shown).view(slice(0))
 
 
 def _orient_there(

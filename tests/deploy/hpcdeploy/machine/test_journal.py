@@ -19,7 +19,7 @@ from hpcdeploy.spec.layout import clusters_folder, forget_cluster, state_folder
 from hpcdeploy.spec.names import NodeName
 
 UNTIL = datetime(2026, 11, 1, 14, tzinfo=UTC)
-LAUNCH = {
+LAUNCH: dict[str, str | int] = {
     "incarnation": "life",
     "node": "worker-1",
     "generation": 1,

@@ -80,6 +80,7 @@ def carry_out(observed: Observed, action: Action) -> Observed:
                     for seen in observed.machines
                 ),
             )
+    raise AssertionError(action)
 
 
 def plan_for(spec: ClusterSpec, observed: Observed) -> Plan:
@@ -218,6 +219,7 @@ def test_spot_comes_before_on_demand(market: str, choices: list[str]) -> None:
     assert [f"{c.instance_type} {c.market}" for c in launch_choices(profile)] == choices
     without_spot = launch_choices(profile, has_spot=False)
     assert set(without_spot) <= set(launch_choices(profile))
+    assert profile is not None
     assert ("spot" in {choice.market for choice in without_spot}) == (profile.market == "spot")
 
 

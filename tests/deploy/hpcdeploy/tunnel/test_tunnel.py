@@ -101,7 +101,9 @@ def test_workers_reach_a_master_elsewhere(
             futures = [submit(executor, right) for right in range(20)]
             results.append([future.result(60).tolist() for future in futures])
             large = np.random.default_rng(7).random(300_000)
-            sums = executor.submit("quadrature.estimate", "wave", large, large + 1.0).result(60)
+            sums: Any = executor.submit("quadrature.estimate", "wave", large, large + 1.0).result(
+                60
+            )
             assert len(sums) >= 2
     assert results[0] == results[1]
     assert not any("secret" in command for command in head.commands)

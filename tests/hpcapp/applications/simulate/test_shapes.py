@@ -1,38 +1,49 @@
 """Shapes, their building blocks and their rays against what geometry says of them."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from skimage.measure import marching_cubes
 
 from hpcapp.applications.simulate import solids
 from hpcapp.applications.simulate.rays import closest_points, cross_rays, sample_lines, unit_vectors
-from hpcapp.applications.simulate.shapes import SHAPES, ImplicitShape, diagonal_of, find_shape
+from hpcapp.applications.simulate.shapes import (
+    SHAPES,
+    ImplicitShape,
+    Shape,
+    diagonal_of,
+    find_shape,
+)
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpccomponent.errors import UsageError
 from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray
 
 every_shape = pytest.mark.parametrize("shape", SHAPES.values(), ids=list(SHAPES))
 
 
-def mesh_of(shape, cell):
+def mesh_of(shape: Shape, cell: float) -> Mesh:
     """Marching cubes on a grid of that cell size, as a fraction of the diagonal."""
     low, high = shape.bounds
     step = cell * diagonal_of(shape)
     axes = [np.arange(a - 2.5 * step, b + 2.5 * step, step) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     value = shape.value(grid.reshape(-1, 3)).reshape(grid.shape[:3])
-    vertices, faces, _, _ = marching_cubes(value, 0.0, spacing=(step,) * 3)
+    sides = (step,) * 3
+    # scikit-image has no types
+    vertices, faces, _, _ = marching_cubes(value, 0.0, spacing=sides)  # type: ignore[no-untyped-call]
     return Mesh(vertices + low - 2.5 * step, faces.astype(np.int64))
 
 
-def points_around(shape, count=2000, seed=5):
+def points_around(shape: Shape, count: int = 2000, seed: int = 5) -> FloatArray:
     low, high = shape.bounds
     rng = np.random.default_rng(seed)
     return low + (high - low) * rng.uniform(-0.2, 1.2, (count, 3))
 
 
 @every_shape
-def test_its_surface_is_one_piece_of_the_genus_it_claims(shape):
+def test_its_surface_is_one_piece_of_the_genus_it_claims(shape: Shape) -> None:
     thin = shape.name in {"plate", "plates", "ring", "shaft", "fingers"}
     found = check_mesh(mesh_of(shape, 1 / 190 if thin else 1 / 70))
     assert found.watertight
@@ -40,7 +51,7 @@ def test_its_surface_is_one_piece_of_the_genus_it_claims(shape):
 
 
 @every_shape
-def test_its_bounds_hold_the_surface_and_fit(shape):
+def test_its_bounds_hold_the_surface_and_fit(shape: Shape) -> None:
     low, high = shape.bounds
     points = sample_lines(shape, 20_000, np.random.default_rng(1))
     slack = 1e-9 * diagonal_of(shape)
@@ -52,7 +63,7 @@ def test_its_bounds_hold_the_surface_and_fit(shape):
 
 
 @every_shape
-def test_its_value_never_exceeds_the_distance_to_the_surface(shape):
+def test_its_value_never_exceeds_the_distance_to_the_surface(shape: Shape) -> None:
     points = points_around(shape)
     surface = sample_lines(shape, 3000, np.random.default_rng(2))
     to_surface = np.linalg.norm(points[:, None] - surface[None, :500], axis=2).min(axis=1)
@@ -60,7 +71,7 @@ def test_its_value_never_exceeds_the_distance_to_the_surface(shape):
 
 
 @every_shape
-def test_its_value_changes_no_faster_than_the_distance(shape):
+def test_its_value_changes_no_faster_than_the_distance(shape: Shape) -> None:
     points = points_around(shape)
     step = 0.01 * diagonal_of(shape) * np.random.default_rng(3).standard_normal(points.shape)
     change = np.abs(shape.value(points + step) - shape.value(points))
@@ -68,13 +79,13 @@ def test_its_value_changes_no_faster_than_the_distance(shape):
 
 
 @every_shape
-def test_its_normals_are_the_direction_in_which_the_value_grows(shape):
+def test_its_normals_are_the_direction_in_which_the_value_grows(shape: Shape) -> None:
     points = sample_lines(shape, 2000, np.random.default_rng(4))
     normals = shape.normal(points)
     assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0, abs=1e-12)
     step = 1e-6 * diagonal_of(shape)
 
-    def slope(directions):
+    def slope(directions: FloatArray) -> FloatArray:
         ahead, behind = points + step * directions, points - step * directions
         return (shape.value(ahead) - shape.value(behind)) / (2 * step)
 
@@ -85,19 +96,19 @@ def test_its_normals_are_the_direction_in_which_the_value_grows(shape):
 
 
 @every_shape
-def test_lines_meet_its_surface_to_rounding(shape):
+def test_lines_meet_its_surface_to_rounding(shape: Shape) -> None:
     points = sample_lines(shape, 3000, np.random.default_rng(6))
     assert len(points) > 100
     assert np.abs(shape.value(points)).max() < 1e-12 * diagonal_of(shape)
 
 
-def test_every_name_is_found_and_a_wrong_one_explained():
+def test_every_name_is_found_and_a_wrong_one_explained() -> None:
     assert all(find_shape(name) is shape for name, shape in SHAPES.items())
     with pytest.raises(UsageError, match="choose one of sphere"):
         find_shape("teapot")
 
 
-def test_rays_meet_a_sphere_where_the_quadratic_formula_says():
+def test_rays_meet_a_sphere_where_the_quadratic_formula_says() -> None:
     sphere, rng = SHAPES["sphere"], np.random.default_rng(7)
     origins = 3.0 * unit_vectors(rng.standard_normal((500, 3)))
     directions = unit_vectors(0.6 * rng.standard_normal((500, 3)) - origins)
@@ -109,7 +120,7 @@ def test_rays_meet_a_sphere_where_the_quadratic_formula_says():
     assert distances == pytest.approx(-half[rays] - np.sqrt(under[rays]), abs=1e-11)
 
 
-def test_a_line_through_a_torus_has_four_crossings_in_their_order():
+def test_a_line_through_a_torus_has_four_crossings_in_their_order() -> None:
     rays, distances = cross_rays(
         SHAPES["torus"], np.array([[-3.0, 0, 0]]), np.array([[1.0, 0, 0]]), 6.0, first_only=False
     )
@@ -117,14 +128,14 @@ def test_a_line_through_a_torus_has_four_crossings_in_their_order():
     assert distances == pytest.approx([1.65, 2.35, 3.65, 4.35], abs=1e-11)
 
 
-def test_rays_that_miss_return_nothing():
+def test_rays_that_miss_return_nothing() -> None:
     rays, distances = cross_rays(
         SHAPES["sphere"], np.array([[-3.0, 2, 0]]), np.array([[1.0, 0, 0]]), 9.0, first_only=True
     )
     assert len(rays) == len(distances) == 0
 
 
-def test_points_are_spread_by_area():
+def test_points_are_spread_by_area() -> None:
     # Archimedes: on a sphere, equal slabs hold equal areas.
     height = sample_lines(SHAPES["sphere"], 20_000, np.random.default_rng(8))[:, 2]
     share = np.histogram(height, bins=8, range=(-1, 1))[0] / len(height)
@@ -132,7 +143,7 @@ def test_points_are_spread_by_area():
 
 
 @pytest.mark.parametrize("name", ["torus", "ellipsoid", "knot", "bracket"])
-def test_the_nearest_point_of_a_lifted_point_is_its_foot(name):
+def test_the_nearest_point_of_a_lifted_point_is_its_foot(name: str) -> None:
     shape, rng = SHAPES[name], np.random.default_rng(9)
     feet = sample_lines(shape, 1000, rng)
     height = 0.005 * diagonal_of(shape) * rng.random(len(feet))
@@ -145,7 +156,7 @@ def test_the_nearest_point_of_a_lifted_point_is_its_foot(name):
     assert np.median(np.abs(away - height)) < 1e-8 * diagonal_of(shape)
 
 
-def test_a_smooth_union_fills_the_joint_and_leaves_the_rest():
+def test_a_smooth_union_fills_the_joint_and_leaves_the_rest() -> None:
     parts = [
         solids.cone((0, 0, 0), (1, 0, 0), 0.2, 0.2),
         solids.cone((0, 0, 0), (0, 1, 0), 0.1, 0.1),
@@ -159,7 +170,7 @@ def test_a_smooth_union_fills_the_joint_and_leaves_the_rest():
     assert (difference[apart] == 0.0).all()
 
 
-def test_a_cone_is_the_hull_of_its_balls():
+def test_a_cone_is_the_hull_of_its_balls() -> None:
     hull = solids.cone((0, 0, 0), (0, 0, 2), 0.5, 0.1)
     points = np.random.default_rng(11).uniform(-1, 3, (400, 3))
     along = np.linspace(0, 1, 4001)[:, None]
@@ -168,7 +179,7 @@ def test_a_cone_is_the_hull_of_its_balls():
     assert hull(points)[0] == pytest.approx(gap.min(axis=1), abs=1e-6)
 
 
-def test_what_is_cut_away_is_outside():
+def test_what_is_cut_away_is_outside() -> None:
     drilled = solids.cut(solids.box((0, 0, 0), (1, 1, 1)), solids.cylinder((0, 0, 0), 2, 0.5))
     shape = ImplicitShape("drilled", 1, (-np.ones(3), np.ones(3)), drilled)
     assert shape.value(np.array([[0.0, 0, 0], [0.75, 0, 0]])) == pytest.approx([0.5, -0.25])

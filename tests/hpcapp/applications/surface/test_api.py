@@ -45,6 +45,7 @@ def test_the_mesh_has_the_bytes_of_the_commands(
 def test_a_georeferenced_cloud_comes_back_in_its_own_coordinates(
     sphere: PointCloud, tmp_path: Path
 ) -> None:
+    assert sphere.normals is not None
     rows = np.hstack([sphere.positions + FAR, sphere.normals])
     np.savetxt(tmp_path / "far.xyz", rows, fmt="%.17g")
     mesh = hpcapp.reconstruct(rows[:, :3], rows[:, 3:], grid=32)
@@ -57,6 +58,7 @@ def test_a_georeferenced_cloud_comes_back_in_its_own_coordinates(
 
 
 def test_lists_and_single_precision_are_arrays_too(sphere: PointCloud) -> None:
+    assert sphere.normals is not None
     points, normals = sphere.positions.astype(np.float32), sphere.normals.astype(np.float32)
     single = hpcapp.reconstruct(points, normals, grid=32)
     listed = hpcapp.reconstruct(points.tolist(), normals.tolist(), grid=32)
@@ -66,6 +68,7 @@ def test_lists_and_single_precision_are_arrays_too(sphere: PointCloud) -> None:
 
 
 def test_the_arrays_that_were_given_stay_as_they_are(sphere: PointCloud) -> None:
+    assert sphere.normals is not None
     points, normals = sphere.positions + FAR, 3.0 * sphere.normals
     before = points.copy(), normals.copy()
     hpcapp.reconstruct(points, normals, grid=32)
@@ -73,6 +76,7 @@ def test_the_arrays_that_were_given_stay_as_they_are(sphere: PointCloud) -> None
 
 
 def test_progress_counts_each_stage_from_none_to_all(sphere: PointCloud) -> None:
+    assert sphere.normals is not None
     seen: list[tuple[str, int, int]] = []
     hpcapp.reconstruct(
         sphere.positions, sphere.normals, grid=32, progress=lambda *told: seen.append(told)
@@ -91,6 +95,7 @@ def test_what_progress_raises_ends_the_job(sphere: PointCloud) -> None:
     def stop(stage: str, done: int, total: int) -> None:
         raise KeyError(stage)
 
+    assert sphere.normals is not None
     with pytest.raises(KeyError, match="arrange"):
         hpcapp.reconstruct(sphere.positions, sphere.normals, grid=32, progress=stop)
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import hpcapp
-from hpcapp.applications.surface import job, steps
+from hpcapp.applications.surface import job, steps, surface
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.input import room
 from hpcapp.applications.surface.job import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress
-from hpccomponent.errors import InputError, UsageError
+from hpccomponent.errors import InputError, JobError, UsageError
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 SILENT = SilentProgress()
@@ -161,13 +161,15 @@ def test_normals_beside_a_cloud_and_unknown_columns_are_refused(cloud: PointClou
 
 @pytest.fixture
 def painted_file(cloud: PointCloud, tmp_path: Path) -> Path:
-    """The sphere in a file, with a hole and some outliers."""
-    is_kept = cloud.positions[:, 1] < CENTRE[1] + 1.8
-    rows = cloud.take(is_kept)
-    positions = rows.positions.copy()
-    positions[::2000] += np.random.default_rng(1).uniform(0.5, 2.0, positions[::2000].shape)
+    """The sphere in a file, with a hole, some outliers, and points twice in other colours."""
+    rng = np.random.default_rng(1)
+    rows = cloud.take(np.flatnonzero(cloud.positions[:, 1] < CENTRE[1] + 1.8))
+    rows.positions[::2000] += rng.uniform(0.5, 2.0, rows.positions[::2000].shape)
+    rows = rows.take(rng.permutation(np.append(np.arange(len(rows)), np.arange(5000))))
+    assert rows.colours is not None
+    rows.colours[::7] = 255 - rows.colours[::7]
     path = tmp_path / "painted.ply"
-    write_points(path, PointCloud(positions, rows.normals, rows.colours))
+    write_points(path, rows)
     return path
 
 
@@ -200,7 +202,10 @@ def test_tiles_and_workers_give_the_bytes_of_memory(
     )
     report = run_job(settings, SILENT)
     assert report["tiles"] > 1
-    assert report["attributes"] == ["normals", "colours", "support"]
+    assert report["attributes"] == [
+        "normals", "colours", "intensity", "classification", "support",
+    ]  # fmt: skip
+    assert report["dropped"]["duplicates"] == 5000
     assert tiled.read_bytes() == whole.read_bytes()
     assert not list((tmp_path / "temp").iterdir())
 
@@ -208,10 +213,12 @@ def test_tiles_and_workers_give_the_bytes_of_memory(
 def test_a_column_that_is_not_there_is_refused_before_the_work(
     painted_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    chosen = parse_attributes("intensity")
+    chosen = parse_attributes("auto,depth")
     settings = JobSettings(painted_file, str(tmp_path / "m.ply"), attributes=chosen)
     for _ in range(2):
-        with pytest.raises(UsageError, match=r"painted.ply has colours; normals and support"):
+        with pytest.raises(
+            UsageError, match=r"painted.ply has colours, intensity, classification, row;"
+        ):
             run_job(settings, SILENT)
         monkeypatch.setattr(room, "fits_memory", lambda *_: False)
 
@@ -229,7 +236,33 @@ def test_tiles_carry_what_needs_no_other_tile(
     assert len(tiles) > 1
     seen: dict[bytes, bytes] = {}
     for tile in tiles:
-        assert tile.dtype.names == ("x", "y", "z", "red", "green", "blue")
+        assert tile.dtype.names is not None
+        assert tile.dtype.names[3:] == ("red", "green", "blue", "intensity", "classification")
         for row in tile:
-            place, colour = row.tobytes()[:-3], row.tobytes()[-3:]
-            assert seen.setdefault(place, colour) == colour
+            place, carried = row.tobytes()[:12], row.tobytes()[12:]
+            assert seen.setdefault(place, carried) == carried
+
+
+def test_a_job_that_is_resumed_carries_the_same(
+    painted_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, again = tmp_path / "whole.ply", tmp_path / "again.ply"
+    run_job(JobSettings(painted_file, str(whole), grid=48), SILENT)
+    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+    for module in (job, steps):
+        monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
+    settings = JobSettings(
+        painted_file, str(again), grid=48, temp_dir=str(tmp_path / "temp"), resume=True
+    )
+
+    def fail(*_: object) -> None:
+        raise JobError("stopped", "go on")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(surface, "write_mesh", fail)
+        with pytest.raises(JobError, match="stopped"):
+            run_job(settings, SILENT)
+    assert list((tmp_path / "temp").iterdir())
+    run_job(settings, SILENT)
+    assert again.read_bytes() == whole.read_bytes()
+    assert not list((tmp_path / "temp").iterdir())

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from hpcapp.applications.surface.diagnostics import doubt_closure, doubt_normals, doubt_resolution
@@ -13,7 +15,7 @@ def surface_of(vertices: FloatArray) -> WholeSurface:
     return WholeSurface(Mesh(vertices, np.zeros((0, 3), int)))
 
 
-def turned(cloud: PointCloud, signs: object) -> PointCloud:
+def turned(cloud: PointCloud, signs: Any) -> PointCloud:
     assert cloud.normals is not None
     return PointCloud(cloud.positions, cloud.normals * signs)
 

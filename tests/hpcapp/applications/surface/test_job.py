@@ -50,7 +50,7 @@ def test_every_backend_writes_the_same_bytes(
 def test_three_ways_to_say_the_resolution(sphere_file: Path, tmp_path: Path) -> None:
     found = []
     for resolution in ({"grid": 32}, {"depth": 5}, {"voxel_size": 2.0 / 23.5}):
-        settings = JobSettings(sphere_file, str(tmp_path / "m.ply"), **resolution)  # type: ignore[arg-type]
+        settings = JobSettings(sphere_file, str(tmp_path / "m.ply"), **resolution)
         run_job(settings, SILENT)
         found.append((tmp_path / "m.ply").read_bytes())
     assert len(set(found)) == 1
@@ -70,6 +70,7 @@ def test_a_georeferenced_scan_keeps_its_place(
     sphere: PointCloud, tmp_path: Path, sphere_file: Path
 ) -> None:
     place = np.array([5_400_000.0, 400_000.0, 100.0])
+    assert sphere.normals is not None
     rows = np.hstack([sphere.positions + place, sphere.normals])
     np.savetxt(tmp_path / "far.xyz", rows, fmt="%.9f")
     run_job(JobSettings(tmp_path / "far.xyz", str(tmp_path / "far.ply"), grid=32), SILENT)

@@ -341,7 +341,7 @@ def test_a_tile_that_a_worker_cannot_write_is_written_here(
         asked.append(kept)
         return len(asked) % 2 == 0 and tile_ply.write_kept_tile(kept, *values)
 
-    meshes = []
+    meshes: list[dict[str, bytes]] = []
     for write in (tile_ply.write_kept_tile, write_some):
         asked: list[tuple[str, str]] = []
         monkeypatch.setattr(surface, "write_kept_tile", write)

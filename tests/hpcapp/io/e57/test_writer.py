@@ -52,7 +52,7 @@ def test_pye57_reads_it(tmp_path: Path, cloud: PointCloud) -> None:
 
 def test_colours_of_16_bit(tmp_path: Path) -> None:
     colours = np.array([[0, 300, 65535]], np.uint16)
-    write_points(tmp_path / "a.e57", PointCloud(np.zeros((1, 3)), None, colours))  # type: ignore[arg-type]
+    write_points(tmp_path / "a.e57", PointCloud(np.zeros((1, 3)), None, colours))
     (again,) = open_e57(tmp_path / "a.e57").chunks(10)
     assert again.colours is not None
     assert again.colours.tolist() == colours.tolist()

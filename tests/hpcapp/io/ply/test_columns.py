@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.io import write_mesh
+from hpcapp.io import read_mesh, write_mesh
 from hpcapp.io.ply.columns import VertexProperties
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import PointCloud
@@ -38,3 +38,19 @@ def test_names_are_told_apart_from_one_another_and_from_the_coordinates() -> Non
     properties = VertexProperties.of(PointCloud(np.zeros((0, 3)), None, None, columns))
     assert properties.names == ("x_2", "a_b", "a_b_2", "red_2", "gr__e", "_")
     assert properties.lines[0] == "property char x_2"
+
+
+def test_a_mesh_is_read_with_what_its_vertices_carry(tmp_path: Path, painted: Mesh) -> None:
+    write_mesh(tmp_path / "mesh.ply", painted)
+    again = read_mesh(tmp_path / "mesh.ply")
+    np.testing.assert_array_equal(again.faces, painted.faces)
+    np.testing.assert_array_equal(again.colours, painted.colours)
+    assert again.normals is not None
+    assert painted.normals is not None
+    np.testing.assert_allclose(again.normals, painted.normals, atol=1e-7)
+    found = {name: column.dtype.str for name, column in again.attributes.items()}
+    assert found == {
+        "intensity": "<u2", "gps_time": "<f8", "is_<good>": "|u1", "number": "<f8", "half": "<f4",
+    }  # fmt: skip
+    write_mesh(tmp_path / "again.ply", again)
+    assert (tmp_path / "again.ply").read_bytes() == (tmp_path / "mesh.ply").read_bytes()

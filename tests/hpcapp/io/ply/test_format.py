@@ -34,7 +34,7 @@ def test_everything_of_a_cloud_comes_back(tmp_path: Path, cloud: PointCloud) -> 
 @pytest.mark.parametrize(
     ("dtype", "read"),
     [
-        ("u1", "u1"), ("i2", "i2"), ("u4", "u4"), ("i8", "f8"), (">i2", "i2"), ("?", "i1"),
+        ("u1", "u1"), ("i2", "i2"), ("u4", "u4"), ("i8", "f8"), (">i2", "i2"), ("?", "u1"),
         ("f2", "f4"), ("f4", "f4"), (">f8", "f8"),
     ],
 )  # fmt: skip

@@ -63,6 +63,7 @@ def test_each_place_of_an_stl_is_one_point(tmp_path: Path) -> None:
     write_stl(tmp_path / "a.stl", Mesh(OCTAHEDRON, FACES.astype(np.int64)))
     cloud = read_whole(open_stl(tmp_path / "a.stl"))
     assert len(cloud) == 6
+    assert cloud.normals is not None
     np.testing.assert_allclose(cloud.normals, cloud.positions, atol=1e-12)
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,10 +30,11 @@ def _join(source: PointSource, rows: int) -> PointCloud:
     assert all(len(part) == rows for part in parts[:-1])
     assert len(parts[-1]) <= rows
     columns = [[part.positions, part.normals, part.colours] for part in parts]
-    joined = [
+    joined: list[Any] = [
         np.concatenate(some) if some[0] is not None else None for some in zip(*columns, strict=True)
     ]
-    return PointCloud(*joined)
+    positions, normals, colours = joined
+    return PointCloud(positions, normals, colours)
 
 
 def _assert_same(one: PointCloud, other: PointCloud) -> None:

@@ -167,6 +167,15 @@ def test_normals_of_a_flat_or_tilted_patch_are_normals() -> None:
         assert not source.findings.warnings
 
 
+@pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+def test_the_same_vector_everywhere_is_a_normal_of_planes_only(normal: list[float]) -> None:
+    source = recognise(make_source(TORUS, np.tile(normal, (POINTS, 1))))
+    assert not source.has_normals
+    expect_warning(source, "normal")
+    flat = TORUS * (np.array(normal) == 0)
+    assert recognise(make_source(flat, np.tile(normal, (POINTS, 1)))).has_normals
+
+
 def test_zeros_are_no_normals() -> None:
     source = recognise(make_source(TORUS, np.zeros((POINTS, 3))))
     assert not source.has_normals
@@ -222,6 +231,21 @@ def test_missing_returns_at_the_origin_are_dropped(share: float) -> None:
     expect_warning(source, "origin")
 
 
+@pytest.mark.parametrize("missing", [1, 500])
+def test_missing_returns_behind_all_that_was_looked_at_are_dropped(missing: int) -> None:
+    positions = make_torus(200_000)[0] + UTM
+    source = recognise(make_source(np.vstack([positions, np.zeros((missing, 3))])))
+    assert sum(len(part) for part in source.chunks(30_000)) == len(positions)
+    assert source.findings.dropped == {"repeated": missing}
+    expect_warning(source, "origin")
+
+
+def test_a_point_at_the_origin_is_one_where_others_are_near() -> None:
+    source = recognise(make_source(np.vstack([TORUS, np.zeros((1, 3))])))
+    assert len(read(source)) == POINTS + 1
+    assert not source.findings.warnings
+
+
 def test_missing_returns_at_another_place_are_dropped() -> None:
     missing = np.arange(POINTS) % 3 == 0
     positions = np.where(missing[:, None], [7.5, -2.0, 1.25], TORUS)
@@ -264,6 +288,11 @@ def test_degrees_are_told(more: dict[str, Any]) -> None:
     expect_warning(source, "degree")
     assert source.unit == "degree"
     assert np.array_equal(read(source).positions, positions)
+
+
+def test_a_pole_is_not_in_degrees() -> None:
+    source = recognise(make_source(TORUS * np.array([0.1, 0.1, 40.0]) + 5.0))
+    assert not source.findings.warnings
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,8 @@ from hpccomponent.surface.types.points import FloatArray
 
 def sphere(count: int, seed: int = 0) -> FloatArray:
     directions = np.random.default_rng(seed).normal(size=(count, 3))
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    values: FloatArray = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return values
 
 
 def torus(count: int, seed: int = 0) -> FloatArray:
@@ -26,7 +27,8 @@ def torus(count: int, seed: int = 0) -> FloatArray:
 def thinned(points: FloatArray, ratio: float, seed: int = 0) -> FloatArray:
     """Thin a cloud along x, from its full density down by `ratio`."""
     along = (points[:, 0] - points[:, 0].min()) / np.ptp(points[:, 0])
-    return points[np.random.default_rng(seed).random(len(points)) < ratio**-along]
+    values: FloatArray = points[np.random.default_rng(seed).random(len(points)) < ratio**-along]
+    return values
 
 
 def found(points: FloatArray) -> np.ndarray:

@@ -1,5 +1,8 @@
 """A part of a mesh travels as a tuple of arrays."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import astuple
 
 import numpy as np
@@ -9,7 +12,7 @@ from hpccomponent.protocol.codec import decode_values, encode_values
 from hpccomponent.surface.extraction.parts import MeshPart, join_parts
 
 
-def test_a_part_comes_off_the_wire_as_it_went_on():
+def test_a_part_comes_off_the_wire_as_it_went_on() -> None:
     part = MeshPart(
         np.array([5, 9]),
         np.array([False, True]),
@@ -27,7 +30,12 @@ def test_a_part_comes_off_the_wire_as_it_went_on():
         assert np.array_equal(received, sent)
 
 
-def part(bricks, vertices, faces, foreign=()):
+def part(
+    bricks: list[int],
+    vertices: list[int],
+    faces: list[list[int]],
+    foreign: Sequence[tuple[int, int]] = (),
+) -> MeshPart:
     """Return a part of which every brick has one vertex and, maybe, a face in the first."""
     counts = np.ones(len(bricks), np.int32)
     of_faces = np.zeros(len(bricks), np.int32)
@@ -45,13 +53,13 @@ def part(bricks, vertices, faces, foreign=()):
     )
 
 
-def same(one, other):
+def same(one: MeshPart, other: MeshPart) -> bool:
     pairs = zip(astuple(one), astuple(other), strict=True)
     return all(a.dtype == b.dtype and np.array_equal(a, b) for a, b in pairs)
 
 
 @pytest.mark.parametrize("swap", [False, True])
-def test_joined_parts_are_one(swap):
+def test_joined_parts_are_one(swap: bool) -> None:
     """Their bricks alternate; one foreign vertex is the other's, two are foreign to both."""
     first = part([2, 6], [2, 6], [[0, 1, ~0], [1, ~1, ~2]], [(4, 0), (9, 1), (9, 5)])
     second = part([4, 8], [4, 8], [[0, ~1, 1], [0, 1, ~0]], [(1, 7), (9, 1)])
@@ -64,7 +72,7 @@ def test_joined_parts_are_one(swap):
     assert same(joined, expected)
 
 
-def test_parts_that_need_nothing_of_one_another_lie_side_by_side():
+def test_parts_that_need_nothing_of_one_another_lie_side_by_side() -> None:
     joined = join_parts([part([3, 4], [3, 4], []), part([0, 5], [0, 5], [])])
     assert same(joined, part([0, 3, 4, 5], [0, 3, 4, 5], []))
     one = part([3], [3], [[0, ~0, ~1]], [(7, 0), (7, 1)])
@@ -73,7 +81,7 @@ def test_parts_that_need_nothing_of_one_another_lie_side_by_side():
     assert same(join_parts([]), MeshPart.empty())
 
 
-def test_parts_whose_foreign_vertices_are_all_theirs_have_none_left():
+def test_parts_whose_foreign_vertices_are_all_theirs_have_none_left() -> None:
     first = part([0], [0], [[0, ~0, ~1]], [(1, 0), (2, 0)])
     joined = join_parts([first, part([1, 2], [1, 2], [])])
     assert same(joined, part([0, 1, 2], [0, 1, 2], [[0, 1, 2]]))

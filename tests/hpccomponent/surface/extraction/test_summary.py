@@ -1,5 +1,7 @@
 """What a summary says of parts that can be counted by hand."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
@@ -11,14 +13,14 @@ CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], np.int32)
 
 
-def tetrahedron():
+def tetrahedron() -> MeshPart:
     """One brick with a closed tetrahedron; six times its volume is 1."""
     counts = (np.array([4], np.int32), np.array([4], np.int32))
     none = (np.empty(0, np.int64), np.empty(0, np.int32))
     return MeshPart(np.array([7]), np.array([False]), *counts, CORNERS, FACES, *none)
 
 
-def cut_tetrahedron():
+def cut_tetrahedron() -> MeshPart:
     """Its last vertex belongs to another part."""
     part = replace(
         tetrahedron(),
@@ -29,7 +31,7 @@ def cut_tetrahedron():
     return replace(part, foreign_bricks=np.array([9]), foreign_numbers=np.array([5], np.int32))
 
 
-def test_nothing_is_open_in_a_closed_part():
+def test_nothing_is_open_in_a_closed_part() -> None:
     summary = summarize_part(tetrahedron())
     assert summary.entry_vertices.tolist() == summary.entry_faces.tolist() == [4]
     assert summary.entry_sums.tolist() == [[1.0, 1.0, 1.0, 1.0]]
@@ -39,7 +41,7 @@ def test_nothing_is_open_in_a_closed_part():
     assert not len(summary.rim)
 
 
-def test_a_foreign_vertex_is_open_and_closes_the_others():
+def test_a_foreign_vertex_is_open_and_closes_the_others() -> None:
     summary = summarize_part(cut_tetrahedron())
     assert summary.piece_vertices.tolist() == [-1]  # one ring of corners at it
     assert not len(summary.sides)
@@ -49,7 +51,7 @@ def test_a_foreign_vertex_is_open_and_closes_the_others():
     assert summary.foreign_labels.tolist() == [0]
 
 
-def test_around_a_hole_the_sides_are_loose():
+def test_around_a_hole_the_sides_are_loose() -> None:
     part = tetrahedron()
     holed = replace(part, faces=FACES[1:], face_counts=np.array([3], np.int32))
     summary = summarize_part(holed)
@@ -58,7 +60,7 @@ def test_around_a_hole_the_sides_are_loose():
     assert {tuple(end) for end in ends.tolist()} == {(0, 1), (1, 2), (2, 0)}
 
 
-def test_a_guest_is_a_unit_of_its_own():
+def test_a_guest_is_a_unit_of_its_own() -> None:
     part = replace(tetrahedron(), guests=np.array([True]))
     summary = summarize_part(part)
     assert not len(summary.piece_vertices)  # it is closed in itself
@@ -74,12 +76,12 @@ def test_a_guest_is_a_unit_of_its_own():
     assert len(summary.sides) == 12  # all sides of both units
 
 
-def test_a_vertex_that_no_face_uses_is_bare():
+def test_a_vertex_that_no_face_uses_is_bare() -> None:
     part = replace(tetrahedron(), faces=FACES[:1], face_counts=np.array([1], np.int32))
     assert summarize_part(part).bare.tolist() == [3]
 
 
-def test_bricks_with_two_components_name_them_for_each_vertex():
+def test_bricks_with_two_components_name_them_for_each_vertex() -> None:
     part = tetrahedron()
     twice = replace(
         part,

@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
@@ -6,17 +8,18 @@ from hpccomponent.surface.fitting.ancestors import corners_at
 from hpccomponent.surface.fitting.pyramid import lay_vertices
 from hpccomponent.surface.kernels.portable.ancestors import mark_ancestors
 from hpccomponent.surface.types.lattice import pack_places, unique_keys, unpack_keys
+from hpccomponent.surface.types.points import IntArray
 
 
 @pytest.fixture(scope="module")
-def cells():
+def cells() -> IntArray:
     random = np.random.default_rng(3)
     directions = random.normal(size=(900, 3))
     shell = 20.0 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
     return unique_keys(pack_places(np.floor(shell).astype(np.int64)))
 
 
-def test_marks_tell_where_the_finest_cells_lie():
+def test_marks_tell_where_the_finest_cells_lie() -> None:
     cells = pack_places(np.array([[0, 3, -1], [1, 0, 5]]))
     ancestors = pack_places(np.array([[0, 0, -1], [0, 0, 0], [0, 0, 1]]))
     marks = mark_ancestors(cells, 2, ancestors)
@@ -25,7 +28,9 @@ def test_marks_tell_where_the_finest_cells_lie():
 
 @pytest.mark.parametrize("depth", [1, 2, 3])
 @pytest.mark.parametrize("one_in", [1, 7])
-def test_corners_laid_at_a_level_are_the_ancestors_of_the_finest(cells, depth, one_in):
+def test_corners_laid_at_a_level_are_the_ancestors_of_the_finest(
+    cells: IntArray, depth: int, one_in: int
+) -> None:
     ancestors = unique_keys(pack_places(unpack_keys(cells) >> depth))
     own = cells[::one_in]
     marks = mark_ancestors(own, depth, ancestors)

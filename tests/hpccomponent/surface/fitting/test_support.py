@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
@@ -7,10 +9,13 @@ from hpccomponent.surface.fitting.support import (
     surrounded_vertices,
 )
 from hpccomponent.surface.types.lattice import pack_places, spread_keys, unique_keys, unpack_keys
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+LevelCounts = tuple[IntArray, FloatArray, IntArray, IntArray]
 
 
 @pytest.fixture
-def level():
+def level() -> LevelCounts:
     """Return finer cells with points, their parents, and these cells' corners with some more."""
     rng = np.random.default_rng(5)
     children = unique_keys(pack_places(rng.integers(-5, 6, (60, 3))))
@@ -19,14 +24,17 @@ def level():
     return children, counts, parents, spread_keys(parents, -1, 2)
 
 
-def points_around(level, vertex):
+def points_around(level: LevelCounts, vertex: np.int64) -> FloatArray:
     """Return the finer counts in the eight cells around a vertex."""
     children, counts, _, _ = level
-    steps = (unpack_keys(children) >> 1) - unpack_keys(vertex)
-    return counts[((steps == 0) | (steps == -1)).all(axis=1)]
+    steps = (unpack_keys(children) >> 1) - unpack_keys(np.asarray(vertex))
+    values: FloatArray = counts[((steps == 0) | (steps == -1)).all(axis=1)]
+    return values
 
 
-def test_squares_are_summed_by_parent(level):
+def test_squares_are_summed_by_parent(
+    level: LevelCounts,
+) -> None:
     children, counts, parents, _ = level
     squares = sum_squares(children, counts, parents)
     owners = pack_places(unpack_keys(children) >> 1)
@@ -34,7 +42,9 @@ def test_squares_are_summed_by_parent(level):
     np.testing.assert_array_equal(squares, expected)
 
 
-def test_crowds_are_what_a_point_meets_in_its_finer_cell(level):
+def test_crowds_are_what_a_point_meets_in_its_finer_cell(
+    level: LevelCounts,
+) -> None:
     children, counts, parents, vertices = level
     around = [points_around(level, vertex) for vertex in vertices]
     totals = np.array([n.sum() for n in around], np.float32)
@@ -45,14 +55,16 @@ def test_crowds_are_what_a_point_meets_in_its_finer_cell(level):
     np.testing.assert_allclose(crowds, expected, atol=1e-12)
 
 
-def test_single_points_meet_nobody():
+def test_single_points_meet_nobody() -> None:
     cell = pack_places(np.array([[0, 0, 0]]))
     corners = spread_keys(cell, 0, 1)
     counts = np.ones(len(corners), np.float32)
     assert (crowd_vertices(corners, counts, cell, np.array([1.0])) == 0.0).all()
 
 
-def test_points_surround_a_vertex_where_four_of_its_cells_hold_some(level):
+def test_points_surround_a_vertex_where_four_of_its_cells_hold_some(
+    level: LevelCounts,
+) -> None:
     _, _, cells, vertices = level
     places = unpack_keys(cells)
     steps = places - unpack_keys(vertices)[:, None]
@@ -61,7 +73,7 @@ def test_points_surround_a_vertex_where_four_of_its_cells_hold_some(level):
     np.testing.assert_array_equal(surrounded_vertices(vertices, cells), occupied >= 4)
 
 
-def test_a_sheet_surrounds_the_vertices_within_it_and_not_those_at_its_rim():
+def test_a_sheet_surrounds_the_vertices_within_it_and_not_those_at_its_rim() -> None:
     x, y = (axis.ravel() for axis in np.mgrid[:4, :4])
     cells = unique_keys(pack_places(np.stack([x, y, np.zeros_like(x)], axis=1)))
     vertices = spread_keys(cells, 0, 1)

@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
@@ -7,11 +9,12 @@ from hpccomponent.surface.kernels.portable.blending import (
     needed_layers,
 )
 from hpccomponent.surface.types.grid import NODES
+from hpccomponent.surface.types.points import FloatArray, IntArray
 
 RNG = np.random.default_rng(8)
 
 
-def rows_of_nodes(spacing, bricks=3):
+def rows_of_nodes(spacing: float, bricks: int = 3) -> tuple[IntArray, FloatArray]:
     """Return the layers below some evenly spaced nodes and their heights above these."""
     starts = RNG.uniform(0, 20, (3, bricks, 1))
     coordinates = starts + spacing * np.arange(NODES)
@@ -20,7 +23,7 @@ def rows_of_nodes(spacing, bricks=3):
 
 
 @pytest.mark.parametrize("spacing", [0.05, 0.7, 1.0, 2.6, 40.0])
-def test_every_node_finds_its_two_layers(spacing):
+def test_every_node_finds_its_two_layers(spacing: float) -> None:
     lower, _ = rows_of_nodes(spacing)
     layers, index = needed_layers(lower)
     assert layers.shape[2] <= 2 * NODES
@@ -28,7 +31,7 @@ def test_every_node_finds_its_two_layers(spacing):
     assert np.array_equal(np.take_along_axis(layers, index + 1, axis=2), lower + 1)
 
 
-def test_weights_add_up_to_one_where_no_vertex_is_missing():
+def test_weights_add_up_to_one_where_no_vertex_is_missing() -> None:
     lower, local = rows_of_nodes(0.4)
     layers, index = needed_layers(lower)
     channels = np.zeros((12, 2))
@@ -39,7 +42,7 @@ def test_weights_add_up_to_one_where_no_vertex_is_missing():
     np.testing.assert_allclose(trust, 1.0, rtol=1e-14)
 
 
-def test_vertices_that_share_one_function_give_it_back():
+def test_vertices_that_share_one_function_give_it_back() -> None:
     """A plane, the same in the frame of every vertex but for its height above it."""
     lower, local = rows_of_nodes(0.3, bricks=1)
     layers, index = needed_layers(lower)
@@ -56,7 +59,7 @@ def test_vertices_that_share_one_function_give_it_back():
     np.testing.assert_allclose(quadric[0], expected, atol=1e-12)
 
 
-def test_the_far_field_is_interpolated_linearly():
+def test_the_far_field_is_interpolated_linearly() -> None:
     lower, local = rows_of_nodes(0.35)
     x, y, z = np.indices((32, 32, 32), dtype=np.float32)
     values = interpolate_far(x - 2 * y + 3 * z, lower, local)
@@ -66,7 +69,7 @@ def test_the_far_field_is_interpolated_linearly():
         np.testing.assert_allclose(values[brick], px - 2 * py + 3 * pz, atol=1e-10)
 
 
-def test_beyond_the_far_field_its_border_goes_on():
+def test_beyond_the_far_field_its_border_goes_on() -> None:
     lower = np.full((3, 1, NODES), 100)
     values = interpolate_far(np.full((8, 8, 8), 2.0, np.float32), lower, np.zeros(lower.shape))
     assert (values == 2.0).all()

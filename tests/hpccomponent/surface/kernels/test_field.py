@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
@@ -5,13 +7,14 @@ from hpccomponent.surface.kernels.portable.field import evaluate_bricks
 from hpccomponent.surface.types.field import FarField, Field, FieldLevel
 from hpccomponent.surface.types.grid import BRICK, NODES, Grid
 from hpccomponent.surface.types.lattice import OCTANTS, pack_places, unpack_keys
+from hpccomponent.surface.types.points import FloatArray
 
 GRID = Grid(np.array([-0.31, 0.12, 1.07]), 0.05, (4, 3, 4))
 CELL_SIZES = [0.4, 0.13, 0.05, 0.008]  # wider than a brick, to finer than the grid
 
 
 @pytest.fixture(params=CELL_SIZES)
-def field(request):
+def field(request: pytest.FixtureRequest) -> Field:
     """Random quadrics and trust on two lattices with holes, over a random far field."""
     rng = np.random.default_rng(11)
     cell_size = request.param
@@ -20,7 +23,7 @@ def field(request):
     return Field(GRID.origin - 0.07, cell_size, levels, far)
 
 
-def random_level(rng, cell_size):
+def random_level(rng: np.random.Generator, cell_size: float) -> FieldLevel:
     extent = int(1.7 / cell_size) + 2
     places = rng.integers(-1, extent, (2000 if extent < 100 else 60_000, 3))
     keys = np.unique(pack_places(places))
@@ -28,7 +31,9 @@ def random_level(rng, cell_size):
     return FieldLevel(keys, coefficients, rng.uniform(0, 1, len(keys)).astype(np.float32))
 
 
-def plain_value(field, vertices, position):
+def plain_value(
+    field: Field, vertices: list[dict[tuple[int, int, int], int]], position: FloatArray
+) -> float:
     """The definition, level by level and corner by corner."""
     places = (position - field.far.origin) / field.far.step
     low = np.floor(places).astype(int)
@@ -41,10 +46,13 @@ def plain_value(field, vertices, position):
         quadric, presence, trust = plain_sums(field, depth, vertices[depth], position)
         if presence:
             value = trust * 2**depth * quadric / presence + (1 - trust) * value
-    return value
+    values: float = value
+    return values
 
 
-def plain_sums(field, depth, vertices, position):
+def plain_sums(
+    field: Field, depth: int, vertices: dict[tuple[int, int, int], int], position: FloatArray
+) -> FloatArray:
     """Weighted sums over the eight corners around a place."""
     coordinates = (position - field.origin) / (field.cell_size * 2**depth)
     cell = np.floor(coordinates)
@@ -62,7 +70,7 @@ def plain_sums(field, depth, vertices, position):
     return sums
 
 
-def test_values_are_what_the_definition_says(field):
+def test_values_are_what_the_definition_says(field: Field) -> None:
     places = np.array([[1, 1, 1], [2, 1, 2]])
     values = evaluate_bricks(field, GRID, places)
     vertices = [
@@ -76,21 +84,21 @@ def test_values_are_what_the_definition_says(field):
         assert values[(brick, *node)] == pytest.approx(expected, rel=1e-5, abs=1e-5)
 
 
-def test_bricks_agree_bit_for_bit_on_what_they_share(field):
+def test_bricks_agree_bit_for_bit_on_what_they_share(field: Field) -> None:
     values = evaluate_bricks(field, GRID, np.array([[1, 1, 1], [2, 1, 1], [1, 2, 1], [1, 1, 2]]))
     assert np.array_equal(values[0, -1], values[1, 0])
     assert np.array_equal(values[0, :, -1], values[2, :, 0])
     assert np.array_equal(values[0, :, :, -1], values[3, :, :, 0])
 
 
-def test_a_brick_does_not_depend_on_its_batch(field):
+def test_a_brick_does_not_depend_on_its_batch(field: Field) -> None:
     places = np.stack(np.meshgrid(*[np.arange(3)] * 3), axis=-1).reshape(-1, 3)
     whole = evaluate_bricks(field, GRID, places)
     assert np.array_equal(evaluate_bricks(field, GRID, places[13:14]), whole[13:14])
     assert np.array_equal(evaluate_bricks(field, GRID, places[::-1]), whole[::-1])
 
 
-def test_the_outermost_nodes_are_outside_and_no_node_is_zero(field):
+def test_the_outermost_nodes_are_outside_and_no_node_is_zero(field: Field) -> None:
     for level in field.levels:
         level.trust[:] = 0.0
     field.far.values[:] = -1.0
@@ -104,7 +112,7 @@ def test_the_outermost_nodes_are_outside_and_no_node_is_zero(field):
     assert (evaluate_bricks(field, GRID, np.array([[1, 1, 1]])) > 0).all()
 
 
-def level_of_height(height, cells):
+def level_of_height(height: float, cells: int) -> FieldLevel:
     """One constant, at every vertex of a dense lattice."""
     places = np.stack(np.meshgrid(*[np.arange(-2, cells)] * 3, indexing="ij"), axis=-1)
     keys = np.unique(pack_places(places.reshape(-1, 3)))
@@ -113,7 +121,7 @@ def level_of_height(height, cells):
     return FieldLevel(keys, coefficients, np.ones(len(keys), np.float32))
 
 
-def test_coarse_levels_fill_where_the_fine_one_is_not_trusted():
+def test_coarse_levels_fill_where_the_fine_one_is_not_trusted() -> None:
     far = FarField(np.full((4, 4, 4), 0.5, np.float32), GRID.origin, 1.0)
     fine, coarse = level_of_height(3.0, 14), level_of_height(-2.0, 8)
     field = Field(GRID.origin, 0.1, (fine, coarse), far)

@@ -1,3 +1,7 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -10,16 +14,21 @@ from hpccomponent.surface.kernels.portable.hermite import (
     weigh_priors,
 )
 from hpccomponent.surface.kernels.portable.moments import accumulate_moments
+from hpccomponent.surface.types.points import FloatArray
+
+Patch = tuple[FloatArray, FloatArray, FloatArray]
 
 MU = 0.3
 
 
-def basis(points):
+def basis(points: FloatArray) -> FloatArray:
     x, y, z = points.T
     return np.stack([np.ones_like(x), x, y, z, x * x, y * y, z * z, x * y, y * z, z * x], axis=1)
 
 
-def sphere_patch(rng, count, radius=4.0, noise=0.0):
+def sphere_patch(
+    rng: np.random.Generator, count: int, radius: float = 4.0, noise: float = 0.0
+) -> Patch:
     """Points near the origin on a sphere of some cells' radius that passes beside it."""
     centre = rng.normal(size=3)
     centre *= (radius + rng.uniform(-0.5, 0.5)) / np.linalg.norm(centre)
@@ -31,18 +40,18 @@ def sphere_patch(rng, count, radius=4.0, noise=0.0):
     return points[near] + offsets, normals[near], centre
 
 
-def stack_moments(patches):
+def stack_moments(patches: Sequence[tuple[FloatArray, ...]]) -> FloatArray:
     rows = [accumulate_moments(p, n, np.array([0, len(p)])) for p, n, *_ in patches]
     return np.concatenate(rows)
 
 
 @pytest.fixture
-def patches():
+def patches() -> list[Patch]:
     rng = np.random.default_rng(3)
     return [sphere_patch(rng, int(count), noise=0.02) for count in rng.integers(3, 60, 50)]
 
 
-def test_points_of_a_plane_give_its_signed_distance_beside_it():
+def test_points_of_a_plane_give_its_signed_distance_beside_it() -> None:
     rng = np.random.default_rng(0)
     normal = np.array([2.0, -1.0, 2.0]) / 3.0
     points = rng.uniform(-1, 1, (200, 3))
@@ -54,7 +63,7 @@ def test_points_of_a_plane_give_its_signed_distance_beside_it():
     assert np.abs(values - heights).max() < 0.02
 
 
-def test_a_sphere_is_found_within_a_hundredth_of_a_cell():
+def test_a_sphere_is_found_within_a_hundredth_of_a_cell() -> None:
     rng = np.random.default_rng(1)
     cases = [sphere_patch(rng, 40) for _ in range(10)]
     fitted = fit_vertices(stack_moments(cases), np.zeros((10, 10)), 0.01, 0.0)
@@ -64,7 +73,9 @@ def test_a_sphere_is_found_within_a_hundredth_of_a_cell():
         assert coefficients[1:4] @ outwards > 0.9
 
 
-def test_coefficients_minimise_what_they_are_said_to(patches):
+def test_coefficients_minimise_what_they_are_said_to(
+    patches: list[Patch],
+) -> None:
     """The same least squares, stacked row by row and solved by another route."""
     lam = 0.07
     prior = np.random.default_rng(5).normal(size=(len(patches), 10))
@@ -80,7 +91,7 @@ def test_coefficients_minimise_what_they_are_said_to(patches):
         np.testing.assert_allclose(coefficients, expected, atol=2e-5)
 
 
-def gauss_cube():
+def gauss_cube() -> tuple[FloatArray, FloatArray]:
     """Nodes and weights that integrate products of quadrics over [-1, 1]^3 exactly, mean 1."""
     x, w = np.polynomial.legendre.leggauss(3)
     nodes = np.array(np.meshgrid(x, x, x, indexing="ij")).reshape(3, -1).T
@@ -89,7 +100,7 @@ def gauss_cube():
 
 
 @pytest.mark.parametrize("cut", [1, 7, 49])
-def test_a_row_does_not_depend_on_its_batch(patches, cut):
+def test_a_row_does_not_depend_on_its_batch(patches: list[Patch], cut: int) -> None:
     moments = np.tile(stack_moments(patches), (50, 1))  # more than a chunk of the kernel
     prior = np.random.default_rng(2).normal(size=(len(moments), 10))
     whole = fit_vertices(moments, prior, 0.1, MU)
@@ -97,14 +108,14 @@ def test_a_row_does_not_depend_on_its_batch(patches, cut):
     assert np.array_equal(np.concatenate(parts), whole)
 
 
-def test_without_normals_to_hold_it_one_point_leaves_the_prior_nearly_alone():
+def test_without_normals_to_hold_it_one_point_leaves_the_prior_nearly_alone() -> None:
     prior = np.array([[0.1, 0.0, 0.0, 1.0, 0, 0, 0, 0, 0, 0]])
     point = np.array([[0.0, 0.0, -0.1]])  # where the prior is zero already
     moments = stack_moments([(point, np.array([[0.0, 0.0, 1.0]]))])
     np.testing.assert_allclose(fit_vertices(moments, prior, 0.01, MU), prior, atol=1e-6)
 
 
-def test_a_child_inherits_the_same_function_in_its_own_cells():
+def test_a_child_inherits_the_same_function_in_its_own_cells() -> None:
     rng = np.random.default_rng(4)
     parents = rng.normal(size=(20, 10))
     steps = rng.integers(-1, 2, (20, 3))
@@ -115,25 +126,31 @@ def test_a_child_inherits_the_same_function_in_its_own_cells():
     )
 
 
-def test_residuals_are_the_sums_of_squares(patches):
+def test_residuals_are_the_sums_of_squares(
+    patches: list[Patch],
+) -> None:
     coefficients = np.random.default_rng(6).normal(size=(len(patches), 10))
     expected = [
         ((basis(p) @ c) ** 2).sum() for (p, *_), c in zip(patches, coefficients, strict=True)
     ]
-    np.testing.assert_allclose(evaluate_residuals(stack_moments(patches), coefficients), expected)
+    found = evaluate_residuals(stack_moments(patches), coefficients)
+    np.testing.assert_allclose(found, np.array(expected))
 
 
-def test_slopes_are_the_sums_of_squares(patches):
+def test_slopes_are_the_sums_of_squares(
+    patches: list[Patch],
+) -> None:
     coefficients = np.random.default_rng(7).normal(size=(len(patches), 10))
     expected = []
     for (points, *_), c in zip(patches, coefficients, strict=True):
         slopes = [(basis(points + d) - basis(points - d)) @ c / 2e-3 for d in 1e-3 * np.eye(3)]
         expected.append((np.array(slopes) ** 2).sum())
-    np.testing.assert_allclose(evaluate_slopes(stack_moments(patches), coefficients), expected)
+    found = evaluate_slopes(stack_moments(patches), coefficients)
+    np.testing.assert_allclose(found, np.array(expected))
 
 
 @pytest.mark.parametrize("offset", [0.1, 0.3])
-def test_a_prior_weighs_as_many_points_as_its_error_is_worth(offset):
+def test_a_prior_weighs_as_many_points_as_its_error_is_worth(offset: float) -> None:
     """A plane that misses the points by `offset`: its variance is that, squared."""
     rng = np.random.default_rng(9)
     sigma, normals = 0.05, np.tile([0.0, 0.0, 1.0], (4000, 1))
@@ -145,7 +162,7 @@ def test_a_prior_weighs_as_many_points_as_its_error_is_worth(offset):
     assert mu == pytest.approx((sigma / offset) ** 2, rel=0.1)
 
 
-def test_a_prior_that_explains_the_points_is_kept_and_without_noise_none_is():
+def test_a_prior_that_explains_the_points_is_kept_and_without_noise_none_is() -> None:
     rng = np.random.default_rng(10)
     points = rng.uniform(-1, 1, (100, 3)) * [1, 1, 0.01]
     moments = stack_moments([(points, np.tile([0.0, 0.0, 1.0], (100, 1)))])
@@ -154,7 +171,7 @@ def test_a_prior_that_explains_the_points_is_kept_and_without_noise_none_is():
     assert weigh_priors(moments, prior, 0.0, 0.3, 1000.0) == 0.3
 
 
-def test_what_a_fit_leaves_over_is_the_noise():
+def test_what_a_fit_leaves_over_is_the_noise() -> None:
     rng = np.random.default_rng(11)
     sigma, counts, plane = 0.03, (23, 24, 4000), np.zeros((3, 10))
     normals = np.tile([0.0, 0.0, 1.0], (4000, 1))

@@ -1,7 +1,11 @@
+from __future__ import annotations
+
 import numpy as np
 import pytest
+from fixture_types import BrickFunction, BrickValues
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from hpcapp.applications.surface.stitching.topology import check_mesh, signed_volume
 from hpccomponent.surface.kernels.portable.bricks import grow_bricks, seed_bricks
@@ -12,11 +16,12 @@ from hpccomponent.surface.kernels.portable.marching_cubes import (
 from hpccomponent.surface.types.grid import BRICK, OPEN, OWN, BrickKinds, Grid
 from hpccomponent.surface.types.lattice import pack_places, unpack_keys
 from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
 GRID = Grid(np.array([-1.0, -1.0, -1.0]), 1 / 16, (4, 4, 4))
 
 
-def cut_bricks(nodes):
+def cut_bricks(nodes: NDArray[np.float32]) -> tuple[IntArray, NDArray[np.float32]]:
     """Cut an array of node values into its bricks."""
     bricks = tuple((n - 1) // BRICK for n in nodes.shape)
     places = np.stack(np.meshgrid(*map(np.arange, bricks), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -24,7 +29,9 @@ def cut_bricks(nodes):
     return places, windows[tuple((BRICK * places).T)]
 
 
-def extract(grid, places, values, *_):
+def extract(
+    grid: Grid, places: IntArray, values: NDArray[np.float32], *_: BoolArray | IntArray
+) -> Mesh:
     """Extract the surface of whole bricks as a mesh."""
     found = extract_surface(grid, places, values)
     assert found.vertex_counts.sum() == len(found.vertices)
@@ -32,14 +39,14 @@ def extract(grid, places, values, *_):
     return Mesh(found.vertices, found.faces)
 
 
-def grow(evaluate, seeds):
+def grow(evaluate: BrickFunction, seeds: IntArray) -> Mesh:
     """Grow from some bricks wherever the surface leads."""
     kinds = np.full(GRID.bricks, OPEN, np.uint8)
     kinds[tuple(unpack_keys(seeds).T)] = OWN
     return extract(GRID, *grow_bricks(evaluate, BrickKinds(np.zeros(3, int), kinds), GRID.bricks))
 
 
-def assert_manifold(mesh):
+def assert_manifold(mesh: Mesh) -> None:
     found = check_mesh(mesh)
     assert found.watertight
     assert found.oriented
@@ -47,7 +54,7 @@ def assert_manifold(mesh):
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.1, 0.3, 0.5, 0.8]))
-def test_random_signs_give_a_closed_manifold_whatever_they_are(seed, share):
+def test_random_signs_give_a_closed_manifold_whatever_they_are(seed: int, share: float) -> None:
     """Each example holds 4,096 cells, most of them of the rare cases."""
     rng = np.random.default_rng(seed)
     nodes = rng.uniform(0.01, 1.0, (17, 17, 17)).astype(np.float32)
@@ -57,12 +64,15 @@ def test_random_signs_give_a_closed_manifold_whatever_they_are(seed, share):
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_smooth_functions_give_a_closed_manifold_over_bricks_that_grew(brick_values, seed):
+def test_smooth_functions_give_a_closed_manifold_over_bricks_that_grew(
+    brick_values: BrickValues, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     waves, phases, level = rng.normal(0, 5, (6, 3)), rng.uniform(0, 6.3, 6), rng.uniform(-1, 1)
 
-    def function(points):
-        return np.sin(points @ waves.T + phases).sum(axis=-1) - level
+    def function(points: FloatArray) -> FloatArray:
+        values: FloatArray = np.sin(points @ waves.T + phases).sum(axis=-1) - level
+        return values
 
     evaluate = brick_values(function, GRID)
     seeds = pack_places(rng.integers(0, 4, (3, 3)))
@@ -72,20 +82,20 @@ def test_smooth_functions_give_a_closed_manifold_over_bricks_that_grew(brick_val
 
 
 @pytest.fixture
-def sphere(brick_values):
+def sphere(brick_values: BrickValues) -> Mesh:
     evaluate = brick_values(lambda p: np.linalg.norm(p, axis=-1) - 0.7, GRID)
     seeds = seed_bricks(GRID, np.array([[0.7, 0.0, 0.0]]))
     return grow(evaluate, seeds)
 
 
-def test_a_sphere_is_one_closed_piece_seen_from_outside(sphere):
+def test_a_sphere_is_one_closed_piece_seen_from_outside(sphere: Mesh) -> None:
     found = check_mesh(sphere)
     assert found.watertight
     assert found.outward
     assert (found.components, found.genus) == (1, 0)
 
 
-def test_vertices_lie_on_the_sphere_and_inside_their_edges(sphere):
+def test_vertices_lie_on_the_sphere_and_inside_their_edges(sphere: Mesh) -> None:
     radii = np.linalg.norm(sphere.vertices, axis=1)
     # A straight line along an edge errs by up to h^2 / (8 R), and clamping by 0.002 h.
     assert np.abs(radii - 0.7).max() < GRID.step**2 / (8 * 0.7) + 0.002 * GRID.step
@@ -96,12 +106,14 @@ def test_vertices_lie_on_the_sphere_and_inside_their_edges(sphere):
     assert (np.abs(along - 0.5)[off_lattice] <= 0.498 + 1e-9).all()
 
 
-def test_the_volume_of_a_sphere_comes_out_a_little_low(sphere):
+def test_the_volume_of_a_sphere_comes_out_a_little_low(sphere: Mesh) -> None:
     true = 4 / 3 * np.pi * 0.7**3
     assert 0.99 * true < signed_volume(sphere) < true
 
 
-def test_no_face_has_zero_area_even_where_nodes_touch_the_surface(brick_values):
+def test_no_face_has_zero_area_even_where_nodes_touch_the_surface(
+    brick_values: BrickValues,
+) -> None:
     """The plane x = 0 passes exactly through nodes, which count as outside."""
     evaluate = brick_values(lambda p: p[..., 0], GRID)
     seeds = seed_bricks(GRID, np.array([[-0.01, 0.0, 0.0]]))
@@ -111,13 +123,13 @@ def test_no_face_has_zero_area_even_where_nodes_touch_the_surface(brick_values):
     assert_manifold(mesh)
 
 
-def test_a_field_without_inside_has_no_faces():
+def test_a_field_without_inside_has_no_faces() -> None:
     mesh = extract(GRID, *cut_bricks(np.ones((33, 33, 33), np.float32)))
     assert mesh.vertices.shape == (0, 3)
     assert mesh.faces.shape == (0, 3)
 
 
-def test_balanced_faces_miss_the_surface_by_half_and_keep_its_volume(sphere):
+def test_balanced_faces_miss_the_surface_by_half_and_keep_its_volume(sphere: Mesh) -> None:
     exact = sphere.vertices * (0.7 / np.linalg.norm(sphere.vertices, axis=1, keepdims=True))
     balanced = Mesh(balance_vertices(exact, sphere.faces, GRID.step), sphere.faces)
     ball = 4 / 3 * np.pi * 0.7**3
@@ -133,27 +145,29 @@ def test_balanced_faces_miss_the_surface_by_half_and_keep_its_volume(sphere):
     assert shifts.max() < 0.25 * np.sqrt(3) * GRID.step
 
 
-def test_faces_that_would_turn_over_stay_where_they_are():
+def test_faces_that_would_turn_over_stay_where_they_are() -> None:
     """A needle of a tetrahedron, whose tip would sink through its base."""
     base = np.array([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]])
     vertices = np.concatenate([base, [[0.0, 0.0, 1e-3]]])
     faces = np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3], [2, 1, 0]])
     balanced = balance_vertices(vertices, faces, 1.0)
 
-    def normals(places):
+    def normals(places: FloatArray) -> FloatArray:
         a, b, c = (places[faces[:, k]] for k in range(3))
         return np.cross(b - a, c - a)
 
     assert ((normals(vertices) * normals(balanced)).sum(axis=1) > 0).all()
 
 
-def test_a_plane_is_balanced_already():
+def test_a_plane_is_balanced_already() -> None:
     places = np.stack(np.meshgrid(*[np.arange(4.0)] * 2, [0.0]), axis=-1).reshape(-1, 3)
     corners = np.array([[i, i + 1, i + 5, i, i + 5, i + 4] for i in (0, 1, 2, 4, 5, 6, 8, 9, 10)])
     assert np.array_equal(balance_vertices(places, corners.reshape(-1, 3), 1.0), places)
 
 
-def test_faces_without_a_neighbour_are_left_out_of_the_rim_only(brick_values):
+def test_faces_without_a_neighbour_are_left_out_of_the_rim_only(
+    brick_values: BrickValues,
+) -> None:
     """The sphere cut in two: the rim ends open, and what is taken must be whole."""
     evaluate = brick_values(lambda p: np.linalg.norm(p, axis=-1) - 0.7, GRID)
     places = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -1,4 +1,8 @@
+from __future__ import annotations
+
+from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,61 +17,75 @@ from hpccomponent.surface.tasks.patch_quadrics import (
     fit_patches,
     gradient_quadrics,
 )
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+Shape = Callable[[np.random.Generator], tuple[FloatArray, FloatArray]]
 
 CENTER, SCALE = np.array([3.0, -1.0, 2.0]), 1.7
 TILT = Rotation.from_rotvec([0.4, -0.7, 0.2]).as_matrix()
 
 
-def sphere(rng, n=200):
+def sphere(rng: np.random.Generator, n: int = 200) -> tuple[FloatArray, FloatArray]:
     normals = rng.normal(size=(n, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return 1.2 * normals, normals
 
 
-def ellipsoid(rng):
+def ellipsoid(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     on_sphere, _ = sphere(rng)
     positions = on_sphere * (1.3, 0.8, 1.0)
     normals = positions / np.square([1.3, 0.8, 1.0])
     return positions, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
-def cylinder(rng):
+def cylinder(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     angle, height = rng.uniform(0.0, 2.0 * np.pi, 200), rng.uniform(-1.0, 1.0, 200)
     normals = np.stack([np.cos(angle), np.sin(angle), np.zeros(200)], axis=1)
     return normals + np.outer(height, [0.0, 0.0, 1.0]), normals
 
 
-def saddle(rng):
+def saddle(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     x, y = rng.uniform(-1.0, 1.0, (2, 200))
     normals = np.stack([-y, -x, np.ones(200)], axis=1)
     return np.stack([x, y, x * y], axis=1), normals / np.linalg.norm(normals, axis=1)[:, None]
 
 
-def plane(rng, n=200):
+def plane(rng: np.random.Generator, n: int = 200) -> tuple[FloatArray, FloatArray]:
     x, y = rng.uniform(-1.0, 1.0, (2, n))
     return np.stack([x, y, np.full(n, 0.3)], axis=1), np.tile([0.0, 0.0, 1.0], (n, 1))
 
 
-def fit_one(positions, normals, norm="consistent", center=CENTER, scale=SCALE):
+def fit_one(
+    positions: FloatArray,
+    normals: FloatArray,
+    norm: str = "consistent",
+    center: FloatArray = CENTER,
+    scale: float = SCALE,
+) -> FloatArray:
     offsets = np.array([0, len(positions)])
     (c,) = fit_patches(positions, normals, offsets, center[None], np.array([scale]), norm)
-    return c
+    values: FloatArray = c
+    return values
 
 
-def first_order_distances(c, positions, center=CENTER, scale=SCALE):
+def first_order_distances(
+    c: FloatArray, positions: FloatArray, center: FloatArray = CENTER, scale: float = SCALE
+) -> FloatArray:
     local = (positions - center) / scale
     steepness = np.linalg.norm(gradient_quadrics(c, local), axis=1)
-    return scale * evaluate_quadrics(c, local) / steepness
+    values: FloatArray = scale * evaluate_quadrics(c, local) / steepness
+    return values
 
 
-def normals_of(c, positions):
+def normals_of(c: FloatArray, positions: FloatArray) -> FloatArray:
     gradients = gradient_quadrics(c, (positions - CENTER) / SCALE)
-    return gradients / np.linalg.norm(gradients, axis=1, keepdims=True)
+    values: FloatArray = gradients / np.linalg.norm(gradients, axis=1, keepdims=True)
+    return values
 
 
 @pytest.mark.parametrize("norm", ["consistent", "printed"])
 @pytest.mark.parametrize("shape", [sphere, ellipsoid, cylinder, saddle, plane])
-def test_points_on_a_quadric_are_fitted_exactly(shape, norm):
+def test_points_on_a_quadric_are_fitted_exactly(shape: Shape, norm: str) -> None:
     positions, normals = shape(np.random.default_rng(5))
     positions, normals = positions @ TILT.T + CENTER, normals @ TILT.T
     c = fit_one(positions, normals, norm)
@@ -76,14 +94,16 @@ def test_points_on_a_quadric_are_fitted_exactly(shape, norm):
 
 
 @pytest.mark.parametrize("shape", [sphere, ellipsoid, cylinder])
-def test_values_are_negative_inside_for_outward_normals_and_positive_for_inward(shape):
+def test_values_are_negative_inside_for_outward_normals_and_positive_for_inward(
+    shape: Shape,
+) -> None:
     positions, normals = shape(np.random.default_rng(6))
     inside = np.zeros((1, 3))
     assert evaluate_quadrics(fit_one(positions, normals), (inside - CENTER) / SCALE)[0] < 0.0
     assert evaluate_quadrics(fit_one(positions, -normals), (inside - CENTER) / SCALE)[0] > 0.0
 
 
-def test_the_gradient_is_the_derivative_of_the_values():
+def test_the_gradient_is_the_derivative_of_the_values() -> None:
     rng = np.random.default_rng(7)
     c, local, step = rng.normal(size=(50, 10)), rng.normal(size=(50, 3)), 1e-5
     slopes = [
@@ -95,7 +115,7 @@ def test_the_gradient_is_the_derivative_of_the_values():
 
 @pytest.mark.parametrize("norm", ["consistent", "printed"])
 @pytest.mark.parametrize("n", [200, 4])
-def test_coefficients_obey_their_constraint(norm, n):
+def test_coefficients_obey_their_constraint(norm: str, n: int) -> None:
     positions, normals = sphere(np.random.default_rng(8), n)
     squares = fit_one(positions + 0.2, normals, norm) ** 2
     if norm == "consistent":
@@ -106,7 +126,7 @@ def test_coefficients_obey_their_constraint(norm, n):
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=30, deadline=None)
-def test_the_fit_turns_and_moves_with_the_points(seed):
+def test_the_fit_turns_and_moves_with_the_points(seed: int) -> None:
     rng = np.random.default_rng(seed)
     positions, normals = ellipsoid(rng)
     positions = positions[positions[:, 0] > 0.0] + 0.05 * rng.normal(size=3)
@@ -121,7 +141,7 @@ def test_the_fit_turns_and_moves_with_the_points(seed):
     assert np.abs(turned - evaluate_quadrics(there, probes)).max() < 1e-8
 
 
-def test_the_printed_norm_does_not_turn_with_the_points():
+def test_the_printed_norm_does_not_turn_with_the_points() -> None:
     rng = np.random.default_rng(9)
     positions, normals = ellipsoid(rng)
     positions += 0.1 * rng.normal(size=positions.shape)
@@ -133,7 +153,7 @@ def test_the_printed_norm_does_not_turn_with_the_points():
 
 
 @st.composite
-def batches(draw):
+def batches(draw: st.DrawFn) -> tuple[list[int], list[int], bool, int]:
     """Points of some patches, a few of them empty or degenerate, and where to cut the batch."""
     counts = draw(st.lists(st.integers(0, 300), min_size=1, max_size=12))
     cuts = draw(st.lists(st.integers(0, len(counts)), max_size=4).map(sorted))
@@ -143,7 +163,9 @@ def batches(draw):
 
 @given(batches(), st.sampled_from(["consistent", "printed"]))
 @settings(max_examples=60, deadline=None)
-def test_a_patch_does_not_depend_on_its_batch_to_the_last_bit(batch, norm):
+def test_a_patch_does_not_depend_on_its_batch_to_the_last_bit(
+    batch: tuple[list[int], list[int], bool, int], norm: str
+) -> None:
     counts, cuts, flat, seed = batch
     rng = np.random.default_rng(seed)
     offsets = np.concatenate([[0], np.cumsum(counts)])
@@ -165,7 +187,9 @@ def test_a_patch_does_not_depend_on_its_batch_to_the_last_bit(batch, norm):
 
 
 @pytest.mark.parametrize("chunk", [1, 50, 500])
-def test_how_many_points_are_summed_at_once_changes_no_bit(monkeypatch, chunk):
+def test_how_many_points_are_summed_at_once_changes_no_bit(
+    monkeypatch: pytest.MonkeyPatch, chunk: int
+) -> None:
     rng = np.random.default_rng(14)
     offsets = np.array([0, 0, 120, 121, 121, 400, 440, 1000, 1000])
     positions, normals = sphere(rng, 1000)
@@ -176,7 +200,7 @@ def test_how_many_points_are_summed_at_once_changes_no_bit(monkeypatch, chunk):
     assert fit_patches(*batch).tobytes() == whole.tobytes()
 
 
-def test_an_empty_patch_gets_zeros_and_disturbs_no_other():
+def test_an_empty_patch_gets_zeros_and_disturbs_no_other() -> None:
     positions, normals = sphere(np.random.default_rng(10))
     n = len(positions)
     offsets = np.array([0, 0, n, n])
@@ -191,7 +215,7 @@ def test_an_empty_patch_gets_zeros_and_disturbs_no_other():
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 9])
-def test_few_points_get_the_plane_across_their_mean_normal(n):
+def test_few_points_get_the_plane_across_their_mean_normal(n: int) -> None:
     rng = np.random.default_rng(n)
     positions, normals = rng.normal(size=(n, 3)), np.tile(TILT[2], (n, 1))
     c = fit_one(positions, normals)
@@ -200,7 +224,7 @@ def test_few_points_get_the_plane_across_their_mean_normal(n):
     assert first_order_distances(c, positions.mean(axis=0)[None])[0] == pytest.approx(0.0)
 
 
-def test_normals_that_cancel_out_leave_the_first_to_decide():
+def test_normals_that_cancel_out_leave_the_first_to_decide() -> None:
     normals = np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
     c = fit_one(np.zeros((2, 3)), normals)
     assert np.allclose(normals_of(c, np.zeros((1, 3))), [[0.0, 1.0, 0.0]])
@@ -212,7 +236,9 @@ def test_normals_that_cancel_out_leave_the_first_to_decide():
     ids=["one place", "one line"],
 )
 @pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
-def test_points_without_area_still_get_a_finite_quadric_through_them(positions, normal):
+def test_points_without_area_still_get_a_finite_quadric_through_them(
+    positions: FloatArray, normal: list[float]
+) -> None:
     c = fit_one(positions, np.tile(normal, (20, 1)))
     assert np.isfinite(c).all()
     assert c.any()
@@ -231,8 +257,8 @@ def test_points_without_area_still_get_a_finite_quadric_through_them(positions, 
         ({"norm": "euclidean"}, "norm"),
     ],
 )
-def test_bad_batches_are_named(change, named):
-    batch = {
+def test_bad_batches_are_named(change: dict[str, FloatArray | IntArray | str], named: str) -> None:
+    batch: dict[str, Any] = {
         "positions": np.zeros((3, 3)),
         "normals": np.zeros((3, 3)),
         "offsets": np.array([0, 3]),

@@ -1,5 +1,7 @@
 """A slab sees the bricks beside it as another's."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from hpccomponent.surface.types.grid import BESIDE, FOREIGN, OPEN, OUT, OWN, Bri
 LAYERS = [OUT, OPEN, OWN, FOREIGN, OWN, BESIDE]
 
 
-def tile():
+def tile() -> BrickKinds:
     """Return a box of six layers along x from layer 10 on, each of one kind."""
     kinds = np.repeat(np.array(LAYERS, np.uint8), 6).reshape(6, 2, 3)
     return BrickKinds(np.array([10, 4, 5]), kinds)
@@ -26,7 +28,9 @@ def tile():
         (14, 16, 13, [FOREIGN, OWN, BESIDE]),
     ],
 )
-def test_a_slab_has_a_layer_beside_it_where_the_tile_has_one(first, end, low, layers):
+def test_a_slab_has_a_layer_beside_it_where_the_tile_has_one(
+    first: int, end: int, low: int, layers: list[int]
+) -> None:
     whole = tile()
     slab = cut_slab(whole, first, end)
     assert slab.first.tolist() == [low, 4, 5]
@@ -36,7 +40,7 @@ def test_a_slab_has_a_layer_beside_it_where_the_tile_has_one(first, end, low, la
     assert whole.kinds[:, 0, 0].tolist() == LAYERS  # it was a copy
 
 
-def test_marks_outside_the_box_are_lost():
+def test_marks_outside_the_box_are_lost() -> None:
     kinds = tile()
     keys = np.append(kinds.own(), -1)
     kinds.mark(keys, OPEN)

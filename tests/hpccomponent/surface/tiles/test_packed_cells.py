@@ -104,9 +104,8 @@ def test_no_cell_is_wanted(build: ModuleType) -> None:
     assert not len(rows.seed_bricks(Grid(np.zeros(3), 0.1, (2, 2, 2)), offsets, groups == 0))
 
 
-@pytest.mark.usefixtures("build")
 @pytest.mark.parametrize("size", [0.05, 0.7, 9.0])
-def test_points_are_counted_as_if_they_were_sorted(size: float) -> None:
+def test_points_are_counted_as_if_they_were_sorted(build: ModuleType, size: float) -> None:
     random = np.random.default_rng(4)
     arranged = arrange_cloud(PointCloud(*random.uniform(size=(2, 30_000, 3)) ** 9))
     blocks, cloud = arranged.arrangement, arranged.points
@@ -115,11 +114,9 @@ def test_points_are_counted_as_if_they_were_sorted(size: float) -> None:
     assert packed.counts.max() > 64  # what the kernel takes at once
     origin = random.normal(size=3)
     cells, offsets, _ = sort_points(cloud.positions, origin, size)
-    keys, counts = packed_cells.kernels.count_packed(
-        *unpacking_arguments(blocks, packed), origin, size
-    )
+    keys, counts = build.count_packed(*unpacking_arguments(blocks, packed), origin, size)
     np.testing.assert_array_equal(keys, cells)
     np.testing.assert_array_equal(counts, np.diff(offsets))
-    nothing = PackedPoints(*(column[:0] for column in astuple(packed)))  # type: ignore[arg-type]
-    counted = packed_cells.kernels.count_packed(*unpacking_arguments(blocks, nothing), origin, size)
+    nothing = PackedPoints(*(column[:0] for column in astuple(packed)))
+    counted = build.count_packed(*unpacking_arguments(blocks, nothing), origin, size)
     assert [len(column) for column in counted] == [0, 0]

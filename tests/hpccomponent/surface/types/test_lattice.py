@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,6 +18,7 @@ from hpccomponent.surface.types.lattice import (
     step_keys,
     unpack_keys,
 )
+from hpccomponent.surface.types.points import IntArray
 
 LIMIT = 2**20 - 1
 places_lists = arrays(np.int64, st.tuples(st.integers(1, 30), st.just(3)),
@@ -23,7 +26,7 @@ places_lists = arrays(np.int64, st.tuples(st.integers(1, 30), st.just(3)),
 
 
 @given(places_lists)
-def test_keys_hold_their_places_and_sort_like_them(places):
+def test_keys_hold_their_places_and_sort_like_them(places: IntArray) -> None:
     keys = pack_places(places)
     assert np.array_equal(unpack_keys(keys), places)
     by_key = places[np.argsort(keys, kind="stable")].tolist()
@@ -31,32 +34,32 @@ def test_keys_hold_their_places_and_sort_like_them(places):
 
 
 @given(places_lists, st.tuples(*[st.integers(-2, 2)] * 3))
-def test_a_step_of_keys_is_a_step_of_places(places, step):
+def test_a_step_of_keys_is_a_step_of_places(places: IntArray, step: tuple[int, int, int]) -> None:
     places = places // 2
     stepped = step_keys(pack_places(places), np.array(step))
     assert np.array_equal(unpack_keys(stepped), places + step)
 
 
 @given(places_lists, st.integers(0, 20))
-def test_an_ancestor_of_keys_is_that_of_their_places(places, levels):
+def test_an_ancestor_of_keys_is_that_of_their_places(places: IntArray, levels: int) -> None:
     edges = np.array([[-(2**20)] * 3, [2**20 - 1] * 3, [-1, 0, -(2**20)]])
     places = np.concatenate([places.reshape(-1, 3), edges])
     found = ancestor_keys(pack_places(places), levels)
     np.testing.assert_array_equal(found, pack_places(places >> levels))
 
 
-def test_a_place_out_of_range_is_refused():
+def test_a_place_out_of_range_is_refused() -> None:
     with pytest.raises(InputError, match="cells of the lattice"):
         pack_places(np.array([[0, 2**20, 0]]))
 
 
-def test_keys_that_are_missing_get_the_row_past_the_end():
+def test_keys_that_are_missing_get_the_row_past_the_end() -> None:
     keys = np.array([3, 5, 9])
     assert find_keys(keys, np.array([[5, 4], [9, 10]])).tolist() == [[1, 3], [2, 3]]
 
 
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (-1, 2)])
-def test_spreading_finds_the_box_around_every_place(low, high):
+def test_spreading_finds_the_box_around_every_place(low: int, high: int) -> None:
     places = np.random.default_rng(0).integers(-5, 5, (20, 3))
     spread = spread_keys(np.unique(pack_places(places)), low, high)
     steps = np.stack(np.meshgrid(*[np.arange(low, high + 1)] * 3), axis=-1).reshape(-1, 3)
@@ -66,7 +69,7 @@ def test_spreading_finds_the_box_around_every_place(low, high):
 
 
 @given(places_lists)
-def test_the_mean_of_the_parents_is_the_place_of_the_child(places):
+def test_the_mean_of_the_parents_is_the_place_of_the_child(places: IntArray) -> None:
     mean = np.zeros(places.shape)
     for octant in OCTANTS:
         keys, steps = corner_parents(places, octant)
@@ -76,6 +79,6 @@ def test_the_mean_of_the_parents_is_the_place_of_the_child(places):
     assert np.array_equal(mean, places)
 
 
-def test_cells_count_from_the_origin():
+def test_cells_count_from_the_origin() -> None:
     cells = cells_of(np.array([[2.5, 1.0, 0.0]]), np.array([0.5, 1.0, 1.0]), 0.5)
     assert cells.tolist() == [[4.0, 0.0, -2.0]]

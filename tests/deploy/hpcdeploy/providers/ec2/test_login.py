@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from hashlib import sha1
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cloud import StrictCloud
@@ -25,7 +26,7 @@ from hpcdeploy.providers.ec2.provider import Ec2Provider
 from hpcdeploy.spec.names import Owner
 from hpcdeploy.spec.provider import CloudSpec, ProviderSpec
 
-_SPEC: TypeAdapter[CloudSpec] = TypeAdapter(ProviderSpec)
+_SPEC: TypeAdapter[Any] = TypeAdapter(ProviderSpec)
 SHORT = Patience(connect_s=0.3, keys_s=0.5, process_s=0.5, ask_s=0.5, act_s=0.5)
 ALONE = {"role refused port", "role with MFA", "SSO never", "SSO expired", "legacy SSO expired"}
 """These ask a terminal, or read what is below the home that a process has begun with."""
@@ -45,7 +46,7 @@ def no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def cloud(fault: Fault) -> CloudSpec:
     credentials = {"profile": fault.profile} if fault.profile else {}
-    return _SPEC.validate_python(
+    spec: CloudSpec = _SPEC.validate_python(
         {
             "type": "aws",
             "endpoint_url": fault.endpoint_url,
@@ -53,6 +54,7 @@ def cloud(fault: Fault) -> CloudSpec:
             "profiles": {"small": {"image": {"id": "ami-1"}, "instance_type": "m5.large"}},
         }
     )
+    return spec
 
 
 def observe(spec: CloudSpec, base: Path) -> Ec2Provider:
@@ -115,7 +117,9 @@ def strict(monkeypatch: pytest.MonkeyPatch, no_keys: None) -> Iterator[StrictClo
 
 
 def strict_spec(strict: StrictCloud) -> CloudSpec:
-    return _SPEC.validate_python(strict.provider_block() | {"credentials": {"profile": "lab"}})
+    block = strict.provider_block() | {"credentials": {"profile": "lab"}}
+    spec: CloudSpec = _SPEC.validate_python(block)
+    return spec
 
 
 def keys_of(access_key: str) -> str:

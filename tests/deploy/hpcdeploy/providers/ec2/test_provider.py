@@ -130,7 +130,10 @@ def test_lost_answers_are_asked_for_again(open_desk: OpenDesk, profile: str, act
     desk.prepare()
     observed = desk.provider.observe("bunny")
     assert (len(observed.groups), len(observed.key_pairs)) == (1, 1)
-    assert (observed.groups[0].ssh_from, observed.groups[0].internal_ports) == (OPEN, {7070})
+    assert (observed.groups[0].ssh_from, observed.groups[0].internal_ports) == (
+        OPEN,
+        frozenset({7070}),
+    )
     for lost in ("DeleteSecurityGroup", "DeleteKeyPair"):
         desk.cloud.lose(lost)
     assert desk.provider.delete_group(observed.groups[0])
@@ -256,7 +259,7 @@ def test_rules_become_what_is_wanted(open_desk: OpenDesk, profile: str) -> None:
     wanted = frozenset({"192.0.2.0/24", "198.51.100.0/24"})
     desk.provider.allow(group, wanted, frozenset({7071}))
     (seen,) = desk.provider.observe("bunny").groups
-    assert (seen.ssh_from, seen.internal_ports) == (wanted, {7071})
+    assert (seen.ssh_from, seen.internal_ports) == (wanted, frozenset({7071}))
     assert len(foreign.ingress_rules) == 3
     before = len(desk.changes())
     desk.provider.allow(seen, wanted, frozenset({7071}))

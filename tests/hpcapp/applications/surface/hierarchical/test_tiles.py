@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +13,7 @@ from hpccomponent.surface.types.lattice import pack_places, spread_keys, unique_
 
 
 @given(st.integers(0, 2**32), st.integers(1, 200), st.integers(1, 20))
-def test_tiles_share_the_work(seed, cells, count):
+def test_tiles_share_the_work(seed: int, cells: int, count: int) -> None:
     random = np.random.default_rng(seed)
     keys = unique_keys(pack_places(random.integers(-9, 9, (cells, 3))))
     work = random.integers(1, 50, len(keys))
@@ -23,7 +25,7 @@ def test_tiles_share_the_work(seed, cells, count):
         assert np.abs(shares - work.sum() / count).max() <= work.max() * (1 + rounds)
 
 
-def test_tiles_are_compact():
+def test_tiles_are_compact() -> None:
     """Of a flat square the halos are those of smaller squares, not of rows."""
     places = np.argwhere(np.ones((32, 32, 1), bool))
     keys = unique_keys(pack_places(places))
@@ -36,7 +38,7 @@ def test_tiles_are_compact():
         assert np.count_nonzero(mark_near(around, own, flat, flat)) == 100
 
 
-def test_where_points_are_few_the_surface_is_work_still():
+def test_where_points_are_few_the_surface_is_work_still() -> None:
     """A flat square, one half of it scanned a hundred times as densely: its surface is the same."""
     places = np.argwhere(np.ones((64, 32, 1), bool))
     keys = pack_places(places)

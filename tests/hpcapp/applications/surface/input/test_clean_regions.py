@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,13 +27,14 @@ from hpccomponent.surface.types.points import FloatArray, PointCloud
 Random = np.random.Generator
 
 
-def _scan(name: str, **settings: float) -> PointCloud:
+def _scan(name: str, **settings: Any) -> PointCloud:
     return simulate_scan(SHAPES[name], ScanSettings(points=30_000, normals="exact", **settings))
 
 
 def _sphere(random: Random, points: int, radius: float = 1.0) -> FloatArray:
     arms = random.normal(size=(points, 3))
-    return radius * arms / np.linalg.norm(arms, axis=1)[:, None]
+    values: FloatArray = radius * arms / np.linalg.norm(arms, axis=1)[:, None]
+    return values
 
 
 def _uneven(random: Random) -> PointCloud:

@@ -9,7 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import InputError, JobError, NoWorkersError
+from hpccomponent.files.held_folders import read_owner
 from hpccomponent.surface.tasks import tiles as region
 from hpccomponent.surface.types.points import PointCloud
 
@@ -221,7 +222,7 @@ def test_what_a_killed_command_leaves_the_next_one_removes(
 
 
 def _pid(folder: Path) -> int:
-    owner = room.read_owner(folder)
+    owner = read_owner(folder)
     assert owner is not None
     return owner.pid
 
@@ -256,16 +257,16 @@ def test_a_job_that_fails_leaves_only_what_it_was_asked_to_keep(
 @pytest.mark.parametrize("resumes", [False, True])
 def test_a_job_that_fails_early_leaves_nothing(scan: Path, tmp_path: Path, resumes: bool) -> None:
     place = tmp_path / "room"
-    common = {"grid": 64, "temp_dir": str(place), "resume": resumes}
+    common: dict[str, Any] = {"grid": 64, "temp_dir": str(place), "resume": resumes}
     bad = tmp_path / "bad.ply"
     bad.write_bytes(scan.read_bytes()[:-7])
     for error, settings in (
-        (InputError, JobSettings(bad, str(tmp_path / "mesh.ply"), **common)),  # type: ignore[arg-type]
+        (InputError, JobSettings(bad, str(tmp_path / "mesh.ply"), **common)),
         (
             NoWorkersError,
             JobSettings(
                 scan, str(tmp_path / "mesh.ply"), backend="dask=tcp://127.0.0.1:9", **common
-            ),  # type: ignore[arg-type]
+            ),
         ),
     ):
         with pytest.raises(error):
@@ -354,7 +355,7 @@ def _make_junk(path: Path, chance: random.Random) -> None:
 
 
 DAMAGES = [_cut, _flip, _empty, _make_folder, _make_pipe, _make_loop, _make_junk]
-KINDS = {
+KINDS: dict[str, Callable[[Path], Iterable[Path]]] = {
     "tile": lambda place: _tiles(place),
     "note": lambda place: list(place.glob("*/points/loaded")),
     "index": lambda place: list(place.glob("*/points/cleaned-*/index")),

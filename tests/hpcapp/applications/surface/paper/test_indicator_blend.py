@@ -1,7 +1,10 @@
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
 from hpcapp.applications.surface.paper.indicator_blend import (
+    NodeGrid,
     plan_grid,
     sample_indicator_blend,
     settle_zeros,
@@ -11,18 +14,20 @@ from hpcapp.applications.surface.paper.kdtree import Patches
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpccomponent.errors import JobError, UsageError
 from hpccomponent.surface.tasks.patch_quadrics import evaluate_quadrics
+from hpccomponent.surface.types.points import FloatArray
 
 
-def boxes(low, high):
-    low, high = np.array(low, float), np.array(high, float)
-    return Patches(np.arange(len(low)), np.arange(len(low) + 1), low, high)
+def boxes(low: list[list[float]], high: list[list[float]]) -> Patches:
+    corners = np.array(low, float), np.array(high, float)
+    return Patches(np.arange(len(low)), np.arange(len(low) + 1), *corners)
 
 
-def positions_of(nodes):
-    return nodes.low + nodes.step * np.stack(np.indices(nodes.shape), axis=-1)
+def positions_of(nodes: NodeGrid) -> FloatArray:
+    values: FloatArray = nodes.low + nodes.step * np.stack(list(np.indices(nodes.shape)), axis=-1)
+    return values
 
 
-def ignore(done, total):
+def ignore(done: int, total: int) -> None:
     pass
 
 
@@ -31,14 +36,14 @@ PATCHES = boxes([[0, 0, 0], [2, 0, 0], [6, 2, 0]], [[2, 2, 2], [4, 2, 2], [8, 4,
 QUADRICS = np.random.default_rng(11).normal(size=(3, 10))
 
 
-def test_grid_has_its_cells_along_the_longest_side_and_a_margin():
+def test_grid_has_its_cells_along_the_longest_side_and_a_margin() -> None:
     nodes = plan_grid(PATCHES, 16)
     assert nodes.step == 0.5
     assert nodes.shape == (16 + 5, 8 + 5, 4 + 5)
     assert nodes.low.tolist() == [-1.0, -1.0, -1.0]
 
 
-def test_one_box_gives_its_quadric_and_several_their_mean():
+def test_one_box_gives_its_quadric_and_several_their_mean() -> None:
     nodes = plan_grid(PATCHES, 16)
     values = sample_indicator_blend(PATCHES, QUADRICS, nodes, ignore)
 
@@ -54,7 +59,7 @@ def test_one_box_gives_its_quadric_and_several_their_mean():
     assert np.allclose(values.ravel(), expected / np.maximum(boxes_here, 1), atol=1e-6)
 
 
-def test_faces_count_for_both_boxes_in_spite_of_rounding():
+def test_faces_count_for_both_boxes_in_spite_of_rounding() -> None:
     third = 1.0 / 3.0
     patches = boxes(
         [[0.1, 0, 0], [0.1 + third, 0, 0]], [[0.1 + third, third, third], [1.1, third, third]]
@@ -66,7 +71,7 @@ def test_faces_count_for_both_boxes_in_spite_of_rounding():
     assert values[12, 5, 5] == 2.0
 
 
-def test_boxes_between_nodes_add_nothing():
+def test_boxes_between_nodes_add_nothing() -> None:
     patches = boxes([[0, 0, 0], [0.1, 0.1, 0.1]], [[8, 8, 8], [0.2, 0.2, 0.2]])
     nodes = plan_grid(patches, 8)
     both = sample_indicator_blend(patches, np.ones((2, 10)), nodes, ignore)
@@ -74,14 +79,14 @@ def test_boxes_between_nodes_add_nothing():
     assert np.array_equal(both, first)
 
 
-def test_progress_ends_with_all_boxes():
+def test_progress_ends_with_all_boxes() -> None:
     told = []
     nodes = plan_grid(PATCHES, 4)
     sample_indicator_blend(PATCHES, QUADRICS, nodes, lambda *counts: told.append(counts))
     assert told[-1] == (3, 3)
 
 
-def test_settled_values_are_never_zero_and_keep_every_clear_sign():
+def test_settled_values_are_never_zero_and_keep_every_clear_sign() -> None:
     values = np.random.default_rng(12).normal(size=(20, 20, 20)).astype(np.float32)
     before = values.copy()
     values[:10] = 0.0
@@ -92,13 +97,13 @@ def test_settled_values_are_never_zero_and_keep_every_clear_sign():
     assert np.abs(values).min() > 1e-6
 
 
-def test_settled_zeros_everywhere_are_outside():
+def test_settled_zeros_everywhere_are_outside() -> None:
     values = np.zeros((3, 3, 3), np.float32)
     settle_zeros(values)
     assert (values > 0.0).all()
 
 
-def test_a_settled_blend_has_no_open_edge():
+def test_a_settled_blend_has_no_open_edge() -> None:
     nodes = plan_grid(PATCHES, 24)
     values = sample_indicator_blend(PATCHES, QUADRICS, nodes, ignore)
     assert np.mean(values == 0.0) > 0.02
@@ -108,7 +113,7 @@ def test_a_settled_blend_has_no_open_edge():
     assert topology.outward
 
 
-def test_what_cannot_be_sampled_is_named():
+def test_what_cannot_be_sampled_is_named() -> None:
     with pytest.raises(UsageError, match="grid is 0"):
         plan_grid(PATCHES, 0)
     with pytest.raises(JobError, match="coincide"):

@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 import os
 from pathlib import Path
 
@@ -10,11 +12,12 @@ from hypothesis.extra.numpy import arrays
 from hpcapp.applications.surface.paper.kdtree import partition_by_count, partition_by_rule
 from hpcapp.applications.surface.paper.split_rule import SplitRule
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.types.points import FloatArray
 
 ROOTS = ("cube", "box", "tight")
 
 
-def read_bunny(name):
+def read_bunny(name: str) -> tuple[FloatArray, FloatArray]:
     folder = os.environ.get("HPCAPP_DATA")
     if folder is None:
         pytest.skip("HPCAPP_DATA does not name the folder with the Stanford bunny")
@@ -24,7 +27,7 @@ def read_bunny(name):
     return rows[:, :3], rows[:, 3:]
 
 
-def scatter(rng, n):
+def scatter(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
     normals = rng.normal(size=(n, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return rng.normal(size=(n, 3)) * (3.0, 2.0, 1.0) + 50.0, normals
@@ -39,7 +42,9 @@ def scatter(rng, n):
         ("none", "cube", (20_000, 10_000, 1_000, 100), (3, 7, 64, 582)),
     ],
 )
-def test_bunny_has_the_papers_counts(cone, root, limits, counts):
+def test_bunny_has_the_papers_counts(
+    cone: str, root: str, limits: tuple[int | None, ...], counts: tuple[int, ...]
+) -> None:
     positions, normals = read_bunny("bunny_35947.ply")
     found = tuple(
         len(partition_by_rule(positions, normals, SplitRule(0.1, cone, limit), root))
@@ -48,7 +53,7 @@ def test_bunny_has_the_papers_counts(cone, root, limits, counts):
     assert found == counts
 
 
-def test_large_bunny():
+def test_large_bunny() -> None:
     positions, normals = read_bunny("bunny_263256.ply")
     assert len(partition_by_rule(positions, normals, SplitRule(0.1))) == 1661
     assert len(partition_by_count(positions, 240)) == 240
@@ -70,7 +75,9 @@ clouds = st.integers(1, 40).flatmap(
 
 @settings(max_examples=60, deadline=None)
 @given(clouds, st.sampled_from(ROOTS), st.sampled_from([1, 3, None]), st.floats(0.0, 1.0))
-def test_patches_hold_every_point_once_within_limits(cloud, root, max_points, delta):
+def test_patches_hold_every_point_once_within_limits(
+    cloud: tuple[FloatArray, FloatArray], root: str, max_points: int | None, delta: float
+) -> None:
     positions, normals = cloud
     rule = SplitRule(delta, "paper", max_points)
     patches = partition_by_rule(positions, normals, rule, root)
@@ -96,7 +103,9 @@ def test_patches_hold_every_point_once_within_limits(cloud, root, max_points, de
 
 @settings(max_examples=60, deadline=None)
 @given(clouds, st.sampled_from(ROOTS), st.data())
-def test_as_many_patches_as_asked_for(cloud, root, draw):
+def test_as_many_patches_as_asked_for(
+    cloud: tuple[FloatArray, FloatArray], root: str, draw: st.DataObject
+) -> None:
     positions, _ = cloud
     distinct = len(np.unique(positions + 0.0, axis=0))
     wanted = draw.draw(st.integers(1, distinct))
@@ -109,7 +118,7 @@ def test_as_many_patches_as_asked_for(cloud, root, draw):
 
 
 @pytest.mark.parametrize("root", ROOTS)
-def test_inner_boxes_do_not_overlap(root):
+def test_inner_boxes_do_not_overlap(root: str) -> None:
     positions, normals = scatter(np.random.default_rng(1), 300)
     patches = partition_by_rule(positions, normals, SplitRule(0.3, "none", 20), root)
     low = np.maximum(patches.box_low[:, None], patches.box_low[None])
@@ -118,7 +127,7 @@ def test_inner_boxes_do_not_overlap(root):
     assert shared[~np.eye(len(patches), dtype=bool)].max() == 0.0
 
 
-def test_count_splits_the_fullest_box_first():
+def test_count_splits_the_fullest_box_first() -> None:
     positions, _ = scatter(np.random.default_rng(2), 500)
     for n in range(1, 30):
         fewer, more = partition_by_count(positions, n), partition_by_count(positions, n + 1)
@@ -128,7 +137,7 @@ def test_count_splits_the_fullest_box_first():
         assert later.max() <= counts.max()
 
 
-def test_points_on_the_midplane_go_to_the_low_side_of_the_first_of_equal_axes():
+def test_points_on_the_midplane_go_to_the_low_side_of_the_first_of_equal_axes() -> None:
     corners = np.array([[x, y, z] for x in (0.0, 2.0) for y in (0.0, 2.0) for z in (0.0, 2.0)])
     positions = np.vstack([corners, [[1.0, 2.0, 2.0]]])
     patches = partition_by_count(positions, 2)
@@ -136,7 +145,7 @@ def test_points_on_the_midplane_go_to_the_low_side_of_the_first_of_equal_axes():
     assert patches.box_high[0].tolist() == [1.0, 2.0, 2.0]
 
 
-def test_opposed_normals_at_one_place_make_one_patch():
+def test_opposed_normals_at_one_place_make_one_patch() -> None:
     positions = np.full((2, 3), 0.1)
     normals = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     patches = partition_by_rule(positions, normals, SplitRule(0.1, "paper", 1))
@@ -145,7 +154,7 @@ def test_opposed_normals_at_one_place_make_one_patch():
 
 
 @pytest.mark.parametrize("root", ROOTS)
-def test_neighbouring_floats_come_apart(root):
+def test_neighbouring_floats_come_apart(root: str) -> None:
     positions = np.array([[1.0, 1.0, 1.0], [np.nextafter(1.0, 2.0), 1.0, 1.0], [9.0, 1.0, 1.0]])
     normals = np.tile([0.0, 0.0, 1.0], (3, 1))
     assert len(partition_by_rule(positions, normals, SplitRule(0.1, "none", 1), root)) == 3
@@ -153,14 +162,14 @@ def test_neighbouring_floats_come_apart(root):
 
 @pytest.mark.parametrize("root", ROOTS)
 @pytest.mark.parametrize("far", [1.0, 1e-300, 5e-324])
-def test_the_smallest_distances_end_the_splitting(root, far):
+def test_the_smallest_distances_end_the_splitting(root: str, far: float) -> None:
     positions = np.array([[0.0, 0.0, 0.0], [0.0, 5e-324, 0.0], [far, far, far]])
     normals = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
     patches = partition_by_rule(positions, normals, SplitRule(0.1, "paper", 1), root)
     assert sorted(patches.order) == [0, 1, 2]
 
 
-def test_patch_coordinates_reach_from_minus_one_to_one():
+def test_patch_coordinates_reach_from_minus_one_to_one() -> None:
     positions, normals = scatter(np.random.default_rng(3), 1000)
     patches = partition_by_rule(positions, normals, SplitRule(0.1, "none", 50), "box")
     owner = np.repeat(np.arange(len(patches)), np.diff(patches.offsets))
@@ -168,7 +177,7 @@ def test_patch_coordinates_reach_from_minus_one_to_one():
     assert np.abs(local).max() <= 1.0 + 1e-12
 
 
-def test_moved_and_scaled_cloud_has_the_same_patches():
+def test_moved_and_scaled_cloud_has_the_same_patches() -> None:
     positions, normals = scatter(np.random.default_rng(4), 500)
     rule = SplitRule(0.2, "paper", 40)
     there = partition_by_rule(positions, normals, rule)
@@ -186,12 +195,12 @@ def test_moved_and_scaled_cloud_has_the_same_patches():
         (np.full((2, 3), np.nan), np.zeros((2, 3)), "NaN"),
     ],
 )
-def test_bad_arrays_are_named(positions, normals, named):
+def test_bad_arrays_are_named(positions: FloatArray, normals: FloatArray, named: str) -> None:
     with pytest.raises(InputError, match=named):
         partition_by_rule(positions, normals, SplitRule())
 
 
-def test_bad_options_are_named():
+def test_bad_options_are_named() -> None:
     with pytest.raises(UsageError, match="root"):
         partition_by_count(np.zeros((1, 3)), 1, "sphere")
     with pytest.raises(UsageError, match="0 patches"):

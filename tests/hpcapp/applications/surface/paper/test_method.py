@@ -1,43 +1,51 @@
+from __future__ import annotations
+
 import json
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures._base import Future
+from typing import Any
 
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.paper.method import PaperMethod, measure_residuals
+from hpcapp.applications.surface.paper.method import PaperMethod, PaperPartition, measure_residuals
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.cloud.arranged import MemoryCloud
-from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 RADIUS = 2.0
 
 
-def ignore(done, total):
+def ignore(done: int, total: int) -> None:
     pass
 
 
-def sphere(n=4000):
+def sphere(n: int = 4000) -> PointCloud:
     normals = np.random.default_rng(13).normal(size=(n, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return PointCloud(RADIUS * normals, normals, origin=np.array([1e6, 2e6, 0.0]))
 
 
 @pytest.fixture
-def workforce():
+def workforce() -> Iterator[Workforce]:
     with ThreadPoolExecutor(2) as executor:
         yield Workforce(executor, 2)
 
 
-def run(method, cloud, workforce):
+def run(
+    method: PaperMethod, cloud: PointCloud, workforce: Workforce
+) -> tuple[PaperPartition, FloatArray, Mesh]:
     partition = method.partition(MemoryCloud.as_they_are(cloud), workforce)
     quadrics = method.fit(partition, workforce, ignore)
     surface = method.extract(partition, quadrics, workforce, ignore)
     return partition, quadrics, surface.mesh()
 
 
-def test_one_patch_on_a_sphere_gives_the_sphere(workforce):
+def test_one_patch_on_a_sphere_gives_the_sphere(workforce: Workforce) -> None:
     _, _, mesh = run(PaperMethod(patches=1, grid=32), sphere(), workforce)
     radii = np.linalg.norm(mesh.vertices, axis=1)
     cell, errors = 2.0 * RADIUS / 32, np.abs(radii - RADIUS)
@@ -53,7 +61,7 @@ def test_one_patch_on_a_sphere_gives_the_sphere(workforce):
 
 
 @pytest.mark.parametrize("norm", ["consistent", "printed"])
-def test_every_patch_of_a_sphere_is_fitted_exactly(workforce, norm):
+def test_every_patch_of_a_sphere_is_fitted_exactly(workforce: Workforce, norm: str) -> None:
     # Patches of a sphere have one quadric through them, the sphere, if they are not too small.
     method = PaperMethod(max_points=1000, cone="none", norm=norm)
     partition, quadrics, _ = run(method, sphere(), workforce)
@@ -64,7 +72,7 @@ def test_every_patch_of_a_sphere_is_fitted_exactly(workforce, norm):
     assert residuals["normals_agreeing"] == 1.0
 
 
-def test_the_surface_of_several_patches_holds_all_points(workforce):
+def test_the_surface_of_several_patches_holds_all_points(workforce: Workforce) -> None:
     cloud = sphere()
     _, _, mesh = run(PaperMethod(max_points=1000, cone="none", grid=32), cloud, workforce)
     # The blend adds walls at box faces; it takes nothing away.
@@ -75,7 +83,9 @@ def test_the_surface_of_several_patches_holds_all_points(workforce):
 
 
 @pytest.mark.parametrize("options", [{"delta": 0.2}, {"patches": 37}, {"max_points": 100}])
-def test_any_number_of_workers_gives_the_same_bytes(options, workforce):
+def test_any_number_of_workers_gives_the_same_bytes(
+    options: dict[str, Any], workforce: Workforce
+) -> None:
     cloud = sphere()
     method = PaperMethod(grid=24, **options)
     meshes = [
@@ -89,16 +99,16 @@ def test_any_number_of_workers_gives_the_same_bytes(options, workforce):
 class RecordingExecutor(ThreadPoolExecutor):
     """An executor that remembers how many patches each batch held."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__(1)
-        self.patches = []
+        self.patches: list[int] = []
 
-    def submit(self, task, *batch):
+    def submit(self, task: Callable[..., Any], /, *batch: Any, **named: Any) -> Future[Any]:
         self.patches.append(len(batch[3]))
-        return super().submit(task, *batch)
+        return super().submit(task, *batch, **named)
 
 
-def test_each_worker_gets_as_many_patches():
+def test_each_worker_gets_as_many_patches() -> None:
     told = []
     method = PaperMethod(patches=40)
     with RecordingExecutor() as executor:
@@ -109,15 +119,17 @@ def test_each_worker_gets_as_many_patches():
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
-def test_points_lie_patch_after_patch_with_their_normals(workforce):
+def test_points_lie_patch_after_patch_with_their_normals(workforce: Workforce) -> None:
     cloud = sphere()
     partition = PaperMethod().partition(MemoryCloud.as_they_are(cloud), workforce)
     order = partition.patches.order
     assert np.array_equal(partition.points.positions, cloud.positions[order])
+    assert cloud.normals is not None
+    assert partition.points.normals is not None
     assert np.array_equal(partition.points.normals, cloud.normals[order])
 
 
-def test_facts_say_what_was_chosen_and_found(workforce):
+def test_facts_say_what_was_chosen_and_found(workforce: Workforce) -> None:
     method = PaperMethod(delta=0.3, cone="complement", max_points=500)
     partition, _, _ = run(method, sphere(), workforce)
     facts = json.loads(json.dumps(method.facts(partition)))
@@ -128,7 +140,7 @@ def test_facts_say_what_was_chosen_and_found(workforce):
     assert facts["residual_rms"] >= 0.0
 
 
-def test_facts_of_a_given_number_of_patches_name_no_cone(workforce):
+def test_facts_of_a_given_number_of_patches_name_no_cone(workforce: Workforce) -> None:
     method = PaperMethod(patches=12)
     facts = method.facts(method.partition(MemoryCloud.as_they_are(sphere()), workforce))
     assert facts["patches"] == 12
@@ -146,11 +158,11 @@ def test_facts_of_a_given_number_of_patches_name_no_cone(workforce):
         ({"norm": "euclidean"}, "consistent or printed"),
     ],
 )
-def test_bad_options_are_named_before_any_work(options, named):
+def test_bad_options_are_named_before_any_work(options: dict[str, Any], named: str) -> None:
     with pytest.raises(UsageError, match=named):
         PaperMethod(**options)
 
 
-def test_a_cloud_without_normals_is_refused(workforce):
+def test_a_cloud_without_normals_is_refused(workforce: Workforce) -> None:
     with pytest.raises(InputError, match="no normals"):
         PaperMethod().partition(MemoryCloud.as_they_are(PointCloud(sphere().positions)), workforce)

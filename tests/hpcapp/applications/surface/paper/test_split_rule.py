@@ -1,15 +1,19 @@
+from __future__ import annotations
+
+from typing import Any
+
 import pytest
 
 from hpcapp.applications.surface.paper.split_rule import SplitRule
 from hpccomponent.errors import UsageError
 
 
-def test_the_two_readings_of_delta():
+def test_the_two_readings_of_delta() -> None:
     assert SplitRule(0.1, "paper").limit == 0.1
     assert SplitRule(0.1, "complement").limit == pytest.approx(0.9)
 
 
-def test_without_a_cone_no_normal_is_too_far():
+def test_without_a_cone_no_normal_is_too_far() -> None:
     assert SplitRule(1.0, "none").limit < -1.0
 
 
@@ -22,6 +26,6 @@ def test_without_a_cone_no_normal_is_too_far():
         ({"max_points": 0}, "max_points"),
     ],
 )
-def test_values_out_of_range_are_named(options, named):
+def test_values_out_of_range_are_named(options: dict[str, Any], named: str) -> None:
     with pytest.raises(UsageError, match=named):
         SplitRule(**options)

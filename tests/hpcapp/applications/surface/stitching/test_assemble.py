@@ -1,7 +1,10 @@
 """The mesh of parts in every way out: the bytes are those of the whole mesh."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,24 +13,27 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hpcapp.applications.surface.stitching import assemble as welded
-from hpcapp.applications.surface.stitching.plan import plan_weld
+from hpcapp.applications.surface.stitching.plan import WeldPlan, plan_weld
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.io import read_mesh, shared_ply, write_mesh, write_tiles
+from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import summarize_part
 from hpccomponent.surface.tasks.shared_ply import write_part
 from hpccomponent.surface.types.mesh import Mesh
+
+Weld = tuple[WeldPlan, list[MeshPart], Mesh]
 
 extracted = cache(extract_shape)
 ORIGINS = {"near": np.zeros(3), "far": np.array([4.5e5, 0.0, -12.0])}
 
 
 @pytest.fixture(autouse=True)
-def small_blocks(monkeypatch):
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(welded, "_ROWS_AT_ONCE", 700)
 
 
 @st.composite
-def welds(draw):
+def welds(draw: st.DrawFn) -> Weld:
     mesh, of_vertex, of_face = extracted(SHAPES[draw(st.sampled_from(sorted(SHAPES)))])
     parts = cut_mesh(mesh, of_vertex, of_face, *draw(cuts(of_vertex, of_face)))
     origin = ORIGINS[draw(st.sampled_from(sorted(ORIGINS)))]
@@ -42,7 +48,9 @@ few = settings(max_examples=12, suppress_health_check=[HealthCheck.function_scop
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".stl", ".glb", ".vtp"])
 @few
 @given(drawn=welds())
-def test_every_format_is_streamed_as_the_whole_is_written(tmp_path, suffix, drawn):
+def test_every_format_is_streamed_as_the_whole_is_written(
+    tmp_path: Path, suffix: str, drawn: Weld
+) -> None:
     plan, parts, whole = drawn
     write_mesh(tmp_path / f"whole{suffix}", whole)
     stream = welded.stream_mesh(plan, parts.__getitem__, whole.origin)
@@ -52,7 +60,7 @@ def test_every_format_is_streamed_as_the_whole_is_written(tmp_path, suffix, draw
 
 @few
 @given(drawn=welds(), seed=st.integers(0, 99))
-def test_workers_write_their_bricks_into_one_file(tmp_path, drawn, seed):
+def test_workers_write_their_bricks_into_one_file(tmp_path: Path, drawn: Weld, seed: int) -> None:
     plan, parts, whole = drawn
     write_mesh(tmp_path / "whole.ply", whole)
     counts = (plan.vertex_count, plan.face_count)
@@ -65,7 +73,9 @@ def test_workers_write_their_bricks_into_one_file(tmp_path, drawn, seed):
 
 @few
 @given(drawn=welds())
-def test_tiles_are_the_faces_of_their_parts_and_meet_exactly(drawn):
+def test_tiles_are_the_faces_of_their_parts_and_meet_exactly(
+    drawn: Weld,
+) -> None:
     plan, parts, whole = drawn
     triangles = []
     for index, tile in welded.stream_tiles(plan, parts.__getitem__, whole.origin):
@@ -78,19 +88,19 @@ def test_tiles_are_the_faces_of_their_parts_and_meet_exactly(drawn):
     assert sorted(map(bytes, together)) == sorted(map(bytes, expected))
 
 
-def torus_in_two():
+def torus_in_two() -> tuple[Mesh, list[MeshPart], WeldPlan]:
     mesh, of_vertex, of_face = extracted(SHAPES["torus"])
     keys = np.unique(np.concatenate([of_vertex, of_face])).tolist()
     parts = cut_mesh(mesh, of_vertex, of_face, {k: int(k > keys[len(keys) // 2]) for k in keys})
     return mesh, parts, plan_weld([summarize_part(part) for part in parts])
 
 
-def test_blocks_are_bounded_and_mapped_parts_do(tmp_path):
+def test_blocks_are_bounded_and_mapped_parts_do(tmp_path: Path) -> None:
     mesh, parts, plan = torus_in_two()
     for index, part in enumerate(parts):
         np.save(tmp_path / f"{index}.npy", part.vertices)
 
-    def load(index):
+    def load(index: int) -> MeshPart:
         mapped = np.load(tmp_path / f"{index}.npy", mmap_mode="r")
         return replace(parts[index], vertices=mapped)
 
@@ -101,7 +111,7 @@ def test_blocks_are_bounded_and_mapped_parts_do(tmp_path):
     )
 
 
-def test_a_shared_file_that_is_not_finished_leaves_nothing(tmp_path):
+def test_a_shared_file_that_is_not_finished_leaves_nothing(tmp_path: Path) -> None:
     _, _, plan = torus_in_two()
     with (
         pytest.raises(RuntimeError),
@@ -111,7 +121,7 @@ def test_a_shared_file_that_is_not_finished_leaves_nothing(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_of_tiles_holds_the_mesh(tmp_path):
+def test_a_folder_of_tiles_holds_the_mesh(tmp_path: Path) -> None:
     mesh, parts, plan = torus_in_two()
     write_mesh(tmp_path / "mesh.ply", mesh)
     tiles = welded.stream_tiles(plan, parts.__getitem__, mesh.origin)

@@ -1,5 +1,7 @@
 """Parts, however they are cut, weld to the mesh that they were cut from, byte for byte."""
 
+from __future__ import annotations
+
 from dataclasses import astuple, replace
 from functools import cache
 
@@ -10,28 +12,31 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hpcapp.applications.surface.stitching.assemble import assemble_mesh
-from hpcapp.applications.surface.stitching.plan import missing_bricks, plan_weld
+from hpcapp.applications.surface.stitching.plan import WeldPlan, missing_bricks, plan_weld
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpccomponent.errors import JobError
+from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import summarize_part
 from hpccomponent.surface.types.lattice import unpack_keys
 from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import IntArray
 
 ORIGIN = np.array([5.0, 0.0, -3.0])
 extracted = cache(extract_shape)
 
 
-def bricks_of(*keys):
-    return np.unique(np.concatenate(keys)).tolist()
+def bricks_of(*keys: IntArray) -> list[int]:
+    values: list[int] = np.unique(np.concatenate(keys)).tolist()
+    return values
 
 
-def weld(parts):
+def weld(parts: list[MeshPart]) -> tuple[WeldPlan, Mesh]:
     summaries = [summarize_part(part) for part in parts]
     plan = plan_weld(summaries)
     return plan, assemble_mesh(plan, parts.__getitem__, ORIGIN)
 
 
-def assert_same(plan, welded, whole):
+def assert_same(plan: WeldPlan, welded: Mesh, whole: Mesh) -> None:
     assert welded.vertices.tobytes() == whole.vertices.tobytes()
     assert welded.faces.dtype == np.int64
     assert welded.faces.tobytes() == whole.faces.astype(np.int64).tobytes()
@@ -45,7 +50,7 @@ def assert_same(plan, welded, whole):
 
 @settings(max_examples=60)
 @given(st.data(), st.sampled_from(sorted(SHAPES)))
-def test_any_cut_of_a_closed_mesh_welds_to_the_whole(data, name):
+def test_any_cut_of_a_closed_mesh_welds_to_the_whole(data: st.DataObject, name: str) -> None:
     mesh, of_vertex, of_face = extracted(SHAPES[name])
     owners, guests = data.draw(cuts(of_vertex, of_face))
     plan, welded = weld(cut_mesh(mesh, of_vertex, of_face, owners, guests))
@@ -56,7 +61,7 @@ def test_any_cut_of_a_closed_mesh_welds_to_the_whole(data, name):
     assert topology.watertight
 
 
-def test_what_is_small_is_dropped_and_shares_a_brick_with_what_is_not():
+def test_what_is_small_is_dropped_and_shares_a_brick_with_what_is_not() -> None:
     mesh, of_vertex, of_face = extracted(SHAPES["crumb_in_brick"])
     part = cut_mesh(mesh, of_vertex, of_face, dict.fromkeys(bricks_of(of_vertex, of_face), 0))[0]
     plan, welded = weld([part])
@@ -65,7 +70,7 @@ def test_what_is_small_is_dropped_and_shares_a_brick_with_what_is_not():
     assert len(welded.vertices) == plan.vertex_count
 
 
-def open_sheet(side):
+def open_sheet(side: int) -> Mesh:
     i, j = (each.ravel() for each in np.meshgrid(*[np.arange(side)] * 2, indexing="ij"))
     a = (i * (side + 1) + j)[:, None] + np.array([0, side + 1, side + 2, 1])
     faces = np.concatenate([a[:, :3], a[:, [0, 2, 3]]])
@@ -73,32 +78,32 @@ def open_sheet(side):
     return Mesh(np.stack([x, y, 0.01 * x * y + 1.0], axis=1).astype(float), faces)
 
 
-def pinched():
+def pinched() -> Mesh:
     """Two tetrahedra that share a vertex."""
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
     second = np.array([3, 4, 5, 6])[faces]
     return Mesh(np.random.default_rng(0).random((7, 3)), np.concatenate([faces, second]))
 
 
-def with_faces(mesh, *faces):
+def with_faces(mesh: Mesh, *faces: list[int]) -> Mesh:
     return Mesh(mesh.vertices, np.concatenate([mesh.faces, np.array(faces)]))
 
 
-def fin():
+def fin() -> Mesh:
     """A third face on an edge of a tetrahedron, and a vertex that no face uses."""
     tetrahedron = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
     vertices = np.random.default_rng(1).random((6, 3))
     return with_faces(Mesh(vertices, tetrahedron), [0, 1, 4])
 
 
-def turned():
+def turned() -> Mesh:
     sheet = open_sheet(4)
     faces = sheet.faces.copy()
     faces[7] = faces[7, ::-1]
     return Mesh(sheet.vertices, faces)
 
 
-def collapsed():
+def collapsed() -> Mesh:
     return with_faces(open_sheet(3), [0, 0, 1], [5, 5, 5])
 
 
@@ -115,7 +120,7 @@ ODD = {
 
 @settings(max_examples=200)
 @given(st.data(), st.sampled_from(sorted(ODD)), st.integers(0, 2**32 - 1))
-def test_the_seams_of_any_mesh_tell_its_topology(data, name, seed):
+def test_the_seams_of_any_mesh_tell_its_topology(data: st.DataObject, name: str, seed: int) -> None:
     mesh = ODD[name]()
     of_vertex, of_face = spread_mesh(
         mesh, data.draw(st.integers(1, 12)), np.random.default_rng(seed)
@@ -133,7 +138,7 @@ def test_the_seams_of_any_mesh_tell_its_topology(data, name, seed):
     assert found == expected
 
 
-def cut_by_faces(mesh, owners):
+def cut_by_faces(mesh: Mesh, owners: IntArray) -> tuple[Mesh, list[MeshPart]]:
     """Cut a mesh so that each part has some faces; all vertices are in a brick of the first."""
     of_vertex = np.zeros(len(mesh.vertices), np.int64)
     order = np.argsort(owners, kind="stable")
@@ -145,12 +150,12 @@ def cut_by_faces(mesh, owners):
 
 @pytest.mark.parametrize("name", ["fin", "turned", "pinched", "collapsed"])
 @pytest.mark.parametrize("parts", [2, 3, 8])
-def test_what_is_wrong_across_a_seam_is_found(name, parts):
+def test_what_is_wrong_across_a_seam_is_found(name: str, parts: int) -> None:
     mesh, cut = cut_by_faces(ODD[name](), np.arange(len(ODD[name]().faces)) % parts)
     assert weld(cut)[0].judge() == check_mesh(mesh)
 
 
-def test_a_hole_along_a_seam_is_found():
+def test_a_hole_along_a_seam_is_found() -> None:
     mesh, of_vertex, of_face = extracted(SHAPES["torus"])
     holed = Mesh(mesh.vertices, np.delete(mesh.faces, 100, axis=0))
     owners = {key: i % 3 for i, key in enumerate(bricks_of(of_vertex, of_face))}
@@ -159,14 +164,14 @@ def test_a_hole_along_a_seam_is_found():
     assert found.boundary_edges == 3
 
 
-def halves():
+def halves() -> list[MeshPart]:
     mesh, of_vertex, of_face = extracted(SHAPES["torus"])
     keys = bricks_of(of_vertex, of_face)
     owners = {key: int(i > len(keys) // 2) for i, key in enumerate(keys)}
     return cut_mesh(mesh, of_vertex, of_face, owners)
 
 
-def test_a_brick_that_no_part_has_is_named():
+def test_a_brick_that_no_part_has_is_named() -> None:
     summary = summarize_part(halves()[0])
     missing = missing_bricks([summary])
     assert np.array_equal(missing, np.unique(summary.foreign_bricks))
@@ -175,7 +180,7 @@ def test_a_brick_that_no_part_has_is_named():
         plan_weld([summary])
 
 
-def test_a_vertex_that_its_brick_does_not_have_is_refused():
+def test_a_vertex_that_its_brick_does_not_have_is_refused() -> None:
     first, second = halves()
     numbers = np.full(len(first.foreign_numbers), 9999, np.int32)
     parts = [replace(first, foreign_numbers=numbers), second]
@@ -183,13 +188,13 @@ def test_a_vertex_that_its_brick_does_not_have_is_refused():
         plan_weld([summarize_part(part) for part in parts])
 
 
-def test_two_owners_of_a_brick_are_refused():
+def test_two_owners_of_a_brick_are_refused() -> None:
     first, _ = halves()
     with pytest.raises(JobError, match="disagree"):
         plan_weld([summarize_part(first)] * 2)
 
 
-def test_a_summary_is_small_beside_its_part():
+def test_a_summary_is_small_beside_its_part() -> None:
     mesh, of_vertex, of_face = extracted(SHAPES["torus"])
     part = cut_mesh(mesh, of_vertex, of_face, dict.fromkeys(bricks_of(of_vertex, of_face), 0))[0]
     sizes = [sum(a.nbytes for a in astuple(each)) for each in (summarize_part(part), part)]

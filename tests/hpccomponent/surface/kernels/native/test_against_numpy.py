@@ -24,6 +24,7 @@ from hpccomponent.surface.kernels.portable import (
 from hpccomponent.surface.kernels.portable import marching_cubes as extraction
 from hpccomponent.surface.types import grid as grid_types
 from hpccomponent.surface.types import lattice
+from hpccomponent.surface.types.mesh import BrickMesh, Survey
 
 coordinates = arrays.arrays(
     np.int64, st.tuples(st.integers(1, 60), st.just(3)), elements=st.integers(-40, 40)
@@ -113,13 +114,13 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
     for found, wanted in zip(native.sort_points(positions, origin, size), expected, strict=True):
         np.testing.assert_array_equal(found, wanted)
     for some in (expected[0], expected[0][::2].copy(), expected[0][:0]):
-        wanted = positions, normals, origin, size, some, (some % 3).astype(np.uint8)
-        for found, taken in zip(native.take_cells(*wanted), cells.take_cells(*wanted), strict=True):
+        given = positions, normals, origin, size, some, (some % 3).astype(np.uint8)
+        for found, taken in zip(native.take_cells(*given), cells.take_cells(*given), strict=True):
             np.testing.assert_array_equal(found, taken)
-    assert len(cells.take_cells(*wanted)[0]) == 0
-    points = (positions, normals, expected[2], origin, size)
+    assert len(cells.take_cells(*given)[0]) == 0
+    gathered = (positions, normals, expected[2], origin, size)
     for found, wanted in zip(
-        native.gather_points(*points), cells.gather_points(*points), strict=True
+        native.gather_points(*gathered), cells.gather_points(*gathered), strict=True
     ):
         np.testing.assert_array_equal(found, wanted)
     packed = native.pack_records(positions, normals, origin, size)
@@ -138,11 +139,11 @@ def test_sorting_points(native: ModuleType, seed: int, points: int, size: float)
         native.unpack_within(*places, *box), portable.unpack_within(*places, *box), strict=True
     ):
         np.testing.assert_array_equal(found, wanted)
-    some = keys[::2].copy(), (keys[::2] % 3).astype(np.uint8)
+    chosen = keys[::2].copy(), (keys[::2] % 3).astype(np.uint8)
     for lattice_of in ((origin, 0.3 * size, 0), (origin + 0.3 * size, 0.5 * size, 1)):
-        sorted_by_cell = portable.sort_packed(*places, *lattice_of, *some)
+        sorted_by_cell: Any = portable.sort_packed(*places, *lattice_of, *chosen)
         for found, wanted in zip(
-            native.sort_packed(*places, *lattice_of, *some), sorted_by_cell, strict=True
+            native.sort_packed(*places, *lattice_of, *chosen), sorted_by_cell, strict=True
         ):
             assert found.dtype == wanted.dtype
             np.testing.assert_array_equal(found, wanted)
@@ -297,7 +298,7 @@ def test_surface(native: ModuleType, any_ball: Any) -> None:
         places, values, taken, exits = bricks.grow_bricks(evaluate, kinds, grid.bricks)
         expected = extraction.extract_surface(grid, places, values, taken)
         arguments = (field_values(function), *grid_values(grid), kinds.first, kinds.kinds)
-        found = extraction.BrickMesh(*native.grow_surface(*arguments, case_triangles(), 1))
+        found = BrickMesh(*native.grow_surface(*arguments, case_triangles(), 1))
         np.testing.assert_array_equal(found.exits, exits)
         for name in ("bricks", "taken", "vertex_counts", "face_counts", "vertices", "faces"):
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
@@ -331,7 +332,7 @@ def test_connectivity(native: ModuleType, faces: Any) -> None:
     wanted_count, wanted_label = connectivity.label_components(faces, 13)
     assert count == wanted_count
     np.testing.assert_array_equal(label, wanted_label)
-    found = connectivity.Survey(*native.survey_mesh(faces, 13))
+    found = Survey(*native.survey_mesh(faces, 13))
     wanted = connectivity.survey_mesh(faces, 13)
     for name in ("boundary", "overfull", "degenerate", "misoriented", "fans"):
         assert getattr(found, name) == getattr(wanted, name), name

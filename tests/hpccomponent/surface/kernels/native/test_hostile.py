@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from hpccomponent.surface.kernels.case_table import case_triangles
 from hpccomponent.surface.types.lattice import pack_places
@@ -42,7 +43,7 @@ dtypes = st.sampled_from([np.float64, np.int64, np.float32, np.int8, np.bool_, n
 def hostile_arrays(draw: st.DrawFn) -> Any:
     shape, dtype = draw(shapes), draw(dtypes)
     random = np.random.default_rng(draw(st.integers(0, 2**16)))
-    values = random.integers(-2, 5, size=shape).astype(dtype)
+    values: NDArray[Any] = random.integers(-2, 5, size=shape).astype(dtype)
     if dtype == np.int64 and draw(st.booleans()):
         values = np.sort(random.integers(0, 2**62, size=shape), axis=0)
     if values.size and dtype == np.float64 and draw(st.booleans()):

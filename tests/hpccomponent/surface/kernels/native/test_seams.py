@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hpccomponent.surface.kernels.portable import seams
+from hpccomponent.surface.types.mesh import Seams
 
 
 @st.composite
@@ -42,7 +43,7 @@ def random_parts(draw: st.DrawFn) -> dict[str, Any]:
 def test_seams(native: ModuleType, part: dict[str, Any]) -> None:
     arguments = (part["faces"], part["vertex_of"], part["is_open"])
     expected = seams.find_seams(arguments[0], part["counts"], *arguments[1:])
-    found = seams.Seams(*native.find_seams(arguments[0], *part["counts"], *arguments[1:]))
+    found = Seams(*native.find_seams(arguments[0], *part["counts"], *arguments[1:]))
     assert found.components == expected.components
     for name in ("labels", "pieces", "sides", "bare"):
         theirs, ours = getattr(found, name), getattr(expected, name)
