@@ -23,7 +23,7 @@ __all__ = ["SURE", "orient_patches"]
 SURE = 0.3
 """From this confidence on the side of a patch counts as sure."""
 
-_VIEWS = 96
+_VIEWS = 64
 _HIDDEN = 0.02  # share of the area that no view from outside shows, and then
 _ROOMY = 0.5  # share of the area that one viewpoint inside shows,
 _BELIEVED = 0.5  # share of the area that may be hidden from scanners
@@ -44,8 +44,8 @@ _CLEAR = 0.5  # share of the views that makes a patch's leaning a whole one
 _NODES = 128
 _PADDING = 1.3
 _ROUNDS = 12
-_SETTLED = 1e-4  # share of patches that still change sides
-_TOLERANCE = 1e-4
+_SETTLED = 1e-3  # share of patches that still change sides
+_TOLERANCE = 1e-3
 _STEPS = 300
 
 
