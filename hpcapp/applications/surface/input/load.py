@@ -185,7 +185,8 @@ def orient_points(
     with clock.stage("normals"):
         local = None if scanners is None else scanners - cloud.origin
         turned, oriented = orient_cloud(points, local)
-    return replace(cloud, points=turned), oriented
+    # Points in a folder have no confidences: no mesh may show where they were.
+    return replace(cloud, points=replace(turned, attributes=points.attributes)), oriented
 
 
 def arrange_usable(
