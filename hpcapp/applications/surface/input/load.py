@@ -175,7 +175,7 @@ def orient_points(
         return cloud, FROM_FILE
     with clock.stage("normals"):
         local = None if scanners is None else scanners - cloud.origin
-        turned, oriented = orient_cloud(points, local)
+        turned, oriented = orient_cloud(points, local, settings.attributes.has_confidence)
     return replace(cloud, points=turned), oriented
 
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from hpcapp.applications.surface.attributes.choice import CONFIDENCE
 from hpcapp.applications.surface.input.clean_regions import cut_regions
 from hpcapp.applications.surface.scans import Passes
 from hpccomponent.surface.cloud.arrangement import PackedPoints
@@ -111,7 +112,9 @@ FROM_FILE = Oriented("file", 1.0)
 """They are those of the file."""
 
 
-def orient_cloud(cloud: PointCloud, scanners: FloatArray | None) -> tuple[PointCloud, Oriented]:
+def orient_cloud(
+    cloud: PointCloud, scanners: FloatArray | None, keeps_confidence: bool = False
+) -> tuple[PointCloud, Oriented]:
     """Turn the normals of points in memory to one side; estimate them where there are none.
 
     Parameters
@@ -120,11 +123,14 @@ def orient_cloud(cloud: PointCloud, scanners: FloatArray | None) -> tuple[PointC
         Finite positions; arranged, or not.
     scanners : ndarray of float64, shape (s, 3), or None
         Where scanners stood, in the frame of the positions.
+    keeps_confidence : bool
+        Whether the points get the attribute ``confidence``, 0 to 1: how sure the side of each
+        normal is. One of the file by that name stays.
 
     Returns
     -------
     cloud : PointCloud
-        With unit normals, and the attribute ``confidence``: 0 to 1, how sure their side is.
+        With unit normals.
     oriented : Oriented
 
     Raises
@@ -154,9 +160,9 @@ def orient_cloud(cloud: PointCloud, scanners: FloatArray | None) -> tuple[PointC
         turned = patches.turn_points(positions[near], vectors[near], low, spacing, sides)
         normals[rows], is_turned[rows], confidences[rows] = (column[own] for column in turned)
     sure = float(np.count_nonzero(confidences >= SURE)) / len(cloud)
-    attributes = {**cloud.attributes, "confidence": confidences}
+    attributes = {CONFIDENCE: confidences, **cloud.attributes} if keeps_confidence else None
     oriented = _tell(given is not None, sure, int(np.count_nonzero(is_turned)))
-    return replace(cloud, normals=normals, attributes=attributes), oriented
+    return replace(cloud, normals=normals, attributes=attributes or cloud.attributes), oriented
 
 
 def is_contradicting(cloud: PointCloud) -> bool:
