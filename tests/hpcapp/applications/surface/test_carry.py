@@ -143,6 +143,7 @@ def test_estimated_normals_carry_their_confidence_only_where_it_is_named(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
+    assert cloud.colours is not None
     bare = tmp_path / "bare.ply"
     write_points(bare, PointCloud(cloud.positions[:3000], None, cloud.colours[:3000]))
 
