@@ -244,10 +244,8 @@ def _check_cloud(points: ArrayLike | PointCloud, normals: ArrayLike | None) -> P
     return cloud
 
 
-def _check_normals(normals: ArrayLike | None) -> FloatArray:
-    if normals is None:
-        raise InputError("the points have no normals", "give one normal for each point")
-    return _check_rows("normals", normals)
+def _check_normals(normals: ArrayLike | None) -> FloatArray | None:
+    return None if normals is None else _check_rows("normals", normals)
 
 
 def _check_colours(values: ArrayLike, points: int) -> ByteArray:

@@ -9,18 +9,21 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from hpccomponent.surface.normals.patches import CELL, Patches
 from hpccomponent.surface.types.lattice import find_first
 from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
-__all__ = ["find_seen", "poll_views", "surround"]
+__all__ = ["find_seen", "poll_views", "stand_inside", "surround"]
 
 _PIXEL = 1.5 * CELL  # spacings: two patches of a sheet are seen in a pixel
 _LEAST_COSINE = 0.25  # of the angle between a normal and the line of sight
 _THICK = 0.5  # spacings that a patch may lie behind the plane of what is seen
 _NOISES = 3.0  # or so many standard deviations of it, where that is more
 _DISTANCE = 2.5  # of the viewpoints around an object, in half diagonals of its box
+_PLACES = 5  # inside an object along each side of its box
+_INSIDE = 27  # of them are looked from
 _CLOSE = 4  # sizes of pixels, each twice the last, for patches near the viewpoint
 
 
@@ -45,6 +48,27 @@ def surround(patches: Patches, count: int) -> FloatArray:
     sphere = np.stack([level * np.cos(turn), level * np.sin(turn), up], axis=1)
     viewpoints: FloatArray = 0.5 * (low + high) + radius * sphere
     return viewpoints
+
+
+def stand_inside(patches: Patches) -> FloatArray:
+    """Return viewpoints inside the box of an object, in its emptiest places.
+
+    Parameters
+    ----------
+    patches : Patches
+
+    Returns
+    -------
+    ndarray of float64, shape (27, 3)
+        In length units of the input.
+    """
+    low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
+    shares = np.arange(1, _PLACES + 1) / (_PLACES + 1)
+    grid = np.stack(np.meshgrid(shares, shares, shares, indexing="ij"), axis=-1).reshape(-1, 3)
+    places = low + grid * (high - low)
+    free = cKDTree(patches.centres).query(places)[0]
+    emptiest: FloatArray = places[np.argsort(-free, kind="stable")[:_INSIDE]]
+    return emptiest
 
 
 def poll_views(

@@ -132,7 +132,8 @@ def load_memory(settings: JobSettings, clock: StageClock) -> Loaded:
     cloud, cleaned = arrange_usable(settings, points, clock)
     del points  # makes room
     refuse_too_few(len(cloud), dropped, name)
-    cloud, oriented = orient_points(settings, cloud, _find_scanners(settings, source), clock)
+    scanners = _find_scanners(settings, source)
+    cloud, oriented = orient_points(settings, cloud, scanners, clock, source.oriented)
     cloud, cleaned = clean_points(settings, cloud, cleaned, clock)
     columns = cloud.points.view(slice(0))
     return Loaded(cloud, dropped, cleaned, source.findings, columns, labels, oriented)
@@ -153,7 +154,11 @@ def _find_scanners(settings: JobSettings, source: PointSource) -> FloatArray | N
 
 
 def orient_points(
-    settings: Settings, cloud: MemoryCloud, scanners: FloatArray | None, clock: StageClock
+    settings: Settings,
+    cloud: MemoryCloud,
+    scanners: FloatArray | None,
+    clock: StageClock,
+    is_oriented: bool = True,
 ) -> tuple[MemoryCloud, Oriented]:
     """Give points normals where they have none, or such that contradict each other.
 
@@ -164,6 +169,8 @@ def orient_points(
     scanners : ndarray of float64, shape (s, 3), or None
         Where scanners stood, in the file's coordinates.
     clock : StageClock
+    is_oriented : bool
+        Whether the file says that its normals have a side.
 
     Returns
     -------
@@ -171,7 +178,9 @@ def orient_points(
     oriented : Oriented
     """
     points = cloud.points
-    if points.normals is not None and (settings.normals == "file" or not is_contradicting(points)):
+    if points.normals is not None and (
+        settings.normals == "file" or (is_oriented and not is_contradicting(points))
+    ):
         return cloud, FROM_FILE
     with clock.stage("normals"):
         local = None if scanners is None else scanners - cloud.origin
@@ -320,7 +329,8 @@ def _orient_there(
 ) -> tuple[DiskCloud, Oriented]:
     """Do to a cloud in a folder what `orient_points` does to one in memory."""
     if source.has_normals and (
-        settings.normals == "file" or not is_contradicting_there(cloud, passes, spacing)
+        settings.normals == "file"
+        or (source.oriented and not is_contradicting_there(cloud, passes, spacing))
     ):
         return cloud, FROM_FILE
     with clock.stage("normals"):

@@ -152,7 +152,7 @@ def orient_cloud(
     for rows in regions:
         near, own = _find_near(positions, rows, patches.MARGIN * spacing)
         found.append(patches.find_patches(positions[near], vectors[near], own, low, spacing))
-    sides = orient_patches(*patches.merge_patches(found), spacing, scanners)
+    sides = orient_patches(*patches.merge_patches(found), spacing, -cloud.origin, scanners)
     normals, confidences = np.empty_like(positions), np.empty(len(positions), np.float32)
     is_turned = np.empty(len(positions), np.bool_)
     for rows in regions:
@@ -274,7 +274,7 @@ def orient_regions(
         passes.map_regions(group_blocks, estimated, regions, margin, None, lambda _: common)
     )
     every = [found[region] for region in range(len(regions))]
-    sides = orient_patches(*patches.merge_patches(every), spacing, scanners)
+    sides = orient_patches(*patches.merge_patches(every), spacing, -cloud.origin, scanners)
     asked = [sides.take(part) for part, _ in every]
     del found, every
     counts, turned = np.zeros(CONFIDENCE_BINS, np.int64), 0

@@ -57,6 +57,24 @@ def test_a_georeferenced_cloud_comes_back_in_its_own_coordinates(
     assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
 
 
+@pytest.mark.parametrize("method", ["hierarchical", "paper"])
+def test_points_alone_get_normals(method: str, sphere: PointCloud, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "bare.xyz", sphere.positions, fmt="%.17g")
+    mesh = hpcapp.reconstruct(sphere.positions, grid=32, method=method)
+    radii = np.linalg.norm(mesh.vertices, axis=1)
+    assert np.abs(radii - 1.0).mean() < 0.02
+    write_mesh(tmp_path / "api.ply", mesh)
+    settings = JobSettings(
+        tmp_path / "bare.xyz",
+        str(tmp_path / "job.ply"),
+        grid=32,
+        method=hpcapp.Paper() if method == "paper" else hpcapp.Hierarchical(),
+    )
+    report = run_job(settings, SilentProgress())
+    assert report["normals"] == {"source": "estimated", "sure": 1.0, "turned": 0}
+    assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
+
+
 def test_lists_and_single_precision_are_arrays_too(sphere: PointCloud) -> None:
     assert sphere.normals is not None
     points, normals = sphere.positions.astype(np.float32), sphere.normals.astype(np.float32)
