@@ -11,7 +11,8 @@ from disk_clouds import DiskCloudWriter
 from hpcapp.applications.simulate.scanner import simulate_scan
 from hpcapp.applications.simulate.settings import ScanSettings
 from hpcapp.applications.simulate.shapes import SHAPES
-from hpcapp.applications.surface.input.normals import is_contradicting, orient_cloud, orient_regions
+from hpcapp.applications.surface.input.normals import orient_cloud, orient_regions
+from hpcapp.applications.surface.input.sides import is_contradicting
 from hpcapp.applications.surface.scans import Passes
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce
