@@ -6,13 +6,14 @@ done, in one more pass over the input, here.
 
 from __future__ import annotations
 
+import logging
 import secrets
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpcapp.applications.surface.attributes.carrying import Carrying
-from hpcapp.applications.surface.attributes.choice import AttributeChoice
+from hpcapp.applications.surface.attributes.choice import CONFIDENCE, AttributeChoice
 from hpcapp.applications.surface.input.folder import choose_tile
 from hpcapp.applications.surface.input.load import Loaded
 from hpcapp.applications.surface.settings import JobSettings, Settings, choose_threads
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from hpccomponent.surface.attributes.blocks import ColumnBlocks
 
 __all__ = ["carry_from_file", "carry_from_memory"]
+
+log = logging.getLogger("hpcapp")
 
 _MOST_AT_ONCE = 1 << 20  # points; more bring nothing
 
@@ -50,6 +53,7 @@ def carry_from_memory(
     """
     points, choice = loaded.cloud.points, settings.attributes
     assert points is not None  # noqa: S101 - they are in memory
+    _warn_of_confidence(loaded, choice, "the normals are those of the input as they are")
     if not _needs_points(loaded.columns, choice):
         return Carrying(loaded.columns, has_normals=choice.has_normals)
     from hpccomponent.surface.attributes.carry import AttributeField  # scipy takes its time
@@ -84,6 +88,7 @@ def carry_from_file(
     cloud, choice = loaded.cloud, settings.attributes
     if cloud.points is not None:
         return carry_from_memory(settings, loaded, outcome, clock)
+    _warn_of_confidence(loaded, choice, "it is known only where the points are in memory")
     if not _needs_points(loaded.columns, choice):
         return Carrying(loaded.columns, has_normals=choice.has_normals)
     from hpccomponent.surface.attributes.search import evaluate_blocks
@@ -128,3 +133,9 @@ def _put_columns(
 def _needs_points(columns: PointCloud, choice: AttributeChoice) -> bool:
     """Tell whether vertices are looked up among the points."""
     return columns.colours is not None or bool(columns.attributes) or choice.has_support
+
+
+def _warn_of_confidence(loaded: Loaded, choice: AttributeChoice, reason: str) -> None:
+    """Say that the confidence of the normals is asked for and not there."""
+    if choice.has_confidence and CONFIDENCE not in loaded.columns.attributes:
+        log.warning("warning: --attributes %s: left out: %s", CONFIDENCE, reason)

@@ -254,7 +254,7 @@ def _add_method_options(command: click.Command) -> click.Command:
     show_default=True,
     metavar="NAMES",
     help="What the vertices carry: auto (colours and all other columns of the points), none, or "
-    "names as a,b,c; normals and support are made where they are named.",
+    "names as a,b,c; normals, support and confidence are made where they are named.",
 )
 @click.option(
     "--events",

@@ -85,10 +85,23 @@ def open_e57(path: Path) -> PointSource:
         scan,
         format="E57",
         columns=_names(scans),
-        scans=tuple(Scan(one.points, one.translation, one.grid) for one in scans),
+        scans=_place_scanners(scans),
         crs=crs,
         unit="m",  # by the standard
         findings=findings,
+    )
+
+
+def _place_scanners(scans: Sequence[E57Scan]) -> tuple[Scan, ...]:
+    """Tell where the scanners stood.
+
+    What was exported as a cloud of points has no pose, as has what stands where its scanner has
+    put it: only this has a grid or spherical coordinates.
+    """
+    are_posed = any(one.is_posed for one in scans)
+    return tuple(
+        Scan(one.points, one.translation if are_posed or one.is_ranged else None, one.grid)
+        for one in scans
     )
 
 

@@ -75,6 +75,16 @@ class E57Scan:
     corner: tuple[int, int] = (0, 0)
     grid: tuple[int, int] | None = None
 
+    @property
+    def is_posed(self) -> bool:
+        """Whether its pose is another than none."""
+        return bool(self.translation.any() or (self.rotation != np.eye(3)).any())
+
+    @property
+    def is_ranged(self) -> bool:
+        """Whether its points are surely as a scanner has seen them."""
+        return self.grid is not None or self.position is SPHERICAL
+
     def has(self, names: tuple[str, ...]) -> bool:
         """Tell whether it has all of some columns.
 

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from hpccomponent.protocol.records import record
 from hpccomponent.surface.types.lattice import (
@@ -323,6 +322,8 @@ def _link_patches(
     positions: FloatArray, own: BoolArray, patch_of: IntArray, spacing: float
 ) -> Links:
     """Find the patches that lie among the neighbours of a region's own points."""
+    from scipy.spatial import cKDTree  # takes its time, and every task imports this module
+
     rows = np.flatnonzero(own)
     tree, found = cKDTree(positions), [np.zeros(0, np.int64)]
     patches = int(patch_of.max(initial=-1)) + 1

@@ -13,10 +13,13 @@ from hpccomponent.errors import UsageError
 if TYPE_CHECKING:
     from hpccomponent.surface.types.points import PointCloud
 
-__all__ = ["AttributeChoice", "parse_attributes"]
+__all__ = ["CONFIDENCE", "AttributeChoice", "parse_attributes"]
 
 _COLOURS = ("colours", "colors", "rgb")
 _MADE = ("normals", "support")
+CONFIDENCE = "confidence"
+"""Attribute of a point whose normal was turned to a side: how sure this is, 0 to 1."""
+
 _OF_THE_SCAN = ("scan", "row", "column")  # which say where a point stands in the file
 
 
@@ -35,12 +38,15 @@ class AttributeChoice:
         Normals of the vertices.
     has_support : bool
         Distances of the nearest points.
+    has_confidence : bool
+        How sure the sides of the normals are, where they are estimated or mended.
     """
 
     is_auto: bool = True
     names: tuple[str, ...] = ()
     has_normals: bool = False
     has_support: bool = False
+    has_confidence: bool = False
 
     def select(self, cloud: PointCloud, source: str) -> PointCloud:
         """Leave out the columns that are not asked for.
@@ -72,7 +78,7 @@ class AttributeChoice:
                     f"{there}; {' and '.join(_MADE)} can always be had",
                 )
         automatic = [name for name in known if self.is_auto and name not in _OF_THE_SCAN]
-        wanted = {*self.names, *automatic}
+        wanted = {*self.names, *automatic, *[CONFIDENCE] * self.has_confidence}
         return replace(
             cloud,
             colours=cloud.colours if _COLOURS[0] in wanted else None,
@@ -87,7 +93,8 @@ def parse_attributes(text: str) -> AttributeChoice:
     ----------
     text : str
         ``none``, or names with commas between them, of which ``auto`` means all columns,
-        ``normals`` and ``support`` what is made for the vertices.
+        ``normals`` and ``support`` what is made for the vertices, and ``confidence`` what is
+        found with the points' normals.
 
     Returns
     -------
@@ -100,8 +107,9 @@ def parse_attributes(text: str) -> AttributeChoice:
 
     Examples
     --------
-    >>> parse_attributes("auto,normals")
-    AttributeChoice(is_auto=True, names=(), has_normals=True, has_support=False)
+    >>> choice = parse_attributes("auto,normals,intensity")
+    >>> choice.is_auto, choice.names, choice.has_normals, choice.has_support
+    (True, ('intensity',), True, False)
     """
     words = [word.strip() for word in text.split(",")]
     if not all(words):
@@ -115,5 +123,7 @@ def parse_attributes(text: str) -> AttributeChoice:
             )
         return AttributeChoice(is_auto=False)
     names = [_COLOURS[0] if word.lower() in _COLOURS else word for word in words]
-    own = tuple(dict.fromkeys(name for name in names if name not in ("auto", *_MADE)))
-    return AttributeChoice("auto" in words, own, "normals" in words, "support" in words)
+    made = ("auto", CONFIDENCE, *_MADE)
+    own = tuple(dict.fromkeys(name for name in names if name not in made))
+    has_normals, has_support, has_confidence = (word in words for word in (*_MADE, CONFIDENCE))
+    return AttributeChoice("auto" in words, own, has_normals, has_support, has_confidence)

@@ -32,7 +32,7 @@ from hpccomponent.surface.fitting.pyramid import count_levels
 from hpccomponent.surface.tasks.tiles import sum_tile
 from hpccomponent.surface.tiles.plan import CoarseLattice, Plan, Samples
 from hpccomponent.surface.types.grid import BRICK, Grid
-from hpccomponent.surface.types.points import FloatArray
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = [
     "HierarchicalMethod",
@@ -224,8 +224,7 @@ class HierarchicalMethod:
         """
         origin = partition.cloud.origin
         if partition.tiling is None:
-            points = partition.cloud.points
-            assert points is not None  # noqa: S101 - others have tiles
+            points = self._read_points(partition.cloud)
             surface, partition.patches = mesh_slabs(points, partition.plan, self.threads, advance)
         else:
             assert quadrics is not None  # noqa: S101 - tiles have coarse quadrics
@@ -245,12 +244,24 @@ class HierarchicalMethod:
             return self.keeping
         return None
 
+    def _read_points(self, cloud: ArrangedCloud) -> PointCloud:
+        """Return the points of a cloud that is one tile, which may lie in a folder."""
+        if cloud.points is not None:
+            return cloud.points
+        if self.tile_points is not None and len(cloud) > self.tile_points:
+            raise UsageError(
+                f"a grid of {self.grid} cells makes one tile of all {len(cloud)} points: they do "
+                "not fit into --max-memory",
+                "ask for a finer --grid, or allow more",
+            )
+        return PointCloud(*cloud.take_blocks(cloud.keys), origin=cloud.origin)
+
     def _count_tiles(self, cloud: ArrangedCloud, height: int, workforce: Workforce) -> int:
         """Return into how many tiles a cloud is cut; 0 where it is made into a mesh right here."""
         needed = -(-len(cloud) // (self.tile_points or TILE_POINTS))
         is_one = self.keeping is None and (needed == 1 or self.tile_points is None)
-        if cloud.points is not None and (height == 1 or (workforce.in_process and is_one)):
-            return 0
+        if height == 1 or (cloud.points is not None and workforce.in_process and is_one):
+            return 0  # of one level none is left that tiles could be made of
         if workforce.in_process:
             return needed
         workers = workforce.workers

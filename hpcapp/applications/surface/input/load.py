@@ -16,13 +16,11 @@ import numpy as np
 from hpcapp.applications.surface.checkpoint import POINTS_NOTE
 from hpcapp.applications.surface.input.clean import Cleaned, clean_cloud, drop_far, drop_repeated
 from hpcapp.applications.surface.input.ingest import ingest_file
-from hpcapp.applications.surface.input.normals import (
+from hpcapp.applications.surface.input.sides import (
     FROM_FILE,
     Oriented,
     is_contradicting,
     is_contradicting_there,
-    orient_cloud,
-    orient_regions,
 )
 from hpcapp.applications.surface.scans import Passes, measure_spacing
 from hpcapp.applications.surface.settings import JobSettings, Settings
@@ -182,11 +180,12 @@ def orient_points(
         settings.normals == "file" or (is_oriented and not is_contradicting(points))
     ):
         return cloud, FROM_FILE
+    from hpcapp.applications.surface.input.normals import orient_cloud  # scipy takes its time
+
     with clock.stage("normals"):
         local = None if scanners is None else scanners - cloud.origin
-        turned, oriented = orient_cloud(points, local)
-    # Points in a folder have no confidences: no mesh may show where they were.
-    return replace(cloud, points=replace(turned, attributes=points.attributes)), oriented
+        turned, oriented = orient_cloud(points, local, settings.attributes.has_confidence)
+    return replace(cloud, points=turned), oriented
 
 
 def arrange_usable(
@@ -334,6 +333,8 @@ def _orient_there(
         or (source.oriented and not is_contradicting_there(cloud, passes, spacing))
     ):
         return cloud, FROM_FILE
+    from hpcapp.applications.surface.input.normals import orient_regions
+
     with clock.stage("normals"):
         scanners = _find_scanners(settings, source)
         local = None if scanners is None else scanners - cloud.origin

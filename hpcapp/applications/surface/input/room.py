@@ -136,8 +136,9 @@ def _find_folder(place: str) -> Path:
 def _name_job(settings: JobSettings) -> str:
     """Return a hash of the input, of what decides the mesh, and of the kernels."""
     return digest(
-        *map(_identify, settings.files), settings.grid, settings.depth, settings.voxel_size,
-        repr(settings.method), settings.outliers, settings.denoise, settings.resample, kernel_id(),
+        *map(_identify, settings.files), settings.points.stat().st_size, settings.grid,
+        settings.depth, settings.voxel_size, repr(settings.method), settings.outliers,
+        settings.denoise, settings.resample, settings.normals, settings.viewpoints, kernel_id(),
     )  # fmt: skip
 
 

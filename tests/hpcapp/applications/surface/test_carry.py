@@ -17,6 +17,7 @@ from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import InputError, JobError, UsageError
+from hpccomponent.surface.normals.orientation import SURE
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 SILENT = SilentProgress()
@@ -134,6 +135,38 @@ def test_a_cloud_from_a_file_gives_the_mesh_of_the_command(
     hpcapp.write_mesh(tmp_path / "api.ply", hpcapp.reconstruct(read, grid=48))
     run_job(JobSettings(tmp_path / "far.ply", str(tmp_path / "job.ply"), grid=48), SILENT)
     assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "job.ply").read_bytes()
+
+
+def test_estimated_normals_carry_their_confidence_only_where_it_is_named(
+    cloud: PointCloud,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    assert cloud.colours is not None
+    bare = tmp_path / "bare.ply"
+    write_points(bare, PointCloud(cloud.positions[:3000], None, cloud.colours[:3000]))
+
+    def run(name: str, attributes: str, points: Path = bare) -> tuple[list[str], str]:
+        caplog.clear()
+        choice = parse_attributes(attributes)
+        settings = JobSettings(points, str(tmp_path / name), grid=32, attributes=choice)
+        return run_job(settings, SILENT)["attributes"], caplog.text
+
+    assert run("memory.ply", "auto")[0] == ["colours"]
+    names, text = run("named.ply", "auto,confidence")
+    assert names == ["colours", "confidence"]
+    assert "left out" not in text
+    confidence = read_vertices(tmp_path / "named.ply")["confidence"]
+    assert SURE < np.median(confidence) <= 1.0
+    given = tmp_path / "given.ply"
+    write_points(given, cloud)
+    assert "--attributes confidence: left out" in run("given-mesh.ply", "confidence", given)[1]
+    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+    names, text = run("folder.ply", "auto,confidence")
+    assert names == ["colours"]
+    assert text.count("--attributes confidence: left out") == 1
+    assert (tmp_path / "folder.ply").read_bytes() == (tmp_path / "memory.ply").read_bytes()
 
 
 @pytest.mark.parametrize(

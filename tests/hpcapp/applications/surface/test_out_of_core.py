@@ -97,6 +97,30 @@ def test_a_cloud_on_disk_gives_the_bytes_of_one_in_memory(
     assert list(room.rglob("*")) == []  # what was kept is taken away
 
 
+@pytest.mark.parametrize(("points", "grid"), [(12, 48), (300, 32), (20_000, 16)])
+@pytest.mark.parametrize("backend", ["serial", "zmq"])
+def test_a_cloud_of_one_level_is_one_tile(
+    points: int, grid: int, backend: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arms = np.random.default_rng(5).normal(size=(points, 3))
+    arms /= np.linalg.norm(arms, axis=1, keepdims=True)
+    scan, output = tmp_path / "scan.ply", tmp_path / "mesh.ply"
+    write_points(scan, PointCloud(1.5 * arms + (7.0, 0.0, 0.0), arms))
+    run_job(JobSettings(scan, str(tmp_path / "whole.ply"), grid=grid), SILENT)
+    monkeypatch.setattr(room, "fits_memory", lambda *_: False)
+    report = run_job(JobSettings(scan, str(output), grid=grid, backend=backend), SILENT)
+    assert report["tiles"] == report["levels"] == 1
+    assert output.read_bytes() == (tmp_path / "whole.ply").read_bytes()
+
+
+@pytest.mark.usefixtures("small")
+def test_a_grid_that_makes_one_tile_of_too_many_points_is_refused(
+    scan: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(UsageError, match=r"a grid of 16 cells .* --max-memory; .* finer --grid"):
+        run_job(JobSettings(scan, str(tmp_path / "mesh.ply"), grid=16), SILENT)
+
+
 def test_workers_read_a_cloud_that_memory_would_hold(
     scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -67,6 +67,21 @@ def test_scans_in_order(make_e57: MakeE57, scan: MakeScan, rows: int) -> None:
     assert not source.findings.warnings
 
 
+def test_a_cloud_without_a_pose_was_seen_from_nowhere(make_e57: MakeE57, scan: MakeScan) -> None:
+    """Points that were exported, as by `convert`, have no pose; so has a scan in its own frame."""
+    positions = [[1, 0, 0], [1, 1, 0], [1, 0, 1], [1, 1, 1]]
+    bare = open_e57(make_e57(scan(positions), scan(positions)))
+    assert [one.scanner for one in bare.scans] == [None, None]
+    rows, columns = np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], np.int32)
+    organised = scan(positions, fields={"rowIndex": rows, "columnIndex": columns})
+    for source in (
+        open_e57(make_e57(organised)),
+        open_e57(make_e57(scan(positions, rotation=(0.5**0.5, 0, 0, 0.5**0.5)))),
+    ):
+        assert source.scans[0].scanner is not None
+        assert not source.scans[0].scanner.any()
+
+
 @pytest.mark.parametrize("rotation", [None, (0.0, 0.0, 0.0, 0.0), (2.0, 0.0, 0.0, 0.0)])
 def test_rotation_that_is_none(
     make_e57: MakeE57, scan: MakeScan, rotation: tuple[float, ...] | None

@@ -40,6 +40,14 @@ def test_columns_are_chosen_in_the_order_of_the_points(
 def test_what_is_made_for_the_vertices_is_asked_for_by_name() -> None:
     assert parse_attributes("auto") == AttributeChoice()
     assert parse_attributes("auto,support,normals") == AttributeChoice(True, (), True, True)
+    assert parse_attributes("confidence") == AttributeChoice(False, has_confidence=True)
+
+
+def test_a_column_called_confidence_is_taken_from_the_points() -> None:
+    own = PointCloud(np.zeros((2, 3)), attributes={"confidence": np.ones(2), "x_scale": np.ones(2)})
+    assert list(parse_attributes("confidence").select(own, "scan.ply").attributes) == ["confidence"]
+    assert list(parse_attributes("auto").select(own, "scan.ply").attributes) == [*own.attributes]
+    assert parse_attributes("confidence").select(CLOUD, "scan.ply").attributes == {}
 
 
 def test_an_unknown_column_is_refused_with_those_there_are() -> None:

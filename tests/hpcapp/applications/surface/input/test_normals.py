@@ -11,12 +11,14 @@ from disk_clouds import DiskCloudWriter
 from hpcapp.applications.simulate.scanner import simulate_scan
 from hpcapp.applications.simulate.settings import ScanSettings
 from hpcapp.applications.simulate.shapes import SHAPES
-from hpcapp.applications.surface.input.normals import is_contradicting, orient_cloud, orient_regions
+from hpcapp.applications.surface.input.normals import orient_cloud, orient_regions
+from hpcapp.applications.surface.input.sides import is_contradicting
 from hpcapp.applications.surface.scans import Passes
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce
 from hpccomponent.surface.cloud.arranged import arrange_cloud
 from hpccomponent.surface.cloud.spacing import estimate_spacing
+from hpccomponent.surface.normals.orientation import SURE
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 
@@ -49,7 +51,19 @@ def test_normals_point_out_of_what_was_scanned(
     assert oriented.source == "estimated"
     assert oriented.sure > 0.99
     assert oriented.warnings == []
-    assert found.attributes["confidence"].shape == (len(scan),)
+    assert found.attributes == {}
+
+
+def test_how_sure_the_side_is_is_kept_where_it_is_asked_for() -> None:
+    scan = PointCloud(_scan("torus").positions)
+    found, oriented = orient_cloud(scan, None, keeps_confidence=True)
+    confidence = found.attributes["confidence"]
+    assert confidence.shape == (len(scan),)
+    assert 0.0 <= confidence.min() <= confidence.max() <= 1.0
+    assert np.mean(confidence >= SURE) == pytest.approx(oriented.sure)
+    own = PointCloud(scan.positions, attributes={"confidence": np.arange(len(scan))})
+    found, _ = orient_cloud(own, None, keeps_confidence=True)
+    assert found.attributes["confidence"] is own.attributes["confidence"]
 
 
 def test_two_objects_have_their_own_sides() -> None:

@@ -456,6 +456,23 @@ def test_different_inputs_in_one_folder_do_not_touch_each_other(
     assert set(place.rglob("*")) == before
 
 
+def test_whatever_decides_the_mesh_is_part_of_the_name_of_a_job(scan: Path, tmp_path: Path) -> None:
+    settings = replace(_settings(scan, tmp_path / "room"), inputs=(scan,))
+    few = tmp_path / "few.ply"
+    write_points(few, PointCloud(np.eye(3), np.eye(3)))
+    others: list[dict[str, Any]] = [
+        {"grid": 65}, {"normals": "estimate"}, {"viewpoints": ((1.0, 2.0, 3.0),)},
+        {"denoise": True}, {"points": few},
+    ]  # fmt: skip
+    found = []
+    for other in [{}, *others, {"backend": "threads", "workers": 2}]:
+        with room.open_room(replace(settings, **other)) as opened:
+            assert opened.keeping is not None
+            found.append(opened.keeping.job.rpartition("-")[0])
+    assert len(set(found)) == 1 + len(others)
+    assert found[0] == found[-1]
+
+
 @pytest.mark.slow
 @pytest.mark.leaks_allowed  # boto3 closes its connections when it is collected
 def test_jobs_of_one_input_share_a_bucket(
