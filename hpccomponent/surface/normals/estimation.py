@@ -17,8 +17,8 @@ from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArra
 
 __all__ = ["MARGIN", "estimate_normals", "keep_directions"]
 
-_COUNTS = (8, 12, 17, 24, 34, 48)
-_MORE_COUNTS = (68, 96)
+_COUNTS = (8, 12, 17, 24)
+_MORE_COUNTS = (24, 34, 48, 68, 96)
 _NOISE_COUNT = 1  # which of them the noise is judged by
 _LEAST = 4  # neighbours that a plane is fitted to
 _REACH = 12.0  # spacings: farther points are no neighbours
@@ -27,6 +27,7 @@ _BIAS = 0.2  # how much of the residual beyond the noise bends the normal
 _TINY = 1e-6  # spacings: of the noise at least, so that every result has a direction
 _ROWS_AT_ONCE = 1 << 13  # what is made of them stays small
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_STEPS = 24  # of Newton's method: a double root takes a bit each
 
 MARGIN = _REACH + _CELL * 3.0**0.5
 """Spacings: as far as what decides over a normal lies."""
@@ -56,7 +57,8 @@ def estimate_normals(
 
     Notes
     -----
-    Planes are fitted to the 8, 12, 17 ... 96 nearest points. One through k points within the
+    Planes are fitted to the 8, 12, 17 and 24 nearest points; to 34, 48, 68 and 96 where the
+    largest of these is the best. One through k points within the
     radius r, which s is the residual of, is expected to be wrong by
 
         e^2 = (4 S^2 / k + 0.2 max(s^2 - S^2, 0)) / r^2
@@ -80,7 +82,7 @@ def estimate_normals(
     vectors = planes.take(chosen, _TINY * spacing)
     last = np.flatnonzero((chosen == len(_COUNTS) - 1) & asked[rows])
     for some in _cut(last):
-        more = search.fit(rows[some], _COUNTS[-1:] + _MORE_COUNTS)
+        more = search.fit(rows[some], _MORE_COUNTS)
         vectors[some] = more.take(_choose(more, noise[some]), _TINY * spacing)
     return vectors[asked[rows]].astype(np.float32)
 
@@ -127,42 +129,100 @@ class _Search:
             return np.cumsum(np.add.reduceat(values, starts, axis=1), axis=1)
 
         held = np.maximum(add(is_near[:, :-1].astype(np.float64)), 1.0)
-        mean = np.stack([add(arms[..., axis]) for axis in range(3)], axis=-1) / held[..., None]
-        spread = np.empty((*held.shape, 3, 3))
-        for i, j in _PAIRS:
-            square = add(arms[..., i] * arms[..., j]) / held - mean[..., i] * mean[..., j]
-            spread[..., i, j] = spread[..., j, i] = square
-        return _Planes.of(held, spread)
+        mean = [add(arms[..., axis]) / held for axis in range(3)]
+        spread = [add(arms[..., i] * arms[..., j]) / held - mean[i] * mean[j] for i, j in _PAIRS]
+        return _Planes.of(held, np.stack(spread))
 
 
 class _Planes:
-    """Planes through several neighbourhoods of each point."""
+    """Planes through several neighbourhoods of each point.
+
+    Parameters
+    ----------
+    held : ndarray of float64, shape (n, k)
+        Points in each.
+    squares : ndarray of float64, shape (n, k)
+        Variance across the plane.
+    extent : ndarray of float64, shape (n, k)
+        Variance along the plane, of both directions together; zero where there is no plane.
+    spread : ndarray of float64, shape (6, n, k)
+        Covariances, in the order of `_PAIRS`.
+    """
 
     def __init__(
-        self, held: FloatArray, squares: FloatArray, extent: FloatArray, normals: FloatArray
+        self, held: FloatArray, squares: FloatArray, extent: FloatArray, spread: FloatArray
     ) -> None:
-        self.held, self.squares, self.extent, self.normals = held, squares, extent, normals
+        self.held, self.squares, self.extent, self.spread = held, squares, extent, spread
 
     @classmethod
     def of(cls, held: FloatArray, spread: FloatArray) -> _Planes:
         """Return the planes of some covariances."""
-        values, vectors = np.linalg.eigh(spread)
-        freedom = held / np.maximum(held - 3.0, 1.0)
-        squares = np.maximum(values[..., 0], 0.0) * freedom
-        extent = values[..., 1] + values[..., 2]
+        least = _least_eigenvalues(spread)
+        extent = spread[0] + spread[1] + spread[2] - least
         extent[held < _LEAST] = 0.0
-        return cls(held, squares, extent, vectors[..., 0])
+        return cls(held, least * (held / np.maximum(held - 3.0, 1.0)), extent, spread)
 
     @classmethod
     def join(cls, parts: list[_Planes]) -> _Planes:
         """Return the planes of several groups of points as one."""
-        columns = [(p.held, p.squares, p.extent, p.normals) for p in parts]
-        return cls(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+        columns = [(p.held, p.squares, p.extent) for p in parts]
+        held, squares, extent = (np.concatenate(column) for column in zip(*columns, strict=True))
+        return cls(held, squares, extent, np.concatenate([p.spread for p in parts], axis=1))
 
     def take(self, chosen: IntArray, least: float) -> FloatArray:
         """Return one normal of each point, as long as its residual."""
         at = np.arange(len(chosen)), chosen
-        return self.normals[at] * np.maximum(np.sqrt(self.squares[at]), least)[:, None]
+        normals = _least_eigenvectors(self.spread[:, at[0], at[1]])
+        return normals * np.maximum(np.sqrt(self.squares[at]), least)[:, None]
+
+
+def _least_eigenvalues(spread: FloatArray) -> FloatArray:
+    """Return the least eigenvalues of symmetric 3 x 3 matrices, none of them negative.
+
+    Newton's method finds the least root of the characteristic polynomial from below, where it is
+    falling and convex. It takes sums and products alone, whose bits are the same on any processor.
+    """
+    xx, yy, zz, xy, xz, yz = spread
+    trace = xx + yy + zz
+    minors = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz
+    determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    root = np.zeros_like(trace)
+    for _ in range(_STEPS):
+        value = ((root - trace) * root + minors) * root - determinant  # negative: below all roots
+        slope = (3.0 * root - 2.0 * trace) * root + minors
+        falling = (value < 0.0) & (slope > 0.0)
+        if not falling.any():
+            break
+        root += np.where(falling, -value / np.where(falling, slope, 1.0), 0.0)
+    least: FloatArray = np.minimum(root, trace / 3.0)
+    return least
+
+
+def _least_eigenvectors(spread: FloatArray) -> FloatArray:
+    """Return unit vectors of the least eigenvalues, one a matrix.
+
+    The longest cross product of two rows of the matrix less the eigenvalue is taken.
+    """
+    xx, yy, zz, xy, xz, yz = spread
+    least = _least_eigenvalues(spread)
+    rows = (xx - least, xy, xz), (xy, yy - least, yz), (xz, yz, zz - least)
+    crosses = np.stack(
+        [_cross(rows[0], rows[1]), _cross(rows[0], rows[2]), _cross(rows[1], rows[2])]
+    )
+    lengths = (crosses * crosses).sum(axis=1)  # (3, n)
+    longest = np.argmax(lengths, axis=0)
+    at = np.arange(len(longest))
+    vectors, squares = crosses[longest, :, at], lengths[longest, at]
+    is_flat = squares > 0.0
+    vectors[~is_flat] = (0.0, 0.0, 1.0)
+    units: FloatArray = vectors / np.sqrt(np.where(is_flat, squares, 1.0))[:, None]
+    return units
+
+
+def _cross(a: tuple[FloatArray, ...], b: tuple[FloatArray, ...]) -> FloatArray:
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
 
 
 def _choose(planes: _Planes, noise: FloatArray) -> IntArray:
