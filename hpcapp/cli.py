@@ -25,8 +25,8 @@ __all__ = ["hpcapp", "main"]
 SHIPPED = {
     "reconstruct": "hpcapp.applications.surface.command:reconstruct",
     "simulate": "hpcapp.applications.surface.command:simulate",
-    "info": "hpcapp.applications.surface.command:info",
-    "convert": "hpcapp.applications.surface.convert:convert",
+    "info": "hpcapp.applications.points.command:info",
+    "convert": "hpcapp.applications.points.command:convert",
 }
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # What these log is raised too, and said in our words: a user sees it with --debug only.

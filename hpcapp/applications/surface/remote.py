@@ -7,9 +7,9 @@ from typing import Any
 
 import click
 
-from hpcapp.applications.surface.output import open_output
 from hpcapp.backends.cluster_jobs import load_cluster_function
 from hpcapp.io import drop_unusable, read_points
+from hpcapp.io.output import open_output
 from hpcapp.io.points.inputs import STANDARD_INPUT, find_files, gather_points
 from hpccomponent.errors import UsageError
 

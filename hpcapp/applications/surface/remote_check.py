@@ -11,8 +11,8 @@ from pathlib import Path
 import click
 
 from hpcapp.applications.surface.command import check_flags, reconstruct
-from hpcapp.applications.surface.output import open_output
 from hpcapp.applications.surface.remote import OF_THIS_MACHINE, check_points
+from hpcapp.io.output import open_output
 from hpccomponent.errors import OutputError, UsageError
 
 __all__ = ["check_job"]
