@@ -18,10 +18,10 @@ from hpcapp.io.meshes.stl import read_stl, write_stl
 from hpcapp.io.meshes.tiles import TILES_SUFFIX, check_tiles, write_tiles
 from hpcapp.io.meshes.vtp import write_vtp
 from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh
+from hpcapp.io.point_writers import POINT_WRITERS
 from hpcapp.io.points.point_source import PointSource, Scan, read_whole, translated
 from hpcapp.io.points.recognition import recognise
 from hpcapp.io.points.registry import find_point_format
-from hpcapp.io.points.writers import POINT_WRITERS
 from hpcapp.io.staging import check_place
 from hpccomponent.errors import InputError, OutputError, UsageError
 from hpccomponent.surface.types.mesh import Mesh
