@@ -8,9 +8,12 @@ from __future__ import annotations
 import json
 import logging
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from hpcapp.io import PointSource
 
 __all__ = ["INPUTS", "SAMPLE", "convert", "info"]
 
@@ -92,7 +95,7 @@ def convert(points: tuple[str, ...], sample: int | None, output: str) -> None:
 
     What the output cannot hold is left out, with a warning.
     """
-    from hpcapp.io import open_points, read_whole, write_points
+    from hpcapp.io import open_points
     from hpcapp.io.output import open_output
     from hpcapp.io.ply.joined import write_joined
     from hpcapp.io.points.inputs import STANDARD_INPUT, find_files, gather_points
@@ -103,12 +106,24 @@ def convert(points: tuple[str, ...], sample: int | None, output: str) -> None:
         gather_points(points, sample) as path,
     ):
         source = open_points(path)
-        if target.suffix.lower() == ".ply":
-            written = write_joined(target, [source])
-        else:
-            cloud = read_whole(source)
-            write_points(target, cloud, source.crs, source.unit, source.scans)
-            written = len(cloud)
+        is_ply = target.suffix.lower() == ".ply"
+        written = write_joined(target, [source]) if is_ply else _write_whole(target, source)
         for warning in source.findings.lines():
             log.warning("warning: %s: %s", files[0] if files else "standard input", warning)
         log.info("%s: %d points", output, written)
+
+
+def _write_whole(target: Path, source: PointSource) -> int:
+    """Write the points of a source that are in memory at once; return how many there are."""
+    import numpy as np
+
+    from hpcapp.io import read_whole, write_points
+    from hpcapp.io.point_writers import POINT_WRITERS
+
+    cloud = read_whole(source)
+    if POINT_WRITERS[target.suffix.lower()].needs_finite:
+        finite = np.flatnonzero(np.isfinite(cloud.positions).all(axis=1))
+        source.findings.drop("not finite", len(cloud) - len(finite))
+        cloud = cloud.take(finite) if len(finite) < len(cloud) else cloud
+    write_points(target, cloud, source.crs, source.unit, source.scans)
+    return len(cloud)

@@ -57,6 +57,18 @@ def test_points_that_are_left_out_are_counted(
     assert "dropped 100 points" in caplog.text
 
 
+@pytest.mark.parametrize("name", ["a.las", "a.e57"])
+def test_missing_returns_stay_out_of_formats_that_have_none(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, name: str
+) -> None:
+    positions = np.random.default_rng(0).random((40, 3))
+    positions[[3, 9], 1] = np.nan
+    write_points(tmp_path / "a.npz", PointCloud(positions))
+    run(tmp_path / "a.npz", "-o", tmp_path / name)
+    assert len(read_points(tmp_path / name)) == 38
+    assert "dropped 2 points: not finite" in caplog.text
+
+
 def test_several_files_become_one(scan: Path, tmp_path: Path) -> None:
     run(scan, scan, "-o", tmp_path / "both.ply")
     both = read_points(tmp_path / "both.ply")
