@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,8 +30,8 @@ class PointWriter:
     ----------
     write : callable
         Writes a cloud with its coordinate reference system, its unit and its scans.
-    attributes : tuple of str, optional
-        The only ones that it holds; all by default.
+    choose_attributes : callable, optional
+        Names the only attributes of a cloud that it holds; all by default.
     holds_crs : callable, optional
         Tells whether it holds a coordinate reference system; it holds none by default.
     holds_unit : callable, optional
@@ -43,7 +43,7 @@ class PointWriter:
     """
 
     write: Write
-    attributes: tuple[str, ...] | None = None
+    choose_attributes: Callable[[PointCloud], Collection[str]] | None = None
     holds_crs: Callable[[str], bool] = lambda _: False
     holds_unit: Callable[[str, str | None], bool] = lambda *_: False
     holds_scanners: bool = False
@@ -65,8 +65,10 @@ class PointWriter:
         list of str
             Names of attributes, and words for the rest.
         """
-        lost = [] if self.attributes is None else [*cloud.attributes]
-        lost = [name for name in lost if name not in (self.attributes or ())]
+        lost: list[str] = []
+        if self.choose_attributes is not None:
+            held = self.choose_attributes(cloud)
+            lost += [name for name in cloud.attributes if name not in held]
         if crs and not self.holds_crs(crs):
             shown = crs if len(crs) <= _LONGEST else f"{crs[:_LONGEST]}..."
             lost.append(f"CRS ({shown})")
@@ -79,6 +81,10 @@ class PointWriter:
 
 def _is_wkt(crs: str) -> bool:
     return "[" in crs
+
+
+def _choose_for_text(cloud: PointCloud) -> Collection[str]:
+    return ("intensity",) if cloud.colours is not None and cloud.normals is None else ()
 
 
 def _is_in_las(crs: str) -> bool:
@@ -95,7 +101,9 @@ _PLY = PointWriter(
     holds_unit=lambda *_: True,
     holds_scanners=True,
 )
-_TEXT = PointWriter(lambda path, cloud, *_: write_text_points(path, cloud), attributes=())
+_TEXT = PointWriter(
+    lambda path, cloud, *_: write_text_points(path, cloud), choose_attributes=_choose_for_text
+)
 _LAS = PointWriter(
     lambda path, cloud, crs, unit, _: write_las(path, cloud, crs, unit),
     holds_crs=_is_in_las,
@@ -104,7 +112,7 @@ _LAS = PointWriter(
 )
 _E57 = PointWriter(
     lambda path, cloud, crs, *_: write_e57(path, cloud, crs),
-    attributes=("intensity",),
+    choose_attributes=lambda _: ("intensity",),
     holds_crs=_is_wkt,
     holds_unit=lambda unit, _: unit == "m",
     needs_finite=True,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +30,16 @@ def write_text_points(path: Path, cloud: PointCloud) -> None:
     OutputError
         The file cannot be written.
     """
-    columns: list[NDArray[np.float64] | NDArray[np.uint8]] = [cloud.positions + cloud.origin]
+    columns: list[NDArray[Any]] = [cloud.positions + cloud.origin]
     if cloud.normals is not None:
         columns.append(cloud.normals)
-    elif cloud.colours is not None:
-        columns.append(np.zeros((len(cloud), 1), np.uint8))  # an intensity: 6 columns mean normals
-    template = " ".join(["%.17g"] * (6 if cloud.normals is not None else 3))
+    elif cloud.colours is not None:  # behind an intensity: 6 columns mean normals
+        intensity = cloud.attributes.get("intensity", np.zeros(len(cloud), np.uint8))
+        columns.append(intensity[:, None])
     if cloud.colours is not None:
         columns.append(cloud.colours)
-        template += " %d" * (3 if cloud.normals is not None else 4)
+    numbers = sum(column.shape[1] for column in columns)
+    whole = 0 if cloud.colours is None else 3
+    template = " ".join(["%.17g"] * (numbers - whole) + ["%d"] * whole)
     with replacing(path) as file:
         file.writelines(write_rows(template + "\n", np.hstack(columns)))

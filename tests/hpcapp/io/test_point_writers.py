@@ -1,11 +1,12 @@
 """What a file of points holds, and what is said of the rest."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hpcapp.io import open_points, write_points
+from hpcapp.io import open_points, read_points, write_points
 from hpcapp.io.points.point_source import Scan
 from hpccomponent.surface.types.points import PointCloud
 
@@ -64,3 +65,13 @@ def test_of_what_every_file_holds_nothing_is_said(
 ) -> None:
     write_points(tmp_path / name, cloud)
     assert not caplog.messages
+
+
+def test_text_holds_the_intensity_before_colours(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    colours = np.full((9, 3), 7, np.uint8)
+    cloud = replace(make_cloud(), colours=colours)
+    write_points(tmp_path / "a.xyz", cloud)
+    assert "holds no mark of points" in caplog.text
+    assert read_points(tmp_path / "a.xyz").attributes["intensity"].tolist() == list(range(9))

@@ -41,6 +41,17 @@ def test_help_imports_nothing_heavy() -> None:
     subprocess.run([sys.executable, "-P", "-c", script], check=True, capture_output=True)
 
 
+def test_a_job_with_good_normals_imports_no_scipy(sphere_file: Path, tmp_path: Path) -> None:
+    """It takes as long as the rest of the program."""
+    arguments = ["reconstruct", str(sphere_file), "-o", str(tmp_path / "m.ply"), "--grid", "32"]
+    script = (
+        "import sys; from hpcapp.cli import hpcapp\n"
+        "hpcapp.main(sys.argv[1:], standalone_mode=False)\n"
+        "assert not {'scipy', 'zmq'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-P", "-c", script, *arguments], check=True)
+
+
 def test_a_default_is_no_contradiction(sphere_file: Path, tmp_path: Path) -> None:
     arguments = [str(sphere_file), "-o", str(tmp_path / "m.ply"), "--method", "paper"]
     done = CliRunner().invoke(reconstruct, [*arguments, "--patches", "9", "--grid", "16"])

@@ -7,7 +7,7 @@ import pytest
 
 from hpcapp.io.formats import read_points
 from hpcapp.io.text.writer import write_text_points
-from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 
 @pytest.mark.parametrize("with_normals", [True, False])
@@ -25,6 +25,19 @@ def test_what_is_written_comes_back(
     assert (again.positions == some.positions).all()
     np.testing.assert_array_equal(again.normals, some.normals)
     np.testing.assert_array_equal(again.colours, some.colours)
+
+
+@pytest.mark.parametrize("intensity", [np.linspace(0.0, 1.0, 60), np.arange(60) - 900.0])
+def test_the_column_before_the_colours_is_the_intensity(
+    tmp_path: Path, intensity: FloatArray
+) -> None:
+    rng = np.random.default_rng(4)
+    colours = rng.integers(0, 256, (60, 3)).astype(np.uint8)
+    cloud = PointCloud(rng.normal(size=(60, 3)), None, colours, {"intensity": intensity})
+    write_text_points(tmp_path / "a.xyz", cloud)
+    again = read_points(tmp_path / "a.xyz")
+    np.testing.assert_array_equal(again.attributes["intensity"], intensity)
+    np.testing.assert_array_equal(again.colours, colours)
 
 
 def test_georeferenced_millimetres_survive(tmp_path: Path) -> None:
