@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import nnls
 
-from hpcapp.applications.surface.sizes import LARGE_TILE, TILE_POINTS, TILES_EACH
+from hpcapp.applications.surface.method import LARGE_TILE, TILE_POINTS, TILES_EACH
 
 MACHINES = (8, 64, 512)
 HALO_STEPS = 24.0  # of the grid, around a tile, and so many coarse cells:

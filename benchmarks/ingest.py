@@ -19,8 +19,8 @@ from typing import TypeVar
 from hpcapp.applications.surface.hierarchical.estimates import choose_scale
 from hpcapp.applications.surface.input.clean_regions import clean_regions
 from hpcapp.applications.surface.input.ingest import ingest_file
+from hpcapp.applications.surface.method import TILE_POINTS
 from hpcapp.applications.surface.scans import Passes
-from hpcapp.applications.surface.sizes import TILE_POINTS
 from hpcapp.backends.selection import open_executor
 from hpcapp.io import open_points
 

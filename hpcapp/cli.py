@@ -25,8 +25,8 @@ __all__ = ["hpcapp", "main"]
 SHIPPED = {
     "reconstruct": "hpcapp.applications.surface.command:reconstruct",
     "simulate": "hpcapp.applications.surface.command:simulate",
-    "info": "hpcapp.applications.surface.command:info",
-    "convert": "hpcapp.applications.surface.convert:convert",
+    "info": "hpcapp.applications.points.command:info",
+    "convert": "hpcapp.applications.points.command:convert",
 }
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # What these log is raised too, and said in our words: a user sees it with --debug only.
@@ -118,7 +118,7 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
               callback=_print_version, help="Print the version and leave.")  # fmt: skip
 @click.option("--debug", is_flag=True, help="Log everything; show the traceback of an error.")
 def hpcapp(debug: bool) -> None:
-    """Turn oriented point clouds into watertight meshes, on one machine or on many."""
+    """Turn point clouds into watertight meshes, on one machine or on many."""
     lines = _LogLines()
     lines.setFormatter(logging.Formatter("%(name)s: %(message)s") if debug else _Lines())
     logging.basicConfig(

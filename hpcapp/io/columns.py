@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hpccomponent.surface.types.points import IntArray
 
-__all__ = ["Ragged", "Rows", "positions_within"]
+__all__ = ["Ragged", "Rows", "cut_fans", "positions_within"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,3 +65,30 @@ def positions_within(lengths: IntArray) -> IntArray:
     """
     starts = np.cumsum(lengths) - lengths
     return np.arange(lengths.sum()) - np.repeat(starts, lengths)
+
+
+def cut_fans(lengths: IntArray) -> tuple[IntArray, IntArray]:
+    """Cut polygons into triangle fans.
+
+    Parameters
+    ----------
+    lengths : ndarray of int64, shape (n,)
+        Corners of each polygon; those of fewer than three give no triangle.
+
+    Returns
+    -------
+    corners : ndarray of int64, shape (t, 3)
+        Where the corners of each triangle are in the list of all polygons' corners.
+    polygon : ndarray of int64, shape (t,)
+        Which polygon each triangle is from.
+
+    Examples
+    --------
+    >>> cut_fans(np.array([3, 4]))[0].tolist()
+    [[0, 1, 2], [3, 4, 5], [3, 5, 6]]
+    """
+    triangles = np.maximum(lengths - 2, 0)
+    first = np.repeat(np.cumsum(lengths) - lengths, triangles)
+    second = first + positions_within(triangles) + 1
+    polygon = np.repeat(np.arange(len(lengths)), triangles)
+    return np.stack([first, second, second + 1], axis=1), polygon

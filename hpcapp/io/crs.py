@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-__all__ = ["Crs", "parse_epsg", "parse_geokeys", "parse_wkt"]
+__all__ = ["UNIT_CODES", "Crs", "parse_epsg", "parse_geokeys", "parse_wkt"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,9 @@ _SAME_FACTOR = 1e-7  # the two feet differ by 2e-6; factors are written with 8 d
 
 _MODEL, _CITATION, _GEOGRAPHIC_CODE, _GEOGRAPHIC_LENGTH = 1024, 1026, 2048, 2052
 _PROJECTED_CODE, _PROJECTED_NAME, _PROJECTED_LENGTH = 3072, 3073, 3076
-_UNIT_CODES = {9001: "m", 9002: "ft", 9003: "US ft", 9036: "km", 1025: "mm", 1033: "cm"}
+UNIT_CODES = {"m": 9001, "ft": 9002, "US ft": 9003, "km": 9036, "mm": 1025, "cm": 1033}
+"""Codes of EPSG for units of length."""
+_UNITS_BY_CODE = {code: unit for unit, code in UNIT_CODES.items()}
 _ASCII = 34737
 _STATED = range(1, 32767)  # codes: 0 is undefined, 32767 defined by other keys
 
@@ -127,7 +129,7 @@ def parse_geokeys(directory: bytes, texts: bytes) -> Crs | None:
     else:
         code = keys.get(_PROJECTED_CODE, 0)
         lengths = (keys.get(_PROJECTED_LENGTH, 0), keys.get(_GEOGRAPHIC_LENGTH, 0))
-        found = [_UNIT_CODES[length] for length in lengths if length in _UNIT_CODES]
+        found = [_UNITS_BY_CODE[length] for length in lengths if length in _UNITS_BY_CODE]
         metric = model == 3 or _is_utm(code)
         unit = found[0] if found else "m" if metric else ""
     text = f"EPSG:{code}" if code in _STATED else name or None

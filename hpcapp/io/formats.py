@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Literal, TypeVar
 
-from hpcapp.io.e57.writer import write_e57
-from hpcapp.io.las.writer import write_las
 from hpcapp.io.meshes.glb import write_glb
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.obj import read_obj, write_obj
@@ -19,13 +17,12 @@ from hpcapp.io.meshes.off import read_off, write_off
 from hpcapp.io.meshes.stl import read_stl, write_stl
 from hpcapp.io.meshes.tiles import TILES_SUFFIX, check_tiles, write_tiles
 from hpcapp.io.meshes.vtp import write_vtp
-from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh, write_ply_points
-from hpcapp.io.points.npz_writer import write_npz_points
-from hpcapp.io.points.point_source import PointSource, read_whole, translated
+from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh
+from hpcapp.io.point_writers import POINT_WRITERS
+from hpcapp.io.points.point_source import PointSource, Scan, read_whole, translated
 from hpcapp.io.points.recognition import recognise
 from hpcapp.io.points.registry import find_point_format
 from hpcapp.io.staging import check_place
-from hpcapp.io.text.writer import write_text_points
 from hpccomponent.errors import InputError, OutputError, UsageError
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import PointCloud
@@ -46,15 +43,6 @@ Chosen = TypeVar("Chosen")
 
 _STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
 
-_TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".pts")  # what blanks separate in any program
-_POINT_WRITERS: dict[str, Callable[[Path, PointCloud, str | None], None]] = {
-    ".ply": lambda path, cloud, _: write_ply_points(path, cloud),
-    **dict.fromkeys(_TEXT_SUFFIXES, lambda path, cloud, _: write_text_points(path, cloud)),
-    ".las": write_las,
-    ".laz": write_las,
-    ".e57": write_e57,
-    ".npz": lambda path, cloud, _: write_npz_points(path, cloud),
-}
 _MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".ply": read_ply_mesh,
     ".obj": read_obj,
@@ -171,10 +159,17 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
         return reader(Path(path))
 
 
-def write_points(path: str | PathLike[str], cloud: PointCloud, crs: str | None = None) -> None:
+def write_points(
+    path: str | PathLike[str],
+    cloud: PointCloud,
+    crs: str | None = None,
+    unit: str | None = None,
+    scans: Sequence[Scan] = (),
+) -> None:
     """Write a point cloud, in the input's coordinates.
 
-    The formats are .ply, .las, .laz, .e57, .npz, .xyz, .txt, .asc and .pts.
+    The formats are .ply, .las, .laz, .e57, .npz, .xyz, .txt, .asc and .pts. What the cloud has and
+    the format does not hold is logged as a warning.
 
     Parameters
     ----------
@@ -183,7 +178,11 @@ def write_points(path: str | PathLike[str], cloud: PointCloud, crs: str | None =
     cloud : PointCloud
         May lack normals and colours.
     crs : str, optional
-        Coordinate reference system, as WKT or an EPSG code; kept where the format holds it.
+        Coordinate reference system, as WKT or an EPSG code.
+    unit : str, optional
+        Of the coordinates: ``m``, ``ft``, ``US ft``, ``mm``, ``cm``, ``km``.
+    scans : sequence of Scan
+        Where the scanners stood.
 
     Raises
     ------
@@ -192,9 +191,10 @@ def write_points(path: str | PathLike[str], cloud: PointCloud, crs: str | None =
     UsageError
         The library that writes the format is not installed.
     """
-    _choose(_POINT_WRITERS, Path(path), OutputError, "a point cloud is written to")(
-        Path(path), cloud, crs
-    )
+    writer = _choose(POINT_WRITERS, Path(path), OutputError, "a point cloud is written to")
+    if lost := writer.find_losses(cloud, crs, unit, scans):
+        log.warning("warning: %s", _say_losses(path, lost, "points", [".ply"]))
+    writer.write(Path(path), cloud, crs, unit, scans)
 
 
 def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
@@ -245,9 +245,17 @@ def describe_losses(path: str | PathLike[str], layout: PointCloud) -> str | None
     if not lost:
         return None
     others = [suffix for suffix, other in _MESH_WRITERS.items() if other.holds_all]
+    return _say_losses(path, lost, "vertices", others)
+
+
+def _say_losses(
+    path: str | PathLike[str], lost: Sequence[str], owners: str, others: Sequence[str]
+) -> str:
+    """Say what a file does not hold, and which formats would."""
+    hold = "holds" if len(others) == 1 else "hold"
     return (
-        f"{path}: {Path(path).suffix} holds no {', no '.join(lost)} of vertices: left out; "
-        f"{', '.join(others)} hold all"
+        f"{path}: {Path(path).suffix} holds no {', no '.join(lost)} of {owners}: left out; "
+        f"{', '.join(others)} {hold} all"
     )
 
 
@@ -270,7 +278,7 @@ def check_writable(path: str | PathLike[str], kind: Literal["mesh", "points"] = 
     if kind == "mesh":
         _choose(_MESH_WRITERS, Path(path), OutputError, "a mesh is written to")
     else:
-        _choose(_POINT_WRITERS, Path(path), OutputError, "a point cloud is written to")
+        _choose(POINT_WRITERS, Path(path), OutputError, "a point cloud is written to")
     if Path(path).suffix.lower() == TILES_SUFFIX:
         check_tiles(Path(path))
     else:

@@ -1,1 +1,1 @@
-"""Surface reconstruction: oriented points in, a watertight mesh out."""
+"""Surface reconstruction: points in, a watertight mesh out."""

@@ -1,4 +1,4 @@
-"""The verbs of surface reconstruction: ``reconstruct``, ``simulate`` and ``info``.
+"""The verbs of surface reconstruction: ``reconstruct`` and ``simulate``.
 
 This module is imported for every ``--help``: numpy and all that stands on it are imported inside.
 """
@@ -14,25 +14,18 @@ from typing import Any
 
 import click
 
+from hpcapp.applications.points.command import INPUTS, SAMPLE
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, METHODS, find_method
 from hpcapp.applications.surface.options import check_exclusive, make_click_options, option_names
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
 from hpccomponent.errors import UsageError
 
-__all__ = ["check_flags", "info", "reconstruct", "simulate"]
+__all__ = ["check_flags", "reconstruct", "simulate"]
 
 log = logging.getLogger("hpcapp")
 
 POINTS = click.Path(dir_okay=False, path_type=Path)
-_LONGEST = 120  # characters of a coordinate system that are shown to people
-INPUTS = click.argument("points", nargs=-1, required=True, type=click.Path(dir_okay=False))
-SAMPLE = click.option(
-    "--sample",
-    type=click.IntRange(10),
-    metavar="N",
-    help="POINTS is a mesh: take N points on its faces in place of its vertices.",
-)
 
 
 def _parse_viewpoints(
@@ -316,57 +309,6 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         ):
             settings = JobSettings(method=method(**chosen), points=points, inputs=files, **options)
             return run_job(settings, progress, machines)
-
-
-@click.command()
-@INPUTS
-@SAMPLE
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
-@click.option(
-    "--png",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="Draw the points into a picture.",
-)
-def info(points: tuple[str, ...], sample: int | None, as_json: bool, png: Path | None) -> None:
-    """Print what the point clouds POINTS hold, and what of it was taken for what."""
-    from hpcapp.applications.surface.input.info import describe_file
-    from hpcapp.applications.surface.input.thumbnail import write_thumbnail
-    from hpcapp.io import open_points
-    from hpcapp.io.points.inputs import gather_points
-    from hpcapp.io.points.point_source import Findings
-
-    with gather_points(points, sample) as path:
-        source = open_points(path)
-        facts, cloud = describe_file(source)
-    shown = points[0] if len(points) == 1 else f"{points[0]} and others"
-    for line in Findings(facts["warnings"], facts["dropped"]).lines():
-        log.warning("warning: %s: %s", shown, line)
-    if png is not None:
-        scanner = source.scans[0].scanner if len(source.scans) == 1 else None
-        write_thumbnail(png, cloud, scanner)
-    if as_json:
-        click.echo(json.dumps(facts))
-        return
-    width = max(map(len, facts))
-    for name, value in facts.items():
-        click.echo(f"{name.replace('_', ' '):<{width}}  {_readable(value)}")
-
-
-def _readable(value: Any) -> str:
-    """Return a JSON value as people read it."""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if value is None or (not value and isinstance(value, str | list | dict)):
-        return "-"
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list | tuple):
-        return "  ".join(_readable(item) for item in value)
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {_readable(item)}" for name, item in value.items())
-    text = str(value)
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 
 
 @click.command()

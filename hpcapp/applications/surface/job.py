@@ -20,15 +20,15 @@ from hpcapp.applications.surface.input.folder import choose_tile, plan_passes
 from hpcapp.applications.surface.input.load import Loaded, load_folder, load_memory
 from hpcapp.applications.surface.input.room import Room, open_room
 from hpcapp.applications.surface.memory import check_memory, count_most_points
-from hpcapp.applications.surface.output import open_output
+from hpcapp.applications.surface.method import TILE_POINTS
 from hpcapp.applications.surface.settings import (
     DEFAULT_GRID,
     JobSettings,
     choose_grid,
 )
-from hpcapp.applications.surface.sizes import TILE_POINTS
 from hpcapp.backends.selection import Backend
 from hpcapp.io import describe_losses
+from hpcapp.io.output import open_output
 from hpcapp.progress import Progress, StageClock
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.freed_memory import keep_memory

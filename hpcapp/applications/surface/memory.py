@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hpcapp.applications.surface.method import MethodSettings
-from hpcapp.applications.surface.sizes import TILE_POINTS
+from hpcapp.applications.surface.method import TILE_POINTS, MethodSettings
 from hpcapp.io.points.registry import find_point_format
 from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.limits import available_memory

@@ -7,9 +7,9 @@ from typing import Any
 
 import click
 
-from hpcapp.applications.surface.output import open_output
 from hpcapp.backends.cluster_jobs import load_cluster_function
 from hpcapp.io import drop_unusable, read_points
+from hpcapp.io.output import open_output
 from hpcapp.io.points.inputs import STANDARD_INPUT, find_files, gather_points
 from hpccomponent.errors import UsageError
 
@@ -19,13 +19,15 @@ OF_THIS_MACHINE = ("points", "sample", "output", "cluster", "events", "as_json")
 """What options name here; on the head they are the job's own."""
 
 
-def check_points(points: Path) -> None:
+def check_points(points: Path, sample: int | None = None) -> None:
     """Read the points as the job will; InputError where it could not use them.
 
     Parameters
     ----------
     points : Path
         The file.
+    sample : int, optional
+        It is a mesh: so many points on its faces are taken.
 
     Raises
     ------
@@ -34,7 +36,7 @@ def check_points(points: Path) -> None:
     InputError
         It cannot be read, or its points cannot be used.
     """
-    with gather_points([str(points)]) as path:
+    with gather_points([str(points)], sample) as path:
         drop_unusable(read_points(path), str(path))
 
 
@@ -65,7 +67,7 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
     files = [Path(name) for name in find_files(names) if name != STANDARD_INPUT]
     with (
         open_output(ctx.params["output"], files) as target,
-        gather_points(names, ctx.params["sample"]) as points,
+        gather_points(names, ctx.params["sample"], goes_elsewhere=True) as points,
     ):
         check_points(points)
         report: dict[str, Any] = run(cluster, "reconstruct", points, target, _typed_options(ctx))

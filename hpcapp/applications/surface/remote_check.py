@@ -11,8 +11,8 @@ from pathlib import Path
 import click
 
 from hpcapp.applications.surface.command import check_flags, reconstruct
-from hpcapp.applications.surface.output import open_output
 from hpcapp.applications.surface.remote import OF_THIS_MACHINE, check_points
+from hpcapp.io.output import open_output
 from hpccomponent.errors import OutputError, UsageError
 
 __all__ = ["check_job"]
@@ -43,8 +43,14 @@ def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str])
     except click.UsageError as error:
         problem = error.format_message().rstrip(".")
         raise UsageError(problem, "see 'hpcapp reconstruct --help'") from None
-    same = {"points": (str(points.absolute()),), "output": str(output), "cluster": cluster}
-    for name in OF_THIS_MACHINE:
+    if ctx.params["points"] != (str(points.absolute()),):
+        raise UsageError(
+            "submit takes one file of points",
+            f"join several: hpcapp convert {points} ... -o joined.ply; options come after --",
+        )
+    sample = ctx.params["sample"]  # the head takes them from the mesh that it is sent
+    same = {"sample": sample, "output": str(output), "cluster": cluster}
+    for name in set(OF_THIS_MACHINE) - {"points"}:
         if ctx.params[name] not in (same.get(name), None, False):
             flag = "--json" if name == "as_json" else f"--{name}"
             raise UsageError(f"{flag} is not for the job on the head", "leave it out after --")
@@ -52,4 +58,4 @@ def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str])
     if str(output) == "-":
         raise OutputError("-o - names no file", "name a file to write to")
     with open_output(str(output), [points]):
-        check_points(points)
+        check_points(points, sample)

@@ -10,8 +10,7 @@ import numpy as np
 
 from hpcapp.applications.surface.attributes.choice import AttributeChoice
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.method import MethodSettings
-from hpcapp.applications.surface.sizes import MARGIN
+from hpcapp.applications.surface.method import MARGIN, MethodSettings
 from hpcapp.communicator.policy import DEFAULT_POLICY
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError

@@ -33,7 +33,7 @@ def write_e57(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
         Written in the input's frame, which the format takes to be in metres. Of the attributes,
         ``intensity`` is kept.
     crs : str or None
-        Coordinate reference system, as WKT.
+        Coordinate reference system, as WKT: others are left out.
 
     Raises
     ------
@@ -63,13 +63,14 @@ def _write_image(library: Any, image: Any, cloud: PointCloud, crs: str | None) -
     if cloud.normals is not None:
         image.extensionsAdd("nor", _NORMALS_URI)
     columns = _find_columns(cloud)
+    wkt = crs if crs and "[" in crs else ""
     scans = library.VectorNode(image, True)
     root = image.root()
     root.set("formatName", library.StringNode(image, "ASTM E57 3D Imaging Data File"))
     root.set("guid", _guid(library, image))
     root.set("versionMajor", library.IntegerNode(image, library.E57_FORMAT_MAJOR))
     root.set("versionMinor", library.IntegerNode(image, library.E57_FORMAT_MINOR))
-    root.set("coordinateMetadata", library.StringNode(image, crs or ""))
+    root.set("coordinateMetadata", library.StringNode(image, wkt))
     root.set("data3D", scans)
     root.set("images2D", library.VectorNode(image, True))
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.crs import parse_epsg
+from hpcapp.io.crs import UNIT_CODES, parse_epsg
 from hpcapp.io.frame import finite_bounds
 from hpcapp.io.las.layout import DEGREES_A_STEP
 from hpcapp.io.staging import replacing
@@ -26,6 +26,7 @@ _MOST_STEPS = 4e9  # of an int32, counted from the middle, with room for a round
 _ROWS_AT_ONCE = 1 << 18
 _LONGEST_NAME = 31  # bytes
 _LONGEST_RECORD = 65535
+_USER_DEFINED = 32767  # code of a system that has none
 
 _MOST = {
     "intensity": 65535,
@@ -38,7 +39,9 @@ _MOST = {
 _STEEPEST = 180.0  # degrees of the scan angle
 
 
-def write_las(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
+def write_las(
+    path: Path, cloud: PointCloud, crs: str | None = None, unit: str | None = None
+) -> None:
     """Write a point cloud as LAS, or as LAZ where the suffix says so.
 
     Parameters
@@ -52,6 +55,8 @@ def write_las(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
         are no whole numbers of 16 bits are in both places: scaled, and as they are.
     crs : str or None
         Coordinate reference system, as WKT or an EPSG code; a mere name is not kept.
+    unit : str or None
+        Of the coordinates, as `UNIT_CODES` names it; WKT states it by itself.
 
     Raises
     ------
@@ -80,7 +85,7 @@ def write_las(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
     header.add_extra_dims(
         [laspy.ExtraBytesParams(name, values.dtype) for name, values in extras.items()]
     )
-    _add_crs(laspy, header, crs, path)
+    _add_crs(laspy, header, crs, unit, path)
     is_compressed = path.suffix.lower() == ".laz"
     with (
         replacing(path) as file,
@@ -197,22 +202,32 @@ def _free_name(name: str, taken: Mapping[str, object]) -> str:
     return free
 
 
-def _add_crs(laspy: Any, header: Any, crs: str | None, path: Path) -> None:
-    """Add the coordinate reference system: WKT, or GeoTIFF keys for a code."""
-    code = parse_epsg(crs) if crs else None
-    if not crs or (code is None and "[" not in crs):
-        return
-    if code is None:
-        record = crs.encode() + b"\0"
-        header.global_encoding.wkt = True
-    else:
-        is_geographic = 4000 <= code < 5000  # the codes that EPSG set aside for them
-        kind, key = (2, 2048) if is_geographic else (1, 3072)
-        record = struct.pack("<12H", 1, 1, 0, 2, 1024, 0, 1, kind, key, 0, 1, code)
+def _add_crs(laspy: Any, header: Any, crs: str | None, unit: str | None, path: Path) -> None:
+    """Add the coordinate reference system and the unit: as WKT, or GeoTIFF keys without it."""
+    is_wkt = crs is not None and "[" in crs
+    record = crs.encode() + b"\0" if crs is not None and is_wkt else _encode_keys(crs, unit)
     if len(record) > _LONGEST_RECORD:
         raise OutputError(
             f"{path}: the coordinate reference system has {len(record)} bytes",
             f"LAS holds {_LONGEST_RECORD}: name it by its EPSG code",
         )
-    number = 2112 if code is None else 34735
-    header.vlrs.append(laspy.VLR("LASF_Projection", number, "", record))
+    if record:
+        header.global_encoding.wkt = is_wkt
+        header.vlrs.append(laspy.VLR("LASF_Projection", 2112 if is_wkt else 34735, "", record))
+
+
+def _encode_keys(crs: str | None, unit: str | None) -> bytes:
+    """Return GeoTIFF keys for the code of a coordinate reference system and for a unit."""
+    code = parse_epsg(crs) if crs else None
+    is_geographic = code is not None and 4000 <= code < 5000  # set aside for them by EPSG
+    keys = {}
+    if code is not None:
+        keys[2048 if is_geographic else 3072] = code
+    if unit in UNIT_CODES and not is_geographic:
+        keys.setdefault(3072, _USER_DEFINED)
+        keys[3076] = UNIT_CODES[unit]
+    if not keys:
+        return b""
+    keys = {1024: 2 if is_geographic else 1, **keys}
+    entries = [number for key, value in keys.items() for number in (key, 0, 1, value)]
+    return struct.pack(f"<{4 + len(entries)}H", 1, 1, 0, len(keys), *entries)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hpcapp.io.columns import Ragged, positions_within
+from hpcapp.io.columns import Ragged, cut_fans
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.mesh import Mesh
@@ -50,9 +50,6 @@ def mesh_of_polygons(vertices: FloatArray, polygons: Ragged, path: Path) -> Mesh
             f"{path}: face {face} names vertex {corners[at]}, but the file has {len(vertices)}",
             "the file is damaged: export it again",
         )
-    triangles = lengths - 2
-    first = np.repeat(np.cumsum(lengths) - lengths, triangles)
-    second = first + positions_within(triangles) + 1
-    faces = np.stack([corners[first], corners[second], corners[second + 1]], axis=1)
+    faces = corners[cut_fans(lengths)[0]]
     local, origin = to_local(vertices)
     return Mesh(local, faces.astype(np.int64, copy=False), origin)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hpcapp.io.points.point_source import PointSource
+from hpcapp.io.points.point_source import Scan
 from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["Kept", "keep", "parse_comments"]
@@ -36,25 +36,27 @@ class Kept:
     scanners: dict[int, FloatArray] = field(default_factory=dict)
 
 
-def keep(sources: Sequence[PointSource]) -> Iterator[str]:
-    """Yield the comment lines that keep what sources say of their points.
+def keep(crs: str | None, unit: str | None, scans: Sequence[Scan]) -> Iterator[str]:
+    """Yield the comment lines that keep what is known of some points.
 
     Parameters
     ----------
-    sources : sequence of PointSource
-        Of one unit and one coordinate reference system; their scans are numbered on.
+    crs : str or None
+        Coordinate reference system, as WKT or an EPSG code.
+    unit : str or None
+        Of the coordinates.
+    scans : sequence of Scan
+        In the order of their numbers.
 
     Yields
     ------
     str
     """
-    unit = next((source.unit for source in sources if source.unit), None)
-    crs = next((source.crs for source in sources if source.crs), None)
     if unit:
         yield f"comment unit {unit}"
     if crs:
         yield f"comment crs {' '.join(crs.split())}"
-    for number, scan in enumerate(scan for source in sources for scan in source.scans):
+    for number, scan in enumerate(scans):
         if scan.scanner is not None:
             yield "comment scanner {} {!r} {!r} {!r}".format(number, *scan.scanner.tolist())
 

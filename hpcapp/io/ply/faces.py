@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.columns import Ragged, positions_within
+from hpcapp.io.columns import Ragged, cut_fans
 from hpcapp.io.ply.header import Header
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.points import BoolArray, FloatArray
@@ -87,12 +87,9 @@ def _area_vectors(
     positions: FloatArray, lengths: NDArray[np.int64], corners: NDArray[np.int64]
 ) -> FloatArray:
     """Return the area vector of each polygon, the sum of those of the triangles of its fan."""
-    triangles = np.maximum(lengths - 2, 0)
-    first = np.repeat(np.cumsum(lengths) - lengths, triangles)
-    second = first + positions_within(triangles) + 1
-    apex = positions[corners[first]]
+    triangles, polygon = cut_fans(lengths)
+    a, b, c = (positions[corners[triangles[:, i]]] for i in range(3))
     with np.errstate(over="ignore", invalid="ignore"):  # vertices may be NaN, or far beyond all
-        areas = np.cross(positions[corners[second]] - apex, positions[corners[second + 1]] - apex)
-    polygon = np.repeat(np.arange(len(lengths)), triangles)
+        areas = np.cross(b - a, c - a)
     vectors = [np.bincount(polygon, column, len(lengths)) for column in areas.T]
     return np.stack(vectors, axis=1) / 2

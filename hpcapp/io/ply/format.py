@@ -21,11 +21,13 @@ from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpcapp.io.ply.ascii import read_ascii
 from hpcapp.io.ply.binary import read_binary
 from hpcapp.io.ply.columns import VertexProperties
+from hpcapp.io.ply.comments import keep
 from hpcapp.io.ply.faces import find_polygons
 from hpcapp.io.ply.header import read_header
 from hpcapp.io.ply.points import plan_vertex
 from hpcapp.io.points.column_roles import AXES
 from hpcapp.io.points.named_columns import build_cloud
+from hpcapp.io.points.point_source import Scan
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError, OutputError
 from hpccomponent.surface.tasks.shared_ply import (
@@ -88,7 +90,13 @@ def read_ply_mesh(path: Path) -> Mesh:
     )
 
 
-def write_ply_points(path: Path, cloud: PointCloud) -> None:
+def write_ply_points(
+    path: Path,
+    cloud: PointCloud,
+    crs: str | None = None,
+    unit: str | None = None,
+    scans: Sequence[Scan] = (),
+) -> None:
     """Write a point cloud as binary little-endian PLY.
 
     Coordinates are written in the input's frame, as ``double`` if an origin was subtracted or
@@ -101,6 +109,9 @@ def write_ply_points(path: Path, cloud: PointCloud) -> None:
     cloud : PointCloud
         Its normals are written as ``float``, its colours and attributes as the type they have,
         these under their names, whose blanks become ``_``; whole numbers of 64 bits as ``double``.
+    crs, unit : str, optional
+        Kept in comments of the header, as are the scanners.
+    scans : sequence of Scan
 
     Raises
     ------
@@ -109,8 +120,9 @@ def write_ply_points(path: Path, cloud: PointCloud) -> None:
     """
     is_double = needs_double(cloud.positions, cloud.origin)
     properties = VertexProperties.of(cloud)
+    lines = [*keep(crs, unit, scans), *coordinate_lines(len(cloud), is_double), *properties.lines]
     with replacing(path) as file:
-        file.write(ply_header([*coordinate_lines(len(cloud), is_double), *properties.lines]))
+        file.write(ply_header(lines))
         for start in range(0, len(cloud), _ROWS_AT_ONCE):
             some = cloud.view(slice(start, start + _ROWS_AT_ONCE))
             file.write(_make_rows(some, cloud.origin, is_double, properties).data)

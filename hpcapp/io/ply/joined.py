@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hpcapp.io.ply.columns import choose_type, name_type
+from hpcapp.io.ply.columns import VertexProperties
 from hpcapp.io.ply.comments import keep
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS
 from hpcapp.io.points.point_source import PointSource
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
+from hpccomponent.surface.tasks.shared_ply import coordinate_lines, ply_header
 from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["write_joined"]
@@ -55,17 +55,23 @@ def write_joined(path: Path, sources: Sequence[PointSource]) -> int:
     only some of the sources have is left out, with a warning.
     """
     _refuse_mixed(sources)
-    dtype = _common_columns(sources)
+    layout = _find_common(sources)
+    properties = VertexProperties.of(layout)
+    dtype = np.dtype([*((axis, "<f8") for axis in AXES), *properties.fields])
     scans = np.cumsum([0, *(len(source.scans) for source in sources)])
     count = 0
     with replacing(path) as file:
-        file.write(_make_header(0, dtype, sources))
+        file.write(_make_header(0, properties, sources))
         for source, first_scan in zip(sources, scans, strict=False):
             for part in source.chunks(_ROWS_AT_ONCE):
-                file.write(_make_rows(part, dtype, int(first_scan)).data)
+                rows = np.empty(len(part), dtype)
+                for axis, values in zip(AXES, part.positions.T, strict=True):
+                    rows[axis] = values
+                properties.fill(rows, _select(part, layout, int(first_scan)))
+                file.write(rows.data)
                 count += len(part)
         file.seek(0)
-        file.write(_make_header(count, dtype, sources))
+        file.write(_make_header(count, properties, sources))
     return count
 
 
@@ -83,51 +89,57 @@ def _refuse_mixed(sources: Sequence[PointSource]) -> None:
                 )
 
 
-def _common_columns(sources: Sequence[PointSource]) -> np.dtype[Any]:
-    """Return the columns that all sources have, as the fields of a row."""
-    held = [_columns_of(next(source.chunks(1))) for source in sources]
+def _find_common(sources: Sequence[PointSource]) -> PointCloud:
+    """Return the columns that all sources have, without points."""
+    held = [next(source.chunks(1)).view(slice(0)) for source in sources]
     if len(sources) > 1:
-        for columns in held:
-            columns.setdefault(SCAN, np.dtype(np.int32))
-    common = [name for name in held[0] if all(name in columns for columns in held)]
-    for columns, source in zip(held, sources, strict=True):
-        if left_out := [name for name in columns if name not in common]:
-            names = ", ".join(left_out)
-            log.warning("warning: %s: left out, as not all files have it: %s", source.path, names)
-    types = [np.result_type(*(columns[name] for columns in held)) for name in common]
-    return np.dtype([(name, choose_type(kind)) for name, kind in zip(common, types, strict=True)])
+        number = np.empty(0, np.int32)
+        held = [replace(one, attributes={SCAN: number} | dict(one.attributes)) for one in held]
+    names = [_name_columns(one) for one in held]
+    common = [name for name in names[0] if all(name in others for others in names)]
+    for own, source in zip(names, sources, strict=True):
+        if left_out := [name for name in own if name not in common]:
+            lost = ", ".join(left_out)
+            log.warning("warning: %s: left out, as not all files have it: %s", source.path, lost)
+    normals = [one.normals for one in held if one.normals is not None]
+    colours = [one.colours for one in held if one.colours is not None]
+    return PointCloud(
+        np.empty((0, 3)),
+        normals[0] if len(normals) == len(held) else None,
+        np.concatenate(colours) if len(colours) == len(held) else None,
+        {
+            name: np.concatenate([one.attributes[name] for one in held])
+            for name in held[0].attributes
+            if name in common
+        },
+    )
 
 
-def _columns_of(part: PointCloud) -> dict[str, np.dtype[Any]]:
-    columns: dict[str, np.dtype[Any]] = dict.fromkeys(AXES, np.dtype(np.float64))
-    if part.normals is not None:
-        columns |= dict.fromkeys(NORMALS, np.dtype(np.float32))
-    if part.colours is not None:
-        columns |= dict.fromkeys(COLOURS, part.colours.dtype)
-    return columns | {name: values.dtype for name, values in part.attributes.items()}
+def _name_columns(part: PointCloud) -> list[str]:
+    normals = NORMALS if part.normals is not None else ()
+    colours = COLOURS if part.colours is not None else ()
+    return [*normals, *colours, *part.attributes]
 
 
-def _make_rows(part: PointCloud, dtype: np.dtype[Any], first_scan: int) -> NDArray[Any]:
-    rows = np.zeros(len(part), dtype)
-    columns: dict[str, NDArray[Any]] = dict(part.attributes)
-    columns |= zip(AXES, part.positions.T, strict=True)
-    if part.normals is not None:
-        columns |= zip(NORMALS, part.normals.T, strict=True)
-    if part.colours is not None:
-        columns |= zip(COLOURS, part.colours.T, strict=True)
-    if SCAN in (dtype.names or ()):
+def _select(part: PointCloud, layout: PointCloud, first_scan: int) -> PointCloud:
+    """Return the columns of a part that all sources have; scans are numbered on."""
+    columns = dict(part.attributes)
+    if SCAN in layout.attributes:
         columns[SCAN] = columns.get(SCAN, np.zeros(len(part), np.int32)) + first_scan
-    for name in dtype.names or ():
-        rows[name] = columns[name]
-    return rows
+    return PointCloud(
+        part.positions,
+        part.normals if layout.normals is not None else None,
+        part.colours if layout.colours is not None else None,
+        {name: columns[name] for name in layout.attributes},
+    )
 
 
-def _make_header(count: int, dtype: np.dtype[Any], sources: Sequence[PointSource]) -> bytes:
+def _make_header(count: int, properties: VertexProperties, sources: Sequence[PointSource]) -> bytes:
     """Return the header; as long for any count."""
-    lines = ["ply", "format binary_little_endian 1.0", "comment written by hpcapp"]
-    lines += keep(sources)
-    lines += [f"element vertex {count}"]
-    for name in dtype.names or ():
-        lines.append(f"property {name_type(dtype[name].str)} {name.replace(' ', '_')}")
+    crs = next((source.crs for source in sources if source.crs), None)
+    unit = next((source.unit for source in sources if source.unit), None)
+    scans = [scan for source in sources for scan in source.scans]
     filling = "comment ".ljust(8 + _COUNT_DIGITS - len(str(count)), "-")
-    return "\n".join([*lines, filling, "end_header\n"]).encode("utf-8")
+    return ply_header(
+        [*keep(crs, unit, scans), *coordinate_lines(count, True), *properties.lines, filling]
+    )

@@ -28,6 +28,7 @@ from hpcapp.io.formats import open_points, read_mesh
 from hpcapp.io.ply.joined import write_joined
 from hpcapp.io.points.mesh_points import sample_faces, slice_cloud
 from hpcapp.io.points.point_source import PointSource, translated
+from hpcapp.io.points.registry import find_point_format
 from hpccomponent.errors import HpcError, InputError, UsageError
 from hpccomponent.files.held_folders import temporary_folder
 
@@ -46,7 +47,9 @@ _MAGIC = (
 
 
 @contextmanager
-def gather_points(names: Sequence[str], sample: int | None = None) -> Iterator[Path]:
+def gather_points(
+    names: Sequence[str], sample: int | None = None, *, goes_elsewhere: bool = False
+) -> Iterator[Path]:
     """Yield one file with all points that a user has named.
 
     Parameters
@@ -55,6 +58,8 @@ def gather_points(names: Sequence[str], sample: int | None = None) -> Iterator[P
         Files, patterns as ``scans/*.laz``, or ``-`` for the standard input.
     sample : int, optional
         The files are meshes: so many points on the faces of each are taken.
+    goes_elsewhere : bool
+        Another machine reads what is yielded: files that need a library become PLYs.
 
     Yields
     ------
@@ -70,7 +75,8 @@ def gather_points(names: Sequence[str], sample: int | None = None) -> Iterator[P
         The standard input is named beside other files, or a suffix is unknown.
     """
     files = find_files(names)
-    if len(files) == 1 and sample is None and not _is_packed(files[0]):
+    can_stay = len(files) == 1 and sample is None
+    if can_stay and not _is_packed(files[0]) and not (goes_elsewhere and _is_special(files[0])):
         yield Path(files[0])
         return
     with temporary_folder() as folder:
@@ -78,7 +84,7 @@ def gather_points(names: Sequence[str], sample: int | None = None) -> Iterator[P
         renamed = {f"{place}/input": _name(file) for place, file in zip(places, files, strict=True)}
         with _named(renamed):
             paths = [_fetch(file, place) for file, place in zip(files, places, strict=True)]
-        if len(paths) == 1 and sample is None:
+        if can_stay and not (goes_elsewhere and _is_special(paths[0])):
             with _named(renamed):
                 yield paths[0]
             return
@@ -128,6 +134,11 @@ def find_files(names: Sequence[str]) -> list[str]:
 
 def _is_packed(file: str) -> bool:
     return file == STANDARD_INPUT or Path(file).suffix.lower() == _COMPRESSED
+
+
+def _is_special(file: str | Path) -> bool:
+    """Tell whether a file is read with a library that is not everywhere."""
+    return find_point_format(Path(file)).needs_library
 
 
 def _fetch(file: str, folder: Path) -> Path:

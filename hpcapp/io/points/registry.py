@@ -37,6 +37,8 @@ class PointFormat:
         Whether it is read in parts, so that a file may be larger than memory.
     states_count : bool
         Whether the start of a file says how many points there are.
+    needs_library : bool
+        Whether it is read with a library that is not everywhere where this package is.
     """
 
     name: str
@@ -45,6 +47,7 @@ class PointFormat:
     least_bytes: float
     streams: bool = True
     states_count: bool = False
+    needs_library: bool = False
 
     def open(self, path: Path) -> PointSource:
         """Open a file of this format.
@@ -78,8 +81,17 @@ POINT_FORMATS = (
     PointFormat("text", _TEXT, "hpcapp.io.text.points:open_text", 6),
     PointFormat("PTX", (".ptx",), "hpcapp.io.text.ptx:open_ptx", 6),
     PointFormat("LAS", (".las",), "hpcapp.io.las.points:open_las", 20, states_count=True),
-    PointFormat("LAZ", (".laz",), "hpcapp.io.las.points:open_las", 0.25, states_count=True),
-    PointFormat("E57", (".e57",), "hpcapp.io.e57.points:open_e57", 1, states_count=True),
+    PointFormat(
+        "LAZ",
+        (".laz",),
+        "hpcapp.io.las.points:open_las",
+        0.25,
+        states_count=True,
+        needs_library=True,
+    ),
+    PointFormat(
+        "E57", (".e57",), "hpcapp.io.e57.points:open_e57", 1, states_count=True, needs_library=True
+    ),
     PointFormat("OBJ", (".obj",), "hpcapp.io.points.mesh_points:open_obj", 8, streams=False),
     PointFormat("STL", (".stl",), "hpcapp.io.points.mesh_points:open_stl", 8, streams=False),
     PointFormat("OFF", (".off",), "hpcapp.io.points.mesh_points:open_off", 6, streams=False),

@@ -12,6 +12,7 @@ The functions with `records` are kernels.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import frexp
 from typing import Any
@@ -28,6 +29,7 @@ __all__ = [
     "Arrangement",
     "PackedPoints",
     "choose_arrangement",
+    "interleave",
     "pack_points",
     "pack_snapped",
     "snap_points",
@@ -42,6 +44,7 @@ QUANTA_BITS = 24
 
 
 _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
+_RECORDS_AT_ONCE = 1 << 16  # so do these, as whole pages of a file
 _BLOCKS_BITS = 6  # at most 2^6 blocks along the longest side, and more than half of that
 
 
@@ -283,3 +286,38 @@ def unpacking_arguments(
     corners = unpack_keys(packed.keys) * arrangement.edge + arrangement.origin
     counts = np.ascontiguousarray(packed.counts, np.int64)
     return packed.to_records(), counts, corners, arrangement.edge
+
+
+def interleave(
+    pieces: Sequence[PackedPoints], at_once: int = _RECORDS_AT_ONCE
+) -> Iterator[memoryview]:
+    """Yield the records of some pieces, block after block.
+
+    Parameters
+    ----------
+    pieces : sequence of PackedPoints
+        The points of each block come in the order of the pieces.
+    at_once : int
+        Records that are yielded at a time, where there are several pieces.
+
+    Yields
+    ------
+    memoryview
+        Of some records at a time; see `PackedPoints.to_records`.
+    """
+    if len(pieces) == 1:
+        yield pieces[0].to_records().reshape(-1).view(np.uint8).data
+        return
+    records = np.concatenate([piece.to_records() for piece in pieces])
+    counts = np.concatenate([piece.counts for piece in pieces])
+    order = np.argsort(np.concatenate([piece.keys for piece in pieces]), kind="stable")
+    sizes = counts[order]
+    ends = np.cumsum(sizes)
+    moves = (np.cumsum(counts) - counts)[order] - (ends - sizes)  # from where a block's come
+    for start in range(0, len(records), at_once):
+        stop = min(start + at_once, len(records))
+        first, last = np.searchsorted(ends, (start, stop - 1), "right")
+        runs = slice(first, last + 1)
+        within = np.diff(np.clip(ends[runs], None, stop), prepend=start)
+        rows = np.repeat(moves[runs], within) + np.arange(start, stop)
+        yield records.take(rows, axis=0).reshape(-1).view(np.uint8).data

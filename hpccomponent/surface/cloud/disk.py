@@ -38,6 +38,7 @@ from hpccomponent.surface.cloud.arranged import ArrangedCloud, Place
 from hpccomponent.surface.cloud.arrangement import (
     Arrangement,
     PackedPoints,
+    interleave,
     unpack_points,
     unpacking_arguments,
 )
@@ -58,7 +59,6 @@ __all__ = [
 _INDEX = "index"
 _COLUMNS = 6  # float32 a point: offset and normal
 _POINT_BYTES = 4 * _COLUMNS
-_ROWS_AT_ONCE = 1 << 16  # what is made of them stays in the cache; whole pages
 _MOST_BUFFERS = 1024  # that one call fills, on Linux
 
 
@@ -345,7 +345,7 @@ def write_part(
     with _translated(folder):
         write_whole(
             folder / _name_part(number),
-            with_check(_interleave(pieces), folder / _name_part(number)),
+            with_check(interleave(pieces), folder / _name_part(number)),
         )
     keys = np.concatenate([piece.keys for piece in pieces])
     return merge_counts(keys, np.concatenate([piece.counts for piece in pieces]))
@@ -358,26 +358,6 @@ def _count_records(part: Part) -> int:
 
 def _name_part(number: int) -> str:
     return f"points.{number}"
-
-
-def _interleave(pieces: Sequence[PackedPoints]) -> Iterator[memoryview]:
-    """Yield the records of some pieces, block after block."""
-    if len(pieces) == 1:
-        yield pieces[0].to_records().reshape(-1).view(np.uint8).data
-        return
-    records = np.concatenate([piece.to_records() for piece in pieces])
-    counts = np.concatenate([piece.counts for piece in pieces])
-    order = np.argsort(np.concatenate([piece.keys for piece in pieces]), kind="stable")
-    sizes = counts[order]
-    ends = np.cumsum(sizes)
-    moves = (np.cumsum(counts) - counts)[order] - (ends - sizes)  # from where a block's come
-    for start in range(0, len(records), _ROWS_AT_ONCE):
-        stop = min(start + _ROWS_AT_ONCE, len(records))
-        first, last = np.searchsorted(ends, (start, stop - 1), "right")
-        runs = slice(first, last + 1)
-        within = np.diff(np.clip(ends[runs], None, stop), prepend=start)
-        rows = np.repeat(moves[runs], within) + np.arange(start, stop)
-        yield records.take(rows, axis=0).reshape(-1).view(np.uint8).data
 
 
 def write_index(

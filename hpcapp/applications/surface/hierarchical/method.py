@@ -21,8 +21,7 @@ from hpcapp.applications.surface.hierarchical.estimates import Scale, choose_sca
 from hpcapp.applications.surface.hierarchical.growth import mesh_regions
 from hpcapp.applications.surface.hierarchical.slabs import mesh_slabs
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
-from hpcapp.applications.surface.method import Advance
-from hpcapp.applications.surface.sizes import LARGE_TILE, MARGIN, TILE_POINTS, TILES_EACH
+from hpcapp.applications.surface.method import LARGE_TILE, MARGIN, TILE_POINTS, TILES_EACH, Advance
 from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from hpcapp.applications.surface.method import MARGIN
 from hpcapp.applications.surface.options import check_options, option
-from hpcapp.applications.surface.sizes import MARGIN
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.method import Method, Resources

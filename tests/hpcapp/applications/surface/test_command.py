@@ -8,14 +8,15 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from hpcapp.applications.surface.command import info, reconstruct, simulate
+from hpcapp.applications.points.command import convert, info
+from hpcapp.applications.surface.command import reconstruct, simulate
 from hpcapp.applications.surface.job import JobSettings
 from hpcapp.applications.surface.methods import METHODS, find_method
 from hpcapp.applications.surface.options import option_names
 from hpccomponent.errors import UsageError
 
 
-@pytest.mark.parametrize("command", [reconstruct, simulate, info])
+@pytest.mark.parametrize("command", [reconstruct, simulate, info, convert])
 def test_every_option_is_explained(command: click.Command) -> None:
     for parameter in command.params:
         if isinstance(parameter, click.Option):

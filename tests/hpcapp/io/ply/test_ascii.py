@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hpcapp.io.formats import open_points, read_mesh, read_points
+from hpcapp.io.ply.points import open_ply
+from hpcapp.io.points.point_source import read_whole
 from hpccomponent.errors import InputError
 
 Make = Callable[..., Path]
@@ -34,7 +36,7 @@ def test_decimal_numbers_come_back_exactly(make_ply: Make, points: np.ndarray) -
     points = np.vstack([points, [[5.0, 5.0, 5.0], [-5.0, -5.0, -5.0]]])  # wide: no origin
     body = "\n".join(" ".join(map(repr, row)) for row in points.tolist())
     path = make_ply("ascii", f"element vertex {len(points)}\n{XYZ}", body)
-    assert (read_points(path).positions == points).all()
+    assert (read_whole(open_ply(path)).positions == points).all()
 
 
 def test_nan_and_infinity_are_read(make_ply: Make) -> None:

@@ -13,7 +13,7 @@ from disk_clouds import DiskCloudWriter
 from hpccomponent.errors import JobError, OutputError
 from hpccomponent.surface.cloud import disk as disk_cloud
 from hpccomponent.surface.cloud.arranged import MemoryCloud, arrange_cloud, replace_points
-from hpccomponent.surface.cloud.arrangement import pack_points
+from hpccomponent.surface.cloud.arrangement import interleave, pack_points
 from hpccomponent.surface.cloud.disk import (
     DiskCloud,
     Part,
@@ -141,11 +141,8 @@ def test_an_index_may_leave_out_blocks_of_parts_elsewhere(
 
 
 @pytest.mark.parametrize("at_once", [1, 7, 1_000, 1 << 16])
-def test_a_part_is_the_same_in_pieces(
-    tmp_path: Path, memory: MemoryCloud, at_once: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_part_is_the_same_in_pieces(tmp_path: Path, memory: MemoryCloud, at_once: int) -> None:
     """Blocks hold the points of one piece after those of another."""
-    monkeypatch.setattr("hpccomponent.surface.cloud.disk._ROWS_AT_ONCE", at_once)
     scan = _scan()
     assert scan.normals is not None
     arrangement = memory.arrangement
@@ -159,6 +156,7 @@ def test_a_part_is_the_same_in_pieces(
     assert counts.tolist() == whole.counts.tolist()
     written = (tmp_path / "points.0").read_bytes()
     assert written[:-24] == whole.to_records().tobytes()  # the last record is a checksum
+    assert b"".join(interleave(packed, at_once)) == written[:-24]
     assert [len(column) for column in write_part(tmp_path, 1, [])] == [0, 0]
     assert not (tmp_path / "points.1").exists()
 

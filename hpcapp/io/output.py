@@ -1,4 +1,4 @@
-"""Where a mesh goes: a file or the standard output."""
+"""Where a result goes: a file or the standard output."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Literal
 
-from hpcapp.io import check_writable
+from hpcapp.io.formats import check_writable
 from hpccomponent.errors import OutputError
 from hpccomponent.files.held_folders import temporary_folder
 

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.input.info import describe, describe_file
+from hpcapp.applications.points.info import describe, describe_file
 from hpcapp.io import open_points
 from hpccomponent.surface.types.points import PointCloud
 

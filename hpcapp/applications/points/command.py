@@ -1,0 +1,129 @@
+"""The verbs of point clouds: ``info`` and ``convert``.
+
+This module is imported for every ``--help``: numpy and all that stands on it are imported inside.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from hpcapp.io import PointSource
+
+__all__ = ["INPUTS", "SAMPLE", "convert", "info"]
+
+log = logging.getLogger("hpcapp")
+
+_LONGEST = 120  # characters of a coordinate system that are shown to people
+INPUTS = click.argument("points", nargs=-1, required=True, type=click.Path(dir_okay=False))
+SAMPLE = click.option(
+    "--sample",
+    type=click.IntRange(10),
+    metavar="N",
+    help="POINTS is a mesh: take N points on its faces in place of its vertices.",
+)
+
+
+@click.command()
+@INPUTS
+@SAMPLE
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+@click.option(
+    "--png",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Draw the points into a picture.",
+)
+def info(points: tuple[str, ...], sample: int | None, as_json: bool, png: Path | None) -> None:
+    """Print what the point clouds POINTS hold, and what of it was taken for what."""
+    from hpcapp.applications.points.info import describe_file
+    from hpcapp.applications.points.thumbnail import write_thumbnail
+    from hpcapp.io import open_points
+    from hpcapp.io.points.inputs import gather_points
+    from hpcapp.io.points.point_source import Findings
+
+    with gather_points(points, sample) as path:
+        source = open_points(path)
+        facts, cloud = describe_file(source)
+    shown = points[0] if len(points) == 1 else f"{points[0]} and others"
+    for line in Findings(facts["warnings"], facts["dropped"]).lines():
+        log.warning("warning: %s: %s", shown, line)
+    if png is not None:
+        scanner = source.scans[0].scanner if len(source.scans) == 1 else None
+        write_thumbnail(png, cloud, scanner)
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    width = max(map(len, facts))
+    for name, value in facts.items():
+        click.echo(f"{name.replace('_', ' '):<{width}}  {_readable(value)}")
+
+
+def _readable(value: Any) -> str:
+    """Return a JSON value as people read it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if value is None or (not value and isinstance(value, str | list | dict)):
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return "  ".join(_readable(item) for item in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_readable(item)}" for name, item in value.items())
+    text = str(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
+@click.command()
+@INPUTS
+@SAMPLE
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    metavar="POINTS",
+    help="Point cloud to write: .ply, .las, .laz, .e57, .xyz, .npz and others.",
+)
+def convert(points: tuple[str, ...], sample: int | None, output: str) -> None:
+    """Convert the point clouds POINTS into one file of another format.
+
+    What the output cannot hold is left out, with a warning.
+    """
+    from hpcapp.io import open_points
+    from hpcapp.io.output import open_output
+    from hpcapp.io.ply.joined import write_joined
+    from hpcapp.io.points.inputs import STANDARD_INPUT, find_files, gather_points
+
+    files = [Path(name) for name in find_files(points) if name != STANDARD_INPUT]
+    with (
+        open_output(output, files, "points") as target,
+        gather_points(points, sample) as path,
+    ):
+        source = open_points(path)
+        is_ply = target.suffix.lower() == ".ply"
+        written = write_joined(target, [source]) if is_ply else _write_whole(target, source)
+        for warning in source.findings.lines():
+            log.warning("warning: %s: %s", files[0] if files else "standard input", warning)
+        log.info("%s: %d points", output, written)
+
+
+def _write_whole(target: Path, source: PointSource) -> int:
+    """Write the points of a source that are in memory at once; return how many there are."""
+    import numpy as np
+
+    from hpcapp.io import read_whole, write_points
+    from hpcapp.io.point_writers import POINT_WRITERS
+
+    cloud = read_whole(source)
+    if POINT_WRITERS[target.suffix.lower()].needs_finite:
+        finite = np.flatnonzero(np.isfinite(cloud.positions).all(axis=1))
+        source.findings.drop("not finite", len(cloud) - len(finite))
+        cloud = cloud.take(finite) if len(finite) < len(cloud) else cloud
+    write_points(target, cloud, source.crs, source.unit, source.scans)
+    return len(cloud)

@@ -1,0 +1,139 @@
+"""What travels to a cluster, and what is found out before."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hpcapp.applications.surface import remote
+from hpcapp.applications.surface.command import reconstruct
+from hpcapp.applications.surface.remote_check import check_job
+from hpcapp.io import read_mesh, read_points, write_mesh, write_points
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import PointCloud
+
+
+class Cluster:
+    """Takes a job in a cluster's stead."""
+
+    def __init__(self) -> None:
+        self.suffix = ""
+        self.points = PointCloud(np.empty((0, 3)))
+        self.options: list[str] = []
+
+    def run(
+        self, path: Path, verb: str, points: Path, target: Path, options: Sequence[str]
+    ) -> dict[str, Any]:
+        assert verb == "reconstruct"
+        self.suffix, self.points, self.options = points.suffix, read_points(points), list(options)
+        return {"summary": f"{target}: made on {path}"}
+
+
+@pytest.fixture
+def cluster(monkeypatch: pytest.MonkeyPatch) -> Cluster:
+    made = Cluster()
+    monkeypatch.setattr(remote, "load_cluster_function", lambda name: made.run)
+    return made
+
+
+@pytest.fixture
+def mesh_file(tmp_path: Path) -> Path:
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    write_mesh(tmp_path / "part.stl", Mesh(corners, faces))
+    assert len(read_mesh(tmp_path / "part.stl").faces) == 4
+    return tmp_path / "part.stl"
+
+
+def submit(folder: Path, *words: str | Path) -> None:
+    arguments = [*map(str, words), "-o", str(folder / "m.ply"), "--cluster", "cluster.yaml"]
+    done = CliRunner().invoke(reconstruct, arguments, catch_exceptions=False)
+    assert done.exit_code == 0
+
+
+@pytest.mark.parametrize("suffix", [".laz", ".e57"])
+@pytest.mark.parametrize("is_packed", [False, True])
+def test_what_the_head_may_have_no_library_for_travels_as_ply(
+    tmp_path: Path, sphere: PointCloud, cluster: Cluster, suffix: str, is_packed: bool
+) -> None:
+    path = tmp_path / f"scan{suffix}"
+    write_points(path, sphere)
+    if is_packed:
+        packed = path.with_name(f"{path.name}.gz")
+        packed.write_bytes(gzip.compress(path.read_bytes()))
+        path = packed
+    submit(tmp_path, path)
+    assert cluster.suffix == ".ply"
+    assert np.abs(cluster.points.positions - sphere.positions).max() < 1e-6
+    assert cluster.points.normals is not None
+    assert np.abs(cluster.points.normals - np.asarray(sphere.normals)).max() < 1e-6
+
+
+def test_several_files_travel_as_one(
+    tmp_path: Path, sphere: PointCloud, sphere_file: Path, cluster: Cluster
+) -> None:
+    write_points(tmp_path / "other.xyz", PointCloud(sphere.positions + 3.0, sphere.normals))
+    submit(tmp_path, sphere_file, tmp_path / "oth*.xyz", "--grid", "32")
+    assert len(cluster.points) == 2 * len(sphere)
+    assert cluster.options == ["--grid", "32"]
+
+
+def test_other_files_travel_as_they_are(
+    tmp_path: Path, sphere: PointCloud, cluster: Cluster
+) -> None:
+    write_points(tmp_path / "scan.las", sphere)
+    submit(tmp_path, tmp_path / "scan.las")
+    assert cluster.suffix == ".las"
+
+
+def test_a_mesh_is_sampled_before_it_travels(
+    tmp_path: Path, mesh_file: Path, cluster: Cluster
+) -> None:
+    submit(tmp_path, mesh_file, "--sample", "500")
+    assert len(cluster.points) == 500
+    assert cluster.options == []
+
+
+def test_options_of_points_without_normals_travel(
+    tmp_path: Path, sphere_file: Path, cluster: Cluster
+) -> None:
+    options = ["--normals", "estimate", "--viewpoint", "-1.5,0,1e-9", "--viewpoint", "3,4,5"]
+    submit(tmp_path, sphere_file, *options, "--attributes", "none", "--no-clean")
+    ctx = reconstruct.make_context("reconstruct", ["in.ply", "-o", "m.ply", *cluster.options])
+    assert ctx.params["viewpoints"] == ((-1.5, 0.0, 1e-9), (3.0, 4.0, 5.0))
+    assert ctx.params["normals"] == "estimate"
+    assert ctx.params["attributes"] == "none"
+    assert ctx.params["clean"] is False
+
+
+def test_points_that_will_not_do_are_refused_before_anything_travels(
+    tmp_path: Path, cluster: Cluster
+) -> None:
+    (tmp_path / "bad.ply.gz").write_bytes(gzip.compress(b"ply\nformat"))
+    with pytest.raises(InputError, match=r"bad\.ply\.gz"):
+        submit(tmp_path, tmp_path / "bad.ply.gz")
+    assert not len(cluster.points)
+
+
+def test_a_job_is_checked_with_its_options(
+    tmp_path: Path, sphere_file: Path, mesh_file: Path
+) -> None:
+    def check(points: Path, *options: str) -> None:
+        check_job(tmp_path / "cluster.yaml", points, tmp_path / "m.ply", options)
+
+    packed = tmp_path / "sphere.ply.gz"
+    packed.write_bytes(gzip.compress(sphere_file.read_bytes()))
+    check(sphere_file, "--normals", "estimate", "--viewpoint", "0,0,9")
+    check(packed)
+    check(mesh_file, "--sample", "500")
+    with pytest.raises(UsageError, match="one file of points; join several"):
+        check(sphere_file, str(packed))
+    with pytest.raises(UsageError, match="--json is not for the job"):
+        check(sphere_file, "--json")
