@@ -11,7 +11,7 @@ import numpy as np
 from hpccomponent.errors import InputError, OutputError
 from hpccomponent.surface.cloud.validity import Dropped, select_usable
 from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpccomponent.surface.types.points import BoolArray, FloatArray, PointCloud
 
 __all__ = [
     "FEWEST_POINTS",
@@ -91,7 +91,7 @@ def drop_non_finite(cloud: PointCloud, path: Path) -> PointCloud:
     OutputError
         No point is left.
     """
-    is_finite = np.isfinite(cloud.positions).all(axis=1)
+    is_finite: BoolArray = np.isfinite(cloud.positions).all(axis=1)
     dropped = len(cloud) - int(np.count_nonzero(is_finite))
     if not dropped:
         return cloud
