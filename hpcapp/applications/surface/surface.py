@@ -225,12 +225,9 @@ class PartSurface:
         """
         if (self.plan.box[0] >= low).all() and (self.plan.box[1] <= high).all():
             return 0.0
-        outside = total = 0
-        for part in map(self.load, range(len(self.parts))):
-            own = part.vertices[np.repeat(~part.guests, part.vertex_counts)]
-            outside += _count_outside(own, low, high)
-            total += len(own)
-        return outside / max(1, total)
+        mesh = stream_mesh(self.plan, self.load, self.origin)  # a part has more than it gives
+        outside = sum(_count_outside(block.positions, low, high) for block in mesh.vertices())
+        return outside / max(1, mesh.vertex_count)
 
     def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
         """Return all of it; see `Surface.mesh`."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hpcapp.io.e57.image_file import load_library
 from hpcapp.io.frame import finite_bounds
+from hpcapp.io.points.usable import drop_non_finite
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import OutputError
 from hpccomponent.surface.types.points import PointCloud
@@ -38,13 +39,12 @@ def write_e57(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
     Raises
     ------
     OutputError
-        The file cannot be written, or a coordinate is NaN or infinite.
+        The file cannot be written, or no point has finite coordinates.
     UsageError
         The library that writes it is not installed.
     """
     library = load_library(path)
-    if not np.isfinite(cloud.positions).all():
-        raise OutputError(f"{path}: has NaN or infinite coordinates", "drop those points first")
+    cloud = drop_non_finite(cloud, path)
     with replacing(path) as file:
         target = Path(file.name)
         try:

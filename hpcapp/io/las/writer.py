@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from hpcapp.io.crs import UNIT_CODES, parse_epsg
 from hpcapp.io.frame import finite_bounds
 from hpcapp.io.las.layout import DEGREES_A_STEP
+from hpcapp.io.points.usable import drop_non_finite
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import OutputError, UsageError
 from hpccomponent.surface.types.points import FloatArray, PointCloud
@@ -61,7 +62,7 @@ def write_las(
     Raises
     ------
     OutputError
-        The file cannot be written, or a coordinate is NaN or infinite.
+        The file cannot be written, or no point has finite coordinates.
     UsageError
         The library that writes it is not installed.
 
@@ -71,10 +72,7 @@ def write_las(
     where 32 bits do not suffice, above an extent of 4,000 units.
     """
     laspy = _load_laspy(path)
-    if not np.isfinite(cloud.positions).all():
-        raise OutputError(
-            f"{path}: LAS holds no NaN or infinite coordinates", "drop those points first"
-        )
+    cloud = drop_non_finite(cloud, path)
     header = laspy.LasHeader(version="1.4", point_format=6 if cloud.colours is None else 7)
     header.generating_software = "hpcapp"
     scale, offset = choose_grid(*(c + cloud.origin for c in finite_bounds(cloud.positions)))

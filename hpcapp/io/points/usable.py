@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import numpy as np
 
-from hpccomponent.errors import InputError
+from hpccomponent.errors import InputError, OutputError
 from hpccomponent.surface.cloud.validity import Dropped, select_usable
 from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpccomponent.surface.types.points import BoolArray, FloatArray, PointCloud
 
 __all__ = [
     "FEWEST_POINTS",
     "Dropped",
+    "drop_non_finite",
     "drop_unusable",
     "refuse_degenerate",
     "refuse_line",
     "refuse_too_few",
 ]
+
+log = logging.getLogger("hpcapp")
 
 Parts = Callable[[], Iterable[FloatArray]]
 
@@ -66,6 +71,40 @@ def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[P
     refuse_degenerate(low, high, len(usable), source)
     refuse_line(lambda: [some], lambda: [usable.positions], len(usable), source)
     return usable, dropped
+
+
+def drop_non_finite(cloud: PointCloud, path: Path) -> PointCloud:
+    """Drop points with NaN or infinite coordinates, for a format that holds none.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+    path : Path
+        Of the output: how many are dropped is logged as a warning.
+
+    Returns
+    -------
+    PointCloud
+
+    Raises
+    ------
+    OutputError
+        No point is left.
+    """
+    is_finite: BoolArray = np.isfinite(cloud.positions).all(axis=1)
+    dropped = len(cloud) - int(np.count_nonzero(is_finite))
+    if not dropped:
+        return cloud
+    if dropped == len(cloud):
+        raise OutputError(
+            f"{path}: all points have NaN or infinite coordinates",
+            "check the input with hpcapp info",
+        )
+    kind = path.suffix.lower()
+    log.warning(
+        "warning: %s: dropped %d NaN or infinite points: %s holds none", path, dropped, kind
+    )
+    return cloud.take(is_finite)
 
 
 def refuse_too_few(points: int, dropped: Dropped, source: str) -> None:

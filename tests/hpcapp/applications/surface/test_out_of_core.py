@@ -121,6 +121,32 @@ def test_a_grid_that_makes_one_tile_of_too_many_points_is_refused(
         run_job(JobSettings(scan, str(tmp_path / "mesh.ply"), grid=16), SILENT)
 
 
+def test_an_open_scan_is_doubted_alike_wherever_its_points_are(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """Much of such a mesh lies in bricks without points, which several parts have."""
+    x, y = np.random.default_rng(6).uniform(-1.0, 1.0, (2, 12_000))
+    normals = np.stack([0.6 * x, 0.6 * y, np.ones_like(x)], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    positions = np.stack([x, y, -0.3 * (x * x + y * y)], axis=1)
+    scan, output = tmp_path / "scan.ply", tmp_path / "mesh.ply"
+    write_points(scan, PointCloud(positions, normals))
+    settings = JobSettings(scan, str(output), grid=64)
+    warnings = run_job(settings, SILENT)["warnings"]
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    slack = 2.0 * float((high - low).max()) / 56
+    vertices = read_mesh(output).vertices
+    share = np.mean(((vertices < low - slack) | (vertices > high + slack)).any(axis=1))
+    assert share > 0.1
+    assert len(warnings) == 1
+    assert float(warnings[0].partition(" % of the mesh lies outside")[0]) == pytest.approx(
+        100.0 * share,
+        abs=3.0,  # cleaning makes the box smaller
+    )
+    request.getfixturevalue("small")
+    assert run_job(settings, SILENT)["warnings"] == warnings
+
+
 def test_workers_read_a_cloud_that_memory_would_hold(
     scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

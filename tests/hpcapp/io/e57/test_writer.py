@@ -82,6 +82,19 @@ def test_coordinates_that_are_no_numbers(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_points_that_are_no_numbers_are_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """An organised cloud has NaN where nothing came back."""
+    positions = np.array([[1, 2, 3], [np.nan] * 3, [4, 5, 6], [7, np.inf, 8]])
+    cloud = PointCloud(positions, attributes={"intensity": np.arange(4, dtype=np.uint16)})
+    write_points(tmp_path / "a.e57", cloud)
+    again = read_points(tmp_path / "a.e57")
+    np.testing.assert_allclose(again.positions + again.origin, positions[[0, 2]], atol=1e-6)
+    assert again.attributes["intensity"].tolist() == [0, 2]
+    assert "dropped 2 NaN or infinite points" in caplog.text
+
+
 def test_no_folder(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="create the folder"):
         write_points(tmp_path / "none" / "a.e57", PointCloud(np.zeros((1, 3))))

@@ -163,6 +163,19 @@ def test_coordinates_that_are_no_numbers(tmp_path: Path, value: float) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_points_that_are_no_numbers_are_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """An organised cloud has NaN where nothing came back."""
+    positions = np.array([[1, 2, 3], [np.nan] * 3, [4, 5, 6], [7, np.inf, 8]])
+    cloud = PointCloud(positions, attributes={"intensity": np.arange(4, dtype=np.uint16)})
+    write_points(tmp_path / "a.las", cloud)
+    again = read_points(tmp_path / "a.las")
+    np.testing.assert_allclose(again.positions + again.origin, positions[[0, 2]], atol=1e-6)
+    assert again.attributes["intensity"].tolist() == [0, 2]
+    assert "dropped 2 NaN or infinite points" in caplog.text
+
+
 def test_far_from_zero(tmp_path: Path, cloud: PointCloud) -> None:
     far = PointCloud(cloud.positions, origin=np.array([5e5, 5.4e6, 0.0]))
     write_points(tmp_path / "A.LAZ", far)
