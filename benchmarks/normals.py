@@ -56,7 +56,7 @@ def measure(path: Path, with_peer: bool) -> list[Any]:
 
 def measure_peer(positions: FloatArray, normals: FloatArray) -> list[Any]:
     """Return what Open3D's normals come to."""
-    import open3d  # type: ignore[import-not-found]
+    import open3d
 
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(positions))
     start = time.process_time()

@@ -17,14 +17,16 @@ def _estimate(positions: FloatArray) -> Float32Array:
 
 def _sphere(points: int, seed: int = 0) -> FloatArray:
     arms = np.random.default_rng(seed).normal(size=(points, 3))
-    return arms / np.linalg.norm(arms, axis=1, keepdims=True)
+    units: FloatArray = arms / np.linalg.norm(arms, axis=1, keepdims=True)
+    return units
 
 
 def _angles(vectors: Float32Array, truth: FloatArray) -> FloatArray:
     """Return the angles between two directions up to their signs, in degrees."""
     units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     cosines = np.abs(np.einsum("ij,ij->i", units, truth))
-    return np.degrees(np.arccos(np.minimum(cosines, 1.0)))
+    angles: FloatArray = np.degrees(np.arccos(np.minimum(cosines, 1.0)))
+    return angles
 
 
 @pytest.mark.parametrize(("noise", "most"), [(0.0, 1.5), (0.01, 6.0), (0.03, 12.0)])
