@@ -38,8 +38,6 @@ class PointWriter:
         Tells whether it holds a unit, given the coordinate reference system, too.
     holds_scanners : bool
         Whether it holds where the scanners stood.
-    needs_finite : bool
-        Whether it refuses coordinates that are NaN or infinite.
     """
 
     write: Write
@@ -47,7 +45,6 @@ class PointWriter:
     holds_crs: Callable[[str], bool] = lambda _: False
     holds_unit: Callable[[str, str | None], bool] = lambda *_: False
     holds_scanners: bool = False
-    needs_finite: bool = False
 
     def find_losses(
         self, cloud: PointCloud, crs: str | None, unit: str | None, scans: Sequence[Scan]
@@ -108,14 +105,12 @@ _LAS = PointWriter(
     lambda path, cloud, crs, unit, _: write_las(path, cloud, crs, unit),
     holds_crs=_is_in_las,
     holds_unit=_is_unit_in_las,
-    needs_finite=True,
 )
 _E57 = PointWriter(
     lambda path, cloud, crs, *_: write_e57(path, cloud, crs),
     choose_attributes=lambda _: ("intensity",),
     holds_crs=_is_wkt,
     holds_unit=lambda unit, _: unit == "m",
-    needs_finite=True,
 )
 _NPZ = PointWriter(lambda path, cloud, *_: write_npz_points(path, cloud))
 

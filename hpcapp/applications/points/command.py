@@ -115,15 +115,8 @@ def convert(points: tuple[str, ...], sample: int | None, output: str) -> None:
 
 def _write_whole(target: Path, source: PointSource) -> int:
     """Write the points of a source that are in memory at once; return how many there are."""
-    import numpy as np
-
     from hpcapp.io import read_whole, write_points
-    from hpcapp.io.point_writers import POINT_WRITERS
 
     cloud = read_whole(source)
-    if POINT_WRITERS[target.suffix.lower()].needs_finite:
-        finite = np.flatnonzero(np.isfinite(cloud.positions).all(axis=1))
-        source.findings.drop("not finite", len(cloud) - len(finite))
-        cloud = cloud.take(finite) if len(finite) < len(cloud) else cloud
     write_points(target, cloud, source.crs, source.unit, source.scans)
     return len(cloud)

@@ -91,7 +91,8 @@ def drop_non_finite(cloud: PointCloud, path: Path) -> PointCloud:
     OutputError
         No point is left.
     """
-    is_finite: BoolArray = np.isfinite(cloud.positions).all(axis=1)
+    columns = [np.isfinite(column) for column in cloud.positions.T]
+    is_finite: BoolArray = np.logical_and.reduce(columns)
     dropped = len(cloud) - int(np.count_nonzero(is_finite))
     if not dropped:
         return cloud

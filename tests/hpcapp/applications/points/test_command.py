@@ -66,7 +66,7 @@ def test_missing_returns_stay_out_of_formats_that_have_none(
     write_points(tmp_path / "a.npz", PointCloud(positions))
     run(tmp_path / "a.npz", "-o", tmp_path / name)
     assert len(read_points(tmp_path / name)) == 38
-    assert "dropped 2 points: not finite" in caplog.text
+    assert "dropped 2 NaN or infinite points" in caplog.text
 
 
 def test_several_files_become_one(scan: Path, tmp_path: Path) -> None:
