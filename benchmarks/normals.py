@@ -39,7 +39,7 @@ def measure(path: Path, with_peer: bool) -> list[Any]:
     if scan.normals is None:
         raise SystemExit(f"{path} has no normals to compare with")
     start = time.process_time()
-    found, oriented = orient_cloud(PointCloud(scan.positions, origin=scan.origin), None)
+    found, oriented = orient_cloud(PointCloud(scan.positions, origin=scan.origin), None, True)
     spent = time.process_time() - start
     assert found.normals is not None
     is_sure = found.attributes["confidence"] >= np.float32(0.3)

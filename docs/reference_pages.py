@@ -136,7 +136,7 @@ def describe_benchmarks(folder: Path) -> Iterator[str]:
         yield f"```text\n{result['command']}\n```\n"
         yield f"Commit: {result['commit']}. Machine: {result['machine']}.\n"
         yield f"| {' | '.join(result['columns'])} |\n|{'---|' * len(result['columns'])}"
-        yield from (f"| {' | '.join(row)} |" for row in result["rows"])
+        yield from (f"| {' | '.join(map(str, row))} |" for row in result["rows"])
         yield ""
         yield from (f"- {note}" for note in result["notes"])
         yield ""

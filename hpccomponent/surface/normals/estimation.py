@@ -17,8 +17,8 @@ from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArra
 
 __all__ = ["MARGIN", "estimate_normals", "keep_directions"]
 
-_COUNTS = (8, 12, 17, 24)
-_MORE_COUNTS = (24, 34, 48, 68, 96)
+_COUNTS = (8, 12, 17, 24, 34)
+_MORE_COUNTS = (34, 48, 68, 96)
 _NOISE_COUNT = 1  # which of them the noise is judged by
 _LEAST = 4  # neighbours that a plane is fitted to
 _REACH = 12.0  # spacings: farther points are no neighbours
@@ -57,7 +57,7 @@ def estimate_normals(
 
     Notes
     -----
-    Planes are fitted to the 8, 12, 17 and 24 nearest points; to 34, 48, 68 and 96 where the
+    Planes are fitted to the 8, 12, 17, 24 and 34 nearest points; to 48, 68 and 96 where the
     largest of these is the best. One through k points within the
     radius r, which s is the residual of, is expected to be wrong by
 
