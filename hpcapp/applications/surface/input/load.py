@@ -101,7 +101,7 @@ class Loaded:
             (dropped.bad_normals, "dropped %d points whose normal is zero, NaN or Inf"),
             (cleaned.repeated, "dropped %d points at the place of another"),
             (cleaned.outliers, "dropped %d outliers"),
-            (cleaned.flipped, "turned %d wrong normals round"),
+            (cleaned.flipped, "flipped %d inconsistent normals"),
         ):
             if count:
                 log.warning(f"%s: {what}", shown, count)
@@ -220,7 +220,7 @@ def arrange_usable(
 def clean_points(
     settings: Settings, cloud: MemoryCloud, before: Cleaned, clock: StageClock
 ) -> tuple[MemoryCloud, Cleaned]:
-    """Drop outliers and turn wrong normals round, where that is wanted.
+    """Drop outliers and flip inconsistent normals, where that is wanted.
 
     Parameters
     ----------
