@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -136,7 +137,7 @@ def _measure(finite: FloatArray, origin: FloatArray) -> dict[str, Any]:
     return {
         "bounds": [(low + origin).tolist(), (high + origin).tolist()],
         "extent": (high - low).tolist(),
-        "diagonal": float(np.linalg.norm(high - low)),
+        "diagonal": math.hypot(*(high - low)),
     }
 
 

@@ -257,7 +257,8 @@ def _is_far_from_origin(positions: FloatArray) -> bool:
         return False
     low, high = bound_points(positions)
     away = np.maximum(np.maximum(low, -high), 0)
-    return bool(np.linalg.norm(away) > np.linalg.norm(high - low) > 0)
+    with np.errstate(over="ignore"):  # beyond all numbers: not far
+        return bool(math.hypot(*away) > math.hypot(*(high - low)) > 0)
 
 
 def _name_missing(place: FloatArray) -> str:
@@ -274,7 +275,8 @@ def _name_missing(place: FloatArray) -> str:
 def _sum_coordinates(positions: FloatArray) -> FloatArray:
     """Return a number of each point that is another where the point is another, but for chance."""
     x, y, z = positions.T
-    sums: FloatArray = x + math.pi * y + math.e * z
+    with np.errstate(over="ignore", invalid="ignore"):  # then some points count as one
+        sums: FloatArray = x + math.pi * y + math.e * z
     return sums
 
 
@@ -321,7 +323,7 @@ def _fit_surface(positions: FloatArray, normals: FloatArray) -> bool:
     if len(rows) < _FEWEST_TO_DOUBT:
         return True
     rows = rows[:: -(-len(rows) // _TREE_ROWS)]  # scan lines of a file's order are broken up
-    places = positions[rows]
+    places = _scale_to_box(positions[rows])
     _, near = cKDTree(places).query(places, k=min(_NEIGHBOURS, len(rows)))
     arms = places[near] - places[near].mean(axis=1, keepdims=True)
     squares, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", arms, arms))
@@ -329,6 +331,14 @@ def _fit_surface(positions: FloatArray, normals: FloatArray) -> bool:
     units = normals[rows] / np.linalg.norm(normals[rows], axis=1, keepdims=True)
     cosines = np.abs(np.einsum("ni,ni->n", units, vectors[:, :, 0]))[is_plane]
     return not len(cosines) or bool(np.median(cosines) > _AGREEMENT)
+
+
+def _scale_to_box(positions: FloatArray) -> FloatArray:
+    """Return points in a box of about unit size: squares of any distance stay in range."""
+    low, high = positions.min(axis=0) / 2, positions.max(axis=0) / 2
+    half = float((high - low).max())  # halves: the whole may be beyond all numbers
+    scaled: FloatArray = (positions / 2 - low) / half if half > 0 else positions * 0.0
+    return scaled
 
 
 def _judge_scale(colours: NDArray[Any], findings: Findings) -> ColourScale | None:

@@ -390,3 +390,14 @@ def test_a_source_without_normals_has_none_to_judge() -> None:
     source = recognise(replace(make_source(TORUS), has_normals=False))
     assert not source.has_normals
     assert not source.findings.warnings
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-9, 1.0, 1e9, 1e300])
+def test_normals_of_one_octant_are_judged_by_the_surface_at_any_scale(scale: float) -> None:
+    directions = np.abs(np.random.default_rng(0).normal(size=(POINTS, 3)))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    kept = read(recognise(make_source(scale * directions, directions)))
+    assert kept.normals is not None
+    np.testing.assert_array_equal(kept.normals, directions)
+    off = read(recognise(make_source(scale * directions, directions[::-1].copy())))
+    assert off.normals is None
