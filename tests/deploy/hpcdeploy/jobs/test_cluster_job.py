@@ -200,7 +200,7 @@ def test_what_cannot_be_is_one_line_and_no_job(cluster: Place) -> None:
         ((*SUBMIT, "m.ply", "--", "--delta", "0"), 2, "--delta means nothing to --method hier"),
         ((*SUBMIT, "m.ply", "--", "-o", "x.ply"), 2, "--output is not for the job on the head"),
         ((*SUBMIT, "m.ply", "--", "--json"), 2, "--json is not for the job on the head"),
-        ((*SUBMIT, "m.ply", "--", "more"), 2, "unexpected extra argument (more)"),
+        ((*SUBMIT, "m.ply", "--", "more"), 2, "submit takes one file of points"),
         ((*SUBMIT, "-"), 2, "-o - names no file"),
         ((*SUBMIT, "m.xyz"), 2, "a mesh is written to .ply"),
         ((*SUBMIT, "nowhere/m.ply"), 2, "create the folder"),
