@@ -28,6 +28,7 @@ from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
+    "STANDARD_INPUT",
     "check_writable",
     "describe_losses",
     "open_points",
@@ -41,7 +42,8 @@ log = logging.getLogger("hpcapp")
 
 Chosen = TypeVar("Chosen")
 
-_STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
+STANDARD_INPUT = ("-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
+"""Its names."""
 
 _MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".ply": read_ply_mesh,
@@ -123,7 +125,7 @@ def open_points(path: str | PathLike[str]) -> PointSource:
     UsageError
         The suffix is unknown.
     """
-    if os.fspath(path) in _STANDARD_INPUT:
+    if os.fspath(path) in STANDARD_INPUT:
         raise UsageError(
             f"{path}: points are not read from the standard input", "write them to a file first"
         )

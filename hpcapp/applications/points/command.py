@@ -98,9 +98,9 @@ def convert(points: tuple[str, ...], sample: int | None, output: str) -> None:
     from hpcapp.io import open_points
     from hpcapp.io.output import open_output
     from hpcapp.io.ply.joined import write_joined
-    from hpcapp.io.points.inputs import STANDARD_INPUT, find_files, gather_points
+    from hpcapp.io.points.inputs import find_paths, gather_points
 
-    files = [Path(name) for name in find_files(points) if name != STANDARD_INPUT]
+    files = find_paths(points)
     with (
         open_output(output, files, "points") as target,
         gather_points(points, sample) as path,

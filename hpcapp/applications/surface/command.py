@@ -289,7 +289,7 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         from hpcapp.applications.surface.job import run_job  # while the machines start
         from hpcapp.applications.surface.memory import parse_limit
         from hpcapp.applications.surface.settings import JobSettings
-        from hpcapp.io.points.inputs import STANDARD_INPUT, find_files, gather_points
+        from hpcapp.io.points.inputs import find_paths, gather_points
         from hpcapp.progress_display import open_events, open_progress
 
         if options["max_memory"] is not None:
@@ -299,7 +299,7 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         method = find_method(options.pop("method"))
         chosen = {name: own[name] for name in option_names(method)}
         names, sample = options.pop("points"), options.pop("sample")
-        files = tuple(Path(name) for name in find_files(names) if name != STANDARD_INPUT)
+        files = find_paths(names)
         if options["resume"] and not files:
             raise UsageError("--resume needs a file to know again", "write the points to a file")
         with (

@@ -10,7 +10,7 @@ import click
 from hpcapp.backends.cluster_jobs import load_cluster_function
 from hpcapp.io import drop_unusable, read_points
 from hpcapp.io.output import open_output
-from hpcapp.io.points.inputs import STANDARD_INPUT, find_files, gather_points
+from hpcapp.io.points.inputs import find_paths, gather_points
 from hpccomponent.errors import UsageError
 
 __all__ = ["OF_THIS_MACHINE", "check_points", "run_on_cluster"]
@@ -64,7 +64,7 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
             "--events means nothing to a cluster file", "its jobs keep their events by themselves"
         )
     run = load_cluster_function("run")
-    files = [Path(name) for name in find_files(names) if name != STANDARD_INPUT]
+    files = find_paths(names)
     with (
         open_output(ctx.params["output"], files) as target,
         gather_points(names, ctx.params["sample"], goes_elsewhere=True) as points,

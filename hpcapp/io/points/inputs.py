@@ -24,7 +24,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from hpcapp.io.formats import open_points, read_mesh
+from hpcapp.io.formats import STANDARD_INPUT, open_points, read_mesh
 from hpcapp.io.ply.joined import write_joined
 from hpcapp.io.points.mesh_points import sample_faces, slice_cloud
 from hpcapp.io.points.point_source import PointSource, translated
@@ -32,12 +32,11 @@ from hpcapp.io.points.registry import find_point_format
 from hpccomponent.errors import HpcError, InputError, UsageError
 from hpccomponent.files.held_folders import temporary_folder
 
-__all__ = ["STANDARD_INPUT", "find_files", "gather_points"]
+__all__ = ["find_files", "find_paths", "gather_points"]
 
 log = logging.getLogger("hpcapp")
 
-STANDARD_INPUT = "-"
-_ALSO_STANDARD = ("/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
+_PIPED = "-"
 _COMPRESSED = ".gz"
 _MAGIC = (
     (b"ply", ".ply"), (b"LASF", ".las"), (b"ASTM-E57", ".e57"), (b"\x93NUMPY", ".npy"),
@@ -119,7 +118,7 @@ def find_files(names: Sequence[str]) -> list[str]:
     """
     files: list[str] = []
     for named in names:
-        name = STANDARD_INPUT if named in _ALSO_STANDARD else named
+        name = _PIPED if named in STANDARD_INPUT else named
         if not glob.has_magic(name) or Path(name).exists():
             files.append(name)
             continue
@@ -127,13 +126,33 @@ def find_files(names: Sequence[str]) -> list[str]:
         if not found:
             raise InputError(f"{name}: no file fits", "check the pattern")
         files += found
-    if STANDARD_INPUT in files and len(files) > 1:
+    if _PIPED in files and len(files) > 1:
         raise UsageError("- reads the standard input, and stands alone", "give files, or -")
     return files
 
 
+def find_paths(names: Sequence[str]) -> tuple[Path, ...]:
+    """Return the files that a user has named, without the standard input.
+
+    Parameters
+    ----------
+    names : sequence of str
+
+    Returns
+    -------
+    tuple of Path
+        None where the standard input is named.
+
+    Raises
+    ------
+    InputError, UsageError
+        See `find_files`.
+    """
+    return tuple(Path(name) for name in find_files(names) if name != _PIPED)
+
+
 def _is_packed(file: str) -> bool:
-    return file == STANDARD_INPUT or Path(file).suffix.lower() == _COMPRESSED
+    return file == _PIPED or Path(file).suffix.lower() == _COMPRESSED
 
 
 def _is_special(file: str | Path) -> bool:
@@ -153,12 +172,12 @@ def _unpack(file: str, folder: Path) -> Path:
     """Write what is packed in a file, or comes by the standard input, into a folder."""
     path = folder / "unpacked"
     with path.open("wb") as target:
-        if file == STANDARD_INPUT:
+        if file == _PIPED:
             shutil.copyfileobj(sys.stdin.buffer, target)
         else:
             with translated(Path(file)), open(file, "rb") as packed:
                 _decompress(packed, target, file)
-    inner = "" if file == STANDARD_INPUT else Path(Path(file).stem).suffix
+    inner = "" if file == _PIPED else Path(Path(file).stem).suffix
     suffix = inner or _guess_suffix(path)
     if not suffix:
         raise InputError(f"{_name(file)} is empty", "check what it was made of")
@@ -175,7 +194,7 @@ def _guess_suffix(path: Path) -> str:
 
 
 def _name(file: str) -> str:
-    return "the standard input" if file == STANDARD_INPUT else file
+    return "the standard input" if file == _PIPED else file
 
 
 def _decompress(packed: BinaryIO, target: BinaryIO, file: str) -> None:
