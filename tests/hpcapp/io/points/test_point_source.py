@@ -208,6 +208,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["points", "faces"])
 def test_memory_does_not_grow_with_the_file(make_ply: Make, where: str) -> None:
     """Neither for the points, nor for a mesh's faces behind them, whose lists are counted."""

@@ -103,6 +103,7 @@ def _sheets(random: np.random.Generator) -> FloatArray:
     return np.concatenate([plane, lattice, lattice[:100], random.uniform(-1, 1, (60, 3))])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers_see", [True, False])
 @pytest.mark.parametrize("what", ["knot", "sheets", "given"])
 def test_regions_give_the_normals_of_the_whole(
