@@ -46,6 +46,7 @@ class LineProgress:
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._stage = ""
+        self._start = 0.0
         self._next_line = 0.0
 
     def begin(self, stage: str) -> None:
@@ -55,8 +56,8 @@ class LineProgress:
         ----------
         stage : str
         """
-        self._stage = stage
-        self._next_line = time.monotonic() + LINE_PERIOD_S
+        self._stage, self._start = stage, time.monotonic()
+        self._next_line = self._start + LINE_PERIOD_S
 
     def advance(self, done: int, total: int) -> None:
         """Write a line where `LINE_PERIOD_S` have passed since the last.
@@ -66,9 +67,12 @@ class LineProgress:
         done, total : int
             Parts of the current stage.
         """
-        if time.monotonic() >= self._next_line:
-            self._next_line = time.monotonic() + LINE_PERIOD_S
-            self._write(f"{self._stage}: {done} of {total}")
+        now = time.monotonic()
+        if now >= self._next_line:
+            self._next_line = now + LINE_PERIOD_S
+            self._write(
+                f"{self._stage}: {done} of {total}{_foresee(done, total, now - self._start)}"
+            )
 
     def end(self, stage: str, seconds: float) -> None:
         """Write how long the stage took.
@@ -86,12 +90,23 @@ class LineProgress:
             self._stream.flush()
 
 
+def _foresee(done: int, total: int, elapsed_s: float) -> str:
+    """Say how fast a stage is and how long it will take, once something is done."""
+    if not done:
+        return ""
+    from hpccomponent.bars import say_rate, say_seconds
+
+    left_s = elapsed_s / done * (total - done)
+    return f", {say_rate(done / elapsed_s)}, {say_seconds(left_s)} left"
+
+
 class BarProgress:
     """One bar per stage, drawn by rich."""
 
     def __init__(self, bars: Bars) -> None:
         self._bars = bars
         self._task: TaskID | None = None
+        self._total = 1
 
     def begin(self, stage: str) -> None:
         """Draw a new bar.
@@ -101,7 +116,7 @@ class BarProgress:
         stage : str
             The bar's label.
         """
-        self._task = self._bars.add_task(stage, total=None)
+        self._task, self._total = self._bars.add_task(stage, total=None), 1
 
     def advance(self, done: int, total: int) -> None:
         """Move the bar.
@@ -112,6 +127,7 @@ class BarProgress:
             Parts of the current stage.
         """
         if self._task is not None:
+            self._total = total
             self._bars.update(self._task, completed=done, total=total)
 
     def end(self, stage: str, seconds: float) -> None:
@@ -124,7 +140,7 @@ class BarProgress:
         """
         del stage, seconds
         if self._task is not None:
-            self._bars.update(self._task, completed=1, total=1)
+            self._bars.update(self._task, completed=self._total, total=self._total)
             self._bars.stop_task(self._task)
 
 
@@ -243,10 +259,7 @@ def open_progress(stream: TextIO) -> Iterator[Progress]:
     if not stream.isatty():
         yield LineProgress(stream)
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bars
+    from hpccomponent.bars import make_bars
 
-    columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
-    with Bars(*columns, console=Console(file=stream)) as bars:
+    with make_bars(stream) as bars:
         yield BarProgress(bars)
