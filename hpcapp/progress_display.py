@@ -10,7 +10,7 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
@@ -84,6 +84,14 @@ class LineProgress:
         """
         self._write(f"{stage}: done in {seconds:.2f} s")
 
+    def show_part(self, load: Callable[[], Any]) -> None:
+        """Show nothing: a part is nothing for a line of text.
+
+        Parameters
+        ----------
+        load : callable
+        """
+
     def _write(self, line: str) -> None:
         with contextlib.suppress(OSError):  # a full or closed stderr must not end the job
             self._stream.write(line + "\n")
@@ -143,6 +151,14 @@ class BarProgress:
             self._bars.update(self._task, completed=self._total, total=self._total)
             self._bars.stop_task(self._task)
 
+    def show_part(self, load: Callable[[], Any]) -> None:
+        """Show nothing: a part is nothing for a bar.
+
+        Parameters
+        ----------
+        load : callable
+        """
+
 
 class EventProgress:
     """Writes each step as a line of JSON, and shows it on another display too.
@@ -193,6 +209,15 @@ class EventProgress:
         """
         self._write({"stage": stage, "seconds": round(seconds, 6)})
         self._display.end(stage, seconds)
+
+    def show_part(self, load: Callable[[], Any]) -> None:
+        """Pass a part on: it is nothing for a line of JSON.
+
+        Parameters
+        ----------
+        load : callable
+        """
+        self._display.show_part(load)
 
     def _write(self, event: dict[str, Any]) -> None:
         with contextlib.suppress(OSError):  # a full disk must not end the job here
