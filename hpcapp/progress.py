@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from time import perf_counter
 from typing import Protocol
 
+from hpcapp.timeline import MASTER, Timeline
+
 __all__ = ["Progress", "SilentProgress", "StageClock"]
 
 
@@ -78,6 +80,13 @@ class StageClock:
     ----------
     progress : Progress
         Where stages are announced.
+    timeline : Timeline, optional
+        Of the job: its stages, and what backends record in it (see `Backend.record`).
+
+    Attributes
+    ----------
+    seconds : dict of str to float
+        How long each stage took that has ended well.
 
     Examples
     --------
@@ -88,9 +97,10 @@ class StageClock:
     ['fit']
     """
 
-    def __init__(self, progress: Progress) -> None:
+    def __init__(self, progress: Progress, timeline: Timeline | None = None) -> None:
         self.progress = progress
         self.seconds: dict[str, float] = {}
+        self.timeline = timeline or Timeline()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -103,7 +113,12 @@ class StageClock:
         """
         self.progress.begin(name)
         start = perf_counter()
-        yield
+        try:
+            yield
+        except BaseException:
+            self.timeline.record(name, MASTER, perf_counter() - start, "failed")
+            raise
         elapsed = perf_counter() - start
+        self.timeline.record(name, MASTER, elapsed)
         self.seconds[name] = self.seconds.get(name, 0.0) + elapsed
         self.progress.end(name, elapsed)

@@ -28,6 +28,7 @@ from hpcapp.communicator.pending import Ledger
 from hpcapp.communicator.policy import AdaptivePolicy, Policy
 from hpcapp.communicator.scheduler import Scheduler
 from hpcapp.communicator.submission import each_traits, make_entry
+from hpcapp.timeline import Timeline
 from hpccomponent.clock import Clock, MonotonicClock
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.protocol.blobs import Blob, make_blob
@@ -159,6 +160,15 @@ class CommunicatorExecutor(Executor):
             "dropped": own["dropped"] + scheduled["dropped"],
             "refused": scheduled["refused"] + self._transport.troubles.total(),
         }
+
+    def record(self, timeline: Timeline) -> None:
+        """Record from now on what becomes of tasks.
+
+        Parameters
+        ----------
+        timeline : Timeline
+        """
+        self._engine.scheduler.recording.timeline = timeline
 
     # -- workers -------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import sys
+from dataclasses import dataclass
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -255,6 +256,12 @@ def _add_method_options(command: click.Command) -> click.Command:
     metavar="FILE",
     help="Write the progress to a file as it comes, one JSON object a line.",
 )
+@click.option(
+    "--trace",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Write when each stage and each task ran, and on which worker, as a Chrome trace.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 @click.pass_context
 def reconstruct(ctx: click.Context, /, **options: Any) -> None:
@@ -264,21 +271,35 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
     """
     check_flags(ctx)
     as_json = options.pop("as_json")
-    events = options.pop("events")
+    watching = Watching(options.pop("events"), options.pop("trace"))
     cluster = options["cluster"]
     if cluster is not None and cluster.suffix != ".json":
         from hpcapp.applications.surface.remote import run_on_cluster
 
         report = run_on_cluster(ctx)
     else:
-        report = _run_here(options, events)
+        report = _run_here(options, watching)
     if as_json:
         click.echo(json.dumps(report))
     else:
         log.info("%s: %s", options["output"], report["summary"])
 
 
-def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class Watching:
+    """How the user wants to watch a job, beside the bars.
+
+    Parameters
+    ----------
+    events, trace : Path or None
+        Files that are written.
+    """
+
+    events: Path | None
+    trace: Path | None
+
+
+def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
     """Run the job with this process as its master."""
     from hpcapp.backends.selection import start_early
 
@@ -291,6 +312,8 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         from hpcapp.applications.surface.settings import JobSettings
         from hpcapp.io.points.inputs import find_paths, gather_points
         from hpcapp.progress_display import open_events, open_progress
+        from hpcapp.timeline import Timeline
+        from hpcapp.trace import open_trace
 
         if options["max_memory"] is not None:
             options["max_memory"] = parse_limit(options["max_memory"])
@@ -302,13 +325,15 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         files = find_paths(names)
         if options["resume"] and not files:
             raise UsageError("--resume needs a file to know again", "write the points to a file")
+        timeline = Timeline()
         with (
             gather_points(names, sample) as points,
+            open_trace(watching.trace, timeline),
             open_progress(sys.stderr) as display,
-            open_events(events, display) as progress,
+            open_events(watching.events, display) as progress,
         ):
             settings = JobSettings(method=method(**chosen), points=points, inputs=files, **options)
-            return run_job(settings, progress, machines)
+            return run_job(settings, progress, machines, timeline)
 
 
 @click.command()

@@ -30,6 +30,7 @@ from hpcapp.backends.selection import Backend
 from hpcapp.io import describe_losses
 from hpcapp.io.output import open_output
 from hpcapp.progress import Progress, StageClock
+from hpcapp.timeline import Timeline
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.freed_memory import keep_memory
 
@@ -47,7 +48,10 @@ LARGE_CLOUD = 2_500_000
 
 
 def run_job(
-    settings: JobSettings, progress: Progress, machines: LocalMachines | None = None
+    settings: JobSettings,
+    progress: Progress,
+    machines: LocalMachines | None = None,
+    timeline: Timeline | None = None,
 ) -> dict[str, Any]:
     """Reconstruct a mesh from file to file.
 
@@ -59,6 +63,8 @@ def run_job(
         Where stages are announced.
     machines : LocalMachines, optional
         What `selection.start_early` has started for the job.
+    timeline : Timeline, optional
+        Of the job, for others to look at; filled here.
 
     Returns
     -------
@@ -70,7 +76,7 @@ def run_job(
     HpcError
         Whatever went wrong; no output is left half written.
     """
-    clock = StageClock(progress)
+    clock = StageClock(progress, timeline)
     if count_most_points(settings.points) >= LARGE_CLOUD:
         keep_memory()
     with open_output(settings.output, settings.files) as target, open_room(settings) as room:
@@ -108,8 +114,9 @@ def _run_in_folder(
     guess = _guess_job(settings)
     with (
         approach_workers(settings, machines=machines) as opener,
-        opener.open(guess) as (backend, choice),
+        opener.open(guess) as (opened, choice),
     ):
+        backend = opened.record(clock.timeline)
         if backend.workforce.in_process and not room.is_needed:
             keeping = None if settings.temp_dir is None else room.keeping
             loaded = load_memory(settings, clock)

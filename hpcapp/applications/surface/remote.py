@@ -15,8 +15,13 @@ from hpccomponent.errors import UsageError
 
 __all__ = ["OF_THIS_MACHINE", "check_points", "run_on_cluster"]
 
-OF_THIS_MACHINE = ("points", "sample", "output", "cluster", "events", "as_json")
+OF_THIS_MACHINE = ("points", "sample", "output", "cluster", "events", "trace", "as_json")
 """What options name here; on the head they are the job's own."""
+
+_FILES = {
+    "events": "its jobs keep their events by themselves",
+    "trace": "give it to 'hpcapp submit' behind --: it lies in the job's folder then",
+}
 
 
 def check_points(points: Path, sample: int | None = None) -> None:
@@ -59,10 +64,9 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
         Whatever went wrong, here or there.
     """
     names, cluster = ctx.params["points"], ctx.params["cluster"]
-    if ctx.params["events"] is not None:
-        raise UsageError(
-            "--events means nothing to a cluster file", "its jobs keep their events by themselves"
-        )
+    for name, instead in _FILES.items():
+        if ctx.params[name] is not None:
+            raise UsageError(f"--{name} means nothing to a cluster file", instead)
     run = load_cluster_function("run")
     files = find_paths(names)
     with (

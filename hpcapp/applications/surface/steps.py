@@ -99,7 +99,8 @@ def run_memory(
     cloud = loaded.cloud
     grid = choose_grid(settings, cloud.low, cloud.high)
     check_memory(settings.method, grid, cloud.points)
-    with opener.open(Job(len(cloud), grid), executor) as (backend, choice):
+    with opener.open(Job(len(cloud), grid), executor) as (opened, choice):
+        backend = opened.record(clock.timeline)
         if keeping and keeping.holds_files and not all_see_folder(Path(keeping.where), backend):
             keeping = replace(keeping, is_shared=False)
         yield run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
