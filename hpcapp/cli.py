@@ -27,6 +27,8 @@ SHIPPED = {
     "simulate": "hpcapp.applications.surface.command:simulate",
     "info": "hpcapp.applications.points.command:info",
     "convert": "hpcapp.applications.points.command:convert",
+    "view": "hpcapp.applications.view.command:view",
+    "compare": "hpcapp.applications.compare.command:compare",
 }
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # What these log is raised too, and said in our words: a user sees it with --debug only.

@@ -7,6 +7,7 @@ renamed. Only this package knows formats; it imports `hpccomponent` and nothing 
 from hpcapp.io.formats import (
     check_writable,
     describe_losses,
+    holds_faces,
     open_points,
     read_mesh,
     read_points,
@@ -28,6 +29,7 @@ __all__ = [
     "check_writable",
     "describe_losses",
     "drop_unusable",
+    "holds_faces",
     "needs_double",
     "open_points",
     "read_mesh",
