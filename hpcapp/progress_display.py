@@ -1,7 +1,8 @@
 """Displays of progress: bars on a terminal, a line now and then elsewhere; always on stderr.
 
 Besides, `open_events` writes what another program may read: one JSON object a line, either
-``{"stage": NAME, "done": N, "total": N}`` or, at its end, ``{"stage": NAME, "seconds": S}``.
+``{"stage": NAME, "done": N, "total": N}`` or, at its end, ``{"stage": NAME, "seconds": S}``;
+before them ``{"dashboard": ADDRESS}`` where the job has a page.
 """
 
 from __future__ import annotations
@@ -169,12 +170,16 @@ class EventProgress:
         Where lines go.
     display : Progress
         The other one.
+    dashboard : str, optional
+        Address of the job's page: the first event.
     """
 
-    def __init__(self, stream: TextIO, display: Progress) -> None:
+    def __init__(self, stream: TextIO, display: Progress, dashboard: str | None = None) -> None:
         self._stream = stream
         self._display = display
         self._stage = ""
+        if dashboard is not None:
+            self._write({"dashboard": dashboard})
 
     def begin(self, stage: str) -> None:
         """Write that nothing is done yet.
@@ -233,7 +238,9 @@ def _open_if_read(name: str, flags: int) -> int:
 
 
 @contextmanager
-def open_events(path: Path | None, display: Progress) -> Iterator[Progress]:
+def open_events(
+    path: Path | None, display: Progress, dashboard: str | None = None
+) -> Iterator[Progress]:
     """Yield a display that writes events to the file `path` as well, if there is one.
 
     Parameters
@@ -242,6 +249,8 @@ def open_events(path: Path | None, display: Progress) -> Iterator[Progress]:
         A file that is written anew, or a pipe that somebody reads.
     display : Progress
         The one that is yielded where there is no file, else shown to as well.
+    dashboard : str, optional
+        Address of the job's page: the first event.
 
     Yields
     ------
@@ -262,7 +271,7 @@ def open_events(path: Path | None, display: Progress) -> Iterator[Progress]:
             f"{path}: cannot be written ({error.strerror})", "give another --events"
         ) from error
     try:
-        yield EventProgress(stream, display)
+        yield EventProgress(stream, display, dashboard)
     finally:
         with contextlib.suppress(OSError):  # what is left to write, likewise
             stream.close()

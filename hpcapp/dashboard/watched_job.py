@@ -83,16 +83,10 @@ class WatchedJob:
         self.lines.append((self._count, line))
 
     @contextmanager
-    def listening(self, name: str) -> Iterator[None]:
-        """Take what a logger says, while the block runs; and in the end how it went.
-
-        Parameters
-        ----------
-        name : str
-            Of the logger.
-        """
+    def running(self) -> Iterator[None]:
+        """Take what the program logs, while the job runs in the block, and how the job ends."""
         handler = _Lines(self)
-        logger = logging.getLogger(name)
+        logger = logging.getLogger("hpcapp")
         logger.addHandler(handler)
         try:
             yield
