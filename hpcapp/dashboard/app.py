@@ -128,7 +128,7 @@ class _Views:
     async def page(self, _request: Request) -> Response:
         """Return the page, whose addresses have the token."""
         nonce = secrets.token_urlsafe(16)
-        imports = {name: self._address(file) for name, file in IMPORTS.items()}
+        imports = {name: "./" + self._address(file) for name, file in IMPORTS.items()}
         page = Template(_read("hpcapp.dashboard", "dashboard.html").decode()).substitute(
             title=escape(self._job.title),
             nonce=nonce,
