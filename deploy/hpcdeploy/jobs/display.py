@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
+from urllib.parse import urlsplit
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-__all__ = ["JobDisplay", "open_display"]
+__all__ = ["ForwardingDisplay", "JobDisplay", "open_display"]
 
 log = logging.getLogger("hpcapp")
 
@@ -34,7 +35,7 @@ class JobDisplay:
         ----------
         event : dict
             ``stage``, and how much of it is ``done`` of ``total``; ``is_bytes`` where that is
-            bytes.
+            bytes; or ``dashboard``, the address of the job's page on the head.
         """
 
     def show_bytes(self, stage: str, done: int, total: int) -> None:
@@ -75,6 +76,48 @@ class BarDisplay(JobDisplay):
             is_bytes = event.get("is_bytes", False)
             self._task = self._bars.add_task(self._stage, total=None, is_bytes=is_bytes)
         self._bars.update(self._task, completed=event["done"], total=event["total"] or None)
+
+
+class ForwardingDisplay(JobDisplay):
+    """Makes the job's page on the head one of this machine, beside another display.
+
+    Parameters
+    ----------
+    display : JobDisplay
+        The other one.
+    forward : callable
+        From a port on the head's loopback to one here that leads there.
+    """
+
+    def __init__(self, display: JobDisplay, forward: Callable[[int], int]) -> None:
+        self._display = display
+        self._forward = forward
+        self.has_page = False
+
+    def show_log(self, line: str) -> None:
+        """Show a line that the job has written.
+
+        Parameters
+        ----------
+        line : str
+        """
+        self._display.show_log(line)
+
+    def show_event(self, event: dict[str, Any]) -> None:
+        """Show how far a stage has come, or where the page is.
+
+        Parameters
+        ----------
+        event : dict
+            As `JobDisplay.show_event` takes it.
+        """
+        if "dashboard" not in event:
+            self._display.show_event(event)
+            return
+        parts = urlsplit(str(event["dashboard"]))
+        port = self._forward(parts.port or 0)
+        log.info("dashboard: http://127.0.0.1:%d/?%s", port, parts.query)
+        self.has_page = True
 
 
 @contextmanager

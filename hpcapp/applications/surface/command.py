@@ -345,7 +345,8 @@ class Watching:
             if address is None:
                 yield progress
                 return
-            log.info("dashboard: %s", address)
+            if self.events is None:  # else whoever reads them shows it
+                log.info("dashboard: %s", address)
             with job.running():
                 yield WatchedProgress(job, progress)
 

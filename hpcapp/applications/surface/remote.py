@@ -15,7 +15,7 @@ from hpccomponent.errors import UsageError
 
 __all__ = ["OF_THIS_MACHINE", "check_points", "run_on_cluster"]
 
-OF_THIS_MACHINE = ("points", "sample", "output", "cluster", "events", "trace", "as_json")
+OF_THIS_MACHINE = ("points", "sample", "output", "cluster", "events", "as_json")
 """What options name here; on the head they are the job's own."""
 
 _FILES = {
