@@ -5,6 +5,7 @@ renamed. Only this package knows formats; it imports `hpccomponent` and nothing 
 """
 
 from hpcapp.io.formats import (
+    MESH_SUFFIXES,
     check_writable,
     describe_losses,
     holds_faces,
@@ -22,6 +23,7 @@ from hpcapp.io.points.point_source import PointSource, read_whole
 from hpcapp.io.points.usable import Dropped, drop_unusable
 
 __all__ = [
+    "MESH_SUFFIXES",
     "TILES_SUFFIX",
     "Dropped",
     "MeshStream",

@@ -18,7 +18,13 @@ import click
 from hpcapp.applications.points.command import INPUTS, SAMPLE
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, METHODS, find_method
-from hpcapp.applications.surface.options import check_exclusive, make_click_options, option_names
+from hpcapp.applications.surface.options import (
+    check_exclusive,
+    make_click_options,
+    option_names,
+    typed_options,
+)
+from hpcapp.applications.view.command import check_page, check_picture
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
 from hpccomponent.errors import UsageError
 
@@ -123,6 +129,8 @@ def check_flags(ctx: click.Context) -> None:
 
         check_backend(ctx.params["backend"])
     parse_attributes(ctx.params["attributes"])
+    check_page(ctx.params["report"], "--report")
+    check_picture(ctx.params["png"], "--png")
     _check_method_options(ctx)
 
 
@@ -262,6 +270,13 @@ def _add_method_options(command: click.Command) -> click.Command:
     metavar="FILE",
     help="Write when each stage and each task ran, and on which worker, as a Chrome trace.",
 )
+@click.option(
+    "--report",
+    type=POINTS,
+    metavar="PAGE",
+    help="Write a page (.html) with the mesh and all that the job decided and did; works offline.",
+)
+@click.option("--png", type=POINTS, metavar="FILE", help="Draw the mesh into a picture.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 @click.pass_context
 def reconstruct(ctx: click.Context, /, **options: Any) -> None:
@@ -278,11 +293,18 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
 
         report = run_on_cluster(ctx)
     else:
+        options["command"] = _command(ctx)
         report = _run_here(options, watching)
     if as_json:
         click.echo(json.dumps(report))
     else:
         log.info("%s: %s", options["output"], report["summary"])
+
+
+def _command(ctx: click.Context) -> tuple[str, ...]:
+    """Return what was typed, to be typed again."""
+    words = typed_options(ctx, ("points", "report", "png", "events", "trace", "as_json"))
+    return ("hpcapp", "reconstruct", *ctx.params["points"], *words)
 
 
 @dataclass(frozen=True, slots=True)

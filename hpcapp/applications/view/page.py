@@ -46,7 +46,7 @@ def read_shown(path: Path) -> Mesh | PointCloud:
     if holds_faces(path):
         return read_mesh(path)
     cloud = read_points(path)
-    finite = np.isfinite(cloud.positions).all(axis=1)
+    finite = np.logical_and.reduce(np.isfinite(cloud.positions), axis=1)
     if not finite.any():
         raise InputError(f"{path}: no point has a finite place", "nothing can be shown")
     return cloud if finite.all() else cloud.take(finite)
@@ -83,7 +83,7 @@ def make_page(
     InputError
         `points` or `report` cannot be used.
     """
-    sections = [] if report is None else describe_job(_read_report(report))
+    sections = [] if report is None else describe_job(_read_report(report), has_mesh=False)
     if isinstance(shown, PointCloud):
         facts = _describe_box(shown.positions, shown.origin)
         names = {"points": len(shown), "colours": shown.colours is not None,
