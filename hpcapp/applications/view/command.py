@@ -136,6 +136,7 @@ def view(
     from hpcapp.applications.view.page import make_page, read_shown
     from hpcapp.pages.page import write_page
     from hpcapp.pages.picture import write_picture
+    from hpcapp.pages.shown_mesh import show_page
 
     shown = read_shown(file)
     if png is not None:
@@ -146,7 +147,8 @@ def view(
     page = make_page(file, shown, points, report, up)
     path = _temporary_page(file) if output is None else output
     write_page(path, page)
-    _open_page(path, is_opened)
+    click.echo(path)
+    show_page(path, is_opened=is_opened)
 
 
 def _temporary_page(file: Path) -> Path:
@@ -154,14 +156,3 @@ def _temporary_page(file: Path) -> Path:
     import tempfile
 
     return Path(tempfile.mkdtemp(prefix="hpcapp-view-")) / f"{file.stem}.html"
-
-
-def _open_page(path: Path, is_opened: bool) -> None:
-    """Print where a page is, and open it."""
-    click.echo(path)
-    if not is_opened:
-        return
-    import webbrowser
-
-    if not webbrowser.open(path.resolve().as_uri()):
-        log.warning("warning: no browser was found: open %s by hand", path)
