@@ -20,7 +20,7 @@ from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.io.meshes.tiles import TILES_SUFFIX, shared_tiles, write_tiles
 from hpcapp.io.ply.format import shared_ply
 from hpcapp.io.points.point_source import PointSource, read_whole
-from hpcapp.io.points.usable import Dropped, drop_unusable
+from hpcapp.io.points.usable import Dropped, drop_unusable, take_finite
 
 __all__ = [
     "MESH_SUFFIXES",
@@ -39,6 +39,7 @@ __all__ = [
     "read_whole",
     "shared_ply",
     "shared_tiles",
+    "take_finite",
     "write_mesh",
     "write_points",
     "write_tiles",

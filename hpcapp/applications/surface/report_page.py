@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from hpcapp.applications.surface.attributes.carrying import SUPPORT, Carrying
-from hpcapp.io import drop_unusable, read_mesh, read_points
+from hpcapp.io import read_mesh, read_points, take_finite
 from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.page import Section, build_page, make_table, write_page
@@ -151,7 +151,7 @@ def show_files(mesh: Path, points: Path) -> Shown:
     """
     whole = read_mesh(mesh)
     thin = thin_mesh(whole)
-    cloud, _ = drop_unusable(replace(read_points(points), normals=None), str(points))
+    cloud = take_finite(read_points(points), str(points))
     cloud = replace(cloud, positions=cloud.positions + (cloud.origin - whole.origin))
     distances: FloatArray = cKDTree(cloud.positions).query(thin.vertices, workers=-1)[0]
     return Shown(thin, len(whole.faces), cloud, distances)
