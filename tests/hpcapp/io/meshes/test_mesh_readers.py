@@ -173,5 +173,5 @@ def test_faces_are_told_from_points(tmp_path: Path, painted: Mesh) -> None:
     (tmp_path / "c.obj").write_text("v 0 0 0\nv 1 1 1\n")
     assert not holds_faces(tmp_path / "c.ply")
     assert not holds_faces(tmp_path / "c.obj")
-    with pytest.raises(InputError, match="no such file|cannot be read"):
+    with pytest.raises(InputError, match="cannot be read"):
         holds_faces(tmp_path / "none.ply")
