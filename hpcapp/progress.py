@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
-from typing import Protocol
+from typing import Any, Protocol
 
 from hpcapp.timeline import MASTER, Timeline
 
@@ -43,6 +43,16 @@ class Progress(Protocol):
         """
         ...
 
+    def show_part(self, load: Callable[[], Any]) -> None:
+        """Announce that a part of the result is there.
+
+        Parameters
+        ----------
+        load : callable
+            Returns it, from any thread, as long as the job runs.
+        """
+        ...
+
 
 class SilentProgress:
     """A display that shows nothing."""
@@ -70,6 +80,14 @@ class SilentProgress:
         ----------
         stage : str
         seconds : float
+        """
+
+    def show_part(self, load: Callable[[], Any]) -> None:
+        """Show nothing.
+
+        Parameters
+        ----------
+        load : callable
         """
 
 

@@ -17,7 +17,15 @@ from concurrent.futures import Future
 from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = ["ANY_WORKER", "MASTER", "Span", "Timeline", "find_worker", "note_worker"]
+__all__ = [
+    "ANY_WORKER",
+    "MASTER",
+    "Span",
+    "Timeline",
+    "WorkerNow",
+    "find_worker",
+    "note_worker",
+]
 
 MASTER = "master"
 """The worker of the master's own stages."""
@@ -55,6 +63,28 @@ class Span:
     bytes_out: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class WorkerNow:
+    """What a worker does at the moment.
+
+    Parameters
+    ----------
+    name : str
+    state : str
+        ``busy``, ``idle``, ``leaving`` (it gets nothing new) or ``retired`` (for the job).
+    task : str
+        What it does, or did last without having answered; empty where it has nothing.
+    """
+
+    name: str
+    state: str
+    task: str = ""
+
+
+def _nobody() -> list[WorkerNow]:
+    return []
+
+
 class Timeline:
     """The spans of one job, in the order in which they ended.
 
@@ -67,6 +97,8 @@ class Timeline:
     ----------
     spans : list of Span
         Grows while the job runs.
+    roster : callable
+        Returns a `WorkerNow` for each worker that the backend knows now; set by the backend.
 
     Examples
     --------
@@ -78,6 +110,7 @@ class Timeline:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.spans: list[Span] = []
+        self.roster: Callable[[], list[WorkerNow]] = _nobody
         self._clock = clock
         self._start = clock()
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import TypeVar
 
-from hpcapp.timeline import ANY_WORKER, Timeline
+from hpcapp.timeline import ANY_WORKER, Timeline, WorkerNow
 
 __all__ = ["RecordedExecutor"]
 
@@ -27,6 +27,8 @@ class RecordedExecutor(Executor):
     def __init__(self, executor: Executor, timeline: Timeline) -> None:
         self._executor = executor
         self._timeline = timeline
+        self._running: dict[str, str] = {}
+        timeline.roster = self._roster
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
         """Have a task run, and recorded.
@@ -41,21 +43,23 @@ class RecordedExecutor(Executor):
         -------
         concurrent.futures.Future
         """
-        submitter = threading.get_ident()
+        submitter, name = threading.get_ident(), getattr(fn, "__name__", repr(fn))
 
         def run() -> T:
             timeline, begin, outcome = self._timeline, self._timeline.now(), "failed"
             is_here = threading.get_ident() == submitter
             worker = ANY_WORKER if is_here else threading.current_thread().name
+            self._running[worker] = name
             try:
                 result = fn(*args, **kwargs)
                 outcome = "done"
                 return result
             finally:
-                timeline.record(_name(fn), worker, timeline.now() - begin, outcome)
+                self._running[worker] = ""
+                timeline.record(name, worker, timeline.now() - begin, outcome)
 
         return self._executor.submit(run)
 
-
-def _name(task: Callable[..., object]) -> str:
-    return getattr(task, "__name__", repr(task))
+    def _roster(self) -> list[WorkerNow]:
+        running = sorted(dict(self._running).items())
+        return [WorkerNow(worker, "busy" if task else "idle", task) for worker, task in running]

@@ -26,6 +26,7 @@ from hpcapp.communicator.listener import Door
 from hpcapp.communicator.loop import Engine, Timing
 from hpcapp.communicator.pending import Ledger
 from hpcapp.communicator.policy import AdaptivePolicy, Policy
+from hpcapp.communicator.recording import list_workers
 from hpcapp.communicator.scheduler import Scheduler
 from hpcapp.communicator.submission import each_traits, make_entry
 from hpcapp.timeline import Timeline
@@ -168,7 +169,9 @@ class CommunicatorExecutor(Executor):
         ----------
         timeline : Timeline
         """
-        self._engine.scheduler.recording.timeline = timeline
+        scheduler = self._engine.scheduler
+        timeline.roster = lambda: list_workers(scheduler.workers)
+        scheduler.recording.timeline = timeline
 
     # -- workers -------------------------------------------------------------------------------
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from hpcapp.communicator.state import Flight, Task, Worker
-from hpcapp.timeline import Timeline
+from hpcapp.timeline import Timeline, WorkerNow
 from hpccomponent.protocol.messages import Register, Result
 
 __all__ = ["Recording"]
@@ -41,7 +43,7 @@ class Recording:
             return
         outcome = "repeated" if task.is_done else "done" if result.failure is None else "failed"
         self.timeline.record(
-            task.name,
+            _function(task),
             worker.machine,
             result.seconds,
             outcome,
@@ -66,7 +68,7 @@ class Recording:
             return
         for task in flight.tasks.values():
             self.timeline.record(
-                task.name,
+                _function(task),
                 worker.machine,
                 at_work_s,
                 "refused" if worker.is_refused else "lost",
@@ -84,3 +86,31 @@ class Recording:
         """
         if self.timeline is not None:
             self.timeline.record("register", register.worker, 0.0, "refused")
+
+
+def list_workers(workers: Mapping[bytes, Worker]) -> list[WorkerNow]:
+    """Return what each worker does at the moment, for any thread to ask.
+
+    Parameters
+    ----------
+    workers : mapping of bytes to Worker
+        The scheduler's own; copied in one step each, since it changes meanwhile.
+
+    Returns
+    -------
+    list of WorkerNow
+    """
+    found = []
+    for worker in list(workers.values()):
+        flights = list(worker.batches.values())
+        tasks = list(flights[0].tasks.values()) if flights else []
+        state = "retired" if worker.is_retired else "leaving" if worker.is_draining else "busy"
+        if state == "busy" and not tasks:
+            state = "idle"
+        found.append(WorkerNow(worker.machine, state, _function(tasks[0]) if tasks else ""))
+    return found
+
+
+def _function(task: Task) -> str:
+    """Return the name of a task's function, as other backends tell it."""
+    return task.name.rpartition(".")[2]

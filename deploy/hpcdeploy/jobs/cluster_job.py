@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpccomponent.errors import CloudError, HpcError, OutputError
-from hpcdeploy.jobs.display import open_display
+from hpcdeploy.jobs.display import ForwardingDisplay, open_display
 from hpcdeploy.jobs.queries import Jobs, open_jobs
 from hpcdeploy.machine.provider import State
 from hpcdeploy.reconcile.cluster import open_cluster
@@ -70,7 +70,7 @@ def run_on_cluster(
             jobs = open_jobs(cluster)
             status = submit(jobs, verb, points, target.name, options)
             try:
-                status = watch(cluster, jobs, status)
+                status = watch(cluster, jobs, status, has_page="--dashboard" in options)
             except (KeyboardInterrupt, CloudError):
                 stays = True
                 if is_ours:
@@ -196,7 +196,7 @@ def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, Any]:
         return jobs.fetch(status, target, partial(display.show_bytes, "fetch"))
 
 
-def watch(cluster: Cluster, jobs: Jobs, status: JobStatus) -> JobStatus:
+def watch(cluster: Cluster, jobs: Jobs, status: JobStatus, *, has_page: bool = False) -> JobStatus:
     """Show a job from its beginning until it has ended; return how.
 
     Parameters
@@ -207,6 +207,8 @@ def watch(cluster: Cluster, jobs: Jobs, status: JobStatus) -> JobStatus:
         Of the cluster.
     status : JobStatus
         Of the job.
+    has_page : bool
+        Whether to lead to its dashboard from here.
 
     Returns
     -------
@@ -223,7 +225,15 @@ def watch(cluster: Cluster, jobs: Jobs, status: JobStatus) -> JobStatus:
     again = f"hpcapp attach {cluster.path} {status.job}"
     try:
         with _replacing_lost(cluster), open_display(sys.stderr) as display:
-            return jobs.follow(status.job, display)
+            if not has_page or status.state.is_over:
+                return jobs.follow(status.job, display)
+            forwarding = ForwardingDisplay(display, jobs.forward)
+            ended = jobs.follow(status.job, forwarding)
+            if not forwarding.has_page:
+                log.warning(
+                    "warning: job %s had no dashboard: submit it with --dashboard", ended.job
+                )
+            return ended
     except KeyboardInterrupt:
         log.info("detached: job %s goes on; %s shows it again, hpcapp cancel %s %s ends it",
                  status.job, again, cluster.path, status.job)  # fmt: skip

@@ -16,9 +16,7 @@ from hpccomponent.errors import UsageError
 
 __all__ = ["OF_THIS_MACHINE", "check_points", "run_on_cluster"]
 
-OF_THIS_MACHINE = (
-    "points", "sample", "output", "cluster", "events", "trace", "report", "png", "as_json",
-)  # fmt: skip
+OF_THIS_MACHINE = ("points", "sample", "output", "cluster", "events", "report", "png", "as_json")
 """What options name here; on the head they are the job's own."""
 
 _FILES = {

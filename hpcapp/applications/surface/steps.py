@@ -136,7 +136,9 @@ def run_loaded(
     workforce, cloud = backend.workforce, loaded.cloud
     threads = choose_threads(workforce, len(cloud))
     tile_points = choose_tile(settings, backend)
-    method = settings.method.open(grid, Resources(threads, tile_points, keeping))
+    method = settings.method.open(
+        grid, Resources(threads, tile_points, keeping, clock.progress.show_part)
+    )
     log.info(
         "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
         settings.method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),

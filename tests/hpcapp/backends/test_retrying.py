@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import threading
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor, as_completed
@@ -227,7 +229,10 @@ def test_as_many_workers_as_the_engine_tells(engines: Engines) -> None:
 
 
 def test_a_worker_with_other_kernels_refuses() -> None:
-    assert run_task(numerics_id(), pow, 2, 3) == 8
+    ran = run_task(numerics_id(), pow, 2, 3)
+    assert ran.value == 8
+    assert ran.worker.startswith(f"{platform.node()}:{os.getpid()}")
+    assert ran.seconds >= 0.0
     with pytest.raises(JobError, match=r"computes with .*, the master with native-other"):
         run_task("native-other", pow, 2, 3)
 

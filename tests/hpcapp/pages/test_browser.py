@@ -14,7 +14,7 @@ import hpcapp
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.page import build_page
 from hpcapp.pages.scene import Field, Marker, Scene, label_field
-from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -61,7 +61,8 @@ def make_cube() -> hpcapp.Mesh:
         np.stack([squares, squares + 9, squares + 10], axis=1),
         np.stack([squares, squares + 10, squares + 1], axis=1),
     ])  # fmt: skip
-    vertices, sides = [], []
+    vertices: list[FloatArray] = []
+    sides: list[IntArray] = []
     for axis in range(3):
         for sign in (-1.0, 1.0):
             side = np.empty((81, 3))

@@ -37,7 +37,12 @@ def test_show_opens_the_page_that_it_has_written(
     temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened: list[str] = []
-    monkeypatch.setattr(webbrowser, "open", lambda uri: opened.append(uri) or True)
+
+    def open_browser(uri: str) -> bool:
+        opened.append(uri)
+        return True
+
+    monkeypatch.setattr(webbrowser, "open", open_browser)
     path = hpcapp.Mesh(CORNERS, FACES).show(PointCloud(CORNERS))
     assert opened == [path.as_uri()]
     assert path.is_relative_to(temporary)

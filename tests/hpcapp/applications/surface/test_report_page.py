@@ -91,7 +91,15 @@ def test_a_page_changes_no_byte_of_the_mesh(capless: Path, tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_tiles_and_workers_can_be_told_apart(capless: Path, tmp_path: Path) -> None:
-    words = [capless, "-o", tmp_path / "m.ply", "--grid", "64", "--report", tmp_path / "r.html"]
+    words: list[str | Path] = [
+        capless,
+        "-o",
+        tmp_path / "m.ply",
+        "--grid",
+        "64",
+        "--report",
+        tmp_path / "r.html",
+    ]
     report = run(*words, "--backend", "zmq", "--workers", "2")
     page = (tmp_path / "r.html").read_text()
     assert report["tiles"] > 1
@@ -107,9 +115,16 @@ def test_points_that_lie_in_a_folder_are_near_too(tmp_path: Path) -> None:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     write_points(tmp_path / "c.ply", PointCloud(normals, normals))
     pages = []
-    for name, more in (("a", []), ("b", ["--temp-dir", tmp_path / "t", "--backend", "processes"])):
+    there: list[str | Path] = ["--temp-dir", tmp_path / "t", "--backend", "processes"]
+    for name, more in (("a", []), ("b", there)):
         page = tmp_path / f"{name}.html"
-        words = [tmp_path / "c.ply", "-o", tmp_path / f"{name}.ply", "--grid", "48"]
+        words: list[str | Path] = [
+            tmp_path / "c.ply",
+            "-o",
+            tmp_path / f"{name}.ply",
+            "--grid",
+            "48",
+        ]
         run(*words, "--report", page, *more)
         pages.append(scene_of(page.read_text()))
     ends = [
