@@ -13,10 +13,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = ["ANY_WORKER", "MASTER", "Span", "Timeline", "WorkerNow"]
+__all__ = [
+    "ANY_WORKER",
+    "MASTER",
+    "Span",
+    "Timeline",
+    "WorkerNow",
+    "find_worker",
+    "note_worker",
+]
 
 MASTER = "master"
 """The worker of the master's own stages."""
@@ -149,3 +158,32 @@ class Timeline:
         for span in spans:
             span["begin"], span["end"] = round(span["begin"], 6), round(span["end"], 6)
         return {"spans": spans}
+
+
+def note_worker(future: Future[Any], worker: str | None) -> None:
+    """Note at a future who has done its task, before it is done.
+
+    Parameters
+    ----------
+    future : concurrent.futures.Future
+    worker : str or None
+        As in the spans; None where it is not known.
+    """
+    vars(future)["worker"] = worker
+
+
+def find_worker(future: Future[Any]) -> str | None:
+    """Return who has done the task of a future.
+
+    Parameters
+    ----------
+    future : concurrent.futures.Future
+        That is done.
+
+    Returns
+    -------
+    str or None
+        None where the backend does not tell.
+    """
+    worker: str | None = vars(future).get("worker")
+    return worker

@@ -27,7 +27,7 @@ from contextlib import AbstractContextManager, ExitStack
 from typing import Any, TypeVar
 
 from hpcapp.backends.calls import Ran, align, count_bytes, run_task
-from hpcapp.timeline import ANY_WORKER, Timeline
+from hpcapp.timeline import ANY_WORKER, Timeline, note_worker
 from hpccomponent.errors import WorkerLostError
 from hpccomponent.limits import available_cores
 from hpccomponent.runtime.numerics import numerics_id
@@ -281,6 +281,7 @@ class RetryingExecutor(Executor):
         if error is None:
             ran: Ran = inner.result()
             self._note(task, "done", ran)
+            note_worker(task, ran.worker)
             task.end(None, align(ran.value))
         elif self._count_losses(error):
             self._mender.submit(self._mend, task, engine, error)

@@ -30,6 +30,7 @@ from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
+    "MESH_SUFFIXES",
     "STANDARD_INPUT",
     "check_writable",
     "describe_losses",
@@ -56,6 +57,10 @@ _MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".glb": read_glb,
     ".vtp": read_vtp,
 }
+
+
+MESH_SUFFIXES = tuple(_MESH_READERS)
+"""Of the files that meshes are read from."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -21,7 +21,9 @@ _ELSEWHERE = (*_MESH, *_WORK, "summary", "input", "normals", "dropped", "warning
 _FAILED = ("lost", "failed", "refused", "repeated")
 
 
-def describe_job(report: Mapping[str, Any], markers: int = 0) -> list[Section]:
+def describe_job(
+    report: Mapping[str, Any], marked: Sequence[str] = (), *, has_mesh: bool = True
+) -> list[Section]:
     """Return what a job found, decided and did.
 
     Parameters
@@ -29,16 +31,18 @@ def describe_job(report: Mapping[str, Any], markers: int = 0) -> list[Section]:
     report : mapping
         JSON values; see ``docs/reference/reconstruct.md``. What it lacks is left out, and names
         that are not known here stand among the decisions.
-    markers : int
-        How many markers the scene has, whose texts are in the section of warnings already.
+    marked : sequence of str
+        The texts of the scene's markers.
+    has_mesh : bool
+        Whether what the mesh is, is said.
 
     Returns
     -------
     list of Section
     """
     sections = [
-        Section("Mesh", make_table(_pick(report, _MESH))),
-        _describe_warnings(report, markers),
+        Section("Mesh", make_table(_pick(report, _MESH)) if has_mesh else ""),
+        _describe_warnings(report, marked),
         Section("Decided", make_table(_decisions(report))),
         *_describe_input(report),
         Section("Time", _describe_time(report)),
@@ -97,10 +101,9 @@ def _describe_input(report: Mapping[str, Any]) -> list[Section]:
     return [Section("Input", make_table(rows))]
 
 
-def _describe_warnings(report: Mapping[str, Any], markers: int) -> Section:
-    """Return the warnings: those that are marked on the mesh first, as many as there are."""
-    texts = list(map(str, report.get("warnings", [])))
-    marked, others = texts[:markers], texts[markers:]
+def _describe_warnings(report: Mapping[str, Any], marked: Sequence[str]) -> Section:
+    """Return the warnings, those that are marked on the mesh first."""
+    others = list(map(str, report.get("warnings", [])))
     body = make_list(marked, "warning", 0) if marked else ""
     body += make_list(others, "warning") if others else ""
     return Section("Warnings", body or "<p>none</p>")

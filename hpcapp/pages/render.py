@@ -52,7 +52,8 @@ def render_mesh(
     ndarray of uint8, shape (size, size, 3)
     """
     fine = 2 * size  # averaged down at the end: smooth outlines
-    faces = mesh.faces[np.isfinite(mesh.vertices).all(axis=1)[mesh.faces].all(axis=1)]
+    is_finite = np.logical_and.reduce(np.isfinite(mesh.vertices), axis=1)
+    faces = mesh.faces[is_finite[mesh.faces].all(axis=1)]
     view = _view(mesh.vertices, azimuth, elevation, up)
     used = view[np.unique(faces)] if len(faces) else np.zeros((1, 3))
     low, high = used.min(axis=0), used.max(axis=0)

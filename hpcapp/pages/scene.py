@@ -19,7 +19,7 @@ __all__ = ["MOST_POINTS", "Field", "Marker", "Scene", "fields_of", "label_field"
 
 MOST_POINTS = 200_000
 """Of a cloud, so many are shown beside a mesh, evenly picked."""
-_TOP = 0.99  # share of the vertices that a scale of colours covers: a few must not make all dark
+_TOP = 0.95  # share of the vertices that a scale of colours covers: a few must not make all dark
 _LEVELS = 254  # the byte 255 means: no number
 
 
@@ -36,7 +36,7 @@ class Field:
     unit : str
         Behind numbers.
     low, high : float, optional
-        Ends of the scale; by default those of all but the largest hundredth.
+        Ends of the scale; by default those of all but the largest twentieth.
     labels : sequence of str, optional
         What whole numbers stand for.
     """

@@ -99,8 +99,8 @@ def _merge_faces(stream: MeshStream, edge: float) -> tuple[IntArray, IntArray]:
         faces = np.concatenate([faces, cells[(a != b) & (b != c) & (c != a)]])
     first = faces.argmin(axis=1)  # a face begins with its least corner: so equal ones are alike
     faces = np.stack([faces[np.arange(len(faces)), (first + k) % 3] for k in range(3)], axis=1)
-    keys, corners = np.unique(faces.reshape(-1), return_inverse=True)
-    return keys, np.unique(corners.reshape(-1, 3), axis=0)
+    keys, rows = np.unique(faces.reshape(-1), return_inverse=True)
+    return keys, np.unique(rows.reshape(-1, 3), axis=0)
 
 
 def _merge_vertices(stream: MeshStream, edge: float, keys: IntArray, corners: IntArray) -> Mesh:

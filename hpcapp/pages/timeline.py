@@ -10,7 +10,23 @@ __all__ = ["draw_timeline"]
 
 _WIDTH, _LEFT, _ROW = 380, 86, 15
 _TICKS = 4
-_COLOURS = ("#4878cf", "#6acc65", "#b47cc7", "#c4ad66", "#77bedb", "#d5875c", "#8c8c8c")
+_COLOURS = (
+    "#4878cf",
+    "#6acc65",
+    "#b47cc7",
+    "#c4ad66",
+    "#77bedb",
+    "#d5875c",
+    "#8c8c8c",
+    "#2f4b7c",
+    "#2e8b57",
+    "#7a5195",
+    "#a05d56",
+    "#c9a0dc",
+    "#5f9ea0",
+    "#b0c4de",
+    "#6b8e23",
+)
 _FAILED = {"lost": "#c0392b", "failed": "#c0392b", "refused": "#c0392b", "repeated": "#e0a030"}
 _MOST_BARS = 4000  # more cannot be told apart, and make the page slow
 _MOST_ROWS = 64

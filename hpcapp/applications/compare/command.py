@@ -92,10 +92,12 @@ def compare(
 
 def _tabulate(facts: dict[str, Any]) -> str:
     """Return the measures as a table for people."""
-    from hpcapp.applications.compare.page import list_measures
+    from hpcapp.applications.compare.page import list_measures, say_openness
 
     rows = list_measures(facts)
     width = max(len(name) for name, _, _ in rows)
     lines = [f"{'':{width}}  {'% of diagonal':>14}  {'length':>12}"]
     lines += [f"{name:{width}}  {share:>14}  {length:>12}".rstrip() for name, share, length in rows]
+    if openness := say_openness(facts):
+        lines.append(openness)
     return "\n".join(lines)

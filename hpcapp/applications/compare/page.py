@@ -12,7 +12,7 @@ from hpcapp.pages.scene import MOST_POINTS, Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
 from hpccomponent.surface.types.mesh import Mesh
 
-__all__ = ["list_measures", "make_comparison"]
+__all__ = ["list_measures", "make_comparison", "say_openness"]
 
 _MOST_FACES = 500_000  # the distance of each vertex is found exactly: some 10 µs each
 _LENGTHS = (
@@ -49,9 +49,31 @@ def list_measures(facts: dict[str, Any]) -> list[tuple[str, str, str]]:
     rows.append(("angle of normals, degrees", _say(facts["normal_deg"], ".3f"), ""))
     rows.append(("diagonal", "100", f"{facts['diagonal']:.6g}"))
     for name, value in facts["topology"].items():
+        if isinstance(value, tuple):
+            value = ", ".join(map(str, value))
         shown = ("yes" if value else "no") if isinstance(value, bool) else str(value)
         rows.append((name.replace("_", " "), shown, ""))
     return rows
+
+
+def say_openness(facts: dict[str, Any]) -> str | None:
+    """Say why distances from the mesh are missing; None where they are there.
+
+    Parameters
+    ----------
+    facts : dict
+        See `metrics.as_json`.
+
+    Returns
+    -------
+    str or None
+    """
+    if facts["accuracy"] is not None:
+        return None
+    return (
+        "the truth is open: the mesh may be right where it has nothing, so that only distances "
+        "from the truth to the mesh count"
+    )
 
 
 def _say(value: float | None, digits: str, unit: float = 1.0) -> str:
@@ -96,5 +118,7 @@ def make_comparison(
         "<p>Distances are exact: from points spread evenly over one surface to the nearest place "
         "on the other. The points beside the mesh are the truth's.</p>"
     )
+    if openness := say_openness(facts):
+        notes = f"<p>{escape(openness)}</p>" + notes
     summary = f"compared with {truth_name}"
     return build_page(path.name, summary, scene, [Section("Distances", table + notes)])

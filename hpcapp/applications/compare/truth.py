@@ -15,7 +15,7 @@ from hpcapp.applications.simulate.rays import closest_points
 from hpcapp.applications.simulate.scanner import sample_surface
 from hpcapp.applications.simulate.shapes import Shape, diagonal_of, find_shape
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.io import drop_unusable, holds_faces, read_mesh, read_points
+from hpcapp.io import holds_faces, read_mesh, read_points, take_finite
 from hpccomponent.errors import InputError
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.mesh import Mesh
@@ -225,9 +225,7 @@ def open_truth(name: str, origin: FloatArray) -> Truth:
     path = Path(name)
     if holds_faces(path):
         return MeshTruth(read_mesh_at(path, origin))
-    cloud, _ = drop_unusable(read_points(path), name)
-    if not len(cloud):
-        raise InputError(f"{name}: holds no usable points", "give a mesh, or other points")
+    cloud = take_finite(read_points(path), name)
     return PointTruth(replace(cloud, positions=cloud.positions + (cloud.origin - origin)))
 
 

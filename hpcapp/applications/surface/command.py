@@ -20,7 +20,13 @@ import click
 from hpcapp.applications.points.command import INPUTS, SAMPLE
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, METHODS, find_method
-from hpcapp.applications.surface.options import check_exclusive, make_click_options, option_names
+from hpcapp.applications.surface.options import (
+    check_exclusive,
+    make_click_options,
+    option_names,
+    typed_options,
+)
+from hpcapp.applications.view.command import check_page, check_picture
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
 from hpcapp.dashboard.server import DEFAULT_ADDRESS, open_dashboard, parse_address
 from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
@@ -131,6 +137,8 @@ def check_flags(ctx: click.Context) -> None:
     if ctx.params["dashboard"] is not None:
         parse_address(ctx.params["dashboard"])
     parse_attributes(ctx.params["attributes"])
+    check_page(ctx.params["report"], "--report")
+    check_picture(ctx.params["png"], "--png")
     _check_method_options(ctx)
 
 
@@ -271,6 +279,13 @@ def _add_method_options(command: click.Command) -> click.Command:
     help="Write when each stage and each task ran, and on which worker, as a Chrome trace.",
 )
 @click.option(
+    "--report",
+    type=POINTS,
+    metavar="PAGE",
+    help="Write a page (.html) with the mesh and all that the job decided and did; works offline.",
+)
+@click.option("--png", type=POINTS, metavar="FILE", help="Draw the mesh into a picture.")
+@click.option(
     "--dashboard",
     is_flag=False,
     flag_value=DEFAULT_ADDRESS,
@@ -287,18 +302,29 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
     """
     check_flags(ctx)
     as_json = options.pop("as_json")
-    watching = Watching(*(options.pop(name) for name in ("events", "trace", "dashboard")))
+    watching = Watching(*(options.pop(name) for name in WATCHED))
     cluster = options["cluster"]
     if cluster is not None and cluster.suffix != ".json":
         from hpcapp.applications.surface.remote import run_on_cluster
 
         report = run_on_cluster(ctx)
     else:
+        options["command"] = _command(ctx)
         report = _run_here(options, watching)
     if as_json:
         click.echo(json.dumps(report))
     else:
         log.info("%s: %s", options["output"], report["summary"])
+
+
+WATCHED = ("events", "trace", "dashboard")
+"""Options by which a job is watched."""
+
+
+def _command(ctx: click.Context) -> tuple[str, ...]:
+    """Return what was typed, to be typed again."""
+    words = typed_options(ctx, ("points", "report", "png", *WATCHED, "as_json"))
+    return ("hpcapp", "reconstruct", *ctx.params["points"], *words)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,13 +12,11 @@ import click
 
 from hpccomponent.errors import UsageError
 
-__all__ = ["PNG", "check_page", "open_page", "view"]
+__all__ = ["check_page", "check_picture", "view"]
 
 log = logging.getLogger("hpcapp")
 
 FILE = click.Path(dir_okay=False, path_type=Path)
-PNG = click.option("--png", type=FILE, metavar="FILE", help="Draw the mesh into a picture.")
-_SUFFIXES = (".html", ".htm")
 
 
 def check_page(path: Path | None, flag: str) -> None:
@@ -37,10 +35,33 @@ def check_page(path: Path | None, flag: str) -> None:
     OutputError
         It cannot be written there.
     """
+    _check(path, flag, (".html", ".htm"), "page")
+
+
+def check_picture(path: Path | None, flag: str) -> None:
+    """Refuse a picture that could not be written, before the work.
+
+    Parameters
+    ----------
+    path : Path or None
+    flag : str
+        The option that names it.
+
+    Raises
+    ------
+    UsageError
+        Its suffix is not that of a PNG.
+    OutputError
+        It cannot be written there.
+    """
+    _check(path, flag, (".png",), "picture")
+
+
+def _check(path: Path | None, flag: str, suffixes: tuple[str, ...], what: str) -> None:
     if path is None:
         return
-    if path.suffix.lower() not in _SUFFIXES:
-        raise UsageError(f"{flag} {path}: is no page", "give a file that ends in .html")
+    if path.suffix.lower() not in suffixes:
+        raise UsageError(f"{flag} {path}: is no {what}", f"give a file that ends in {suffixes[0]}")
     from hpcapp.io.staging import check_place
 
     check_place(path)
@@ -79,7 +100,7 @@ def _parse_eye(
     metavar="PAGE",
     help="Page to write, .html.  [default: one in the temporary folder]",
 )
-@PNG
+@click.option("--png", type=FILE, metavar="FILE", help="Draw it into a picture.")
 @click.option(
     "--eye",
     callback=_parse_eye,
@@ -109,11 +130,13 @@ def view(
     --png and without -o only the picture is made.
     """
     check_page(output, "--output")
+    check_picture(png, "--png")
     if png is None and eye is not None:
         raise UsageError("--eye means nothing without --png", "the page can be turned by hand")
     from hpcapp.applications.view.page import make_page, read_shown
     from hpcapp.pages.page import write_page
     from hpcapp.pages.picture import write_picture
+    from hpcapp.pages.shown_mesh import show_page
 
     shown = read_shown(file)
     if png is not None:
@@ -124,7 +147,8 @@ def view(
     page = make_page(file, shown, points, report, up)
     path = _temporary_page(file) if output is None else output
     write_page(path, page)
-    open_page(path, is_opened)
+    click.echo(path)
+    show_page(path, is_opened=is_opened)
 
 
 def _temporary_page(file: Path) -> Path:
@@ -132,21 +156,3 @@ def _temporary_page(file: Path) -> Path:
     import tempfile
 
     return Path(tempfile.mkdtemp(prefix="hpcapp-view-")) / f"{file.stem}.html"
-
-
-def open_page(path: Path, is_opened: bool) -> None:
-    """Print where a page is, and open it.
-
-    Parameters
-    ----------
-    path : Path
-    is_opened : bool
-        Whether a browser is wanted.
-    """
-    click.echo(path)
-    if not is_opened:
-        return
-    import webbrowser
-
-    if not webbrowser.open(path.resolve().as_uri()):
-        log.warning("warning: no browser was found: open %s by hand", path)

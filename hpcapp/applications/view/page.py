@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.io import drop_unusable, holds_faces, read_mesh, read_points
+from hpcapp.io import holds_faces, read_mesh, read_points, take_finite
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.page import Section, build_page, make_table
 from hpcapp.pages.scene import Field, Scene, fields_of
@@ -45,11 +45,7 @@ def read_shown(path: Path) -> Mesh | PointCloud:
     """
     if holds_faces(path):
         return read_mesh(path)
-    cloud = read_points(path)
-    finite = np.isfinite(cloud.positions).all(axis=1)
-    if not finite.any():
-        raise InputError(f"{path}: no point has a finite place", "nothing can be shown")
-    return cloud if finite.all() else cloud.take(finite)
+    return take_finite(read_points(path), str(path))
 
 
 def make_page(
@@ -83,7 +79,7 @@ def make_page(
     InputError
         `points` or `report` cannot be used.
     """
-    sections = [] if report is None else describe_job(_read_report(report))
+    sections = [] if report is None else describe_job(_read_report(report), has_mesh=False)
     if isinstance(shown, PointCloud):
         facts = _describe_box(shown.positions, shown.origin)
         names = {"points": len(shown), "colours": shown.colours is not None,
@@ -126,9 +122,7 @@ def _describe_box(positions: FloatArray, origin: FloatArray) -> dict[str, str]:
 
 def _read_beside(path: Path, mesh: Mesh) -> PointCloud:
     """Read points into the frame of a mesh."""
-    cloud, _ = drop_unusable(replace(read_points(path), normals=None), str(path))
-    if not len(cloud):
-        raise InputError(f"{path}: holds no usable points", "give other --points")
+    cloud = take_finite(read_points(path), str(path))
     return replace(cloud, positions=cloud.positions + (cloud.origin - mesh.origin))
 
 

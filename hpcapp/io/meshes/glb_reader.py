@@ -98,7 +98,8 @@ def _open(path: Path) -> _File:
     raw = path.read_bytes()
     if raw[:4] != b"glTF" or len(raw) < _HEAD + _CHUNK:
         raise InputError(f"{path}: does not start as a GLB does", "export it as binary glTF 2.0")
-    chunks, at = {}, _HEAD
+    chunks: dict[bytes, bytes] = {}
+    at = _HEAD
     while at + _CHUNK <= len(raw):
         length = int.from_bytes(raw[at : at + 4], "little")
         chunks.setdefault(raw[at + 4 : at + 8], raw[at + _CHUNK : at + _CHUNK + length])

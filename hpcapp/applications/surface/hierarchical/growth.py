@@ -87,13 +87,15 @@ class _Regions:
                 yield *arguments, self._keep(name)
 
         at_once = self._workforce.workers * (1 if self._workforce.in_process else 2)
-        for batch, result in stream_batches(self._workforce, task, batches(), at_once):
+        makers: dict[int, str | None] = {}
+        for batch, result in stream_batches(self._workforce, task, batches(), at_once, makers):
             name = names[started[batch]]
             found[started[batch]] = self._put(name, result)
             self._show(name, found[started[batch]][0])
             advance(len(found), count)
+        workers = {started[batch]: worker for batch, worker in makers.items()}
         for index, name in enumerate(names):
-            self._take(name, found[index])
+            self._take(name, found[index], workers.get(index))
 
     def left(self) -> IntArray:
         """Return the bricks that the surface leaves for, and that no part has."""
@@ -122,8 +124,9 @@ class _Regions:
             store = self._keeping.store
             self._show_part(lambda: store.get(name)[0])
 
-    def _take(self, name: str, result: Found) -> None:
+    def _take(self, name: str, result: Found, worker: str | None) -> None:
         part, summary, exits = result
+        self.surface.workers.append(worker)
         self.surface.parts.append(name if part is None else part)
         self.surface.summaries.append(summary)
         self._exits.append(exits)
