@@ -524,13 +524,23 @@ class FaultyAdaptiveCluster(FaultyCluster):
     policy = AdaptivePolicy()
 
 
-FAULTS = settings(
-    max_examples=60,
-    stateful_step_count=50,
-    deadline=None,
-    phases=[Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink],
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
-)
+class ManySchedules(AdaptiveClusterWithABadMachine):
+    """Bad machines and liars under the default policy, over and over."""
+
+
+def schedules(count: int) -> settings:
+    return settings(
+        max_examples=count,
+        stateful_step_count=50,
+        deadline=None,
+        phases=[Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink],
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+    )
+
+
+FAULTS = schedules(60)
+TestManySchedules = pytest.mark.slow(pytest.mark.timeout(900)(ManySchedules.TestCase))
+TestManySchedules.settings = schedules(1000)
 TestClusterWithABadMachine = ClusterWithABadMachine.TestCase
 TestClusterWithABadMachine.settings = FAULTS
 TestAdaptiveClusterWithABadMachine = AdaptiveClusterWithABadMachine.TestCase
