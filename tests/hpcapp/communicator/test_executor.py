@@ -285,7 +285,7 @@ def test_what_every_machine_lacks_is_said(
     note = tmp_path / "bad"
     note.write_text(str(start_component("alone").pid))
     task: Future[Any] = executor.submit("contract.lack_below", str(note), errno.ENOMEM)
-    lacked = r"alone lost .* it lacks what 'contract.lack_below' needs \(MemoryError: no room\)"
+    lacked = r"alone failed .* it lacks what 'contract.lack_below' needs \(MemoryError: no room\)"
     with pytest.raises(WorkerLostError, match=lacked):
         task.result(WAIT)
 

@@ -20,6 +20,7 @@ from hpccomponent.protocol.frames import LARGEST_FRAME, split_buffers
 from hpccomponent.protocol.messages import (
     PROTOCOL_VERSION,
     Batch,
+    Failure,
     Heartbeat,
     Refused,
     Register,
@@ -80,6 +81,7 @@ class Liar(threading.Thread):
         super().__init__(daemon=True)
         self._connection = executor.invite("liar")
         self._answer = answer
+        self.public_key = self._connection.public_key
         self.registered, self.reason = threading.Event(), ""
         self.start()
 
@@ -140,6 +142,23 @@ def read_memory(what: str) -> int:
     """Return this process's memory in bytes: ``VmRSS``, or ``VmHWM`` for the largest."""
     fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     return int(fields[what].split()[0]) * 1024
+
+
+def test_a_liar_that_says_that_a_task_fails_is_not_believed(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
+    failure = Failure("InputError", "your points are no good", "give others", "")
+    liar = Liar(executor, lambda task: ([Result(task, 0.0, b"", [], failure)], []))
+    assert liar.registered.wait(WAIT)
+    left = np.linspace(0.0, 0.9, ROWS)
+    start_component()
+    executor.wait_for_workers(2, WAIT)
+    results = [executor.submit(estimate, "wave", left, left + 0.1) for _ in range(12)]
+    for result in results:
+        assert np.array_equal(result.result(WAIT), estimate("wave", left, left + 0.1))
+    assert executor.statistics()["doubted"] >= 1
+    executor.revoke(liar.public_key)
+    liar.join(WAIT)
 
 
 @pytest.mark.slow
