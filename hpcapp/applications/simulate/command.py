@@ -37,6 +37,20 @@ POINTS = click.Path(dir_okay=False, path_type=Path)
     help="Depth noise (standard deviation), as a fraction of the diagonal.",
 )
 @click.option(
+    "--drift",
+    type=float,
+    default=0.0,
+    show_default=True,
+    help="Smooth error of each view's depth (standard deviation), as a fraction of the diagonal.",
+)
+@click.option(
+    "--correlation",
+    type=float,
+    default=0.05,
+    show_default=True,
+    help="Length over which --drift changes, as a fraction of the diagonal.",
+)
+@click.option(
     "--dropout",
     type=float,
     default=0.0,
