@@ -24,7 +24,7 @@ __all__ = ["hpcapp", "main"]
 # The verbs that ship; named here so that finding them costs no search through installed packages.
 SHIPPED = {
     "reconstruct": "hpcapp.applications.surface.command:reconstruct",
-    "simulate": "hpcapp.applications.surface.command:simulate",
+    "simulate": "hpcapp.applications.simulate.command:simulate",
     "info": "hpcapp.applications.points.command:info",
     "convert": "hpcapp.applications.points.command:convert",
 }
