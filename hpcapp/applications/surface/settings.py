@@ -12,6 +12,7 @@ from hpcapp.applications.surface.attributes.choice import AttributeChoice
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.method import MARGIN, MethodSettings
 from hpcapp.communicator.policy import DEFAULT_POLICY
+from hpcapp.simplification.mesh import Target
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
@@ -68,6 +69,8 @@ class Settings:
         input as they are, ``estimate`` takes none of them.
     viewpoints : tuple of tuple of float
         Where scanners stood, in the coordinates of the input.
+    target : Target
+        How light the mesh shall be.
     """
 
     method: MethodSettings = field(default_factory=Hierarchical)
@@ -87,6 +90,7 @@ class Settings:
     attributes: AttributeChoice = field(default_factory=AttributeChoice)
     normals: str = "auto"
     viewpoints: tuple[tuple[float, float, float], ...] = ()
+    target: Target = field(default_factory=Target)
 
 
 @dataclass(frozen=True, slots=True)
