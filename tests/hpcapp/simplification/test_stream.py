@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skimage.measure import marching_cubes
+from level_sets import mesh_level_set
 
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
@@ -17,10 +17,7 @@ from hpccomponent.surface.types.mesh import Mesh
 
 @pytest.fixture(scope="module")
 def ball() -> Mesh:
-    axis = np.linspace(-1.2, 1.2, 48)
-    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
-    vertices, faces, _, _ = marching_cubes(np.hypot(np.hypot(x, y), z) - 1.0, 0.0)
-    return Mesh(vertices.astype(float) * (axis[1] - axis[0]) - 1.2, faces.astype(np.int64))
+    return mesh_level_set(lambda x, y, z: np.hypot(np.hypot(x, y), z) - 1.0, 1.2, 48)
 
 
 def in_blocks(mesh: Mesh, rows: int) -> MeshStream:

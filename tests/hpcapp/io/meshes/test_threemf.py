@@ -44,10 +44,8 @@ def test_colours_and_origin_are_kept(tmp_path: Path, painted: Mesh) -> None:
     model = read_model(tmp_path / "mesh.3mf")
     palette = [row.attrib["color"] for row in model.iter(f"{MATERIAL}color")]
     assert painted.colours is not None
-    wanted = [
-        ["#{:02X}{:02X}{:02X}".format(*tuple(painted.colours[v])) for v in face]
-        for face in painted.faces
-    ]
+    names = [f"#{red:02X}{green:02X}{blue:02X}" for red, green, blue in painted.colours.tolist()]
+    wanted = [[names[vertex] for vertex in face] for face in painted.faces.tolist()]
     rows = numbers(list(model.iter(f"{CORE}triangle")), "p1 p2 p3").astype(int)
     assert [[palette[number] for number in row] for row in rows] == wanted
     (item,) = model.iter(f"{CORE}item")

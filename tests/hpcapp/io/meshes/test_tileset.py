@@ -2,12 +2,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from skimage.measure import marching_cubes
+from level_sets import mesh_level_set
 
 from hpcapp.io.meshes.tileset import write_tileset
 from hpccomponent.errors import OutputError
@@ -16,12 +17,9 @@ from hpccomponent.surface.types.mesh import Mesh
 
 @pytest.fixture(scope="module")
 def ball() -> Mesh:
-    axis = np.linspace(-1.2, 1.2, 40)
-    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
-    vertices, faces, _, _ = marching_cubes(np.hypot(np.hypot(x, y), 0.7 * z) - 0.8, 0.0)
-    places = vertices.astype(float) * (axis[1] - axis[0]) - 1.2
-    colours = np.full((len(places), 3), 90, np.uint8)
-    return Mesh(places, faces.astype(np.int64), np.array([4e5, 5e6, 20.0]), colours=colours)
+    mesh = mesh_level_set(lambda x, y, z: np.hypot(np.hypot(x, y), 0.7 * z) - 0.8, 1.2, 40)
+    colours = np.full((len(mesh.vertices), 3), 90, np.uint8)
+    return replace(mesh, origin=np.array([4e5, 5e6, 20.0]), colours=colours)
 
 
 def read_tile(path: Path) -> tuple[dict[str, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
