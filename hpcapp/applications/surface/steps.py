@@ -146,7 +146,13 @@ def run_loaded(
     warnings = _warn(settings, doubts(), result)
     if settings.target.is_something:
         with clock.stage("simplify"):
-            result = replace(result, surface=simplify_surface(result.surface, settings.target))
+            light = simplify_surface(result.surface, settings.target)
+        result = replace(result, surface=light)
+        target = settings.target
+        is_bound = target.faces is not None and target.tolerance is None
+        if is_bound and len(light.whole.faces) > (target.faces or 0):
+            warnings.append(f"{len(light.whole.faces)} faces are left: fewer would break the mesh")
+            log.warning("warning: %s", warnings[-1])
     return Outcome(result, grid, backend, choice, warnings)
 
 
