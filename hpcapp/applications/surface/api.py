@@ -41,7 +41,6 @@ from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
 from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.progress import Progress, SilentProgress, StageClock
-from hpcapp.simplification.mesh import Target
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.attributes.labels import find_labels
 from hpccomponent.surface.types.mesh import Mesh
@@ -140,7 +139,8 @@ def reconstruct(
         backend=executor if isinstance(executor, str) else "auto",
         workers=workers,
         attributes=parse_attributes(attributes),
-        target=Target(faces, tolerance),
+        faces=faces,
+        tolerance=tolerance,
     )
     _check_settings(settings)
     checked = settings.attributes.select(_check_cloud(points, normals), "the cloud")

@@ -308,8 +308,7 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         if options["max_memory"] is not None:
             options["max_memory"] = parse_limit(options["max_memory"])
         options["attributes"] = parse_attributes(options["attributes"])
-        options["target"] = Target(options.pop("faces"), options.pop("tolerance"))
-        options["target"].check()
+        Target(options["faces"], options["tolerance"]).check()
         own = {name: options.pop(name) for name in METHOD_OPTIONS}
         method = find_method(options.pop("method"))
         chosen = {name: own[name] for name in option_names(method)}

@@ -69,8 +69,10 @@ class Settings:
         input as they are, ``estimate`` takes none of them.
     viewpoints : tuple of tuple of float
         Where scanners stood, in the coordinates of the input.
-    target : Target
-        How light the mesh shall be.
+    faces : int or None
+        Triangles to simplify the mesh to.
+    tolerance : float or None
+        How far its surface may move then, in length units of the input.
     """
 
     method: MethodSettings = field(default_factory=Hierarchical)
@@ -90,7 +92,13 @@ class Settings:
     attributes: AttributeChoice = field(default_factory=AttributeChoice)
     normals: str = "auto"
     viewpoints: tuple[tuple[float, float, float], ...] = ()
-    target: Target = field(default_factory=Target)
+    faces: int | None = None
+    tolerance: float | None = None
+
+    @property
+    def target(self) -> Target:
+        """How light the mesh shall be."""
+        return Target(self.faces, self.tolerance)
 
 
 @dataclass(frozen=True, slots=True)

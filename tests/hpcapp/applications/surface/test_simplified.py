@@ -17,7 +17,6 @@ from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import read_mesh, write_points
 from hpcapp.progress import SilentProgress
 from hpcapp.simplification.command import simplify
-from hpcapp.simplification.mesh import Target
 from hpccomponent.errors import UsageError
 from hpccomponent.surface.types.points import PointCloud
 
@@ -40,17 +39,14 @@ def test_points_on_disk_and_tiles_give_the_same_light_mesh(
     scan: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     outputs = [scan.with_name(name) for name in ("memory.ply", "disk.ply")]
-    target = Target(1500)
-    report = run_job(JobSettings(scan, str(outputs[0]), grid=48, target=target), SilentProgress())
+    report = run_job(JobSettings(scan, str(outputs[0]), grid=48, faces=1500), SilentProgress())
     assert (report["tiles"], report["watertight"]) == (1, True)
     assert 1000 < report["faces"] <= 1500
     assert "simplify" in report["stages"]
     monkeypatch.setattr(room, "fits_memory", lambda *_: False)
     for module in (job, steps):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 2000)
-    settings = JobSettings(
-        scan, str(outputs[1]), grid=48, target=target, backend="threads", workers=2
-    )
+    settings = JobSettings(scan, str(outputs[1]), grid=48, faces=1500, backend="threads", workers=2)
     assert run_job(settings, SilentProgress())["tiles"] > 1
     assert outputs[0].read_bytes() == outputs[1].read_bytes()
     light = read_mesh(outputs[0])
@@ -71,7 +67,7 @@ def test_from_python_too() -> None:
 
 
 def test_what_cannot_be_reached_is_said(scan: Path) -> None:
-    settings = JobSettings(scan, str(scan.with_name("few.ply")), grid=32, target=Target(4))
+    settings = JobSettings(scan, str(scan.with_name("few.ply")), grid=32, faces=4)
     report = run_job(settings, SilentProgress())
     assert report["watertight"]
     if report["faces"] > 4:
