@@ -23,7 +23,7 @@ from hpccomponent.surface.types.points import FloatArray, IntArray
 __all__ = ["RUN_FACES", "simplify_stream"]
 
 RUN_FACES = 1 << 20
-"""Faces of a run, which takes some 400 MB."""
+"""Faces of a run, which takes some 500 MB."""
 _RUNS_KEEP = 3
 """As many times the faces that are asked for stay after the runs."""
 
