@@ -141,8 +141,8 @@ def _add_method_options(command: click.Command) -> click.Command:
     "--output",
     required=True,
     metavar="MESH",
-    help="Mesh to write: .ply, .obj, .glb, .vtp, .off, .stl, or a folder of PLYs, .tiles; - writes "
-    "a PLY to standard output.",
+    help="Mesh to write: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, or a folder: of PLYs, .tiles, "
+    "or for web viewers, .3dtiles; - writes a PLY to standard output.",
 )
 @click.option(
     "--method",
@@ -250,6 +250,18 @@ def _add_method_options(command: click.Command) -> click.Command:
     "names as a,b,c; normals, support and confidence are made where they are named.",
 )
 @click.option(
+    "--faces",
+    type=click.IntRange(4),
+    metavar="N",
+    help="Simplify the mesh to N triangles.",
+)
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(0, min_open=True),
+    metavar="LENGTH",
+    help="Simplify the mesh while its surface moves by less, in the units of the input.",
+)
+@click.option(
     "--events",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
@@ -291,10 +303,12 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         from hpcapp.applications.surface.settings import JobSettings
         from hpcapp.io.points.inputs import find_paths, gather_points
         from hpcapp.progress_display import open_events, open_progress
+        from hpcapp.simplification.mesh import Target
 
         if options["max_memory"] is not None:
             options["max_memory"] = parse_limit(options["max_memory"])
         options["attributes"] = parse_attributes(options["attributes"])
+        Target(options["faces"], options["tolerance"]).check()
         own = {name: options.pop(name) for name in METHOD_OPTIONS}
         method = find_method(options.pop("method"))
         chosen = {name: own[name] for name in option_names(method)}
