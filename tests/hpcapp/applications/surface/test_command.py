@@ -10,7 +10,8 @@ from click.testing import CliRunner
 
 from hpcapp.applications.compare.command import compare
 from hpcapp.applications.points.command import convert, info
-from hpcapp.applications.surface.command import reconstruct, simulate
+from hpcapp.applications.simulate.command import simulate
+from hpcapp.applications.surface.command import reconstruct
 from hpcapp.applications.surface.job import JobSettings
 from hpcapp.applications.surface.methods import METHODS, find_method
 from hpcapp.applications.surface.options import option_names
