@@ -34,7 +34,7 @@ def test_every_setting_can_be_typed() -> None:
         *own,
         "as_json",
         "events",
-        "trace",
+        "trace", "dashboard",
         "sample",
     } - {
         "inputs",
