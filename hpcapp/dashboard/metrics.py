@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from typing import TypeVar
 
 from prometheus_client import CollectorRegistry, generate_latest
@@ -93,13 +93,14 @@ def _task_metrics(tasks: list[Span]) -> Iterator[Metric]:
     ).items():
         counted.add_metric([name, worker, outcome], count)
     yield counted
-    for name, text, measure in (
+    measures: tuple[tuple[str, str, Callable[[Span], float]], ...] = (
         ("busy_seconds", "Time that tasks took.", lambda span: span.end - span.begin),
         ("received_bytes", "What the master received for tasks.", lambda span: span.bytes_in),
         ("sent_bytes", "What the master sent for tasks.", lambda span: span.bytes_out),
-    ):
+    )
+    for name, text, measure in measures:
         counter = CounterMetricFamily(f"hpcapp_worker_{name}", text, labels=["worker"])
-        for worker, value in _sum((span.worker, float(measure(span))) for span in tasks).items():
+        for worker, value in _sum((span.worker, measure(span)) for span in tasks).items():
             counter.add_metric([worker], value)
         yield counter
 

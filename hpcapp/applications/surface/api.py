@@ -180,6 +180,9 @@ class _Calls(Progress):
         if self._done < self._total:
             self._report(stage, self._total, self._total)
 
+    def show_part(self, load: Callable[[], Any]) -> None:
+        """Report nothing: a part is none of the numbers."""
+
 
 def _choose_method(method: str | MethodSettings, options: dict[str, Any]) -> MethodSettings:
     """Return the method with the options that were given beside it."""

@@ -223,7 +223,7 @@ class Mesh {
     if (this.isBusy) return;
     this.isBusy = true;
     try {
-      while (this.asked < parts()) {
+      while (this.asked < parts() && news.state === 'running') {
         const answer = await fetch(at(`parts/${this.asked}`));
         this.asked += 1;
         if (answer.ok) this.add(await answer.arrayBuffer());

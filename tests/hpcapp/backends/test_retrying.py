@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.backends.calls import align, run_task
+from hpcapp.backends.calls import Ran, align, run_task
 from hpcapp.backends.retrying import MOST_LOSSES, RetryingExecutor
 from hpcapp.workforce import Workforce, map_batches
 from hpccomponent.errors import JobError, WorkerLostError
@@ -285,6 +285,6 @@ def test_tasks_get_and_give_aligned_arrays(executor: RetryingExecutor, engines: 
     odd = unaligned(np.arange(9.0))
     future = executor.submit(np.positive, odd)
     inner, function, arguments = engines.opened[0].waiting[0]
-    assert function(*arguments).flags.aligned
-    inner.set_result(odd)
+    assert function(*arguments).value.flags.aligned
+    inner.set_result(Ran(odd, "worker", 0.0))
     assert future.result(60).flags.aligned
