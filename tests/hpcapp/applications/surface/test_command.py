@@ -10,10 +10,10 @@ from click.testing import CliRunner
 
 from hpcapp.applications.compare.command import compare
 from hpcapp.applications.points.command import convert, info
-from hpcapp.applications.surface.command import WATCHED, reconstruct, simulate
+from hpcapp.applications.surface.command import reconstruct, simulate
 from hpcapp.applications.surface.job import JobSettings
 from hpcapp.applications.surface.methods import METHODS, find_method
-from hpcapp.applications.surface.options import option_names
+from hpcapp.applications.surface.options import WATCHED, option_names
 from hpcapp.applications.view.command import view
 from hpccomponent.errors import UsageError
 
