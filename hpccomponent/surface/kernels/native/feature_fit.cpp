@@ -8,14 +8,14 @@
 namespace hpc {
 namespace {
 
-constexpr int MOST = 384;  // points that a fit looks at
+constexpr int MOST = 160;  // points that a fit looks at
 constexpr int HEIGHT = 6;  // coefficients of a height over a plane
 constexpr int REACHES[2] = {3, 2};
 
 // As in the portable version, where each is explained.
 constexpr double OUTERMOST = 0.15, LEAST_WEIGHT = 9.0, LEAST_OF_THREE = 14.0, LEAST_OF_PIECE = 2.5;
-constexpr double LEAST_SPREAD = 0.08, GAIN = 1.5, GAIN_PER_ROOT = 6.0, ADEQUATE = 2.5, RELATIVE = 0.1;
-constexpr double CORRELATION = 0.2, SMALLEST = 2e-4, KNOWN = 0.7, THIRD = 1.3, LEAST_TURN = 0.25, ANGLE = 0.82;
+constexpr double LEAST_SPREAD = 0.08, GAIN = 2.0, GAIN_PER_ROOT = 6.0, ADEQUATE = 2.5, RELATIVE = 0.1;
+constexpr double CORRELATION = 0.3, SMALLEST = 2e-4, KNOWN = 0.7, ENOUGH = 1.2, THIRD = 1.3, LEAST_TURN = 0.25, ANGLE = 0.82;
 constexpr double NORMAL_VARIANCE = 0.07, LEAST_LAM = 0.2, CONE = 0.7, TURN = 0.2, CURVATURE = 0.08, EXACT = 1e-5;
 constexpr double LEAST_SLOPE = 0.04;  // squared
 constexpr int ROUNDS = 6, BY_PIECES = 3;
@@ -319,7 +319,7 @@ Verdict find_features(const Points& points, double noise, Model& best) {
   best.axis[0] = points.normal[a], best.axis[1] = points.normal[b];
   const bool two = split(points, noise, best);
   double variance = two ? best.sum / std::max(1.0, n - 2 * HEIGHT) : 1e300;
-  if (n >= LEAST_OF_THREE) {
+  if (n >= LEAST_OF_THREE && !(variance < ENOUGH * noise + SMALLEST)) {
     Model three;
     three.count = 3;
     three.axis[0] = best.axis[0], three.axis[1] = best.axis[1];
@@ -365,7 +365,9 @@ void gather(const Cells& cells, std::vector<Finger>& fingers, const Place& verte
   int64_t total = 0;
   for (int x = -reach; x < reach; ++x)
     for (int y = -reach; y < reach; ++y) {
-      const int64_t low = pack({vertex[0] + x, vertex[1] + y, vertex[2] - reach});
+      const Place first{vertex[0] + x, vertex[1] + y, vertex[2] - reach};
+      if (!in_range(first[0]) || !in_range(first[1]) || !in_range(first[2])) continue;
+      const int64_t low = pack(first);
       Finger& finger = fingers[static_cast<size_t>((x + reach) * 2 * reach + y + reach)];
       for (int64_t row = finger.lower_bound(low); row < cells.count && cells.keys[row] < low + 2 * reach; ++row) {
         const double z = static_cast<double>(cells.keys[row] - low - reach);
@@ -401,6 +403,7 @@ nb::tuple fit_features(Input vertices_of, Input cells_of, Input offsets_of, Inpu
   const int workers = check_threads(threads);
   auto pieces = make_buffer<float>(count * PIECES * QUADRIC);
   auto joints = make_buffer<uint8_t>(count);
+  std::fill(pieces.get(), pieces.get() + count * PIECES * QUADRIC, 0.0f);
   {
     nb::gil_scoped_release unlocked;
     run_ranges(count, workers, [&](int64_t start, int64_t stop) {

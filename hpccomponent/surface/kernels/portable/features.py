@@ -32,15 +32,16 @@ __all__ = ["blend_features", "fit_features"]
 
 _REACHES = (3, 2)  # cells on each side of a vertex: the wider fit where it holds
 _OUTERMOST = 0.15  # what a point at the end of these counts; within a cell of the vertex it is 1
-_MOST = 384  # points that a fit looks at; of more, every second or third
+_MOST = 160  # points that a fit looks at; of more, every second or third
 _LEAST_WEIGHT, _LEAST_OF_THREE, _LEAST_OF_PIECE = 9.0, 14.0, 2.5
 
 _LEAST_SPREAD = 0.08  # of the normals: 1 - |mean|^2
-_GAIN, _GAIN_PER_ROOT = 1.5, 6.0  # variance of one quadric by that of the pieces: the least
+_GAIN, _GAIN_PER_ROOT = 2.0, 6.0  # variance of one quadric by that of the pieces: the least
 _ADEQUATE, _RELATIVE = 2.5, 0.1  # variance of the pieces by the noise, by that of one quadric
-_CORRELATION = 0.2  # of what is left over at neighbouring points: more is shape, not noise
+_CORRELATION = 0.3  # of what is left over at neighbouring points: more is shape, not noise
 _SMALLEST = 2e-4  # a variance that nobody sees
 _KNOWN = 0.7  # of the noise: pieces that leave less have followed it
+_ENOUGH = 1.2  # times the noise: two pieces that leave no more need no third one
 _THIRD = 1.3  # a third piece must lower the variance by as much
 _LEAST_TURN = 0.25  # 1 - cos of the angle of a third piece's seed to both others
 _ANGLE = 0.82  # cos of the least angle between the mean normals of two pieces
@@ -246,6 +247,7 @@ def _find(around: _Around, noise: float) -> tuple[IntArray, BoolArray, Float32Ar
     is_turned = _turn_most(around, two.axes)[1] > _LEAST_TURN
     added = _SMALLEST + _KNOWN * noise
     is_three = (totals >= _LEAST_OF_THREE) & is_turned & (of_three < np.inf)
+    is_three &= of_two >= _ENOUGH * noise + _SMALLEST
     is_three &= of_three + added < (of_two + added) / _THIRD
     variance = np.where(is_three, of_three, of_two)
     apart = np.where(is_three, _are_apart(three.axes), _are_apart(two.axes))
