@@ -14,7 +14,7 @@ constexpr int REACHES[2] = {3, 2};
 
 // As in the portable version, where each is explained.
 constexpr double OUTERMOST = 0.15, LEAST_WEIGHT = 9.0, LEAST_OF_THREE = 14.0, LEAST_OF_PIECE = 2.5;
-constexpr double LEAST_SPREAD = 0.08, GAIN = 2.0, GAIN_PER_ROOT = 6.0, ADEQUATE = 2.5, RELATIVE = 0.1;
+constexpr double LEAST_SPREAD = 0.08, NEAR = 2.0, LEAST_NEAR = 0.02, GAIN = 2.0, GAIN_PER_ROOT = 6.0, ADEQUATE = 2.5, RELATIVE = 0.1;
 constexpr double CORRELATION = 0.3, SMALLEST = 2e-4, KNOWN = 0.7, ENOUGH = 1.2, THIRD = 1.3, LEAST_TURN = 0.25, ANGLE = 0.82;
 constexpr double NORMAL_VARIANCE = 0.07, LEAST_LAM = 0.2, CONE = 0.7, TURN = 0.2, CURVATURE = 0.08, EXACT = 1e-5;
 constexpr double LEAST_SLOPE = 0.04;  // squared
@@ -245,7 +245,7 @@ bool take_points(const Points& points, const Measures* found, Model& model, doub
 bool split(const Points& points, double noise, Model& model) {
   Measures found;
   std::fill(model.of, model.of + points.count, uint8_t{PIECES});
-  // What has not changed in a round will not in the next.
+  bool settled = false;  // what has not changed in a round will not in the next
   for (int round = 0; round < ROUNDS; ++round) {
     const bool by_pieces = round >= BY_PIECES;
     if (by_pieces && !fit_pieces(points, noise, model, found)) return false;
@@ -256,10 +256,11 @@ bool split(const Points& points, double noise, Model& model) {
       if (members[k] < LEAST_OF_PIECE) return false;
     for (int k = 0; k < model.count; ++k) model.axis[k] = unit(sums[k]);
     if (changed) continue;
-    if (by_pieces) break;
+    settled = by_pieces;
+    if (settled) break;
     round = BY_PIECES - 1;
   }
-  if (!fit_pieces(points, noise, model, found)) return false;
+  if (!settled && !fit_pieces(points, noise, model, found)) return false;
   const auto& distance = found.distance;
   const int n = points.count;
   model.sum = 1e300;
@@ -306,6 +307,15 @@ Verdict find_features(const Points& points, double noise, Model& best) {
   Vec sum{0, 0, 0};
   for (int i = 0; i < count; ++i) sum = add(sum, scaled(points.normal[i], points.weight[i]));
   if (1.0 - dot(sum, sum) / (n * n) < LEAST_SPREAD) return Verdict::ONE;
+  Vec inner{0, 0, 0};
+  double share = 0.0;
+  for (int i = 0; i < count; ++i) {
+    const Vec& p = points.at[i];
+    if (std::max({std::fabs(p.x), std::fabs(p.y), std::fabs(p.z)}) > NEAR) continue;
+    inner = add(inner, points.normal[i]);
+    share += 1.0;
+  }
+  if (1.0 - dot(inner, inner) / std::max(share * share, 1.0) < LEAST_NEAR) return Verdict::ONE;
   const Vec mean = unit(sum);
   const double one = fit_one(points, noise) / std::max(1.0, n - QUADRIC);
   const double bound = GAIN + GAIN_PER_ROOT / std::sqrt(n);

@@ -36,6 +36,7 @@ _MOST = 160  # points that a fit looks at; of more, every second or third
 _LEAST_WEIGHT, _LEAST_OF_THREE, _LEAST_OF_PIECE = 9.0, 14.0, 2.5
 
 _LEAST_SPREAD = 0.08  # of the normals: 1 - |mean|^2
+_NEAR, _LEAST_NEAR = 2.0, 0.02  # cells from the vertex; of the normals there
 _GAIN, _GAIN_PER_ROOT = 2.0, 6.0  # variance of one quadric by that of the pieces: the least
 _ADEQUATE, _RELATIVE = 2.5, 0.1  # variance of the pieces by the noise, by that of one quadric
 _CORRELATION = 0.3  # of what is left over at neighbouring points: more is shape, not noise
@@ -229,7 +230,11 @@ def _find(around: _Around, noise: float) -> tuple[IntArray, BoolArray, Float32Ar
     totals = around.totals
     means = (around.weights[:, :, None] * around.normals).sum(axis=1)
     spread = 1.0 - (means**2).sum(axis=1) / np.maximum(totals, 1e-300) ** 2
-    rows = np.flatnonzero((totals >= _LEAST_WEIGHT) & (spread >= _LEAST_SPREAD))
+    near = ((np.abs(around.at).max(axis=2) <= _NEAR) & (around.weights > 0.0)).astype(np.float64)
+    inner = (near[:, :, None] * around.normals).sum(axis=1)
+    turned = 1.0 - (inner**2).sum(axis=1) / np.maximum(near.sum(axis=1), 1.0) ** 2
+    is_asked = (totals >= _LEAST_WEIGHT) & (spread >= _LEAST_SPREAD) & (turned >= _LEAST_NEAR)
+    rows = np.flatnonzero(is_asked)
     around, totals, means = around.take(rows), totals[rows], _unit(means[rows])
     one = _fit_one(around, noise) / np.maximum(1.0, totals - BASIS)
     bound = _GAIN + _GAIN_PER_ROOT / np.sqrt(totals)
