@@ -10,6 +10,7 @@ import logging
 import os
 import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -22,6 +23,7 @@ from hpcdeploy.jobs.display import ForwardingDisplay, open_display
 from hpcdeploy.jobs.queries import Jobs, open_jobs
 from hpcdeploy.machine.provider import State
 from hpcdeploy.reconcile.cluster import open_cluster
+from hpcdeploy.reconcile.cost import estimate_cost
 from hpcdeploy.spec.job_folder import JobStatus
 from hpcdeploy.spec.layout import machine_folder
 
@@ -54,7 +56,8 @@ def run_on_cluster(
     Returns
     -------
     dict
-        The verb's report.
+        The verb's report; ``cost`` in it is what the cluster costs at most, in dollars an hour and
+        for as long as the job took from here, where it costs something and all prices are known.
 
     Raises
     ------
@@ -65,7 +68,7 @@ def run_on_cluster(
     """
     with open_cluster(path) as cluster:
         is_ours = _bring_up_if_needed(cluster)
-        stays = False
+        stays, start = False, time.monotonic()
         try:
             jobs = open_jobs(cluster)
             status = submit(jobs, verb, points, target.name, options)
@@ -76,12 +79,22 @@ def run_on_cluster(
                 if is_ours:
                     log.info("the cluster stays up for it: hpcapp down %s ends it", path)
                 raise
-            return fetch(jobs, status, target)
+            report = fetch(jobs, status, target)
+            return report | _describe_cost(cluster, time.monotonic() - start)
         finally:
             if is_ours and not stays:
                 from hpcdeploy.reconcile.converge import take_down
 
                 take_down(cluster, log.info)
+
+
+def _describe_cost(cluster: Cluster, seconds: float) -> dict[str, Any]:
+    """Return what a job has cost at most, for its report; nothing where that is not known."""
+    cost = estimate_cost(cluster.spec)
+    if cost.unknown or not cost.hourly:
+        return {}
+    job = cost.hourly * seconds / 3600.0
+    return {"cost": {"dollars_an_hour": round(cost.hourly, 4), "dollars_job": round(job, 4)}}
 
 
 def check_job(

@@ -21,10 +21,11 @@ from hpcapp.applications.points.command import INPUTS, SAMPLE
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, METHODS, find_method
 from hpcapp.applications.surface.options import (
+    WATCHED,
     check_exclusive,
     make_click_options,
     option_names,
-    typed_options,
+    typed_command,
 )
 from hpcapp.applications.view.command import check_page, check_picture
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
@@ -321,22 +322,12 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
 
         report = run_on_cluster(ctx)
     else:
-        options["command"] = _command(ctx)
+        options["command"] = typed_command(ctx)
         report = _run_here(options, watching)
     if as_json:
         click.echo(json.dumps(report))
     else:
         log.info("%s: %s", options["output"], report["summary"])
-
-
-WATCHED = ("events", "trace", "dashboard")
-"""Options by which a job is watched."""
-
-
-def _command(ctx: click.Context) -> tuple[str, ...]:
-    """Return what was typed, to be typed again."""
-    words = typed_options(ctx, ("points", "report", "png", *WATCHED, "as_json"))
-    return ("hpcapp", "reconstruct", *ctx.params["points"], *words)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,12 +16,14 @@ import click
 from hpccomponent.errors import UsageError
 
 __all__ = [
+    "WATCHED",
     "Options",
     "check_exclusive",
     "check_options",
     "make_click_options",
     "option",
     "option_names",
+    "typed_command",
     "typed_options",
 ]
 
@@ -203,6 +205,27 @@ def typed_options(ctx: click.Context, without: Collection[str]) -> list[str]:
         else:
             words += [parameter.opts[-1]] if value is True else [parameter.opts[-1], str(value)]
     return words
+
+
+WATCHED = ("events", "trace", "dashboard")
+"""Options by which a job is watched."""
+
+
+def typed_command(ctx: click.Context) -> tuple[str, ...]:
+    """Return the command that was typed, to be typed again for the same mesh.
+
+    Parameters
+    ----------
+    ctx : click.Context
+        Of a command that reads points.
+
+    Returns
+    -------
+    tuple of str
+        Without what is written beside the mesh.
+    """
+    words = typed_options(ctx, ("points", "report", "png", *WATCHED, "as_json"))
+    return ("hpcapp", ctx.command.name or "", *ctx.params["points"], *words)
 
 
 def _click_type(

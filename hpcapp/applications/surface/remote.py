@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from hpcapp.applications.surface.options import typed_options
+from hpcapp.applications.surface.options import typed_command, typed_options
 from hpcapp.backends.cluster_jobs import load_cluster_function
 from hpcapp.io import MESH_SUFFIXES, drop_unusable, read_points
 from hpcapp.io.output import open_output
@@ -78,6 +78,7 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
         check_points(points)
         words = typed_options(ctx, OF_THIS_MACHINE)
         report: dict[str, Any] = run(cluster, "reconstruct", points, target, words)
+        report["command"] = list(typed_command(ctx))  # the head has typed its own
         _show(ctx, report, target, points)
     return report
 
