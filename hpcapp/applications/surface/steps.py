@@ -167,7 +167,8 @@ def _warn(settings: Settings, found: _Doubts, result: Reconstruction) -> list[st
     """Log what should make the user doubt the mesh, and return it for the report."""
     doubts = found.resolution + found.normals
     # Too few cells explain a mesh that is too large.
-    if not found.resolution and settings.method.makes_closed_meshes:
+    is_closed = settings.method.makes_closed_meshes and not result.facts.get("open", False)
+    if not found.resolution and is_closed:
         doubts += doubt_closure(found.low, found.high, result.surface, found.step)
     for doubt in doubts:
         log.warning("warning: %s", doubt)

@@ -170,12 +170,15 @@ class PartSurface:
         Of the local frame that the parts' vertices are in.
     keeping : Keeping, optional
         Where parts are kept.
+    crumb : float, optional
+        See `plan_weld`.
     """
 
     parts: list[MeshPart | str]
     summaries: list[PartSummary]
     origin: FloatArray
     keeping: Keeping | None = None
+    crumb: float | None = None
     _plan: WeldPlan | None = None
     _topology: Deferred[Topology] | None = None
 
@@ -183,7 +186,7 @@ class PartSurface:
     def plan(self) -> WeldPlan:
         """How the parts become one mesh."""
         if self._plan is None:
-            self._plan = plan_weld(self.summaries)
+            self._plan = plan_weld(self.summaries, self.crumb)
         return self._plan
 
     def load(self, index: int) -> MeshPart:

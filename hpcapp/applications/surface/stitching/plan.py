@@ -52,6 +52,8 @@ class WeldPlan:
         Of each of the parts' components, the one of the mesh that it belongs to.
     entries : Components
         What each brick has of the mesh's components that stay.
+    dropped : int
+        Components that do not.
     """
 
     summaries: tuple[PartSummary, ...]
@@ -62,6 +64,7 @@ class WeldPlan:
     box: FloatArray
     component: IntArray
     entries: Components
+    dropped: int
 
     def givers(self, first: int, last: int) -> Iterator[tuple[int, IntArray]]:
         """Return which part gives which of some bricks.
@@ -152,13 +155,16 @@ class WeldPlan:
         return np.flatnonzero(~self.kept[self.bricks.labels_in(index)]).astype(np.int32)
 
 
-def plan_weld(summaries: Sequence[PartSummary]) -> WeldPlan:
+def plan_weld(summaries: Sequence[PartSummary], crumb: float | None = None) -> WeldPlan:
     """Plan the weld of all the parts of a mesh.
 
     Parameters
     ----------
     summaries : sequence of PartSummary
         At least one; of guests that no part owns the first part's copy is taken.
+    crumb : float, optional
+        Components are dropped where the diagonal of their box is shorter than this, in length
+        units of the input; by default where they have few faces.
 
     Returns
     -------
@@ -174,7 +180,11 @@ def plan_weld(summaries: Sequence[PartSummary]) -> WeldPlan:
     component = join_labels(summaries, bricks)
     entries = _collect_entries(summaries, bricks, component)
     faces = np.bincount(entries.component, entries.faces, int(component.max(initial=-1)) + 1)
-    large = find_large(faces.astype(np.int64))
+    if crumb is None:
+        large = find_large(faces.astype(np.int64))
+    else:
+        bounds = np.concatenate([s.bounds for s in summaries])
+        large = (faces > 0) & (_diagonals(_bound_all(bounds, component, len(faces))) >= crumb)
     kept = large[component]
     components = entries.only(large[entries.component])
     vertex_starts, face_starts = (
@@ -183,7 +193,15 @@ def plan_weld(summaries: Sequence[PartSummary]) -> WeldPlan:
     )
     box = _bound(np.concatenate([s.bounds for s in summaries])[kept])
     return WeldPlan(
-        tuple(summaries), bricks, kept, vertex_starts, face_starts, box, component, components
+        tuple(summaries),
+        bricks,
+        kept,
+        vertex_starts,
+        face_starts,
+        box,
+        component,
+        components,
+        int(((faces > 0) & ~large).sum()),
     )
 
 
@@ -205,6 +223,21 @@ def _collect_entries(
         np.concatenate([s.entry_faces for s in summaries])[order],
         np.concatenate([s.entry_sums for s in summaries])[order],
     )
+
+
+def _bound_all(bounds: FloatArray, component: IntArray, count: int) -> FloatArray:
+    """Return the boxes around the components of the mesh, inside out where there is no vertex."""
+    boxes = np.full((count, 6), np.inf)
+    boxes[:, 3:] = -np.inf
+    np.minimum.at(boxes, (component, slice(0, 3)), bounds[:, :3])
+    np.maximum.at(boxes, (component, slice(3, 6)), bounds[:, 3:])
+    return boxes
+
+
+def _diagonals(boxes: FloatArray) -> FloatArray:
+    sides = np.maximum(boxes[:, 3:] - boxes[:, :3], 0.0)
+    diagonals: FloatArray = np.sqrt((sides * sides).sum(axis=1))
+    return diagonals
 
 
 def _bound(bounds: FloatArray) -> FloatArray:

@@ -1,0 +1,324 @@
+"""Whether a surface stays closed, and how it is cut open where no point supports it.
+
+::
+
+    closed surface ── judge_support ──> share without support ── large? ──> stays closed
+                                                                  │ yes
+    parts ── survey_support ──> patches, seams ── join, match ──> open_part ──> open surface
+
+All is decided from what holds for the whole cloud, so neither tiles nor workers change a bit of it.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.surface.checkpoint import Keeping
+from hpcapp.applications.surface.hierarchical.lengths import Length
+from hpcapp.applications.surface.method import Advance
+from hpcapp.applications.surface.stitching.opening import match_seams, place_foreign
+from hpcapp.applications.surface.surface import PartSurface
+from hpcapp.workforce import Workforce, stream_batches
+from hpccomponent.errors import InputError
+from hpccomponent.surface.cloud.arranged import ArrangedCloud
+from hpccomponent.surface.cloud.measured import Measured
+from hpccomponent.surface.extraction.clearance import SupportRule
+from hpccomponent.surface.extraction.opening import OpeningSeams, OpeningSurvey
+from hpccomponent.surface.extraction.parts import MeshPart
+from hpccomponent.surface.tasks.opening import Near, judge_support, open_part, survey_support
+from hpccomponent.surface.tiles.plan import Plan
+from hpccomponent.surface.types.grid import BRICK
+from hpccomponent.surface.types.lattice import find_keys, pack_places, unique_keys, unpack_keys
+from hpccomponent.surface.types.points import BoolArray, IntArray
+
+__all__ = ["Closure", "OpeningSettings", "close_surface"]
+
+log = logging.getLogger("hpcapp")
+
+BARE_SHARE = 0.2
+"""A closed surface of which no point supports more than this share is left open: objects scanned
+from all sides have less than a tenth, views, terrains and rooms more than a third."""
+
+_SPACINGS, _NOISES, _STEPS = 3.0, 4.0, 2.0  # of the trim distance that is chosen
+_SPARSEST = 4.0  # times that, where points are few
+_FILL = 4.0  # times the trim distance: loops that are filled
+_CRUMB = 4.0  # times the trim distance: pieces that are dropped; a lone point's has 2 to 3
+_ONE_WAY = 0.5  # length of the mean normal of what is seen from one side; a half sphere's
+_INWARD = -0.1  # mean of n.(x - c) / |x - c|; a sphere seen from inside has -1
+
+
+@dataclass(frozen=True, slots=True)
+class OpeningSettings:
+    """What a user asks of the borders of the surface.
+
+    Parameters
+    ----------
+    close : str
+        ``auto``, ``yes`` or ``no``.
+    trim, fill_holes : Length or None
+        None where they are to be chosen.
+    """
+
+    close: str = "yes"
+    trim: Length | None = None
+    fill_holes: Length | None = None
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether the surface is to be open whatever the points are."""
+        return self.close == "no" or (self.close == "auto" and self.trim is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """How the borders of a surface came about.
+
+    Parameters
+    ----------
+    is_open : bool
+    reason : str
+    trim, fill_holes : float
+        In length units of the input; 0 where nothing was cut.
+    holes, crumbs : int
+        Holes that were filled, and pieces that were dropped.
+    """
+
+    is_open: bool
+    reason: str
+    trim: float = 0.0
+    fill_holes: float = 0.0
+    holes: int = 0
+    crumbs: int = 0
+
+    def facts(self) -> dict[str, Any]:
+        """Return it for the report: JSON values."""
+        if not self.is_open:
+            return {"open": False, "closure": self.reason}
+        return {
+            "open": True,
+            "closure": self.reason,
+            "trim": self.trim,
+            "fill_holes": self.fill_holes,
+            "holes_filled": self.holes,
+            "crumbs": self.crumbs,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Parts:
+    """The parts of a closed surface, and where their tasks run.
+
+    Parameters
+    ----------
+    surface : PartSurface
+    cloud : ArrangedCloud
+    plan : Plan
+    workforce : Workforce
+    shared : Keeping or None
+        Where workers see both the parts and the points; None where tasks run here.
+    threads : int
+        Of this process.
+    """
+
+    surface: PartSurface
+    cloud: ArrangedCloud
+    plan: Plan
+    workforce: Workforce
+    shared: Keeping | None
+    threads: int
+
+    def __len__(self) -> int:
+        return len(self.surface.parts)
+
+    def taken(self, index: int) -> BoolArray:
+        """Return which of its bricks a part gives."""
+        bricks = self.surface.plan.bricks
+        return bricks.is_taken[bricks.of_part(index)]
+
+    def part(self, index: int) -> MeshPart | tuple[Any, Any]:
+        """Return a part as a task is given it."""
+        if self.shared is not None:
+            return self.shared.place, self.surface.parts[index]
+        return self.surface.load(index)
+
+    def near(self, index: int, reach: float) -> Near:
+        """Return the points within reach of what a part gives."""
+        plan, blocks = self.plan, self.cloud.arrangement
+        edge, margin = BRICK * plan.step, reach + 2.0 * plan.step
+        bricks = self.surface.summaries[index].bricks[self.taken(index)]
+        low = plan.grid_origin + edge * unpack_keys(bricks) - margin - blocks.origin
+        first = np.floor(low / blocks.edge).astype(np.int64)
+        last = np.floor((low + edge + 2.0 * margin) / blocks.edge).astype(np.int64)
+        first, last = np.unique(np.concatenate([first, last], axis=1), axis=0).T.reshape(2, 3, -1)
+        keys = [np.empty(0, np.int64)]
+        for step in np.ndindex(*((last - first).max(axis=1, initial=0) + 1)):
+            places = first + np.array(step)[:, None]
+            inside = ((places <= last) & (places >= 0)).all(axis=0)
+            keys.append(unique_keys(pack_places(places[:, inside].T)))
+        wanted = unique_keys(np.concatenate(keys))
+        there = find_keys(self.cloud.keys, wanted) < len(self.cloud.keys)
+        return Near(self.cloud.place, wanted[there])
+
+    def run(
+        self, task: Callable[..., Any], batch: Callable[[int], tuple[Any, ...]]
+    ) -> Iterator[tuple[int, Any]]:
+        """Run a task for each part, on the workers or right here."""
+        indices = range(len(self))
+        if self.shared is not None:
+            at_once = 2 * self.workforce.workers
+            yield from stream_batches(self.workforce, task, map(batch, indices), at_once)
+            return
+        for index in indices:
+            yield index, task(*batch(index))
+
+
+def close_surface(
+    surface: PartSurface,
+    cloud: ArrangedCloud,
+    plan: Plan,
+    spacing: float,
+    asked: OpeningSettings,
+    workforce: Workforce,
+    shared: Keeping | None,
+    threads: int,
+    advance: Advance,
+) -> tuple[PartSurface, Closure]:
+    """Leave a closed surface as it is, or cut it open where no point supports it.
+
+    Parameters
+    ----------
+    surface : PartSurface
+        Closed. The parts that it holds in memory are let go where it is cut.
+    cloud : ArrangedCloud
+    plan : Plan
+    spacing : float
+        Of the points, in length units of the input.
+    asked : OpeningSettings
+    workforce : Workforce
+    shared : Keeping or None
+        Where workers see both the parts and the points; None where this process does the work.
+    threads : int
+        The result does not depend on it.
+    advance : callable
+        Told (parts done, parts in all).
+
+    Returns
+    -------
+    surface : PartSurface
+    closure : Closure
+
+    Raises
+    ------
+    InputError
+        Nothing is left.
+    """
+    if asked.close == "yes":
+        return surface, Closure(False, "closed, as asked")
+    parts = _Parts(surface, cloud, plan, workforce, shared, threads)
+    chosen = max(_SPACINGS * spacing, _NOISES * plan.noise, _STEPS * plan.step)
+    reason = "open, as asked"
+    if not asked.is_asked:
+        share = _find_bare_share(parts, SupportRule(chosen, chosen, _SPACINGS))
+        if share <= BARE_SHARE:
+            return surface, Closure(False, f"closed: points support {_percent(1.0 - share)} of it")
+        reason = (
+            f"open: no point supports {_percent(share)} of the closed surface, "
+            f"{_describe(cloud.measure())} (--close yes closes it)"
+        )
+    radius = chosen if asked.trim is None else asked.trim.of(spacing)
+    rule = SupportRule(radius, _SPARSEST * radius if asked.trim is None else radius, _SPACINGS)
+    fill = _FILL * radius if asked.fill_holes is None else asked.fill_holes.of(spacing)
+    opened, holes = _cut(parts, rule, fill, advance)
+    if not opened.plan.face_count:
+        raise InputError(
+            f"no piece of the surface is larger than {opened.crumb:g} within {radius:g} of the "
+            "points",
+            "give a longer --trim: some spacings of the points, as 3s",
+        )
+    closure = Closure(True, reason, radius, fill, holes, opened.plan.dropped)
+    log.info(
+        "%s; cut %g from the points, %d hole(s) up to %g filled, %d crumb(s) dropped",
+        reason, radius, holes, fill, closure.crumbs,
+    )  # fmt: skip
+    return opened, closure
+
+
+def _find_bare_share(parts: _Parts, rule: SupportRule) -> float:
+    """Return the share of a surface that no point supports, 0 to 1."""
+
+    def batch(index: int) -> tuple[Any, ...]:
+        given = parts.part(index), parts.taken(index), parts.near(index, rule.reach), rule
+        return *given, 1 if parts.shared is not None else parts.threads
+
+    found = [counts for _, counts in parts.run(judge_support, batch)]
+    return sum(bare for bare, _ in found) / max(1, sum(vertices for _, vertices in found))
+
+
+def _cut(
+    parts: _Parts, rule: SupportRule, fill: float, advance: Advance
+) -> tuple[PartSurface, int]:
+    """Cut all parts; return the open surface, and how many holes of it are filled."""
+    surface, keeping = parts.surface, parts.surface.keeping
+    places = place_foreign(surface.plan)
+    surveys: dict[int, OpeningSurvey | None] = {}
+    seams: dict[int, OpeningSeams] = {}
+    threads = 1 if parts.shared is not None else parts.threads
+
+    def survey(index: int) -> tuple[Any, ...]:
+        rim, near = surface.summaries[index].rim, parts.near(index, rule.reach)
+        given = parts.part(index), parts.taken(index), places[index], rim, near, rule
+        return *given, threads
+
+    for index, found in parts.run(survey_support, survey):
+        surveys[index], seams[index] = found
+        advance(len(seams), 2 * len(parts))
+    matched = match_seams(surface.plan, [seams[index] for index in range(len(parts))], fill)
+
+    def cut(index: int) -> tuple[Any, ...]:
+        decided = matched.stays[index], matched.foreign_numbers[index], matched.seam_cuts[index]
+        name = surface.parts[index]
+        keep = None
+        if parts.shared is not None:
+            keep = parts.shared.place, f"{name}-open"
+        return parts.part(index), parts.taken(index), surveys[index], decided, keep
+
+    opened: dict[int, Any] = {}
+    for index, (part, summary, exits) in parts.run(open_part, cut):
+        kept, surveys[index] = part, None
+        name = surface.parts[index]
+        if isinstance(name, str):
+            kept = f"{name}-open"
+            if part is not None and keeping is not None:
+                keeping.store.put(kept, (part, summary, exits))
+        else:
+            surface.parts[index] = MeshPart.empty()
+        opened[index] = kept, summary
+        advance(len(parts) + len(opened), 2 * len(parts))
+    cuts, summaries = zip(*(opened[index] for index in range(len(parts))), strict=True)
+    crumb = _CRUMB * rule.radius
+    return PartSurface([*cuts], [*summaries], surface.origin, keeping, crumb), matched.holes
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"
+
+
+def _describe(measured: Measured) -> str:
+    """Say what open clouds look like a cloud, by a sample of its points."""
+    positions, normals = measured.sample.positions, measured.sample.normals
+    assert normals is not None  # noqa: S101 - they were measured
+    mean = normals.mean(axis=0)
+    away = positions - 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+    lengths = np.maximum(np.sqrt((away * away).sum(axis=1)), 1e-300)
+    inward = float(((away * normals).sum(axis=1) / lengths).mean())
+    if float(np.sqrt((mean * mean).sum())) >= _ONE_WAY:
+        is_up = int(np.argmax(np.abs(mean))) == 2 and mean[2] > 0.0
+        return "seen from above, as a terrain" if is_up else "seen from one side, as a view"
+    if inward <= _INWARD:
+        return "seen from inside, as a room"
+    return "seen in part"

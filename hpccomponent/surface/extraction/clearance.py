@@ -1,0 +1,151 @@
+"""How far a mesh's vertices are from the points that support them.
+
+::
+
+    vertex ── offset to each point near it ──> along the surface there, and off it
+                                               └──> clearance: 1 where support ends
+
+A point supports the surface in a flat ellipsoid around it: as far as its radius along the plane
+that its normal stands on, and half as far off that plane. So a sheet that bends back behind the rim
+of the points is not theirs. What is found depends on the place and the cloud alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hpccomponent.protocol.records import record
+from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray, PointCloud
+
+__all__ = ["SupportRule", "measure_clearance"]
+
+_FLATNESS = 0.5  # of the ellipsoid
+_LEAST, _MOST = 0.7, 1.4  # clearances are clamped to these: only those around 1 are asked for
+_NEIGHBOURS = 6  # which one's distance tells a point's own spacing
+_DENSITY = np.sqrt(np.pi / _NEIGHBOURS)  # times that distance
+_CLASS = 1.25  # points whose radii differ by less are searched together
+_VERTICES_AT_ONCE = 1 << 14
+
+
+@record("surface.support_rule")
+@dataclass(frozen=True, slots=True)
+class SupportRule:
+    """How far the points support the surface.
+
+    Parameters
+    ----------
+    radius : float
+        Of a point, in length units of the input.
+    most : float
+        Of a point whose neighbours are far away: their spacing counts then.
+    spacings : float
+        The radius in spacings of those.
+    """
+
+    radius: float
+    most: float
+    spacings: float
+
+    @property
+    def reach(self) -> float:
+        """How far from a place points may lie that its clearance depends on."""
+        return _MOST * self.most + self._farthest
+
+    @property
+    def _farthest(self) -> float:
+        """Neighbours that are farther away do not make a radius larger."""
+        return self.most / (self.spacings * _DENSITY) if self.most > self.radius else 0.0
+
+    def radii(self, tree: cKDTree, rows: IntArray, threads: int) -> FloatArray:
+        """Return the radii of some points.
+
+        Parameters
+        ----------
+        tree : cKDTree
+            Of all points around.
+        rows : ndarray of int64, shape (k,)
+        threads : int
+            The result does not depend on it.
+
+        Returns
+        -------
+        ndarray of float64, shape (k,)
+        """
+        if self.most <= self.radius:
+            return np.full(len(rows), self.radius)
+        found, _ = tree.query(
+            tree.data[rows],
+            [_NEIGHBOURS + 1],
+            distance_upper_bound=self._farthest * (1.0 + 1e-9),
+            workers=threads,
+        )
+        return np.clip(self.spacings * _DENSITY * found[:, 0], self.radius, self.most)
+
+
+def measure_clearance(
+    places: FloatArray, cloud: PointCloud, rule: SupportRule, threads: int = 1
+) -> Float32Array:
+    """Tell how far some places on a surface are from the points that support them.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (v, 3)
+        In length units of the input.
+    cloud : PointCloud
+        With normals; all points within `rule.reach` of a place, in any order.
+    rule : SupportRule
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    ndarray of float32, shape (v,)
+        In radii: below 1 where a point supports the surface. Clamped to 0.7 and 1.4.
+    """
+    if not len(places) or not len(cloud):
+        return np.full(len(places), _MOST, np.float32)
+    tree = cKDTree(cloud.positions, balanced_tree=False, compact_nodes=False)
+    bound = _MOST * rule.most
+    nearest, _ = tree.query(places, distance_upper_bound=bound, workers=threads)
+    clearance = np.where(nearest < bound, _LEAST, _MOST)
+    unsure = np.flatnonzero((nearest > _LEAST * _FLATNESS * rule.radius) & (nearest < bound))
+    if not len(unsure):
+        return clearance.astype(np.float32)
+    from_places, _ = cKDTree(places[unsure]).query(
+        cloud.positions, distance_upper_bound=bound, workers=threads
+    )
+    rows = np.flatnonzero(from_places < bound)
+    radii = rule.radii(tree, rows, threads)
+    found = np.full(len(unsure), _MOST * _MOST)
+    for some in _by_radius(radii, rule.radius):
+        _lower(found, places[unsure], cloud.take(rows[some]), radii[some])
+    clearance[unsure] = np.clip(np.sqrt(found), _LEAST, _MOST)
+    return clearance.astype(np.float32)
+
+
+def _by_radius(radii: FloatArray, least: float) -> list[IntArray]:
+    """Return the rows of points whose radii are about the same."""
+    classes = np.floor(np.log(radii / least) / np.log(_CLASS) + 1e-6).astype(np.int64)
+    return [np.flatnonzero(classes == one) for one in np.unique(classes)]
+
+
+def _lower(found: FloatArray, places: FloatArray, cloud: PointCloud, radii: FloatArray) -> None:
+    """Lower the squared clearances of places to what some points give."""
+    assert cloud.normals is not None  # noqa: S101 - the points of a surface have normals
+    tree, bound = cKDTree(cloud.positions), _MOST * float(radii.max())
+    for start in range(0, len(places), _VERTICES_AT_ONCE):
+        some = places[start : start + _VERTICES_AT_ONCE]
+        pairs = cKDTree(some).sparse_distance_matrix(tree, bound, output_type="ndarray")
+        at, point = pairs["i"], pairs["j"]
+        offsets = some[at] - cloud.positions[point]
+        off, along = np.zeros(len(at)), np.zeros(len(at))
+        for axis in range(3):  # sums in one order, whatever the shape
+            off += offsets[:, axis] * cloud.normals[point, axis]
+            along += offsets[:, axis] * offsets[:, axis]
+        off *= off
+        squares = along + (1.0 / _FLATNESS**2 - 1.0) * off
+        squares /= radii[point] * radii[point]
+        np.minimum.at(found, start + at, squares)
