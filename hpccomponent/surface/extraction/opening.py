@@ -127,19 +127,19 @@ def drop_copies(
     own = np.repeat(taken, part.vertex_counts)
     corners = part.faces[np.repeat(taken, part.face_counts)].reshape(-1)
     starts, count = starts_of(part.vertex_counts), len(part.vertices)
-    used = unique_keys(corners)
-    outer = used[used >= 0]
-    outer = outer[~own[outer]].astype(np.int64)
+    used = unique_keys(corners).astype(np.int64)
+    named, outer = ~used[used < 0], used[used >= 0]
+    outer = outer[~own[outer]]
     of = np.searchsorted(starts, outer, side="right") - 1
-    bricks = np.concatenate([part.foreign_bricks, part.bricks[of]])
-    numbers = np.concatenate([part.foreign_numbers, (outer - starts[of]).astype(np.int32)])
+    bricks = np.concatenate([part.foreign_bricks[named], part.bricks[of]])
+    numbers = np.concatenate([part.foreign_numbers[named], (outer - starts[of]).astype(np.int32)])
     order = np.lexsort((numbers, bricks))
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
-    meaning = np.empty(count + len(part.foreign_bricks), np.int64)  # foreign ones from the end
+    meaning = np.empty(count + len(part.foreign_bricks), np.int64)
     meaning[:count] = np.cumsum(own) - 1
-    meaning[outer] = ~rank[len(part.foreign_bricks) :]
-    meaning[count:] = ~rank[: len(part.foreign_bricks)][::-1]
+    meaning[outer] = ~rank[len(named) :]
+    meaning[~named] = ~rank[: len(named)]  # negative indices find them
     cut = MeshPart(
         part.bricks[taken],
         np.zeros(int(taken.sum()), np.bool_),
@@ -150,7 +150,7 @@ def drop_copies(
         bricks[order],
         numbers[order],
     )
-    return cut, np.concatenate([places, part.vertices[outer]])[order]
+    return cut, np.concatenate([places[named], part.vertices[outer]])[order]
 
 
 def survey_opening(

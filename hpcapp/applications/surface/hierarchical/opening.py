@@ -34,7 +34,7 @@ from hpccomponent.surface.tasks.opening import Near, judge_support, open_part, s
 from hpccomponent.surface.tiles.plan import Plan
 from hpccomponent.surface.types.grid import BRICK
 from hpccomponent.surface.types.lattice import find_keys, pack_places, unique_keys, unpack_keys
-from hpccomponent.surface.types.points import BoolArray, IntArray
+from hpccomponent.surface.types.points import BoolArray
 
 __all__ = ["Closure", "OpeningSettings", "close_surface"]
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from hpcapp.applications.surface.hierarchical.lengths import parse_length
 from hpcapp.applications.surface.options import check_options, option
-
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
