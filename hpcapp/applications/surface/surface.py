@@ -170,7 +170,7 @@ class PartSurface:
         Of the local frame that the parts' vertices are in.
     keeping : Keeping, optional
         Where parts are kept.
-    crumb : float, optional
+    crumb : int, optional
         See `plan_weld`.
     """
 
@@ -178,7 +178,7 @@ class PartSurface:
     summaries: list[PartSummary]
     origin: FloatArray
     keeping: Keeping | None = None
-    crumb: float | None = None
+    crumb: int | None = None
     _plan: WeldPlan | None = None
     _topology: Deferred[Topology] | None = None
 

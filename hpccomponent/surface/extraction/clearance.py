@@ -6,8 +6,10 @@
                                                └──> clearance: 1 where support ends
 
 A point supports the surface in a flat ellipsoid around it: as far as its radius along the plane
-that its normal stands on, and half as far off that plane. So a sheet that bends back behind the rim
-of the points is not theirs. What is found depends on the place and the cloud alone.
+that its normal stands on, and half the least radius off that plane. So a sheet that bends back
+behind the rim of the points, or runs behind them, is not theirs. Three points must agree: a lone
+one has no surface, and the line where support ends does not follow single points. What is found
+depends on the place and the cloud alone.
 """
 
 from __future__ import annotations
@@ -22,12 +24,13 @@ from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
 __all__ = ["SupportRule", "measure_clearance"]
 
-_FLATNESS = 0.5  # of the ellipsoid
-_LEAST, _MOST = 0.7, 1.4  # clearances are clamped to these: only those around 1 are asked for
+_FLATNESS = 0.5  # of the ellipsoids of the least radius
+_AGREEING = 3  # points, of which the one that supports least counts
+_LEAST, _MOST = 0.85, 1.4  # clearances are clamped to these: only those around 1 are asked for
 _NEIGHBOURS = 6  # which one's distance tells a point's own spacing
 _DENSITY = np.sqrt(np.pi / _NEIGHBOURS)  # times that distance
 _CLASS = 1.25  # points whose radii differ by less are searched together
-_VERTICES_AT_ONCE = 1 << 14
+_PLACES_AT_ONCE = 1 << 14
 
 
 @record("surface.support_rule")
@@ -103,13 +106,14 @@ def measure_clearance(
     Returns
     -------
     ndarray of float32, shape (v,)
-        In radii: below 1 where a point supports the surface. Clamped to 0.7 and 1.4.
+        In radii: below 1 where points support the surface. Clamped to 0.85 and 1.4.
     """
     if not len(places) or not len(cloud):
         return np.full(len(places), _MOST, np.float32)
     tree = cKDTree(cloud.positions, balanced_tree=False, compact_nodes=False)
     bound = _MOST * rule.most
-    nearest, _ = tree.query(places, distance_upper_bound=bound, workers=threads)
+    found, _ = tree.query(places, [_AGREEING], distance_upper_bound=bound, workers=threads)
+    nearest = found[:, 0]
     clearance = np.where(nearest < bound, _LEAST, _MOST)
     unsure = np.flatnonzero((nearest > _LEAST * _FLATNESS * rule.radius) & (nearest < bound))
     if not len(unsure):
@@ -119,10 +123,11 @@ def measure_clearance(
     )
     rows = np.flatnonzero(from_places < bound)
     radii = rule.radii(tree, rows, threads)
-    found = np.full(len(unsure), _MOST * _MOST)
+    least = np.full((len(unsure), _AGREEING), _MOST * _MOST)
     for some in _by_radius(radii, rule.radius):
-        _lower(found, places[unsure], cloud.take(rows[some]), radii[some])
-    clearance[unsure] = np.clip(np.sqrt(found), _LEAST, _MOST)
+        near = cloud.take(rows[some])
+        _lower(least, places[unsure], near, radii[some], _FLATNESS * rule.radius)
+    clearance[unsure] = np.clip(np.sqrt(least[:, -1]), _LEAST, _MOST)
     return clearance.astype(np.float32)
 
 
@@ -132,12 +137,14 @@ def _by_radius(radii: FloatArray, least: float) -> list[IntArray]:
     return [np.flatnonzero(classes == one) for one in np.unique(classes)]
 
 
-def _lower(found: FloatArray, places: FloatArray, cloud: PointCloud, radii: FloatArray) -> None:
-    """Lower the squared clearances of places to what some points give."""
+def _lower(
+    least: FloatArray, places: FloatArray, cloud: PointCloud, radii: FloatArray, thickness: float
+) -> None:
+    """Put what some points give among the least squared clearances of each place."""
     assert cloud.normals is not None  # noqa: S101 - the points of a surface have normals
     tree, bound = cKDTree(cloud.positions), _MOST * float(radii.max())
-    for start in range(0, len(places), _VERTICES_AT_ONCE):
-        some = places[start : start + _VERTICES_AT_ONCE]
+    for start in range(0, len(places), _PLACES_AT_ONCE):
+        some = places[start : start + _PLACES_AT_ONCE]
         pairs = cKDTree(some).sparse_distance_matrix(tree, bound, output_type="ndarray")
         at, point = pairs["i"], pairs["j"]
         offsets = some[at] - cloud.positions[point]
@@ -146,6 +153,14 @@ def _lower(found: FloatArray, places: FloatArray, cloud: PointCloud, radii: Floa
             off += offsets[:, axis] * cloud.normals[point, axis]
             along += offsets[:, axis] * offsets[:, axis]
         off *= off
-        squares = along + (1.0 / _FLATNESS**2 - 1.0) * off
-        squares /= radii[point] * radii[point]
-        np.minimum.at(found, start + at, squares)
+        squares = (along - off) / (radii[point] * radii[point]) + off / (thickness * thickness)
+        near = squares < _MOST * _MOST
+        at, squares = at[near], squares[near]
+        order = np.lexsort((squares, at))
+        at, squares = at[order], squares[order]
+        turn = np.arange(len(at)) - np.searchsorted(at, at)
+        first = turn < _AGREEING
+        found = np.full((len(some), _AGREEING), _MOST * _MOST)
+        found[at[first], turn[first]] = squares[first]
+        both = np.concatenate([least[start : start + len(some)], found], axis=1)
+        least[start : start + len(some)] = np.sort(both, axis=1)[:, :_AGREEING]

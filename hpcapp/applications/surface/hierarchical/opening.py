@@ -40,14 +40,16 @@ __all__ = ["Closure", "OpeningSettings", "close_surface"]
 
 log = logging.getLogger("hpcapp")
 
-BARE_SHARE = 0.2
-"""A closed surface of which no point supports more than this share is left open: objects scanned
-from all sides have less than a tenth, views, terrains and rooms more than a third."""
+BARE_SHARE, ONE_WAY_SHARE = 0.2, 0.05
+"""A closed surface of which no point supports more than this share is left open; the second one
+where the normals face one way, as those of no closed surface do. Objects scanned from all sides
+have less than a tenth, views, terrains and rooms most often more than a third."""
 
 _SPACINGS, _NOISES, _STEPS = 3.0, 4.0, 2.0  # of the trim distance that is chosen
 _SPARSEST = 4.0  # times that, where points are few
 _FILL = 4.0  # times the trim distance: loops that are filled
-_CRUMB = 4.0  # times the trim distance: pieces that are dropped; a lone point's has 2 to 3
+_CRUMB = 3.0  # times the trim distance: pieces smaller than a square of this are dropped
+_FACES = 2.0  # of a piece as large as the side of a cell
 _ONE_WAY = 0.5  # length of the mean normal of what is seen from one side; a half sphere's
 _INWARD = -0.1  # mean of n.(x - c) / |x - c|; a sphere seen from inside has -1
 
@@ -224,20 +226,19 @@ def close_surface(
     reason = "open, as asked"
     if not asked.is_asked:
         share = _find_bare_share(parts, SupportRule(chosen, chosen, _SPACINGS))
-        if share <= BARE_SHARE:
+        is_one_way, is_inward = _look_round(cloud.measure())
+        if share <= (ONE_WAY_SHARE if is_one_way else BARE_SHARE):
             return surface, Closure(False, f"closed: points support {_percent(1.0 - share)} of it")
-        reason = (
-            f"open: no point supports {_percent(share)} of the closed surface, "
-            f"{_describe(cloud.measure())} (--close yes closes it)"
-        )
+        seen = "from inside, as a room" if is_inward else "in part"
+        seen = "from one side, as a view or a terrain" if is_one_way else seen
+        reason = f"open: seen {seen}; no point supports {_percent(share)} of the closed surface"
     radius = chosen if asked.trim is None else asked.trim.of(spacing)
     rule = SupportRule(radius, _SPARSEST * radius if asked.trim is None else radius, _SPACINGS)
     fill = _FILL * radius if asked.fill_holes is None else asked.fill_holes.of(spacing)
     opened, holes = _cut(parts, rule, fill, advance)
     if not opened.plan.face_count:
         raise InputError(
-            f"no piece of the surface is larger than {opened.crumb:g} within {radius:g} of the "
-            "points",
+            f"no piece of the surface within {radius:g} of the points is larger than a crumb",
             "give a longer --trim: some spacings of the points, as 3s",
         )
     closure = Closure(True, reason, radius, fill, holes, opened.plan.dropped)
@@ -300,7 +301,7 @@ def _cut(
         opened[index] = kept, summary
         advance(len(parts) + len(opened), 2 * len(parts))
     cuts, summaries = zip(*(opened[index] for index in range(len(parts))), strict=True)
-    crumb = _CRUMB * rule.radius
+    crumb = int(_FACES * (_CRUMB * rule.radius / parts.plan.step) ** 2)
     return PartSurface([*cuts], [*summaries], surface.origin, keeping, crumb), matched.holes
 
 
@@ -308,17 +309,12 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
 
 
-def _describe(measured: Measured) -> str:
-    """Say what open clouds look like a cloud, by a sample of its points."""
+def _look_round(measured: Measured) -> tuple[bool, bool]:
+    """Tell whether the normals of a cloud face one way, and whether they face inwards."""
     positions, normals = measured.sample.positions, measured.sample.normals
     assert normals is not None  # noqa: S101 - they were measured
     mean = normals.mean(axis=0)
     away = positions - 0.5 * (positions.min(axis=0) + positions.max(axis=0))
     lengths = np.maximum(np.sqrt((away * away).sum(axis=1)), 1e-300)
     inward = float(((away * normals).sum(axis=1) / lengths).mean())
-    if float(np.sqrt((mean * mean).sum())) >= _ONE_WAY:
-        is_up = int(np.argmax(np.abs(mean))) == 2 and mean[2] > 0.0
-        return "seen from above, as a terrain" if is_up else "seen from one side, as a view"
-    if inward <= _INWARD:
-        return "seen from inside, as a room"
-    return "seen in part"
+    return float(np.sqrt((mean * mean).sum())) >= _ONE_WAY, inward <= _INWARD

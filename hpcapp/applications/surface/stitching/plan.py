@@ -155,16 +155,15 @@ class WeldPlan:
         return np.flatnonzero(~self.kept[self.bricks.labels_in(index)]).astype(np.int32)
 
 
-def plan_weld(summaries: Sequence[PartSummary], crumb: float | None = None) -> WeldPlan:
+def plan_weld(summaries: Sequence[PartSummary], crumb: int | None = None) -> WeldPlan:
     """Plan the weld of all the parts of a mesh.
 
     Parameters
     ----------
     summaries : sequence of PartSummary
         At least one; of guests that no part owns the first part's copy is taken.
-    crumb : float, optional
-        Components are dropped where the diagonal of their box is shorter than this, in length
-        units of the input; by default where they have few faces.
+    crumb : int, optional
+        Components with fewer faces are dropped; by default those with few beside the largest.
 
     Returns
     -------
@@ -180,11 +179,7 @@ def plan_weld(summaries: Sequence[PartSummary], crumb: float | None = None) -> W
     component = join_labels(summaries, bricks)
     entries = _collect_entries(summaries, bricks, component)
     faces = np.bincount(entries.component, entries.faces, int(component.max(initial=-1)) + 1)
-    if crumb is None:
-        large = find_large(faces.astype(np.int64))
-    else:
-        bounds = np.concatenate([s.bounds for s in summaries])
-        large = (faces > 0) & (_diagonals(_bound_all(bounds, component, len(faces))) >= crumb)
+    large = find_large(faces.astype(np.int64)) if crumb is None else faces >= max(crumb, 1)
     kept = large[component]
     components = entries.only(large[entries.component])
     vertex_starts, face_starts = (
@@ -223,21 +218,6 @@ def _collect_entries(
         np.concatenate([s.entry_faces for s in summaries])[order],
         np.concatenate([s.entry_sums for s in summaries])[order],
     )
-
-
-def _bound_all(bounds: FloatArray, component: IntArray, count: int) -> FloatArray:
-    """Return the boxes around the components of the mesh, inside out where there is no vertex."""
-    boxes = np.full((count, 6), np.inf)
-    boxes[:, 3:] = -np.inf
-    np.minimum.at(boxes, (component, slice(0, 3)), bounds[:, :3])
-    np.maximum.at(boxes, (component, slice(3, 6)), bounds[:, 3:])
-    return boxes
-
-
-def _diagonals(boxes: FloatArray) -> FloatArray:
-    sides = np.maximum(boxes[:, 3:] - boxes[:, :3], 0.0)
-    diagonals: FloatArray = np.sqrt((sides * sides).sum(axis=1))
-    return diagonals
 
 
 def _bound(bounds: FloatArray) -> FloatArray:
