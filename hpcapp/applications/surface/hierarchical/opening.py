@@ -33,8 +33,8 @@ from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.tasks.opening import Near, judge_support, open_part, survey_support
 from hpccomponent.surface.tiles.plan import Plan
 from hpccomponent.surface.types.grid import BRICK
-from hpccomponent.surface.types.lattice import find_keys, pack_places, unique_keys, unpack_keys
-from hpccomponent.surface.types.points import BoolArray
+from hpccomponent.surface.types.lattice import unpack_keys
+from hpccomponent.surface.types.points import BoolArray, IntArray
 
 __all__ = ["Closure", "OpeningSettings", "close_surface"]
 
@@ -150,21 +150,15 @@ class _Parts:
 
     def near(self, index: int, reach: float) -> Near:
         """Return the points within reach of what a part gives."""
-        plan, blocks = self.plan, self.cloud.arrangement
+        plan, blocks, keys = self.plan, self.cloud.arrangement, self.cloud.keys
         edge, margin = BRICK * plan.step, reach + 2.0 * plan.step
-        bricks = self.surface.summaries[index].bricks[self.taken(index)]
-        low = plan.grid_origin + edge * unpack_keys(bricks) - margin - blocks.origin
-        first = np.floor(low / blocks.edge).astype(np.int64)
-        last = np.floor((low + edge + 2.0 * margin) / blocks.edge).astype(np.int64)
-        first, last = np.unique(np.concatenate([first, last], axis=1), axis=0).T.reshape(2, 3, -1)
-        keys = [np.empty(0, np.int64)]
-        for step in np.ndindex(*((last - first).max(axis=1, initial=0) + 1)):
-            places = first + np.array(step)[:, None]
-            inside = ((places <= last) & (places >= 0)).all(axis=0)
-            keys.append(unique_keys(pack_places(places[:, inside].T)))
-        wanted = unique_keys(np.concatenate(keys))
-        there = find_keys(self.cloud.keys, wanted) < len(self.cloud.keys)
-        return Near(self.cloud.place, wanted[there])
+        bricks = unpack_keys(self.surface.summaries[index].bricks[self.taken(index)])
+        if not len(bricks):
+            return Near(self.cloud.place, keys[:0])
+        low = blocks.origin + blocks.edge * unpack_keys(keys) - margin - plan.grid_origin
+        first = np.floor(low / edge).astype(np.int64)
+        end = np.floor((low + blocks.edge + 2.0 * margin) / edge).astype(np.int64) + 1
+        return Near(self.cloud.place, keys[_hold_some(bricks, first, end)])
 
     def run(
         self, task: Callable[..., Any], batch: Callable[[int], tuple[Any, ...]]
@@ -177,6 +171,22 @@ class _Parts:
             return
         for index in indices:
             yield index, task(*batch(index))
+
+
+def _hold_some(places: IntArray, first: IntArray, end: IntArray) -> BoolArray:
+    """Tell which boxes of a lattice, each from `first` to before `end`, hold one of its places."""
+    low = places.min(axis=0)
+    table = np.zeros(places.max(axis=0) - low + 2, np.int32)
+    table[tuple((places - low + 1).T)] = 1
+    for axis in range(3):  # how many places lie below each corner
+        np.cumsum(table, axis=axis, out=table)
+    most = np.array(table.shape) - 1
+    ends = [np.clip(some - low, 0, most) for some in (first, end)]
+    counts = np.zeros(len(first), np.int64)
+    for corner in np.ndindex(2, 2, 2):
+        at = tuple(ends[side][:, axis] for axis, side in enumerate(corner))
+        counts += (1 if sum(corner) % 2 else -1) * table[at]
+    return counts > 0
 
 
 def close_surface(
