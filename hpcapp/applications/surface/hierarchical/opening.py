@@ -45,8 +45,8 @@ BARE_SHARE, ONE_WAY_SHARE = 0.2, 0.05
 where the normals face one way, as those of no closed surface do. Objects scanned from all sides
 have less than a tenth, views, terrains and rooms most often more than a third."""
 
-_SPACINGS, _NOISES, _STEPS = 3.0, 4.0, 2.0  # of the trim distance that is chosen
-_SPARSEST = 4.0  # times that, where points are few
+_SPACINGS, _NOISES, _STEPS = 3.0, 4.0, 1.5  # of the trim distance that is chosen
+_SPARSEST = 1.5  # times that, where points are few
 _FILL = 4.0  # times the trim distance: loops that are filled
 _CRUMB = 3.0  # times the trim distance: pieces smaller than a square of this are dropped
 _FACES = 2.0  # of a piece as large as the side of a cell
