@@ -175,13 +175,13 @@ def make_click_options(settings: type[Options], prefix: str) -> Iterator[click.O
 
 def _click_type(
     asked: _Option, kind: type
-) -> click.Choice[str] | click.IntRange | click.FloatRange | click.ParamType | None:
+) -> click.Choice[str] | click.IntRange | click.FloatRange | type[str] | None:
     if kind is bool:
         return None
     if asked.choices:
         return click.Choice(asked.choices)
     if kind is str:
-        return click.STRING
+        return str
     if kind is int:
         return click.IntRange(
             None if asked.low is None else int(asked.low),

@@ -85,7 +85,8 @@ class SupportRule:
             distance_upper_bound=self._farthest * (1.0 + 1e-9),
             workers=threads,
         )
-        return np.clip(self.spacings * _DENSITY * found[:, 0], self.radius, self.most)
+        wanted: FloatArray = self.spacings * _DENSITY * found[:, 0]
+        return wanted.clip(self.radius, self.most)
 
 
 def measure_clearance(

@@ -305,8 +305,8 @@ def _bound_loops(
     ends = unique_keys(np.where(labels[tails] >= 0, tails, heads))
     loops = np.full((patches, 6), np.inf)
     loops[:, 3:] = -np.inf
-    np.minimum.at(loops, (labels[ends], slice(0, 3)), points[ends])
-    np.maximum.at(loops, (labels[ends], slice(3, 6)), points[ends])
+    np.minimum.at(loops[:, :3], labels[ends], points[ends])
+    np.maximum.at(loops[:, 3:], labels[ends], points[ends])
     return loops
 
 

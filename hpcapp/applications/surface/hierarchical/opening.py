@@ -267,7 +267,8 @@ def _find_bare_share(parts: _Parts, rule: SupportRule) -> float:
         return *given, 1 if parts.shared is not None else parts.threads
 
     found = [counts for _, counts in parts.run(judge_support, batch)]
-    return sum(bare for bare, _ in found) / max(1, sum(vertices for _, vertices in found))
+    bare, vertices = (sum(column) for column in zip(*found, strict=True))
+    return float(bare / max(1, vertices))
 
 
 def _cut(
