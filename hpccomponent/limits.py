@@ -6,6 +6,7 @@ Files are read below `root`, so that tests can lay out a machine of their own.
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import resource
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ __all__ = [
     "available_memory",
     "available_tasks",
     "control_groups",
+    "is_shortage",
     "memory_limit",
     "raise_descriptor_limit",
     "read_text",
@@ -25,6 +27,8 @@ __all__ = [
 ]
 
 _ROOT = Path("/")
+
+_SHORTAGES = {errno.ENOMEM, errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.EIO}
 
 
 def control_groups(controller: str, root: Path = _ROOT) -> Iterator[Path]:
@@ -266,3 +270,28 @@ def read_text(path: Path) -> str:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:
         return ""
+
+
+def is_shortage(error: BaseException) -> bool:
+    """Tell whether an error says that a machine lacks something, and not what the task did wrong.
+
+    Parameters
+    ----------
+    error : BaseException
+
+    Returns
+    -------
+    bool
+        True where memory, disk or open files have run out, or a disk is broken:
+        another machine may have what this one has not.
+
+    Examples
+    --------
+    >>> is_shortage(MemoryError()), is_shortage(OSError(errno.ENOSPC, "full"))
+    (True, True)
+    >>> is_shortage(FileNotFoundError(errno.ENOENT, "no such file"))
+    False
+    """
+    return isinstance(error, MemoryError) or (
+        isinstance(error, OSError) and error.errno in _SHORTAGES
+    )

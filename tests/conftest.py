@@ -10,7 +10,7 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -95,9 +95,17 @@ class StandingCluster:
     names : sequence of str
         The workers'; those after `running` have died.
     running : int
+    before : mapping of str to sequence of str
+        By a worker's name, what comes before the command of its loader.
     """
 
-    def __init__(self, folder: Path, names: Sequence[str], running: int) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        names: Sequence[str],
+        running: int,
+        before: Mapping[str, Sequence[str]],
+    ) -> None:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
@@ -123,13 +131,15 @@ class StandingCluster:
                 "restart": {"first_s": 0.05, "cap_s": 0.2},
             }
             (machine / "loader.yaml").write_text(json.dumps(settings))
-            self.loaders.append(self._start(machine))
+            self.loaders.append(self._start(machine, before.get(name, ())))
 
     @staticmethod
-    def _start(machine: Path) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-P", "-m", "hpcloader", "run", "--config", "loader.yaml"]
+    def _start(machine: Path, before: Sequence[str]) -> subprocess.Popen[bytes]:
+        loader = [sys.executable, "-P", "-m", "hpcloader", "run", "--config", "loader.yaml"]
         with (machine / "log").open("wb") as log:
-            return subprocess.Popen(command, cwd=machine, stdin=subprocess.DEVNULL, stderr=log)
+            return subprocess.Popen(
+                [*before, *loader], cwd=machine, stdin=subprocess.DEVNULL, stderr=log
+            )
 
     def components(self) -> list[int]:
         """Return the process ids of the components that run now."""
@@ -157,9 +167,10 @@ def standing_cluster(tmp_path: Path) -> Iterator[Callable[..., StandingCluster]]
         folder: Path | None = None,
         names: Sequence[str] = ("head", "worker-1"),
         running: int | None = None,
+        before: Mapping[str, Sequence[str]] | None = None,
     ) -> StandingCluster:
         count = len(names) if running is None else running
-        started.append(StandingCluster(folder or tmp_path, names, count))
+        started.append(StandingCluster(folder or tmp_path, names, count, before or {}))
         return started[-1]
 
     yield start

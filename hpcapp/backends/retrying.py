@@ -1,5 +1,7 @@
 """An Executor around another one: a task whose worker was lost runs again, on the same bits.
 
+So does one whose worker ran out of memory, disk or open files: another one may have them.
+
 Engines differ in what they do when a worker dies: a process pool breaks, and with it every task
 that waits; Dask tries again by itself; MPI ends the whole job. Here is the one place where such
 losses are counted, made good and at last translated.
@@ -27,7 +29,7 @@ from typing import Any, TypeVar
 
 from hpcapp.backends.calls import align, run_task
 from hpccomponent.errors import WorkerLostError
-from hpccomponent.limits import available_cores
+from hpccomponent.limits import available_cores, is_shortage
 from hpccomponent.runtime.numerics import numerics_id
 
 __all__ = ["MOST_LOSSES", "RetryingExecutor", "count_broken", "count_workers"]
@@ -261,17 +263,18 @@ class RetryingExecutor(Executor):
         error = inner.exception()
         if error is None:
             task.end(None, align(inner.result()))
-        elif self._count_losses(error):
+        elif self._count_losses(error) or is_shortage(error):
             self._mender.submit(self._mend, task, engine, error)
         else:
             task.end(error)
 
     def _mend(self, task: _Task, engine: Executor, error: BaseException) -> None:
         """Run a task again whose worker was lost, or give it up."""
-        task.losses += self._count_losses(error)
+        is_short = is_shortage(error)  # which breaks no engine, so that it can always be asked anew
+        task.losses += self._count_losses(error) or is_short
         try:
-            if self._gives_up or task.losses > self._most_losses:
-                raise self._lost(task, f"{task.losses} worker(s) died while it ran or waited")
+            if self._gives_up or task.losses > (MOST_LOSSES if is_short else self._most_losses):
+                raise self._lost(task, f"{task.losses} worker(s) {_say_fate(error)}")
             if isinstance(error, BrokenExecutor):
                 self._reopen(engine)
             self._start(task)
@@ -289,3 +292,10 @@ class RetryingExecutor(Executor):
     def _lost(self, task: _Task, reason: str) -> WorkerLostError:
         name = getattr(task.function, "__name__", repr(task.function))
         return WorkerLostError(f"{name} was not finished: {reason}", self._advice)
+
+
+def _say_fate(error: BaseException) -> str:
+    """Say what became of workers that could not do a task."""
+    if is_shortage(error):
+        return f"lacked what it needs ({type(error).__name__}: {error})"
+    return "died while it ran or waited"

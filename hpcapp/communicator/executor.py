@@ -140,9 +140,9 @@ class CommunicatorExecutor(Executor):
     def statistics(self) -> dict[str, int]:
         """Return counts since the start.
 
-        Bytes, tasks, batches and blobs; lost workers, liars, batches sent again; second answers of
-        tasks that were run twice, tasks that were split; messages that were dropped, peers that
-        were refused.
+        Bytes, tasks, batches and blobs; lost workers, liars, failures that another machine was
+        asked about, batches sent again; second answers of tasks that were run twice, tasks that
+        were split; messages that were dropped, peers that were refused.
         """
         scheduled, own = self._engine.scheduler.counts, self._engine.counts
         return {
@@ -153,6 +153,7 @@ class CommunicatorExecutor(Executor):
             "blobs": own["blobs"],
             "losses": scheduled["losses"],
             "lies": scheduled["lies"],
+            "doubted": scheduled["doubted"],
             "resent": scheduled["resent"],
             "duplicates": scheduled["duplicates"],
             "splits": scheduled["splits"],

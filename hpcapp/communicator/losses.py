@@ -21,7 +21,7 @@ LOSS_BUDGET = 3  # machines that may lose one task, or workers where there are f
 
 @dataclass(slots=True)
 class _Record:
-    """What a machine has done and lost.
+    """What a machine has done and lost, or failed at alone.
 
     `done` and `spoilt` count by the name of the task: what it has finished, and what it lost and
     another one has done since. `is_shaken` until it has finished something after a loss.
@@ -191,9 +191,9 @@ class Losses:
         for machine in self._records if machines is None else machines:
             record = self._records[machine]
             if record.lost:
-                workers = "a worker" if record.lost == 1 else f"{record.lost} workers, the last"
+                times = "once" if record.lost == 1 else f"{record.lost} times, the last"
                 size = _say_size(record.memory_bytes)
-                said.append(f"{machine} lost {workers} because {record.reason}; it has {size}")
+                said.append(f"{machine} failed {times} because {record.reason}; it has {size}")
         return "; ".join(said)
 
     def explain(self, task: Task) -> WorkerLostError:

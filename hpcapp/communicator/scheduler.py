@@ -9,8 +9,9 @@
 Promises: every submitted task ends exactly once, by a result, an error, or its cancellation; a
 result that comes twice is dropped, and counted where the task was run twice on purpose; a task that
 was lost runs on another machine, as long as there is one, and is given up after too many of them;
-so is everything when no worker is left and none is to be expected. A machine that loses what others
-can do is retired, as long as there are others; a worker that lies is turned away.
+so is everything when no worker is left and none is to be expected. What fails on one machine is
+asked of another one before it is believed. A machine that loses, or fails at, what others can do is
+retired, as long as there are others; a worker that lies is turned away.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from hpcapp.communicator.admission import Admission
 from hpcapp.communicator.assignments import Assignments
 from hpcapp.communicator.batching import MAX_TASKS, BatchCutter, find_holder
 from hpcapp.communicator.forecast import Forecast
-from hpcapp.communicator.losses import Losses
+from hpcapp.communicator.losses import LOSS_BUDGET, Losses
 from hpcapp.communicator.policy import Policy
 from hpcapp.communicator.speculation import choose_to_run_again, choose_to_split
 from hpcapp.communicator.state import (
@@ -43,7 +44,7 @@ from hpcapp.communicator.state import (
 from hpccomponent.clock import Clock
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.frames import LARGEST_FRAME
-from hpccomponent.protocol.messages import Register, Result
+from hpccomponent.protocol.messages import Failure, Register, Result
 
 __all__ = ["Scheduler"]
 
@@ -197,15 +198,19 @@ class Scheduler:
         way_s = max(0.0, spent_s) / max(1, len(results))
         for index, result in enumerate(results):
             own = flight.pop(result.task) if flight is not None else None
-            task = self.tasks.pop(result.task, None)
+            task = self.tasks.get(result.task)
             if own is not None and result.failure is None:
                 self._forecast.learn(identity, own, result.seconds, way_s)
             if task is None:
                 self.counts["dropped" if own is None else "duplicates"] += 1
                 continue
+            if result.failure is not None and self._can_ask_another(task, worker):
+                actions += self._ask_another(task, worker, result.failure)
+                continue
+            del self.tasks[task.number]
             self._withdraw(task)
             actions.append(Deliver(task.number, index, result))
-            for machine in self._losses.credit(task, worker):
+            for machine in self._losses.credit(task, worker) if result.failure is None else ():
                 actions += self._retire(machine)
         worker.since = worker.seen
         if is_finished:
@@ -464,6 +469,24 @@ class Scheduler:
         if is_blamed and self._losses.is_bad(worker):
             actions += self._retire(worker.machine)
         return actions
+
+    def _can_ask_another(self, task: Task, worker: Worker) -> bool:
+        """Tell whether another machine can say if it is the task that fails, or this machine."""
+        if task.has_failed:
+            return False
+        known = {worker.machine, *task.losses}
+        others = any(other.machine not in known for other in self._open_workers())
+        return others and len(known) < LOSS_BUDGET
+
+    def _ask_another(self, task: Task, worker: Worker, failure: Failure) -> list[Action]:
+        """Hold a failure against the machine, until another one has failed as well."""
+        self.counts["doubted"] += 1
+        task.has_failed = True
+        task.places.pop(worker.identity, None)
+        self._losses.blame(task, worker, f"{task.name!r} failed there ({failure.problem})")
+        if not task.places:
+            self._requeue([task])
+        return self._retire(worker.machine) if self._losses.is_bad(worker) else []
 
     def _requeue(self, tasks: Iterable[Task]) -> None:
         for task in reversed(list(tasks)):

@@ -32,7 +32,8 @@ class Task:
 
     `work` is its declared cost, in units of its own, and `can_split` whether it declares how.
     `limit_bytes` is how large its result may be. `losses` counts, by machine, the workers that were
-    lost while it was (or may have been) running; a task is claimed once, right before it first
+    lost while it was (or may have been) running, or on which it failed, which one may before it is
+    believed (`has_failed`); a task is claimed once, right before it first
     leaves. `places` are the workers that hold it, with the batch: two where it is run again because
     the first lags; the first answer counts, and then it is done.
     """
@@ -45,6 +46,7 @@ class Task:
     can_split: bool = False
     limit_bytes: int = 0
     losses: Counter[str] = field(default_factory=Counter)
+    has_failed: bool = False
     is_claimed: bool = False
     is_done: bool = False
     places: dict[bytes, int] = field(default_factory=dict)

@@ -31,6 +31,7 @@ from hpccomponent.protocol.frames import LARGEST_FRAME, group_frames, split_buff
 from hpccomponent.protocol.messages import (
     PROTOCOL_VERSION,
     Batch,
+    Lost,
     Register,
     Results,
     Share,
@@ -187,6 +188,8 @@ class _Component:
         try:
             control, payload = worker.channel.receive()
             results = decode_component_message(control)
+            if isinstance(results, Lost):
+                raise ProtocolError(results.reason)
             if not isinstance(results, Results):
                 raise ProtocolError("the worker process sent something else than results")
             sizes = [size for result in results.results for size in result.sizes]

@@ -13,10 +13,12 @@ import socket
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from time import perf_counter
 from typing import Any
 
 from hpccomponent import errors
+from hpccomponent.limits import is_shortage
 from hpccomponent.protocol.codec import NO_BLOBS, decode_values, encode_values
 from hpccomponent.protocol.declared import check_result
 from hpccomponent.protocol.frames import Buffer
@@ -26,6 +28,7 @@ from hpccomponent.protocol.messages import (
     Call,
     Failure,
     Forget,
+    Lost,
     Result,
     Results,
     Share,
@@ -38,12 +41,23 @@ from hpccomponent.runtime.collecting import rare_collections
 from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
 from hpccomponent.runtime.tasks import TaskRegistry, Traits, traits_of
 
-__all__ = ["main", "run_batch", "run_call"]
+__all__ = ["ShortageError", "main", "run_batch", "run_call"]
 
 FLUSH_S = 0.005  # results wait this long for company, so that cheap tasks share a message
 FLUSH_BYTES = 256 * 1024
 IDLE_S = 0.1  # after a start or results: the next batch comes sooner, if there is one
 LINE_LENGTH = 1000
+EXIT_SHORTAGE = 1
+
+
+class ShortageError(Exception):
+    """The machine lacks what a task needs: no fault of the task, and another one may have it.
+
+    Parameters
+    ----------
+    reason : str
+        For the master, in one line.
+    """
 
 
 def run_call(
@@ -68,9 +82,14 @@ def run_call(
     Returns
     -------
     result : Result
-        The encoded value, or what the task raised; never an exception.
+        The encoded value, or what the task raised.
     buffers : list of bytes-like
         The buffers of the value.
+
+    Raises
+    ------
+    ShortageError
+        If this machine has run out of memory, disk or open files over it.
     """
     start = perf_counter()
     try:
@@ -83,6 +102,9 @@ def run_call(
         _check(call, value, len(header) + sum(map(len, output)), traits_of(task), arguments)
     except BaseException as error:
         failure = _describe(error)
+        if is_shortage(error):
+            reason = f"it lacks what {call.name!r} needs ({failure.problem})"
+            raise ShortageError(reason) from error
         return Result(call.task, perf_counter() - start, b"", [], failure), []
     return Result(call.task, seconds, header, [len(buffer) for buffer in output]), output
 
@@ -138,23 +160,48 @@ def run_batch(
         The other end is gone.
     ProtocolError
         The payload is too short.
+    ShortageError
+        This machine lacks what a task needs; the results before it have been sent.
     """
     buffers = iter(cut_payload(payload, [size for call in batch.calls for size in call.sizes]))
-    ready: list[Result] = []
-    output: list[Buffer] = []
-    size = 0
-    flushed = perf_counter()
-    last = batch.calls[-1]
+    ready = _Ready(batch, channel)
     for call in batch.calls:
-        result, values = run_call(call, [next(buffers) for _ in call.sizes], tasks, blobs)
-        ready.append(result)
-        output += values
-        size += len(result.header) + sum(result.sizes)
-        if call is not last and size < FLUSH_BYTES and perf_counter() - flushed < FLUSH_S:
-            continue
-        message = Results(batch.session, batch.batch, ready, call is last)
-        channel.send(encode_message(message), [[value] for value in output])
-        ready, output, size, flushed = [], [], 0, perf_counter()
+        if ready.is_due():
+            ready.send(is_finished=False)
+        try:
+            ready.add(*run_call(call, [next(buffers) for _ in call.sizes], tasks, blobs))
+        except ShortageError:
+            ready.send(is_finished=False)
+            raise
+    ready.send(is_finished=True)
+
+
+class _Ready:
+    """Results of a batch that wait for company."""
+
+    def __init__(self, batch: Batch, channel: Channel) -> None:
+        self._batch, self._channel = batch, channel
+        self._clear()
+
+    def _clear(self) -> None:
+        self._results: list[Result] = []
+        self._output: list[Buffer] = []
+        self._size = 0
+        self._flushed = perf_counter()
+
+    def add(self, result: Result, values: list[Buffer]) -> None:
+        self._results.append(result)
+        self._output += values
+        self._size += len(result.header) + sum(result.sizes)
+
+    def is_due(self) -> bool:
+        is_late = perf_counter() - self._flushed >= FLUSH_S
+        return bool(self._results) and (self._size >= FLUSH_BYTES or is_late)
+
+    def send(self, is_finished: bool) -> None:
+        message = Results(self._batch.session, self._batch.batch, self._results, is_finished)
+        self._channel.send(encode_message(message), [[value] for value in self._output])
+        self._clear()
 
 
 class _Blobs(Mapping[bytes, Any]):
@@ -247,6 +294,11 @@ def main(arguments: list[str] | None = None) -> int:
             del control, payload  # or the last batch would stay mapped while this one waits
     except ChannelClosedError:
         return 0
+    except ShortageError as error:
+        with suppress(ChannelClosedError):
+            said = Lost(batch.session, batch.batch, str(error)[:LINE_LENGTH], is_blamed=True)
+            channel.send(encode_message(said), [])
+        return EXIT_SHORTAGE
 
 
 if __name__ == "__main__":

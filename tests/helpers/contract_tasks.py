@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import time
@@ -99,6 +100,21 @@ def kill_below(bad: str) -> int:
     if os.getppid() == int(Path(bad).read_text(encoding="utf-8")):
         kill_worker()
     time.sleep(0.01)
+    return os.getppid()
+
+
+def lack_below(bad: str, error: int) -> int:
+    """Run short of something where the component's id is in a file; else return ours.
+
+    Parameters
+    ----------
+    bad : str
+        The file.
+    error : int
+        Of what, as an ``errno``.
+    """
+    if os.getppid() == int(Path(bad).read_text(encoding="utf-8")):
+        raise MemoryError("no room") if error == errno.ENOMEM else OSError(error, "no room")
     return os.getppid()
 
 

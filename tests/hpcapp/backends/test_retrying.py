@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor, as_completed
@@ -114,6 +115,29 @@ def test_a_task_is_given_up_with_the_loss_after_the_third(
     ) as caught:
         future.result(60)
     assert isinstance(caught.value.__cause__, BrokenExecutor)
+
+
+@pytest.mark.parametrize("most_losses", [0, MOST_LOSSES])
+def test_what_one_worker_lacks_another_may_have(engines: Engines, most_losses: int) -> None:
+    executor = RetryingExecutor(engines, 2, most_losses=most_losses)
+    saved, gone = executor.submit(pow, 2, 3), executor.submit(pow, 2, 4)
+    engine = engines.opened[0]
+    engine.wait_for(2)
+    (first, _, _), (second, function, arguments) = engine.waiting
+    engine.waiting.clear()
+    first.set_exception(MemoryError("no room"))
+    engine.wait_for(1)
+    engine.run_all()
+    assert saved.result(60) == 8
+    engine.waiting.append((second, function, arguments))
+    for loss in range(MOST_LOSSES + 1):
+        engine.fail_all(OSError(errno.ENOSPC, "no room"))
+        if loss < MOST_LOSSES:
+            engine.wait_for(1)
+    with pytest.raises(WorkerLostError, match=r"4 worker\(s\) lacked what it needs \(OSError"):
+        gone.result(60)
+    executor.shutdown()
+    assert len(engines.opened) == 1
 
 
 def test_an_engine_that_retries_by_itself_says_how_many_workers_it_lost(engines: Engines) -> None:

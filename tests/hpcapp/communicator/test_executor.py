@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import threading
@@ -262,6 +263,41 @@ def test_a_task_that_kills_every_worker_is_given_up(
     with pytest.raises(WorkerLostError, match="SIGKILL"):
         poison.result(WAIT)
     assert [future.result(WAIT) for future in others] == list(range(20))
+
+
+@pytest.mark.parametrize("lack", [errno.ENOMEM, errno.ENOSPC, errno.EMFILE])
+def test_what_one_machine_lacks_another_one_does(
+    executor: CommunicatorExecutor, start_component: StartComponent, tmp_path: Path, lack: int
+) -> None:
+    bad = start_component("bad")
+    note = tmp_path / "bad"
+    note.write_text(str(bad.pid))
+    executor.wait_for_workers(1, WAIT)
+    task: Future[Any] = executor.submit("contract.lack_below", str(note), lack)
+    await_loss(executor)
+    good = start_component("good")
+    assert task.result(WAIT) == good.pid
+
+
+def test_what_every_machine_lacks_is_said(
+    executor: CommunicatorExecutor, start_component: StartComponent, tmp_path: Path
+) -> None:
+    note = tmp_path / "bad"
+    note.write_text(str(start_component("alone").pid))
+    task: Future[Any] = executor.submit("contract.lack_below", str(note), errno.ENOMEM)
+    lacked = r"alone failed .* it lacks what 'contract.lack_below' needs \(MemoryError: no room\)"
+    with pytest.raises(WorkerLostError, match=lacked):
+        task.result(WAIT)
+
+
+def await_loss(executor: CommunicatorExecutor) -> None:
+    """Wait until a worker has been lost."""
+    never = threading.Event()
+    for _ in range(int(WAIT * 100)):
+        if executor.statistics()["losses"]:
+            return
+        never.wait(0.01)
+    raise AssertionError("nobody was lost")
 
 
 def test_a_machine_that_loses_every_worker_is_retired_and_the_others_do_its_tasks(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -19,6 +20,7 @@ from hpccomponent.protocol.frames import LARGEST_FRAME, split_buffers
 from hpccomponent.protocol.messages import (
     PROTOCOL_VERSION,
     Batch,
+    Failure,
     Heartbeat,
     Refused,
     Register,
@@ -33,6 +35,7 @@ from hpccomponent.surface.tasks.patch_quadrics import fit_patches
 
 WAIT = 60.0
 ROWS = 200
+MOST_MEMORY = 200 << 20  # that a lie may cost the master
 
 Answer = Callable[[int], tuple[list[Result], list[Any]]]
 
@@ -78,6 +81,7 @@ class Liar(threading.Thread):
         super().__init__(daemon=True)
         self._connection = executor.invite("liar")
         self._answer = answer
+        self.public_key = self._connection.public_key
         self.registered, self.reason = threading.Event(), ""
         self.start()
 
@@ -129,6 +133,34 @@ def test_a_liar_that_sends_nan_is_turned_away(
     assert fitted.result(WAIT).shape == (1, 10)
 
 
+def forget_peak() -> None:
+    """Have the kernel count this process's largest memory from now on."""
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def read_memory(what: str) -> int:
+    """Return this process's memory in bytes: ``VmRSS``, or ``VmHWM`` for the largest."""
+    fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(fields[what].split()[0]) * 1024
+
+
+def test_a_liar_that_says_that_a_task_fails_is_not_believed(
+    executor: CommunicatorExecutor, start_component: StartComponent
+) -> None:
+    failure = Failure("InputError", "your points are no good", "give others", "")
+    liar = Liar(executor, lambda task: ([Result(task, 0.0, b"", [], failure)], []))
+    assert liar.registered.wait(WAIT)
+    left = np.linspace(0.0, 0.9, ROWS)
+    start_component()
+    executor.wait_for_workers(2, WAIT)
+    results = [executor.submit(estimate, "wave", left, left + 0.1) for _ in range(12)]
+    for result in results:
+        assert np.array_equal(result.result(WAIT), estimate("wave", left, left + 0.1))
+    assert executor.statistics()["doubted"] >= 1
+    executor.revoke(liar.public_key)
+    liar.join(WAIT)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("lie", LIES)
 def test_a_liar_is_turned_away_with_a_reason_and_the_work_is_done(
@@ -139,11 +171,14 @@ def test_a_liar_is_turned_away_with_a_reason_and_the_work_is_done(
 ) -> None:
     liar = Liar(executor, LIES[lie])
     assert liar.registered.wait(WAIT)
+    forget_peak()
+    before = read_memory("VmRSS")
     left = np.linspace(0.0, 0.9, ROWS)
     first = executor.submit(estimate, "wave", left, left + 0.1)
     liar.join(WAIT)
     assert "works for this job no more" in liar.reason
     assert liar.reason in caplog.text
+    assert read_memory("VmHWM") - before < MOST_MEMORY  # that of the liar, a thread here, with it
     start_component()
     assert np.array_equal(first.result(WAIT), estimate("wave", left, left + 0.1))
     assert executor.statistics()["losses"] == 0

@@ -19,7 +19,7 @@ from hpcapp.communicator.state import (
 from hpccomponent.clock import ManualClock
 from hpccomponent.errors import NoWorkersError, WorkerLostError
 from hpccomponent.protocol.blobs import Blob
-from hpccomponent.protocol.messages import PROTOCOL_VERSION, Register, Result
+from hpccomponent.protocol.messages import PROTOCOL_VERSION, Failure, Register, Result
 
 OK = 0.001  # seconds that a task takes
 
@@ -68,6 +68,64 @@ def finish(scheduler: Scheduler, assign: Action, seconds: float = OK) -> list[Ac
 
 def errors(actions: list[Action]) -> list[Exception]:
     return [action.error for action in actions if isinstance(action, Fail)]
+
+
+def fail(scheduler: Scheduler, assign: Action) -> list[Action]:
+    assert isinstance(assign, Assign)
+    failure = Failure("ValueError", "ValueError: a bad number", "", "")
+    results = [Result(number, OK, b"", [], failure) for number in assign.tasks]
+    return scheduler.results(assign.worker, assign.batch, results, True)
+
+
+def delivered(actions: list[Action]) -> list[bool]:
+    """Return for each result that is delivered whether it is one."""
+    return [action.result.failure is None for action in actions if isinstance(action, Deliver)]
+
+
+def test_what_fails_on_one_machine_alone_is_no_failure(scheduler: Scheduler) -> None:
+    scheduler.register(b"a", introduce("a"))
+    (first,) = submit(scheduler, 1)
+    scheduler.register(b"b", introduce("b"))
+    actions = fail(scheduler, first)
+    assert delivered(actions) == []
+    (again,) = actions
+    assert assigned([again]) == [(b"b", (0,))]
+    assert delivered(finish(scheduler, again)) == [True]
+    assert scheduler.counts["doubted"] == 1
+
+
+def test_what_two_machines_fail_at_is_a_failure_and_held_against_neither(
+    scheduler: Scheduler,
+) -> None:
+    for name in (b"a", b"b", b"c"):
+        scheduler.register(name, introduce(name.decode()))
+    for _ in range(10):
+        (first,) = submit(scheduler, 1)
+        (second,) = fail(scheduler, first)
+        assert delivered(fail(scheduler, second)) == [False]
+        assert not scheduler.tasks
+    assert not any(worker.is_retired for worker in scheduler.workers.values())
+
+
+def test_a_machine_that_fails_at_what_others_can_do_is_retired(scheduler: Scheduler) -> None:
+    for name in (b"a", b"b"):
+        scheduler.register(name, introduce(name.decode()))
+    for _ in range(10):
+        waiting = submit(scheduler, 1)
+        while waiting:
+            act = finish if waiting[0].worker == b"b" else fail  # type: ignore[union-attr]
+            actions = act(scheduler, waiting.pop())
+            assert all(delivered(actions))
+            waiting += [action for action in actions if isinstance(action, Assign)]
+        if scheduler.workers[b"a"].is_retired:
+            return
+    raise AssertionError("it still gets tasks")
+
+
+def test_the_only_machine_is_believed(scheduler: Scheduler) -> None:
+    scheduler.register(b"a", introduce("a"))
+    (first,) = submit(scheduler, 1)
+    assert delivered(fail(scheduler, first)) == [False]
 
 
 @pytest.mark.parametrize(

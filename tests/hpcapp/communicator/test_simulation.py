@@ -33,6 +33,7 @@ from hpccomponent.protocol.messages import (
     Batch,
     Call,
     Drain,
+    Failure,
     Forget,
     Goodbye,
     Heartbeat,
@@ -75,6 +76,7 @@ class Component:
     in_worker: set[bytes] = field(default_factory=set)
     is_frozen: bool = False
     is_bad: bool = False
+    is_sick: bool = False
 
     def carry_out(self, actions: Sequence[Any]) -> None:
         for action in actions:
@@ -234,7 +236,10 @@ class Cluster:
         is_last = index + 1 == len(batch.calls)
         if not is_last:
             component.work.appendleft((batch, index + 1))
-        results = [Result(call.task, 0.001, b"", [])]
+        failure = (
+            Failure("ImportError", "a library is broken", "", "") if component.is_sick else None
+        )
+        results = [Result(call.task, 0.001, b"", [], failure)]
         message = Results(batch.session, batch.batch, results, is_last)
         component.carry_out(component.session.worker_results(message, (), self.clock.now()))
 
@@ -419,7 +424,7 @@ class FaultyCluster(RuleBasedStateMachine):
 
 
 class ClusterWithABadMachine(RuleBasedStateMachine):
-    """One or two machines lose whatever they are given; one that does not lie is always there."""
+    """One machine loses whatever it is given, one always fails; good ones are always there."""
 
     policy: Policy = PullPolicy()
     which = st.integers(min_value=0, max_value=1000)
@@ -432,7 +437,7 @@ class ClusterWithABadMachine(RuleBasedStateMachine):
 
     def start(self, name: str) -> None:
         component = self.cluster.start_component(name)
-        component.is_bad = name.startswith("bad")
+        component.is_bad, component.is_sick = name.startswith("bad"), name.startswith("sick")
         self.cluster.pump(component, 10)
 
     @rule(count=st.integers(min_value=1, max_value=20))
@@ -448,9 +453,9 @@ class ClusterWithABadMachine(RuleBasedStateMachine):
         self.cluster.pump(component, 100)
 
     @rule()
-    @precondition(lambda self: all(c.identity[:5] != b"bad-2" for c in self.cluster.components))
-    def start_another_bad_one(self) -> None:
-        self.start("bad-2")
+    @precondition(lambda self: all(c.identity[:4] != b"sick" for c in self.cluster.components))
+    def start_a_sick_one(self) -> None:
+        self.start("sick")
 
     @rule(seconds=st.sampled_from([0.1, 1.0]))
     def pass_time(self, seconds: float) -> None:
@@ -497,7 +502,8 @@ class ClusterWithABadMachine(RuleBasedStateMachine):
                 break
         assert not cluster.scheduler.tasks, "tasks are stuck"
         assert all(isinstance(outcome, Result) for outcome in cluster.ended.values())
-        assert all(name.startswith("bad") for name in cluster.scheduler._losses.retired)
+        assert not any(outcome.failure for outcome in cluster.ended.values())
+        assert all(name.startswith(("bad", "sick")) for name in cluster.scheduler._losses.retired)
 
 
 class AdaptiveClusterWithABadMachine(ClusterWithABadMachine):
@@ -524,13 +530,23 @@ class FaultyAdaptiveCluster(FaultyCluster):
     policy = AdaptivePolicy()
 
 
-FAULTS = settings(
-    max_examples=60,
-    stateful_step_count=50,
-    deadline=None,
-    phases=[Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink],
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
-)
+class ManySchedules(AdaptiveClusterWithABadMachine):
+    """Bad machines and liars under the default policy, over and over."""
+
+
+def schedules(count: int) -> settings:
+    return settings(
+        max_examples=count,
+        stateful_step_count=50,
+        deadline=None,
+        phases=[Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink],
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+    )
+
+
+FAULTS = schedules(60)
+TestManySchedules = pytest.mark.slow(pytest.mark.timeout(900)(ManySchedules.TestCase))
+TestManySchedules.settings = schedules(1000)
 TestClusterWithABadMachine = ClusterWithABadMachine.TestCase
 TestClusterWithABadMachine.settings = FAULTS
 TestAdaptiveClusterWithABadMachine = AdaptiveClusterWithABadMachine.TestCase

@@ -12,7 +12,7 @@ from hpccomponent.protocol.codec import decode_values, encode_arguments, encode_
 from hpccomponent.protocol.messages import Batch, Call, Results, decode_component_message
 from hpccomponent.runtime.channel import Channel, cut_payload
 from hpccomponent.runtime.tasks import TaskRegistry
-from hpccomponent.runtime.worker import run_batch, run_call
+from hpccomponent.runtime.worker import ShortageError, run_batch, run_call
 
 TASKS = TaskRegistry(
     [
@@ -93,6 +93,15 @@ def test_cheap_results_share_a_message(ends: Ends) -> None:
         assert results.is_finished == (len(numbers) == 30)
     assert numbers == list(range(30))
     assert messages < 15
+
+
+def test_what_this_machine_lacks_is_no_result_and_what_was_done_before_is_sent(ends: Ends) -> None:
+    batch = Batch("s", 7, [call(0, "root", 4.0), call(1, "ones", 1 << 45), call(2, "root", 4.0)])
+    with pytest.raises(ShortageError, match=r"'ones' needs .*MemoryError"):
+        run_batch(batch, memoryview(b""), TASKS, ends[0])
+    results, _ = hear(ends[1])
+    assert [result.task for result in results.results] == [0]
+    assert not results.is_finished
 
 
 def test_large_results_are_sent_as_they_come(ends: Ends) -> None:
