@@ -30,7 +30,7 @@ _LEAST, _MOST = 0.85, 1.4  # clearances are clamped to these: only those around 
 _NEIGHBOURS = 6  # which one's distance tells a point's own spacing
 _DENSITY = np.sqrt(np.pi / _NEIGHBOURS)  # times that distance
 _CLASS = 1.25  # points whose radii differ by less are searched together
-_PLACES_AT_ONCE = 1 << 14
+_PLACES_AT_ONCE = 1 << 12
 
 
 @record("surface.support_rule")
