@@ -175,6 +175,11 @@ def _warn(settings: Settings, found: _Doubts, result: Reconstruction) -> list[st
         # Too few cells explain a mesh that is too large.
         if not found.resolution and settings.method.makes_closed_meshes:
             doubts += doubt_closure(found.low, found.high, result.surface, found.step)
+    elif result.facts.get("room", False):
+        doubts.append(
+            "the points are taken for a room seen from inside, for their normals face inwards: "
+            "if they are of an object, turn them around"
+        )
     for doubt in doubts:
         log.warning("warning: %s", doubt)
     return doubts

@@ -15,14 +15,26 @@ depends on the place and the cloud alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
+from numpy.typing import NDArray
 
 from hpccomponent.protocol.records import record
-from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray, PointCloud
+from hpccomponent.surface import kernels
+from hpccomponent.surface.types.lattice import find_keys, pack_places
+from hpccomponent.surface.types.points import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    PointCloud,
+)
 
-__all__ = ["SupportRule", "measure_clearance"]
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+__all__ = ["SupportRule", "find_bare", "measure_clearance"]
 
 _FLATNESS = 0.5  # of the ellipsoids of the least radius
 _AGREEING = 3  # points, of which the one that supports least counts
@@ -111,6 +123,8 @@ def measure_clearance(
     """
     if not len(places) or not len(cloud):
         return np.full(len(places), _MOST, np.float32)
+    from scipy.spatial import cKDTree  # heavy, and of no use where nothing is cut
+
     tree = cKDTree(cloud.positions, balanced_tree=False, compact_nodes=False)
     bound = _MOST * rule.most
     found, _ = tree.query(places, [_AGREEING], distance_upper_bound=bound, workers=threads)
@@ -132,6 +146,28 @@ def measure_clearance(
     return clearance.astype(np.float32)
 
 
+def find_bare(places: FloatArray, cloud: PointCloud, rule: SupportRule) -> BoolArray:
+    """Tell which of a few places on a surface no points support.
+
+    Parameters
+    ----------
+    places, cloud
+        See `measure_clearance`.
+    rule : SupportRule
+        With one radius for all points.
+
+    Returns
+    -------
+    ndarray of bool, shape (v,)
+    """
+    least = np.full((len(places), _AGREEING), _MOST * _MOST)
+    if len(places) and len(cloud):
+        radii = np.full(len(cloud), rule.radius)
+        _lower(least, places, cloud, radii, _FLATNESS * rule.radius)
+    bare: BoolArray = least[:, -1] >= 1.0
+    return bare
+
+
 def _by_radius(radii: FloatArray, least: float) -> list[IntArray]:
     """Return the rows of points whose radii are about the same."""
     classes = np.floor(np.log(radii / least) / np.log(_CLASS) + 1e-6).astype(np.int64)
@@ -143,11 +179,12 @@ def _lower(
 ) -> None:
     """Put what some points give among the least squared clearances of each place."""
     assert cloud.normals is not None  # noqa: S101 - the points of a surface have normals
-    tree, bound = cKDTree(cloud.positions), _MOST * float(radii.max())
+    size, origin = _MOST * float(radii.max()), cloud.positions[0]
+    sorted_points = kernels.sort_points(cloud.positions, origin, size)
     for start in range(0, len(places), _PLACES_AT_ONCE):
         some = places[start : start + _PLACES_AT_ONCE]
-        pairs = cKDTree(some).sparse_distance_matrix(tree, bound, output_type="ndarray")
-        at, point = pairs["i"], pairs["j"]
+        cells = np.floor((some - origin) / size).astype(np.int64)
+        at, point = _pair(cells, *sorted_points)
         offsets = some[at] - cloud.positions[point]
         off, along = np.zeros(len(at)), np.zeros(len(at))
         for axis in range(3):  # sums in one order, whatever the shape
@@ -165,3 +202,19 @@ def _lower(
         found[at[first], turn[first]] = squares[first]
         both = np.concatenate([least[start : start + len(some)], found], axis=1)
         least[start : start + len(some)] = np.sort(both, axis=1)[:, :_AGREEING]
+
+
+def _pair(
+    cells: IntArray, keys: IntArray, offsets: IntArray, rows: NDArray[np.uint32]
+) -> tuple[IntArray, IntArray]:
+    """Return each place with the points in its cell and the 26 around it."""
+    at, points = [], []
+    for step in np.ndindex(3, 3, 3):
+        found = find_keys(keys, pack_places(cells + np.array(step) - 1))
+        here = np.flatnonzero(found < len(keys))
+        first = offsets[found[here]]
+        counts = offsets[found[here] + 1] - first
+        turn = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+        at.append(np.repeat(here, counts))
+        points.append(rows[np.repeat(first, counts) + turn].astype(np.int64))
+    return np.concatenate(at), np.concatenate(points)

@@ -18,7 +18,11 @@ from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store
 from hpccomponent.surface.cloud.arranged import Place
 from hpccomponent.surface.cloud.disk import open_place
-from hpccomponent.surface.extraction.clearance import SupportRule, measure_clearance
+from hpccomponent.surface.extraction.clearance import (
+    SupportRule,
+    find_bare,
+    measure_clearance,
+)
 from hpccomponent.surface.extraction.opening import (
     OpeningSeams,
     OpeningSurvey,
@@ -65,9 +69,7 @@ class Near:
 
 
 @declare(result=SUPPORTED)
-def judge_support(
-    part: Part, taken: BoolArray, near: Near, rule: SupportRule, threads: int = 1
-) -> tuple[int, int]:
+def judge_support(part: Part, taken: BoolArray, near: Near, rule: SupportRule) -> tuple[int, int]:
     """Tell how much of a part no point supports, by a vertex of each of its bricks (a task).
 
     Parameters
@@ -78,8 +80,7 @@ def judge_support(
     near : Near
         All points within the rule's reach of them.
     rule : SupportRule
-    threads : int
-        The result does not depend on it.
+        With one radius for all points.
 
     Returns
     -------
@@ -89,7 +90,7 @@ def judge_support(
     held = _hold(part)
     counts = np.where(taken, held.vertex_counts, 0)
     places = held.vertices[starts_of(held.vertex_counts)[:-1][counts > 0]]
-    bare = measure_clearance(places, near.read(), rule, threads) >= 1.0
+    bare = find_bare(places, near.read(), rule)
     return int(counts[counts > 0][bare].sum()), int(counts.sum())
 
 

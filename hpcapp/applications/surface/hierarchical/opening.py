@@ -88,6 +88,8 @@ class Closure:
         In length units of the input; 0 where nothing was cut.
     holes, crumbs : int
         Holes that were filled, and pieces that were dropped.
+    is_room : bool
+        Whether it was taken for a room, by its normals.
     """
 
     is_open: bool
@@ -96,6 +98,7 @@ class Closure:
     fill_holes: float = 0.0
     holes: int = 0
     crumbs: int = 0
+    is_room: bool = False
 
     def facts(self) -> dict[str, Any]:
         """Return it for the report: JSON values."""
@@ -103,6 +106,7 @@ class Closure:
             return {"open": False, "closure": self.reason}
         return {
             "open": True,
+            "room": self.is_room,
             "closure": self.reason,
             "trim": self.trim,
             "fill_holes": self.fill_holes,
@@ -231,14 +235,19 @@ def close_surface(
     """
     if asked.close == "yes":
         return surface, Closure(False, "closed, as asked")
+    if not all(isinstance(part, str) for part in surface.parts):
+        shared = None  # a cloud that is one tile is made into a mesh here
     parts = _Parts(surface, cloud, plan, workforce, shared, threads)
     chosen = max(_SPACINGS * spacing, _NOISES * plan.noise, _STEPS * plan.step)
-    reason = "open, as asked"
+    reason, is_room = "open, as asked", False
     if not asked.is_asked:
         share = _find_bare_share(parts, SupportRule(chosen, chosen, _SPACINGS))
-        is_one_way, is_inward = _look_round(cloud.measure())
+        is_one_way, is_inward = (
+            _look_round(cloud.measure()) if share > ONE_WAY_SHARE else (False, False)
+        )
         if share <= (ONE_WAY_SHARE if is_one_way else BARE_SHARE):
             return surface, Closure(False, f"closed: points support {_percent(1.0 - share)} of it")
+        is_room = is_inward and not is_one_way
         seen = "from inside, as a room" if is_inward else "in part"
         seen = "from one side, as a view or a terrain" if is_one_way else seen
         reason = f"open: seen {seen}; no point supports {_percent(share)} of the closed surface"
@@ -251,7 +260,7 @@ def close_surface(
             f"no piece of the surface within {radius:g} of the points is larger than a crumb",
             "give a longer --trim: some spacings of the points, as 3s",
         )
-    closure = Closure(True, reason, radius, fill, holes, opened.plan.dropped)
+    closure = Closure(True, reason, radius, fill, holes, opened.plan.dropped, is_room)
     log.info(
         "%s; cut %g from the points, %d hole(s) up to %g filled, %d crumb(s) dropped",
         reason, radius, holes, fill, closure.crumbs,
@@ -263,8 +272,7 @@ def _find_bare_share(parts: _Parts, rule: SupportRule) -> float:
     """Return the share of a surface that no point supports, 0 to 1."""
 
     def batch(index: int) -> tuple[Any, ...]:
-        given = parts.part(index), parts.taken(index), parts.near(index, rule.reach), rule
-        return *given, 1 if parts.shared is not None else parts.threads
+        return parts.part(index), parts.taken(index), parts.near(index, rule.reach), rule
 
     found = [counts for _, counts in parts.run(judge_support, batch)]
     bare, vertices = (sum(column) for column in zip(*found, strict=True))
