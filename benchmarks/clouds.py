@@ -13,8 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from metrics import MeshTruth, ShapeTruth, Truth, read_global_mesh
-
+from hpcapp.applications.compare.truth import MeshTruth, ShapeTruth, Truth, read_mesh_at
 from hpcapp.applications.simulate.scanner import ScanSettings, simulate_scan
 from hpcapp.applications.simulate.shapes import find_shape
 from hpcapp.io import write_points
@@ -91,6 +90,9 @@ GROUPS: Mapping[str, str] = {
     "missing": "regions without points",
     "thin": "sheets one per cent of the diagonal apart, thin limbs",
     "large": "a million exact points",
+    "relief": "detail of several sizes on a smooth body",
+    "sharp": "machine parts with straight and curved edges, holes and fins",
+    "correlated": "depth errors that are smooth along the surface, each view its own",
     "real": "scans of real objects",
 }
 
@@ -125,6 +127,14 @@ def _simulated() -> list[SimulatedCloud]:
     add("thin", "ring", "thin", noise=0.001)
     add("thin", "shaft", "thin", noise=0.002)
     add("large", "torus", "1M", points=1_000_000, views=0, normals="exact")
+    for shape in ("boulder", "studded", "bust"):
+        add("relief", shape, "clean")
+        add("relief", shape, "noise0.001", noise=0.001)
+    for shape in ("gear", "heatsink", "flange", "manifold"):
+        add("sharp", shape, "clean")
+        add("sharp", shape, "noise0.0005", noise=0.0005)
+    for shape in ("torus", "bracket", "bust"):
+        add("correlated", shape, "drift", noise=0.0005, drift=0.001, correlation=0.03)
     return clouds
 
 
@@ -167,7 +177,7 @@ def open_truth(cloud: Cloud) -> Truth:
     """Return what the cloud is a scan of."""
     if isinstance(cloud, SimulatedCloud):
         return ShapeTruth(find_shape(cloud.shape))
-    return MeshTruth(read_global_mesh(_given_file(cloud.truth_file)))
+    return MeshTruth(read_mesh_at(_given_file(cloud.truth_file)))
 
 
 def _given_file(name: str) -> Path:

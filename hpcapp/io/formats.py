@@ -11,13 +11,17 @@ from pathlib import Path
 from typing import Literal, TypeVar
 
 from hpcapp.io.meshes.glb import write_glb
+from hpcapp.io.meshes.glb_reader import read_glb
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
-from hpcapp.io.meshes.obj import read_obj, write_obj
+from hpcapp.io.meshes.obj import holds_obj_faces, read_obj, write_obj
 from hpcapp.io.meshes.off import read_off, write_off
 from hpcapp.io.meshes.stl import read_stl, write_stl
+from hpcapp.io.meshes.threemf import write_3mf
 from hpcapp.io.meshes.tiles import TILES_SUFFIX, check_tiles, write_tiles
+from hpcapp.io.meshes.tileset import TILESET_SUFFIX, write_tileset
 from hpcapp.io.meshes.vtp import write_vtp
-from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh
+from hpcapp.io.meshes.vtp_reader import read_vtp
+from hpcapp.io.ply.format import holds_ply_faces, read_ply_mesh, write_ply_mesh
 from hpcapp.io.point_writers import POINT_WRITERS
 from hpcapp.io.points.point_source import PointSource, Scan, read_whole, translated
 from hpcapp.io.points.recognition import recognise
@@ -28,9 +32,11 @@ from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
+    "MESH_SUFFIXES",
     "STANDARD_INPUT",
     "check_writable",
     "describe_losses",
+    "holds_faces",
     "open_points",
     "read_mesh",
     "read_points",
@@ -50,7 +56,13 @@ _MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".obj": read_obj,
     ".off": read_off,
     ".stl": read_stl,
+    ".glb": read_glb,
+    ".vtp": read_vtp,
 }
+
+
+MESH_SUFFIXES = tuple(_MESH_READERS)
+"""Of the files that meshes are read from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +86,8 @@ _MESH_WRITERS: dict[str, _MeshWriter] = {
     ".stl": _MeshWriter(write_stl),
     ".glb": _MeshWriter(write_glb, True, True, True),
     ".vtp": _MeshWriter(write_vtp, True, True, True),
+    ".3mf": _MeshWriter(write_3mf, False, True),
+    TILESET_SUFFIX: _MeshWriter(write_tileset, True, True, True),
     TILES_SUFFIX: _MeshWriter(
         lambda path, mesh: write_tiles(path, [(0, as_stream(mesh))]), False, True, True
     ),
@@ -135,8 +149,36 @@ def open_points(path: str | PathLike[str]) -> PointSource:
         return recognise(point_format.open(Path(path)))
 
 
+def holds_faces(path: str | PathLike[str]) -> bool:
+    """Tell whether a file is read as a mesh, and not as points alone.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        The suffix, in any case, chooses the format.
+
+    Returns
+    -------
+    bool
+        Of a PLY or an OBJ, what the file holds decides.
+
+    Raises
+    ------
+    InputError
+        The file cannot be opened, or its start is damaged.
+    """
+    file, suffix = Path(path), Path(path).suffix.lower()
+    with translated(file):
+        _refuse_special(file)
+        if suffix == ".ply":
+            return holds_ply_faces(file)
+        if suffix == ".obj":
+            return holds_obj_faces(file)
+    return suffix in _MESH_READERS
+
+
 def read_mesh(path: str | PathLike[str]) -> Mesh:
-    """Read a triangle mesh: .ply, .obj, .off, .stl; polygons become triangle fans.
+    """Read a triangle mesh: .ply, .obj, .off, .stl, .glb, .vtp; polygons become triangle fans.
 
     Parameters
     ----------
@@ -202,7 +244,8 @@ def write_points(
 def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
     """Write a mesh: .ply, .obj, .off, .vtp in the input's coordinates, .stl in the local frame.
 
-    ``.glb`` is in the local frame, too, and says where that is; ``.tiles`` makes a folder with the
+    ``.glb`` and ``.3mf`` are in the local frame, too, and say where that is; ``.3dtiles`` makes a
+    folder for web viewers (see `write_tileset`), ``.tiles`` makes a folder with the
     mesh as one tile (see `write_tiles`). What its vertices carry and the format does not hold is
     logged as a warning.
 
@@ -281,7 +324,7 @@ def check_writable(path: str | PathLike[str], kind: Literal["mesh", "points"] = 
         _choose(_MESH_WRITERS, Path(path), OutputError, "a mesh is written to")
     else:
         _choose(POINT_WRITERS, Path(path), OutputError, "a point cloud is written to")
-    if Path(path).suffix.lower() == TILES_SUFFIX:
+    if Path(path).suffix.lower() in (TILES_SUFFIX, TILESET_SUFFIX):
         check_tiles(Path(path))
     else:
         check_place(Path(path))

@@ -40,10 +40,10 @@ from hpcapp.applications.surface.steps import run_memory
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
 from hpcapp.io.points.usable import Dropped, refuse_too_few
+from hpcapp.pages.shown_mesh import Mesh
 from hpcapp.progress import Progress, SilentProgress, StageClock
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.attributes.labels import find_labels
-from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import ByteArray, FloatArray, PointCloud
 
 if TYPE_CHECKING:
@@ -70,6 +70,8 @@ def reconstruct(
     trim: str | None = None,
     fill_holes: str | None = None,
     attributes: str = "auto",
+    faces: int | None = None,
+    tolerance: float | None = None,
     executor: str | Executor | Client | None = None,
     workers: int | None = None,
     progress: Report | None = None,
@@ -95,6 +97,10 @@ def reconstruct(
     attributes : str
         What the mesh's vertices carry: ``auto`` (all that the cloud has), ``none``, or names with
         commas between them, of which ``normals`` and ``support`` are made for the vertices.
+    faces : int, optional
+        Simplify the mesh to so many triangles.
+    tolerance : float, optional
+        Simplify the mesh while its surface moves by less than this length.
     executor : str, concurrent.futures.Executor or distributed.Client, optional
         Where batches run: a name that ``--backend`` takes or the file of a cluster, or what is
         open already and stays so; by default what pays for so many points.
@@ -143,6 +149,8 @@ def reconstruct(
         backend=executor if isinstance(executor, str) else "auto",
         workers=workers,
         attributes=parse_attributes(attributes),
+        faces=faces,
+        tolerance=tolerance,
     )
     _check_settings(settings)
     checked = settings.attributes.select(_check_cloud(points, normals), "the cloud")
@@ -164,7 +172,7 @@ def reconstruct(
         with run_memory(settings, loaded, opener, clock, executor=given) as outcome:
             carrying = carry_from_memory(settings, loaded, outcome, clock)
             mesh = outcome.result.surface.mesh(carrying)
-    return replace(mesh, vertices=mesh.vertices + mesh.origin, origin=np.zeros(3))
+    return Mesh.of(replace(mesh, vertices=mesh.vertices + mesh.origin, origin=np.zeros(3)))
 
 
 class _Calls(Progress):
@@ -190,6 +198,9 @@ class _Calls(Progress):
         if self._done < self._total:
             self._report(stage, self._total, self._total)
 
+    def show_part(self, load: Callable[[], Any]) -> None:
+        """Report nothing: a part is none of the numbers."""
+
 
 def _choose_method(method: str | MethodSettings, options: dict[str, Any]) -> MethodSettings:
     """Return the method with the options that were given beside it."""
@@ -209,6 +220,7 @@ def _choose_method(method: str | MethodSettings, options: dict[str, Any]) -> Met
 
 def _check_settings(settings: Settings) -> None:
     """Refuse what the command would refuse."""
+    settings.target.check()
     if not isinstance(settings.grid, int | np.integer):
         raise UsageError(f"grid is {settings.grid!r}", "give a whole number of cells")
     if settings.voxel_size is None:

@@ -1,4 +1,4 @@
-"""The verbs of surface reconstruction: ``reconstruct`` and ``simulate``.
+"""The verb of surface reconstruction: ``reconstruct``.
 
 This module is imported for every ``--help``: numpy and all that stands on it are imported inside.
 """
@@ -8,6 +8,9 @@ from __future__ import annotations
 import json
 import logging
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -17,11 +20,22 @@ import click
 from hpcapp.applications.points.command import INPUTS, SAMPLE
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, METHODS, find_method
-from hpcapp.applications.surface.options import check_exclusive, make_click_options, option_names
+from hpcapp.applications.surface.options import (
+    WATCHED,
+    check_exclusive,
+    make_click_options,
+    option_names,
+    typed_command,
+)
+from hpcapp.applications.view.command import check_page, check_picture
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
+from hpcapp.dashboard.server import DEFAULT_ADDRESS, open_dashboard, parse_address
+from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
+from hpcapp.progress import Progress
+from hpcapp.timeline import Timeline
 from hpccomponent.errors import UsageError
 
-__all__ = ["check_flags", "reconstruct", "simulate"]
+__all__ = ["check_flags", "reconstruct"]
 
 log = logging.getLogger("hpcapp")
 
@@ -121,7 +135,11 @@ def check_flags(ctx: click.Context) -> None:
         from hpcapp.backends.selection import check_backend
 
         check_backend(ctx.params["backend"])
+    if ctx.params["dashboard"] is not None:
+        parse_address(ctx.params["dashboard"])
     parse_attributes(ctx.params["attributes"])
+    check_page(ctx.params["report"], "--report")
+    check_picture(ctx.params["png"], "--png")
     _check_method_options(ctx)
 
 
@@ -141,8 +159,8 @@ def _add_method_options(command: click.Command) -> click.Command:
     "--output",
     required=True,
     metavar="MESH",
-    help="Mesh to write: .ply, .obj, .glb, .vtp, .off, .stl, or a folder of PLYs, .tiles; - writes "
-    "a PLY to standard output.",
+    help="Mesh to write: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, or a folder: of PLYs, .tiles, "
+    "or for web viewers, .3dtiles; - writes a PLY to standard output.",
 )
 @click.option(
     "--method",
@@ -250,10 +268,43 @@ def _add_method_options(command: click.Command) -> click.Command:
     "names as a,b,c; normals, support and confidence are made where they are named.",
 )
 @click.option(
+    "--faces",
+    type=click.IntRange(4),
+    metavar="N",
+    help="Simplify the mesh to N triangles.",
+)
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(0, min_open=True),
+    metavar="LENGTH",
+    help="Simplify the mesh while its surface moves by less, in the units of the input.",
+)
+@click.option(
     "--events",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
     help="Write the progress to a file as it comes, one JSON object a line.",
+)
+@click.option(
+    "--trace",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Write when each stage and each task ran, and on which worker, as a Chrome trace.",
+)
+@click.option(
+    "--report",
+    type=POINTS,
+    metavar="PAGE",
+    help="Write a page (.html) with the mesh and all that the job decided and did; works offline.",
+)
+@click.option("--png", type=POINTS, metavar="FILE", help="Draw the mesh into a picture.")
+@click.option(
+    "--dashboard",
+    is_flag=False,
+    flag_value=DEFAULT_ADDRESS,
+    metavar="[HOST:PORT]",
+    help="Show the job on a page while it runs; its address is printed. On loopback unless a host "
+    "is given.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 @click.pass_context
@@ -264,21 +315,72 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
     """
     check_flags(ctx)
     as_json = options.pop("as_json")
-    events = options.pop("events")
+    watching = Watching(*(options.pop(name) for name in WATCHED))
     cluster = options["cluster"]
     if cluster is not None and cluster.suffix != ".json":
         from hpcapp.applications.surface.remote import run_on_cluster
 
         report = run_on_cluster(ctx)
     else:
-        report = _run_here(options, events)
+        options["command"] = typed_command(ctx)
+        report = _run_here(options, watching)
     if as_json:
         click.echo(json.dumps(report))
     else:
         log.info("%s: %s", options["output"], report["summary"])
 
 
-def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class Watching:
+    """How the user wants to watch a job, beside the bars.
+
+    Parameters
+    ----------
+    events, trace : Path or None
+        Files that are written.
+    dashboard : str or None
+        Where the page is served, as ``HOST:PORT``.
+    """
+
+    events: Path | None
+    trace: Path | None
+    dashboard: str | None
+
+    @contextmanager
+    def open(self, timeline: Timeline, title: str) -> Iterator[Progress]:
+        """Open all of it, for one job.
+
+        Parameters
+        ----------
+        timeline : Timeline
+            That the job fills.
+        title : str
+            Of the page.
+
+        Yields
+        ------
+        Progress
+        """
+        from hpcapp.progress_display import open_events, open_progress
+        from hpcapp.trace import open_trace
+
+        job = WatchedJob(timeline, title)
+        with (
+            open_trace(self.trace, timeline),
+            open_dashboard(self.dashboard, job) if self.dashboard else nullcontext() as address,
+            open_progress(sys.stderr) as display,
+            open_events(self.events, display, address) as progress,
+        ):
+            if address is None:
+                yield progress
+                return
+            if self.events is None:  # else whoever reads them shows it
+                log.info("dashboard: %s", address)
+            with job.running():
+                yield WatchedProgress(job, progress)
+
+
+def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
     """Run the job with this process as its master."""
     from hpcapp.backends.selection import start_early
 
@@ -290,11 +392,12 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         from hpcapp.applications.surface.memory import parse_limit
         from hpcapp.applications.surface.settings import JobSettings
         from hpcapp.io.points.inputs import find_paths, gather_points
-        from hpcapp.progress_display import open_events, open_progress
+        from hpcapp.simplification.mesh import Target
 
         if options["max_memory"] is not None:
             options["max_memory"] = parse_limit(options["max_memory"])
         options["attributes"] = parse_attributes(options["attributes"])
+        Target(options["faces"], options["tolerance"]).check()
         own = {name: options.pop(name) for name in METHOD_OPTIONS}
         method = find_method(options.pop("method"))
         chosen = {name: own[name] for name in option_names(method)}
@@ -302,93 +405,7 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         files = find_paths(names)
         if options["resume"] and not files:
             raise UsageError("--resume needs a file to know again", "write the points to a file")
-        with (
-            gather_points(names, sample) as points,
-            open_progress(sys.stderr) as display,
-            open_events(events, display) as progress,
-        ):
+        timeline, title = Timeline(), f"{Path(names[0]).name} \u2192 {options['output']}"
+        with gather_points(names, sample) as points, watching.open(timeline, title) as progress:
             settings = JobSettings(method=method(**chosen), points=points, inputs=files, **options)
-            return run_job(settings, progress, machines)
-
-
-@click.command()
-@click.option("--shape", required=True, help="Which model; an unknown name lists all.")
-@click.option("-o", "--output", required=True, type=POINTS, help="Point cloud to write.")
-@click.option("--points", type=int, default=100_000, show_default=True, help="Exactly so many.")
-@click.option(
-    "--views",
-    type=int,
-    default=20,
-    show_default=True,
-    help="Positions of the scanner; 0 samples the whole surface evenly.",
-)
-@click.option(
-    "--noise",
-    type=float,
-    default=0.0,
-    show_default=True,
-    help="Depth noise (standard deviation), as a fraction of the diagonal.",
-)
-@click.option(
-    "--dropout",
-    type=float,
-    default=0.0,
-    show_default=True,
-    help="Share of each view that is lost, in blotches.",
-)
-@click.option(
-    "--grazing",
-    type=float,
-    default=80.0,
-    show_default=True,
-    help="Greatest angle of incidence that still echoes, in degrees.",
-)
-@click.option(
-    "--pose-error",
-    type=float,
-    default=0.0,
-    show_default=True,
-    help="Misplacement of each view, as a fraction of the diagonal.",
-)
-@click.option(
-    "--outliers",
-    type=float,
-    default=0.0,
-    show_default=True,
-    help="Share of points that are wrong, near and far.",
-)
-@click.option(
-    "--density-ratio",
-    type=float,
-    default=1.0,
-    show_default=True,
-    help="Density at the dense end over that at the sparse end.",
-)
-@click.option(
-    "--missing", type=int, default=0, show_default=True, help="Balls from which nothing came back."
-)
-@click.option(
-    "--flipped",
-    type=float,
-    default=0.0,
-    show_default=True,
-    help="Share of points whose normal has the wrong sign.",
-)
-@click.option(
-    "--normals",
-    type=click.Choice(["pca", "exact"]),
-    default="pca",
-    show_default=True,
-    help="From the neighbours' plane, or the model's own.",
-)
-@click.option("--seed", type=int, default=0, show_default=True, help="One seed gives one scan.")
-def simulate(shape: str, output: Path, **settings: Any) -> None:
-    """Scan an analytic model, whose true surface is known, and write the points."""
-    from hpcapp.applications.simulate.scanner import ScanSettings, simulate_scan
-    from hpcapp.applications.simulate.shapes import find_shape
-    from hpcapp.io import check_writable, write_points
-
-    check_writable(output, "points")
-    cloud = simulate_scan(find_shape(shape), ScanSettings(**settings))
-    write_points(output, cloud)
-    log.info("%s: %d points of %s", output, len(cloud), shape)
+            return run_job(settings, progress, machines, timeline)

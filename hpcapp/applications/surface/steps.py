@@ -32,6 +32,7 @@ from hpcapp.applications.surface.settings import (
     choose_steps,
     choose_threads,
 )
+from hpcapp.applications.surface.surface import simplify_surface
 from hpcapp.backends.selection import Backend
 from hpcapp.progress import StageClock
 from hpccomponent.runtime.background import Deferred
@@ -100,7 +101,8 @@ def run_memory(
     cloud = loaded.cloud
     grid = choose_grid(settings, cloud.low, cloud.high)
     check_memory(settings.method, grid, cloud.points)
-    with opener.open(Job(len(cloud), grid), executor) as (backend, choice):
+    with opener.open(Job(len(cloud), grid), executor) as (opened, choice):
+        backend = opened.record(clock.timeline)
         if keeping and keeping.holds_files and not all_see_folder(Path(keeping.where), backend):
             keeping = replace(keeping, is_shared=False)
         yield run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
@@ -136,14 +138,26 @@ def run_loaded(
     workforce, cloud = backend.workforce, loaded.cloud
     threads = choose_threads(workforce, len(cloud))
     tile_points = choose_tile(settings, backend)
-    method = settings.method.open(grid, Resources(threads, tile_points, keeping))
+    method = settings.method.open(
+        grid, Resources(threads, tile_points, keeping, clock.progress.show_part)
+    )
     log.info(
         "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
         settings.method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),
     )  # fmt: skip
     doubts = Deferred(partial(_doubt_points, grid, cloud))
     result = run_pipeline(cloud, method, workforce, clock, choose_steps(settings), doubts)
-    return Outcome(result, grid, backend, choice, _warn(settings, doubts(), result))
+    warnings = _warn(settings, doubts(), result)
+    if settings.target.is_something:
+        with clock.stage("simplify"):
+            light = simplify_surface(result.surface, settings.target)
+        result = replace(result, surface=light)
+        target = settings.target
+        is_bound = target.faces is not None and target.tolerance is None
+        if is_bound and len(light.whole.faces) > (target.faces or 0):
+            warnings.append(f"{len(light.whole.faces)} faces are left: fewer would break the mesh")
+            log.warning("warning: %s", warnings[-1])
+    return Outcome(result, grid, backend, choice, warnings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

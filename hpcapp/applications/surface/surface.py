@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -31,7 +31,9 @@ from hpcapp.io import (
     write_mesh,
     write_tiles,
 )
-from hpcapp.io.meshes.mesh_stream import as_stream
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.simplification.mesh import Target
+from hpcapp.simplification.stream import simplify_stream
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.runtime.background import Deferred
@@ -42,9 +44,9 @@ from hpccomponent.surface.tasks.shared_ply import write_kept, write_part
 from hpccomponent.surface.tasks.tile_ply import write_kept_tile
 from hpccomponent.surface.types.lattice import number_keys
 from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray
+from hpccomponent.surface.types.points import FloatArray, IntArray
 
-__all__ = ["PartSurface", "Surface", "WholeSurface"]
+__all__ = ["PartSurface", "Surface", "WholeSurface", "simplify_surface"]
 
 log = logging.getLogger("hpcapp")
 
@@ -54,6 +56,10 @@ class Surface(Protocol):
 
     def check(self) -> Topology:
         """Judge its topology."""
+        ...
+
+    def open_stream(self) -> AbstractContextManager[MeshStream]:
+        """Yield its vertices and faces, block after block, in the local frame."""
         ...
 
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
@@ -68,6 +74,18 @@ class Surface(Protocol):
         -------
         float
         """
+        ...
+
+    def stream(self) -> MeshStream:
+        """Return it block by block, as it may not fit into memory."""
+        ...
+
+    def owners(self) -> IntArray | None:
+        """Return which part each vertex is from, shape (v,); None where there are no parts."""
+        ...
+
+    def makers(self) -> list[str]:
+        """Return the worker that made each part; empty where it is not known of all."""
         ...
 
     def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
@@ -118,6 +136,11 @@ class WholeSurface:
         """Judge its topology."""
         return check_mesh(self.whole)
 
+    @contextmanager
+    def open_stream(self) -> Iterator[MeshStream]:
+        """Yield its vertices and faces; see `Surface.open_stream`."""
+        yield as_stream(self.whole)
+
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
         """Return the share of the vertices that lie outside a box, 0 to 1.
 
@@ -131,6 +154,18 @@ class WholeSurface:
         float
         """
         return _count_outside(self.whole.vertices, low, high) / max(1, len(self.whole.vertices))
+
+    def stream(self) -> MeshStream:
+        """Return it block by block."""
+        return as_stream(self.whole)
+
+    def owners(self) -> IntArray | None:
+        """Return None: there are no parts."""
+        return None
+
+    def makers(self) -> list[str]:
+        """Return nothing: there are no parts."""
+        return []
 
     def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
         """Return all of it; see `Surface.mesh`."""
@@ -170,6 +205,8 @@ class PartSurface:
         Of the local frame that the parts' vertices are in.
     keeping : Keeping, optional
         Where parts are kept.
+    workers : list of str or None
+        Who made each part, where that is known.
     crumb : int, optional
         See `plan_weld`.
     """
@@ -178,6 +215,7 @@ class PartSurface:
     summaries: list[PartSummary]
     origin: FloatArray
     keeping: Keeping | None = None
+    workers: list[str | None] = field(default_factory=list)
     crumb: int | None = None
     _plan: WeldPlan | None = None
     _topology: Deferred[Topology] | None = None
@@ -214,6 +252,12 @@ class PartSurface:
             self._topology = Deferred(self.plan.judge)
         return self._topology()
 
+    @contextmanager
+    def open_stream(self) -> Iterator[MeshStream]:
+        """Yield its vertices and faces; see `Surface.open_stream`."""
+        with self._fetched() as load:
+            yield stream_mesh(self.plan, load, self.origin)
+
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
         """Return the share of the vertices that lie outside a box, 0 to 1.
 
@@ -231,6 +275,20 @@ class PartSurface:
         mesh = stream_mesh(self.plan, self.load, self.origin)  # a part has more than it gives
         outside = sum(_count_outside(block.positions, low, high) for block in mesh.vertices())
         return outside / max(1, mesh.vertex_count)
+
+    def stream(self) -> MeshStream:
+        """Return it block by block."""
+        return stream_mesh(self.plan, self.load, self.origin)
+
+    def owners(self) -> IntArray | None:
+        """Return which part each vertex is from, shape (v,), in the order of `stream`."""
+        parts = self.plan.bricks.part_of(self.plan.bricks.taken).astype(np.int32)
+        return np.repeat(parts, np.diff(self.plan.vertex_starts))
+
+    def makers(self) -> list[str]:
+        """Return the worker that made each part; empty where it is not known of all."""
+        known = [name for name in self.workers if name is not None]
+        return known if len(known) == len(self.parts) else []
 
     def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
         """Return all of it; see `Surface.mesh`."""
@@ -318,6 +376,29 @@ class PartSurface:
                 tile = take_tile(plan, self.load, self.origin, index)
                 if tile.face_count:
                     write_mesh(file_of(index), tile)
+
+
+def simplify_surface(surface: Surface, target: Target) -> WholeSurface:
+    """Make a surface of fewer faces.
+
+    Parameters
+    ----------
+    surface : Surface
+        In parts it may be larger than memory.
+    target : Target
+
+    Returns
+    -------
+    WholeSurface
+        The same bits, wherever the parts of `surface` are and however many.
+
+    Raises
+    ------
+    UsageError
+        See `Target.check`.
+    """
+    with surface.open_stream() as stream:
+        return WholeSurface(simplify_stream(stream, target))
 
 
 def _left_undone(

@@ -26,7 +26,15 @@ from hpcapp.applications.surface.hierarchical.opening import (
 )
 from hpcapp.applications.surface.hierarchical.slabs import mesh_slabs
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
-from hpcapp.applications.surface.method import LARGE_TILE, MARGIN, TILE_POINTS, TILES_EACH, Advance
+from hpcapp.applications.surface.method import (
+    LARGE_TILE,
+    MARGIN,
+    TILE_POINTS,
+    TILES_EACH,
+    Advance,
+    ShowPart,
+    show_nothing,
+)
 from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
@@ -91,6 +99,8 @@ class HierarchicalMethod:
         one tile where tasks run in this process.
     keeping : Keeping, optional
         Where finished tiles are kept; by default they come back to this process.
+    show_part : callable
+        Told of each part of the mesh as it comes; see `Resources`.
     opening : OpeningSettings
         Whether, and where, the surface is cut open; by default it is closed.
 
@@ -108,6 +118,7 @@ class HierarchicalMethod:
         threads: int = 1,
         tile_points: int | None = None,
         keeping: Keeping | None = None,
+        show_part: ShowPart = show_nothing,
         opening: OpeningSettings | None = None,
     ) -> None:
         if grid < _LEAST_GRID:
@@ -123,6 +134,7 @@ class HierarchicalMethod:
         self.threads = threads
         self.tile_points = tile_points
         self.keeping = keeping
+        self.show_part = show_part
         self.opening = OpeningSettings() if opening is None else opening
 
     def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> HierarchicalPartition:
@@ -236,11 +248,19 @@ class HierarchicalMethod:
         origin = partition.cloud.origin
         if partition.tiling is None:
             points = self._read_points(partition.cloud)
-            surface, partition.patches = mesh_slabs(points, partition.plan, self.threads, advance)
+            surface, partition.patches = mesh_slabs(
+                points, partition.plan, self.threads, advance, self.show_part
+            )
         else:
             assert quadrics is not None  # noqa: S101 - tiles have coarse quadrics
             surface = mesh_regions(
-                partition.tiling, quadrics, workforce, advance, origin, self.keeping
+                partition.tiling,
+                quadrics,
+                workforce,
+                advance,
+                origin,
+                self.keeping,
+                self.show_part,
             )
         if not surface.plan.face_count:
             raise InputError(

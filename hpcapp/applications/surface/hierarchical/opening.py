@@ -321,7 +321,10 @@ def _cut(
         advance(len(parts) + len(opened), 2 * len(parts))
     cuts, summaries = zip(*(opened[index] for index in range(len(parts))), strict=True)
     crumb = int(_FACES * (_CRUMB * rule.radius / parts.plan.step) ** 2)
-    return PartSurface([*cuts], [*summaries], surface.origin, keeping, crumb), matched.holes
+    opened_surface = PartSurface(
+        [*cuts], [*summaries], surface.origin, keeping, surface.workers, crumb
+    )
+    return opened_surface, matched.holes
 
 
 def _percent(share: float) -> str:

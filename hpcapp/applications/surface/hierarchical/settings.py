@@ -132,6 +132,7 @@ class Hierarchical:
             resources.threads,
             resources.tile_points,
             resources.keeping,
+            resources.show_part,
             OpeningSettings(
                 self.close,
                 parse_length("trim", self.trim),
