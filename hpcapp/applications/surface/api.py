@@ -66,6 +66,9 @@ def reconstruct(
     smoothness: float | None = None,
     detail: float | None = None,
     clean: bool | None = None,
+    close: str | None = None,
+    trim: str | None = None,
+    fill_holes: str | None = None,
     attributes: str = "auto",
     faces: int | None = None,
     tolerance: float | None = None,
@@ -73,7 +76,7 @@ def reconstruct(
     workers: int | None = None,
     progress: Report | None = None,
 ) -> Mesh:
-    """Turn points into a watertight mesh, the one that ``hpcapp reconstruct`` writes.
+    """Turn points into a mesh, the one that ``hpcapp reconstruct`` writes.
 
     Parameters
     ----------
@@ -89,7 +92,7 @@ def reconstruct(
         Edge of a cell in the unit of the points; takes the place of `grid`.
     method : str, Hierarchical or Paper
         ``hierarchical``, ``paper``, or a method with its options: ``hpcapp.Paper(delta=0.2)``.
-    smoothness, detail, clean : float, float and bool, optional
+    smoothness, detail, clean, close, trim, fill_holes : float, bool and str, optional
         Options of the default method, where `method` is a name; see `hpcapp.Hierarchical`.
     attributes : str
         What the mesh's vertices carry: ``auto`` (all that the cloud has), ``none``, or names with
@@ -131,7 +134,14 @@ def reconstruct(
     >>> float(np.abs(np.linalg.norm(mesh.vertices - 7.0, axis=1) - 2.0).max()) < 0.1
     True
     """
-    options = {"smoothness": smoothness, "detail": detail, "clean": clean}
+    options = {
+        "smoothness": smoothness,
+        "detail": detail,
+        "clean": clean,
+        "close": close,
+        "trim": trim,
+        "fill_holes": fill_holes,
+    }
     settings = Settings(
         method=_choose_method(method, options),
         grid=grid,

@@ -309,7 +309,7 @@ def _add_method_options(command: click.Command) -> click.Command:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 @click.pass_context
 def reconstruct(ctx: click.Context, /, **options: Any) -> None:
-    """Reconstruct a watertight mesh from the points of the files POINTS.
+    """Reconstruct a mesh, watertight where the points are of an object, from the files POINTS.
 
     Patterns as 'scans/*.laz' stand for all files that fit; - is the standard input.
     """

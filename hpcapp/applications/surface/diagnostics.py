@@ -11,9 +11,9 @@ from hpcapp.applications.surface.surface import Surface
 from hpccomponent.surface import kernels
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import find_first, pack_places
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
-__all__ = ["SAMPLE", "doubt_closure", "doubt_normals", "doubt_resolution"]
+__all__ = ["SAMPLE", "doubt_closure", "doubt_normals", "doubt_resolution", "doubt_sides"]
 
 #: Points are judged on a sample of about so many.
 SAMPLE = 10_000
@@ -30,7 +30,33 @@ OUTSIDE = 0.02
 
 
 def doubt_normals(cloud: PointCloud) -> list[str]:
-    """Doubt normals that contradict their neighbours, or that point into the object.
+    """Doubt normals that contradict their neighbours.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Finite positions and unit normals.
+
+    Returns
+    -------
+    list of str
+
+    Notes
+    -----
+    Each occupied box counts once, however dense the scan is there.
+    """
+    _, means, counts = _average_boxes(cloud)
+    dense = counts >= 8
+    if not dense.any() or np.linalg.norm(means[dense], axis=1).mean() >= CONTRADICTING:
+        return []
+    return [
+        "normals of neighbouring points contradict each other, the mesh means little: "
+        "orient them consistently (e.g. in CloudCompare or MeshLab)"
+    ]
+
+
+def doubt_sides(cloud: PointCloud) -> list[str]:
+    """Doubt normals that point into the object.
 
     Parameters
     ----------
@@ -44,10 +70,23 @@ def doubt_normals(cloud: PointCloud) -> list[str]:
     Notes
     -----
     A cloud of the inside of a room is oriented like one of an object turned inside out; only
-    its user can tell them apart. Each occupied box counts once, however dense the scan is there.
+    its user can tell them apart.
     """
-    if cloud.normals is None or len(cloud) < FEWEST_JUDGED:
+    centroids, means, _ = _average_boxes(cloud)
+    arms = centroids - centroids.mean(axis=0) if len(centroids) else centroids
+    lengths = np.linalg.norm(arms, axis=1)
+    if np.einsum("ij,ij->", arms, means) >= INWARD * lengths.sum():
         return []
+    return [
+        "the normals seem to point into the object, and the mesh is what surrounds it: "
+        "turn them around, unless this is a room seen from inside"
+    ]
+
+
+def _average_boxes(cloud: PointCloud) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return the mean position and normal in each occupied box, and its points; of few, none."""
+    if cloud.normals is None or len(cloud) < FEWEST_JUDGED:
+        return np.empty((0, 3)), np.empty((0, 3)), np.empty(0, np.int64)
     every = slice(None, None, -(-len(cloud) // SAMPLE))
     positions, normals = cloud.positions[every], cloud.normals[every]
     low, high = bound_points(positions)
@@ -57,25 +96,7 @@ def doubt_normals(cloud: PointCloud) -> list[str]:
     _, first = find_first(keys[order])
     counts = np.diff(np.append(first, len(keys)))
     means = np.add.reduceat(normals[order], first) / counts[:, None]
-    centroids = np.add.reduceat(positions[order] - low, first) / counts[:, None]
-    dense = counts >= 8
-    if dense.any() and np.linalg.norm(means[dense], axis=1).mean() < CONTRADICTING:
-        return [
-            "normals of neighbouring points contradict each other, the mesh means little: "
-            "orient them consistently (e.g. in CloudCompare or MeshLab)"
-        ]
-    return _doubt_orientation(centroids, means)
-
-
-def _doubt_orientation(centroids: FloatArray, normals: FloatArray) -> list[str]:
-    arms = centroids - centroids.mean(axis=0)
-    lengths = np.linalg.norm(arms, axis=1)
-    if np.einsum("ij,ij->", arms, normals) >= INWARD * lengths.sum():
-        return []
-    return [
-        "the normals seem to point into the object, and the mesh is what surrounds it: "
-        "turn them around, unless this is a room seen from inside"
-    ]
+    return np.add.reduceat(positions[order] - low, first) / counts[:, None], means, counts
 
 
 def doubt_resolution(cloud: PointCloud, step: float) -> list[str]:

@@ -209,9 +209,11 @@ def _show(
 
 def _summarize(topology: Topology) -> str:
     """Say in one line what the mesh is, for people."""
-    closed = "watertight" if topology.watertight else "not watertight"
+    is_open = topology.edge_manifold and topology.vertex_manifold and topology.boundaries > 0
+    kind = f"open, {topology.boundaries} boundaries" if is_open else "not watertight"
+    kind = "watertight" if topology.watertight else kind
     return (
-        f"{topology.vertices} vertices, {topology.faces} faces, {closed}, "
+        f"{topology.vertices} vertices, {topology.faces} faces, {kind}, "
         f"{topology.components} component(s)"
     )
 
@@ -231,6 +233,7 @@ def _describe(settings: JobSettings, outcome: Outcome, topology: Topology) -> di
         "watertight": topology.watertight,
         "edge_manifold": topology.edge_manifold,
         "vertex_manifold": topology.vertex_manifold,
+        "boundaries": topology.boundaries,
         "components": topology.components,
         "genus": topology.genus,
         "backend": backend.name,

@@ -28,6 +28,7 @@ __all__ = [
 ]
 
 _KEY = "option"
+_METAVARS = {int: "N", float: "F", str: "LENGTH"}
 
 
 class Options(Protocol):
@@ -170,7 +171,7 @@ def make_click_options(settings: type[Options], prefix: str) -> Iterator[click.O
             type=_click_type(asked, kind),
             default=default,
             show_default=default is not None,
-            metavar=None if asked.choices or kind is bool else "N" if kind is int else "F",
+            metavar=None if asked.choices or kind is bool else _METAVARS[kind],
             help=f"{prefix}{asked.help}",
         )
 
@@ -230,11 +231,13 @@ def typed_command(ctx: click.Context) -> tuple[str, ...]:
 
 def _click_type(
     asked: _Option, kind: type
-) -> click.Choice[str] | click.IntRange | click.FloatRange | None:
+) -> click.Choice[str] | click.IntRange | click.FloatRange | type[str] | None:
     if kind is bool:
         return None
     if asked.choices:
         return click.Choice(asked.choices)
+    if kind is str:
+        return str
     if kind is int:
         return click.IntRange(
             None if asked.low is None else int(asked.low),

@@ -18,6 +18,7 @@ from hpcapp.applications.surface.diagnostics import (
     doubt_closure,
     doubt_normals,
     doubt_resolution,
+    doubt_sides,
 )
 from hpcapp.applications.surface.input.folder import all_see_folder, choose_tile
 from hpcapp.applications.surface.input.load import Loaded
@@ -165,6 +166,7 @@ class _Doubts:
 
     resolution: list[str]
     normals: list[str]
+    sides: list[str]
     low: FloatArray
     high: FloatArray
     step: float
@@ -174,15 +176,24 @@ def _doubt_points(grid: int, cloud: ArrangedCloud) -> _Doubts:
     low, high, points = cloud.low, cloud.high, cloud.sample(SAMPLE)
     step = float((high - low).max()) / grid
     resolution = doubt_resolution(points, step)
-    return _Doubts(resolution, [] if resolution else doubt_normals(points), low, high, step)
+    normals = [] if resolution else doubt_normals(points)
+    sides = [] if resolution or normals else doubt_sides(points)
+    return _Doubts(resolution, normals, sides, low, high, step)
 
 
 def _warn(settings: Settings, found: _Doubts, result: Reconstruction) -> list[str]:
     """Log what should make the user doubt the mesh, and return it for the report."""
     doubts = found.resolution + found.normals
-    # Too few cells explain a mesh that is too large.
-    if not found.resolution and settings.method.makes_closed_meshes:
-        doubts += doubt_closure(found.low, found.high, result.surface, found.step)
+    if not result.facts.get("open", False):
+        doubts += found.sides  # of an open mesh, nothing is guessed behind the points
+        # Too few cells explain a mesh that is too large.
+        if not found.resolution and settings.method.makes_closed_meshes:
+            doubts += doubt_closure(found.low, found.high, result.surface, found.step)
+    elif result.facts.get("room", False):
+        doubts.append(
+            "the points are taken for a room seen from inside, for their normals face inwards: "
+            "if they are of an object, turn them around"
+        )
     for doubt in doubts:
         log.warning("warning: %s", doubt)
     return doubts

@@ -207,6 +207,8 @@ class PartSurface:
         Where parts are kept.
     workers : list of str or None
         Who made each part, where that is known.
+    crumb : int, optional
+        See `plan_weld`.
     """
 
     parts: list[MeshPart | str]
@@ -214,6 +216,7 @@ class PartSurface:
     origin: FloatArray
     keeping: Keeping | None = None
     workers: list[str | None] = field(default_factory=list)
+    crumb: int | None = None
     _plan: WeldPlan | None = None
     _topology: Deferred[Topology] | None = None
 
@@ -221,7 +224,7 @@ class PartSurface:
     def plan(self) -> WeldPlan:
         """How the parts become one mesh."""
         if self._plan is None:
-            self._plan = plan_weld(self.summaries)
+            self._plan = plan_weld(self.summaries, self.crumb)
         return self._plan
 
     def load(self, index: int) -> MeshPart:

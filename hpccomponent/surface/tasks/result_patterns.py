@@ -25,6 +25,7 @@ from hpccomponent.protocol.declared import (
 )
 from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES
 from hpccomponent.surface.cloud.arrangement import PackedPoints
+from hpccomponent.surface.extraction.opening import OpeningSeams
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import PartSummary
 from hpccomponent.surface.fitting.far_field import FarFieldPart
@@ -36,6 +37,7 @@ __all__ = [
     "BOX_COUNTS",
     "CELL_COUNTS",
     "MENDED",
+    "OPENING_SEAMS",
     "PATCHES",
     "RANKS",
     "REPEATED",
@@ -43,6 +45,7 @@ __all__ = [
     "SAMPLE",
     "SMALL_BYTES",
     "STRAY_CELLS",
+    "SUPPORTED",
     "TURNED",
     "WRITTEN",
     "arranged_range",
@@ -377,4 +380,18 @@ _SUMMARY = Where(
     ),
     _is_summary,
     "what it names lies among its bricks, vertices and components",
+)
+SUPPORTED = Fixed(Whole(0, _MOST), Whole(0, _MOST))
+OPENING_SEAMS = Fixed(
+    Nothing(),  # only what is kept is surveyed by others
+    Record(
+        OpeningSeams,
+        foreign_bricks=Array("<i8", "g", low=0),
+        foreign_numbers=_ints("g"),
+        foreign_labels=_ints("g", low=-1),
+        rim_labels=_ints("r", low=-1),
+        rim_numbers=_ints("r", low=-1),
+        loops=Array("<f8", "c", 6, low=-np.inf, finite=False),
+        edges=Array("<i8", "m", 6, low=0),
+    ),
 )

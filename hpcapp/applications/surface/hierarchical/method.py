@@ -19,6 +19,11 @@ from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.hierarchical.coarse import Coarse, far_level, fit_coarse
 from hpcapp.applications.surface.hierarchical.estimates import Scale, choose_scale
 from hpcapp.applications.surface.hierarchical.growth import mesh_regions
+from hpcapp.applications.surface.hierarchical.opening import (
+    Closure,
+    OpeningSettings,
+    close_surface,
+)
 from hpcapp.applications.surface.hierarchical.slabs import mesh_slabs
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
 from hpcapp.applications.surface.method import (
@@ -64,6 +69,8 @@ class HierarchicalPartition:
         None where the cloud is one tile, and made into a mesh here.
     patches : int
         Finest cells with points, once they are counted.
+    closure : Closure or None
+        How the borders of the surface came about, once it is there.
     """
 
     cloud: ArrangedCloud
@@ -71,6 +78,7 @@ class HierarchicalPartition:
     plan: Plan
     tiling: Tiling | None
     patches: int = 0
+    closure: Closure | None = None
 
 
 class HierarchicalMethod:
@@ -93,6 +101,8 @@ class HierarchicalMethod:
         Where finished tiles are kept; by default they come back to this process.
     show_part : callable
         Told of each part of the mesh as it comes; see `Resources`.
+    opening : OpeningSettings
+        Whether, and where, the surface is cut open; by default it is closed.
 
     Raises
     ------
@@ -109,6 +119,7 @@ class HierarchicalMethod:
         tile_points: int | None = None,
         keeping: Keeping | None = None,
         show_part: ShowPart = show_nothing,
+        opening: OpeningSettings | None = None,
     ) -> None:
         if grid < _LEAST_GRID:
             raise UsageError(
@@ -124,6 +135,7 @@ class HierarchicalMethod:
         self.tile_points = tile_points
         self.keeping = keeping
         self.show_part = show_part
+        self.opening = OpeningSettings() if opening is None else opening
 
     def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> HierarchicalPartition:
         """Find spacing, noise and cell size, and cut the cloud into tiles.
@@ -255,6 +267,12 @@ class HierarchicalMethod:
                 "no part of the cloud encloses a volume",
                 "check that the normals point out of the object, and try a finer --grid",
             )
+        cloud = partition.cloud
+        shared = None if workforce.in_process else self._find_shared(cloud)
+        surface, partition.closure = close_surface(
+            surface, cloud, partition.plan, partition.scale.spacing, self.opening, workforce,
+            shared, self.threads, advance,
+        )  # fmt: skip
         return surface
 
     def _find_shared(self, cloud: ArrangedCloud) -> Keeping | None:
@@ -309,6 +327,7 @@ class HierarchicalMethod:
             "lam": plan.weights[0].lam,
             "levels": plan.height,
             "tiles": 1 if partition.tiling is None else len(partition.tiling),
+            **({} if partition.closure is None else partition.closure.facts()),
         }
 
 

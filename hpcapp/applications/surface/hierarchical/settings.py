@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from hpcapp.applications.surface.hierarchical.lengths import parse_length
 from hpcapp.applications.surface.options import check_options, option
+from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.method import Method, Resources
@@ -27,11 +29,19 @@ class Hierarchical:
         and less averaging.
     clean : bool
         Whether to drop outliers and to flip normals that their neighbours contradict.
+    close : str
+        ``yes`` for a watertight mesh, ``no`` for one that is open where no point supports it,
+        ``auto`` for one that is open where the points are plainly a view, a terrain or a room.
+    trim : str
+        How far from the points an open mesh goes: in units of the input, as ``0.05``, in spacings,
+        as ``3s``, or ``auto``. A length asks for an open mesh.
+    fill_holes : str
+        Holes of an open mesh that are no larger than this are filled; likewise.
 
     Raises
     ------
     UsageError
-        A factor is beyond its range.
+        A factor is beyond its range, or a length is none.
     """
 
     smoothness: float = option(
@@ -41,6 +51,19 @@ class Hierarchical:
         1.0, "Factor on the finest detail that the spacing allows.", low=0.1, high=10
     )
     clean: bool = option(True, "Drop outliers and flip inconsistent normals first.")
+    close: str = option(
+        "auto",
+        "Watertight (yes), open where no point supports the surface (no), or open only where the "
+        "points are plainly a view, a terrain or a room.",
+        choices=("auto", "yes", "no"),
+    )
+    trim: str = option(
+        "auto",
+        "How far from the points an open mesh goes: a length, or spacings as 3s; asks for one.",
+    )
+    fill_holes: str = option(
+        "auto", "Holes of an open mesh up to this size are filled: a length, or spacings as 10s."
+    )
 
     name: ClassVar[str] = "hierarchical"
     summary: ClassVar[str] = "Hermite quadrics on a pyramid"
@@ -51,6 +74,13 @@ class Hierarchical:
 
     def __post_init__(self) -> None:
         check_options(self)
+        for name in ("trim", "fill_holes"):
+            parse_length(name, getattr(self, name))
+        if self.close == "yes" and (self.trim, self.fill_holes) != ("auto", "auto"):
+            raise UsageError(
+                "trim and fill_holes say nothing of a mesh that is closed",
+                "leave them out, or close=yes",
+            )
 
     @property
     def cleans(self) -> bool:
@@ -93,6 +123,7 @@ class Hierarchical:
             The grid is too small.
         """
         from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
+        from hpcapp.applications.surface.hierarchical.opening import OpeningSettings
 
         return HierarchicalMethod(
             grid,
@@ -102,4 +133,9 @@ class Hierarchical:
             resources.tile_points,
             resources.keeping,
             resources.show_part,
+            OpeningSettings(
+                self.close,
+                parse_length("trim", self.trim),
+                parse_length("fill_holes", self.fill_holes),
+            ),
         )

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.applications.surface.stitching.bricks import PartBricks
-from hpcapp.applications.surface.stitching.topology import Topology
+from hpcapp.applications.surface.stitching.topology import Topology, count_loops
 from hpccomponent.surface import kernels
 from hpccomponent.surface.extraction.part_places import starts_of
 from hpccomponent.surface.extraction.summary import PartSummary
@@ -98,6 +98,7 @@ class _Verdict:
     """What the seams say: see `Survey`, and how often a vertex has one fan too many."""
 
     boundary: int
+    loops: int
     is_edge_manifold: bool
     is_oriented: bool
     surplus_fans: int
@@ -137,7 +138,7 @@ def judge_parts(
     count = int(component.max(initial=-1)) + 1
     faces = entries.count(entries.faces, count)
     if not faces.any():
-        return Topology(False, True, True, True, False, 0, None, (), 0, 0, 0)
+        return Topology(False, True, True, True, False, 0, None, (), 0, 0, 0, 0)
     vertices = np.where(faces > 0, entries.count(entries.vertices, count), 0)
     raw_starts = starts_of(bricks.vertex_counts[bricks.taken])
     seams = _collect_seams(summaries, bricks, component, kept, raw_starts)
@@ -155,6 +156,7 @@ def judge_parts(
         sum(genera) if watertight else None,
         genera,
         verdict.boundary,
+        verdict.loops,
         int(vertices.sum()),
         int(faces.sum()),
     )
@@ -250,6 +252,7 @@ def _judge_seams(seams: _Seams, faces: IntArray) -> _Verdict:
     outer = np.bincount(seams.components[order[first]], minlength=len(faces))
     return _Verdict(
         int((counts == 1).sum()),
+        count_loops(low[order[first[counts == 1]]], high[order[first[counts == 1]]]),
         not (counts > 2).any() and not degenerate.any(),
         not ((backward > 1) | (counts - backward > 1)).any(),
         fans + int(is_closed_elsewhere.sum()) - len(vertices),

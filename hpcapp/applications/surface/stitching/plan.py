@@ -52,6 +52,8 @@ class WeldPlan:
         Of each of the parts' components, the one of the mesh that it belongs to.
     entries : Components
         What each brick has of the mesh's components that stay.
+    dropped : int
+        Components that do not.
     """
 
     summaries: tuple[PartSummary, ...]
@@ -62,6 +64,7 @@ class WeldPlan:
     box: FloatArray
     component: IntArray
     entries: Components
+    dropped: int
 
     def givers(self, first: int, last: int) -> Iterator[tuple[int, IntArray]]:
         """Return which part gives which of some bricks.
@@ -152,13 +155,15 @@ class WeldPlan:
         return np.flatnonzero(~self.kept[self.bricks.labels_in(index)]).astype(np.int32)
 
 
-def plan_weld(summaries: Sequence[PartSummary]) -> WeldPlan:
+def plan_weld(summaries: Sequence[PartSummary], crumb: int | None = None) -> WeldPlan:
     """Plan the weld of all the parts of a mesh.
 
     Parameters
     ----------
     summaries : sequence of PartSummary
         At least one; of guests that no part owns the first part's copy is taken.
+    crumb : int, optional
+        Components with fewer faces are dropped; by default those with few beside the largest.
 
     Returns
     -------
@@ -174,7 +179,7 @@ def plan_weld(summaries: Sequence[PartSummary]) -> WeldPlan:
     component = join_labels(summaries, bricks)
     entries = _collect_entries(summaries, bricks, component)
     faces = np.bincount(entries.component, entries.faces, int(component.max(initial=-1)) + 1)
-    large = find_large(faces.astype(np.int64))
+    large = find_large(faces.astype(np.int64)) if crumb is None else faces >= max(crumb, 1)
     kept = large[component]
     components = entries.only(large[entries.component])
     vertex_starts, face_starts = (
@@ -183,7 +188,15 @@ def plan_weld(summaries: Sequence[PartSummary]) -> WeldPlan:
     )
     box = _bound(np.concatenate([s.bounds for s in summaries])[kept])
     return WeldPlan(
-        tuple(summaries), bricks, kept, vertex_starts, face_starts, box, component, components
+        tuple(summaries),
+        bricks,
+        kept,
+        vertex_starts,
+        face_starts,
+        box,
+        component,
+        components,
+        int(((faces > 0) & ~large).sum()),
     )
 
 

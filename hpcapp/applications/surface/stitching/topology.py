@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface import kernels
+from hpccomponent.surface.types.lattice import number_keys
 from hpccomponent.surface.types.mesh import Mesh, Survey
 from hpccomponent.surface.types.points import IntArray
 
-__all__ = ["Topology", "check_mesh", "signed_volume"]
+__all__ = ["Topology", "check_mesh", "count_loops", "signed_volume"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,8 @@ class Topology:
         Handles of each component, the one with the most faces first; empty unless watertight.
     boundary_edges : int
         Edges with one face.
+    boundaries : int
+        Loops that these form: pieces that share no vertex.
     vertices : int
         Vertices that some face uses.
     faces : int
@@ -55,6 +58,7 @@ class Topology:
     genus: int | None
     component_genus: tuple[int, ...]
     boundary_edges: int
+    boundaries: int
     vertices: int
     faces: int
 
@@ -89,7 +93,7 @@ def check_mesh(mesh: Mesh) -> Topology:
     """
     faces, used = _renumber(mesh.faces)
     if not len(faces):
-        return Topology(False, True, True, True, False, 0, None, (), 0, 0, 0)
+        return Topology(False, True, True, True, False, 0, None, (), 0, 0, 0, 0)
     survey = kernels.survey_mesh(faces, used)
     edge_manifold = not survey.overfull and not survey.degenerate
     vertex_manifold = survey.fans == used
@@ -106,6 +110,7 @@ def check_mesh(mesh: Mesh) -> Topology:
         sum(genera) if watertight else None,
         genera,
         survey.boundary,
+        count_loops(*_find_boundary(faces)) if survey.boundary else 0,
         used,
         len(faces),
     )
@@ -126,6 +131,39 @@ def signed_volume(mesh: Mesh) -> float:
     if not len(mesh.faces):
         return 0.0
     return kernels.signed_volume(mesh.vertices, mesh.faces, mesh.vertices.mean(axis=0))
+
+
+def count_loops(tails: IntArray, heads: IntArray) -> int:
+    """Count the loops that some edges form.
+
+    Parameters
+    ----------
+    tails, heads : ndarray of int64, shape (e,)
+        The vertices that each edge joins.
+
+    Returns
+    -------
+    int
+        Pieces of edges that share no vertex.
+
+    Examples
+    --------
+    >>> count_loops(np.array([0, 1, 2, 7, 8]), np.array([1, 2, 0, 8, 9]))
+    2
+    """
+    ends, numbers = number_keys(np.concatenate([tails, heads]))
+    first, second = numbers[: len(tails)], numbers[len(tails) :]
+    joined = np.stack([first, second, second], axis=1)  # edges as faces with a corner twice
+    return kernels.label_components(joined, len(ends))[0]
+
+
+def _find_boundary(faces: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the ends of the edges with one face."""
+    tails, heads = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    low, high = np.minimum(tails, heads), np.maximum(tails, heads)
+    edges, numbers = number_keys(low * (int(faces.max()) + 1) + high)
+    lone = (np.bincount(numbers, minlength=len(edges)) == 1)[numbers]
+    return low[lone], high[lone]
 
 
 def _renumber(faces: IntArray) -> tuple[IntArray, int]:

@@ -4,7 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.diagnostics import doubt_closure, doubt_normals, doubt_resolution
+from hpcapp.applications.surface.diagnostics import (
+    doubt_closure,
+    doubt_normals,
+    doubt_resolution,
+    doubt_sides,
+)
 from hpcapp.applications.surface.surface import WholeSurface
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.mesh import Mesh
@@ -31,8 +36,8 @@ def test_a_good_scan_is_not_doubted(sphere: PointCloud) -> None:
 def test_normals_are_judged_alike_wherever_and_however_large(sphere: PointCloud) -> None:
     for scale, shift in ((1e-30, 0.0), (1e30, 0.0), (1.0, 50.0)):
         moved = PointCloud(sphere.positions * scale + shift, sphere.normals)
-        assert doubt_normals(moved) == []
-        assert "turn them around" in doubt_normals(turned(moved, -1.0))[0]
+        assert doubt_normals(moved) == doubt_sides(moved) == []
+        assert "turn them around" in doubt_sides(turned(moved, -1.0))[0]
 
 
 def test_normals_of_random_sign_contradict_each_other(sphere: PointCloud) -> None:
@@ -43,12 +48,13 @@ def test_normals_of_random_sign_contradict_each_other(sphere: PointCloud) -> Non
 def test_the_side_scanned_more_often_does_not_decide(sphere: PointCloud) -> None:
     near = np.flatnonzero(sphere.positions[:, 0] > 0.9)
     often = sphere.take(np.concatenate([np.arange(len(sphere)), np.repeat(near, 100)]))
-    assert doubt_normals(often) == []
-    assert doubt_normals(turned(often, -1.0)) != []
+    assert doubt_sides(often) == []
+    assert doubt_sides(turned(often, -1.0)) != []
 
 
 def test_few_points_are_too_far_apart_to_contradict_each_other(sphere: PointCloud) -> None:
-    assert doubt_normals(sphere.take(np.arange(20))) == []
+    few = sphere.take(np.arange(20))
+    assert doubt_normals(few) == doubt_sides(few) == []
 
 
 def test_an_outlier_that_takes_up_the_grid_is_noticed(sphere: PointCloud) -> None:

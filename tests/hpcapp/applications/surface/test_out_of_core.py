@@ -15,12 +15,14 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface import job, steps, surface
+from hpcapp.applications.surface.api import reconstruct
 from hpcapp.applications.surface.hierarchical import growth as regions
+from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.input import folder, room
 from hpcapp.applications.surface.job import run_job
 from hpcapp.applications.surface.memory import fitting_tile, parse_limit
 from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.io import read_mesh, write_points
+from hpcapp.io import read_mesh, read_points, write_mesh, write_points
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import JobError, OutputError, UsageError
 from hpccomponent.surface.extraction.parts import MeshPart
@@ -97,6 +99,27 @@ def test_a_cloud_on_disk_gives_the_bytes_of_one_in_memory(
     assert list(room.rglob("*")) == []  # what was kept is taken away
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("small")
+@pytest.mark.parametrize("backend", ["serial", "processes", "zmq"])
+def test_a_view_on_disk_is_cut_open_alike(backend: str, scan: Path, tmp_path: Path) -> None:
+    """The upper half of the torus: workers that hold the parts cut them."""
+    given = read_points(scan)
+    upper = tmp_path / "upper.ply"
+    write_points(upper, given.take(np.flatnonzero(given.positions[:, 2] > 0.0)))
+    output, workers = tmp_path / "mesh.ply", None if backend == "serial" else 2
+    settings = JobSettings(
+        upper, str(output), grid=96, backend=backend, workers=workers, temp_dir=str(tmp_path / "t")
+    )
+    report = run_job(settings, SILENT)
+    assert report["tiles"] > 1
+    assert report["open"]
+    assert f"open, {report['boundaries']} boundaries" in report["summary"]
+    mesh = reconstruct(given.take(np.flatnonzero(given.positions[:, 2] > 0.0)), grid=96)
+    write_mesh(tmp_path / "whole.ply", mesh)
+    assert output.read_bytes() == (tmp_path / "whole.ply").read_bytes()
+
+
 @pytest.mark.parametrize(("points", "grid"), [(12, 48), (300, 32), (20_000, 16)])
 @pytest.mark.parametrize("backend", ["serial", "zmq"])
 def test_a_cloud_of_one_level_is_one_tile(
@@ -131,7 +154,7 @@ def test_an_open_scan_is_doubted_alike_wherever_its_points_are(
     positions = np.stack([x, y, -0.3 * (x * x + y * y)], axis=1)
     scan, output = tmp_path / "scan.ply", tmp_path / "mesh.ply"
     write_points(scan, PointCloud(positions, normals))
-    settings = JobSettings(scan, str(output), grid=64)
+    settings = JobSettings(scan, str(output), grid=64, method=Hierarchical(close="yes"))
     warnings = run_job(settings, SILENT)["warnings"]
     low, high = positions.min(axis=0), positions.max(axis=0)
     slack = 2.0 * float((high - low).max()) / 56

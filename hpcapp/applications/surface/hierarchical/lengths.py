@@ -1,0 +1,81 @@
+"""Lengths that a user gives: in units of the input, in spacings of the points, or none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+
+from hpccomponent.errors import UsageError
+
+__all__ = ["Length", "parse_length"]
+
+
+@dataclass(frozen=True, slots=True)
+class Length:
+    """A length that stands for itself or for so many spacings.
+
+    Parameters
+    ----------
+    value : float
+    in_spacings : bool
+        Else in length units of the input.
+    """
+
+    value: float
+    in_spacings: bool
+
+    def of(self, spacing: float) -> float:
+        """Return it in length units of the input.
+
+        Parameters
+        ----------
+        spacing : float
+            Of the points, in length units of the input.
+
+        Returns
+        -------
+        float
+        """
+        return self.value * spacing if self.in_spacings else self.value
+
+
+def parse_length(name: str, text: str) -> Length | None:
+    """Return what an option says.
+
+    Parameters
+    ----------
+    name : str
+        Of the option, for messages.
+    text : str
+        ``auto``, ``0.05``, or ``3s`` for three spacings.
+
+    Returns
+    -------
+    Length or None
+        None for ``auto``.
+
+    Raises
+    ------
+    UsageError
+        It is none of these, or negative.
+
+    Examples
+    --------
+    >>> parse_length("trim", "3s").of(0.5)
+    1.5
+    >>> parse_length("trim", "0.02").of(0.5)
+    0.02
+    """
+    if text == "auto":
+        return None
+    in_spacings = text.endswith("s")
+    try:
+        value = float(text[:-1] if in_spacings else text)
+    except ValueError:
+        value = -1.0
+    if not (isfinite(value) and value >= 0.0):
+        raise UsageError(
+            f"{name} is {text!r}",
+            "give auto, a length in the units of the input, as 0.05, or in spacings, as 3s",
+        )
+    return Length(value, in_spacings)
