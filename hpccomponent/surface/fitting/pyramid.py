@@ -25,7 +25,12 @@ from hpccomponent.surface.fitting.cell_points import (
 )
 from hpccomponent.surface.fitting.robust import weigh_points
 from hpccomponent.surface.fitting.support import sum_squares, surrounded_vertices
-from hpccomponent.surface.fitting.weights import FIELD_LEVELS, Weights, localise_noise
+from hpccomponent.surface.fitting.weights import (
+    FIELD_LEVELS,
+    Weights,
+    find_agreement,
+    localise_noise,
+)
 from hpccomponent.surface.kernels import BASIS
 from hpccomponent.surface.kernels.parallel import run_batches
 from hpccomponent.surface.types.lattice import (
@@ -78,6 +83,11 @@ class Level:
     points: SortedPoints | CellMoments | PartMoments
     squares: FloatArray
 
+    @property
+    def is_finest(self) -> bool:
+        """Whether the level holds the points themselves."""
+        return isinstance(self.points, SortedPoints)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pyramid:
@@ -115,7 +125,8 @@ class VertexQuadrics:
     ----------
     coefficients : ndarray of float32, shape (v, 10)
     counts : ndarray of float32, shape (v,)
-        Points in the eight cells around each vertex.
+        Points in the eight cells around each vertex; above the finest level, as far as the
+        quadric agrees with their normals.
     inherited : ndarray of float32, shape (v,)
         The mean count of its parents, 0 for those that points do not surround (see `crowding`),
         plus a quarter of what these inherited.
@@ -360,13 +371,13 @@ def _fit_level(
         first = step_keys(touched[0], -OCTANTS[-1])
         bounds = np.searchsorted(level.cells, (first, touched[-1] + 1))
         near = slice(int(bounds[0]), int(bounds[1]))
-        coefficients, counts, variances = kernels.fit_corners(
+        coefficients, counts, variances, misfits = kernels.fit_corners(
             touched, level.cells[near], level.points.sum(near),
             quadrics.coefficients.take(at, axis=0),
             noise[cut], weights.lam, weights.least_mu, weights.most_mu,
         )  # fmt: skip
         quadrics.coefficients[at] = coefficients
-        quadrics.counts[at] = counts
+        quadrics.counts[at] = counts if level.is_finest else counts * find_agreement(misfits)
         known = ~np.isnan(variances)
         quadrics.variances[at[known], 0] = variances[known]
 

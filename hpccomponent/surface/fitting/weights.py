@@ -17,6 +17,7 @@ __all__ = [
     "FIELD_LEVELS",
     "LEAST_MU",
     "Weights",
+    "find_agreement",
     "localise_noise",
     "tell_noise",
     "trust_vertices",
@@ -31,6 +32,7 @@ LEAST_MU = 0.3
 
 
 _MOST_MU = 1000.0
+_CHANCE_SHARE = 0.5  # of the noise's variance: where shape is rich, it is estimated too large
 _LAM_PER_NOISE = 15.0
 _LEAST_LAM = 0.001
 _LEAST_COARSE_LAM = 0.1  # a quadric bends within a coarse cell: its normals hold it
@@ -43,6 +45,7 @@ _FULL_COUNT = 6.0
 _FULL_INHERITED = 16.0
 _OWN_COUNT = 3.0
 _CROWDED_FROM, _CROWDED_AT = 6.0, 12.0  # other points in the cell of a point, one level finer
+_AGREES, _CONTRADICTS = 0.2, 0.6  # mean squared distances of gradients and normals
 _OVERRULED_FROM, _OVERRULED_AT = 0.6, 1.2  # steps of the far field from its surface
 
 
@@ -55,7 +58,8 @@ class Weights:
     lam : float
         Of the normals against the positions, dimensionless.
     noise : float
-        Variance of the positions along the normals, in cells of the level squared.
+        Variance of the positions along the normals, in cells of the level squared, as far as it
+        excuses that a prior misses points.
     least_mu, most_mu : float
         Between which the weight of a prior lies, in points.
     tolerance : float
@@ -100,7 +104,7 @@ def weigh_levels(
         least = _LEAST_COARSE_LAM if depth else _LEAST_LAM
         lam = min(max(_LAM_PER_NOISE * variance, least), _MOST_LAM)
         most_mu = _MOST_MU if depth < levels - 1 else LEAST_MU
-        weights.append(Weights(lam, variance, LEAST_MU, most_mu, tolerance))
+        weights.append(Weights(lam, _CHANCE_SHARE * variance, LEAST_MU, most_mu, tolerance))
     return weights
 
 
@@ -151,6 +155,29 @@ def localise_noise(overall: float, finer: Float32Array, coarser: Float32Array) -
     """
     local = np.clip(tell_noise(finer, coarser), overall * _LEAST_LOCAL, overall * _MOST_LOCAL)
     result: Float32Array = local.astype(np.float32)
+    return result
+
+
+def find_agreement(misfits: Float32Array) -> Float32Array:
+    """Tell how far quadrics of a coarser level agree with the normals of their points.
+
+    Parameters
+    ----------
+    misfits : ndarray of float32, shape (v,)
+        Mean squared distances of gradients and normals (see `hermite.evaluate_misfits`).
+
+    Returns
+    -------
+    ndarray of float32, shape (v,)
+        From 1 down to 0: how much of its points supports a quadric.
+
+    Notes
+    -----
+    Where two sheets lie in one coarse cell, as at the rim of a wing, no quadric follows both. It
+    is left from the field, and supports no finer one, or the surface would grow beyond the rim.
+    """
+    share = (_CONTRADICTS - misfits) / (_CONTRADICTS - _AGREES)
+    result: Float32Array = np.clip(share, 0.0, 1.0).astype(np.float32)
     return result
 
 
