@@ -91,6 +91,9 @@ GROUPS: Mapping[str, str] = {
     "missing": "regions without points",
     "thin": "sheets one per cent of the diagonal apart, thin limbs",
     "large": "a million exact points",
+    "relief": "detail of several sizes on a smooth body",
+    "sharp": "machine parts with straight and curved edges, holes and fins",
+    "correlated": "depth errors that are smooth along the surface, each view its own",
     "real": "scans of real objects",
 }
 
@@ -125,6 +128,14 @@ def _simulated() -> list[SimulatedCloud]:
     add("thin", "ring", "thin", noise=0.001)
     add("thin", "shaft", "thin", noise=0.002)
     add("large", "torus", "1M", points=1_000_000, views=0, normals="exact")
+    for shape in ("boulder", "studded", "bust"):
+        add("relief", shape, "clean")
+        add("relief", shape, "noise0.001", noise=0.001)
+    for shape in ("gear", "heatsink", "flange", "manifold"):
+        add("sharp", shape, "clean")
+        add("sharp", shape, "noise0.0005", noise=0.0005)
+    for shape in ("torus", "bracket", "bust"):
+        add("correlated", shape, "drift", noise=0.0005, drift=0.001, correlation=0.03)
     return clouds
 
 

@@ -24,9 +24,10 @@ __all__ = ["hpcapp", "main"]
 # The verbs that ship; named here so that finding them costs no search through installed packages.
 SHIPPED = {
     "reconstruct": "hpcapp.applications.surface.command:reconstruct",
-    "simulate": "hpcapp.applications.surface.command:simulate",
+    "simulate": "hpcapp.applications.simulate.command:simulate",
     "info": "hpcapp.applications.points.command:info",
     "convert": "hpcapp.applications.points.command:convert",
+    "simplify": "hpcapp.simplification.command:simplify",
 }
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # What these log is raised too, and said in our words: a user sees it with --debug only.

@@ -15,7 +15,9 @@ from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.obj import read_obj, write_obj
 from hpcapp.io.meshes.off import read_off, write_off
 from hpcapp.io.meshes.stl import read_stl, write_stl
+from hpcapp.io.meshes.threemf import write_3mf
 from hpcapp.io.meshes.tiles import TILES_SUFFIX, check_tiles, write_tiles
+from hpcapp.io.meshes.tileset import TILESET_SUFFIX, write_tileset
 from hpcapp.io.meshes.vtp import write_vtp
 from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh
 from hpcapp.io.point_writers import POINT_WRITERS
@@ -74,6 +76,8 @@ _MESH_WRITERS: dict[str, _MeshWriter] = {
     ".stl": _MeshWriter(write_stl),
     ".glb": _MeshWriter(write_glb, True, True, True),
     ".vtp": _MeshWriter(write_vtp, True, True, True),
+    ".3mf": _MeshWriter(write_3mf, False, True),
+    TILESET_SUFFIX: _MeshWriter(write_tileset, True, True, True),
     TILES_SUFFIX: _MeshWriter(
         lambda path, mesh: write_tiles(path, [(0, as_stream(mesh))]), False, True, True
     ),
@@ -202,7 +206,8 @@ def write_points(
 def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
     """Write a mesh: .ply, .obj, .off, .vtp in the input's coordinates, .stl in the local frame.
 
-    ``.glb`` is in the local frame, too, and says where that is; ``.tiles`` makes a folder with the
+    ``.glb`` and ``.3mf`` are in the local frame, too, and say where that is; ``.3dtiles`` makes a
+    folder for web viewers (see `write_tileset`), ``.tiles`` makes a folder with the
     mesh as one tile (see `write_tiles`). What its vertices carry and the format does not hold is
     logged as a warning.
 
@@ -281,7 +286,7 @@ def check_writable(path: str | PathLike[str], kind: Literal["mesh", "points"] = 
         _choose(_MESH_WRITERS, Path(path), OutputError, "a mesh is written to")
     else:
         _choose(POINT_WRITERS, Path(path), OutputError, "a point cloud is written to")
-    if Path(path).suffix.lower() == TILES_SUFFIX:
+    if Path(path).suffix.lower() in (TILES_SUFFIX, TILESET_SUFFIX):
         check_tiles(Path(path))
     else:
         check_place(Path(path))

@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
-from numpy.typing import NDArray
 
-from hpcapp.applications.simulate.shapes import Shape, diagonal_of
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpcapp.applications.simulate.implicit import Shape, diagonal_of
+from hpcapp.applications.simulate.tracing import Tracer
+from hpccomponent.limits import available_cores
+from hpccomponent.surface.kernels.parallel import run_batches
+from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
-__all__ = ["closest_points", "cross_rays", "frame_about", "sample_lines", "unit_vectors"]
+__all__ = [
+    "closest_points",
+    "cross_rays",
+    "frame_about",
+    "run_in_blocks",
+    "sample_lines",
+    "unit_vectors",
+]
 
-_SHORTEST_STEP = 5e-4  # of the diagonal: two crossings closer than this may be overlooked
-_TOLERANCE = 1e-13  # of the diagonal
-_MOST_STEPS = 4000
+_BLOCK = 1 << 16  # rows that a thread takes at a time
+_SAME_FACE = 0.98  # cosine between normals: where it is less, two faces meet at an edge
+
+Result = TypeVar("Result")
 
 
 def cross_rays(
@@ -43,14 +56,32 @@ def cross_rays(
     Illinois variant of regula falsi between the two last steps. A ray that grazes the surface
     may overlook a chord shorter than 5e-4 of the diagonal.
     """
-    rays, near, far = _bracket(shape, origins, directions, reach, first_only)
-    ahead = directions[rays]
-    distances = _polish(shape, origins[rays], ahead, near, far)
-    order = np.lexsort((distances, rays))
-    return rays[order], distances[order]
+    tracer = Tracer(shape, len(origins))
+    return _cross(tracer, origins, directions, reach, first_only)
 
 
-def sample_lines(shape: Shape, count: int, rng: np.random.Generator) -> FloatArray:
+def run_in_blocks(function: Callable[[slice], Result], count: int) -> list[Result]:
+    """Call a function for one block of rows after another, on all cores.
+
+    Parameters
+    ----------
+    function : callable
+        Takes the rows and works in numpy, which lets other threads run.
+    count : int
+        Of all rows. What the blocks are depends on nothing else.
+
+    Returns
+    -------
+    list
+        At least one result, in order.
+    """
+    blocks = [slice(at, min(at + _BLOCK, count)) for at in range(0, max(count, 1), _BLOCK)]
+    return run_batches(function, blocks, available_cores())
+
+
+def sample_lines(
+    shape: Shape, count: int, rng: np.random.Generator, tracer: Tracer | None = None
+) -> FloatArray:
     """Return the points in which `count` random lines cross the surface.
 
     Parameters
@@ -59,6 +90,8 @@ def sample_lines(shape: Shape, count: int, rng: np.random.Generator) -> FloatArr
     count : int
         How many lines.
     rng : numpy.random.Generator
+    tracer : Tracer, optional
+        Of the shape; made if it is not given.
 
     Returns
     -------
@@ -76,7 +109,8 @@ def sample_lines(shape: Shape, count: int, rng: np.random.Generator) -> FloatArr
     angle, distance = 2 * np.pi * rng.random(count), radius * np.sqrt(rng.random(count))
     offset = (distance * np.cos(angle))[:, None] * side + (distance * np.sin(angle))[:, None] * up
     origins = 0.5 * (low + high) + offset - radius * directions
-    rays, distances = cross_rays(shape, origins, directions, 2.0 * radius, first_only=False)
+    tracer = tracer or Tracer(shape, count)
+    rays, distances = _cross(tracer, origins, directions, 2.0 * radius, first_only=False)
     crossings: FloatArray = origins[rays] + distances[:, None] * directions[rays]
     return crossings
 
@@ -103,20 +137,44 @@ def closest_points(
     Notes
     -----
     The foot moves in its tangent plane below the point and falls back on the surface by Newton
-    steps; it is kept where that brought it nearer.
+    steps; it is kept where that brought it nearer. Where it has fallen on a face that meets the
+    first at an edge, the point of both tangent planes that is nearest is tried too, and with a
+    third face that of all three, so that feet find edges and corners.
     """
-    best = guesses.copy()
-    least = _lengths(points - best)
-    trial, _ = _fall(shape, points)
+    best, least = guesses.copy(), _lengths(points - guesses)
+
+    def offer(rows: IntArray, trial: FloatArray) -> FloatArray:
+        """Let `trial` fall, keep it where it is nearer, and return where it fell."""
+        feet, landed = _fall(shape, trial)
+        reach = _lengths(points[rows] - feet)
+        better = np.flatnonzero(landed & (reach < least[rows]))
+        best[rows[better]], least[rows[better]] = feet[better], reach[better]
+        return feet
+
+    everyone = np.arange(len(points))
+    offer(everyone, points)
     for _ in range(rounds):
-        trial, landed = _fall(shape, trial)
-        reach = _lengths(points - trial)
-        better = landed & (reach < least)
-        best[better], least[better] = trial[better], reach[better]
-        normal = shape.normal(best)
-        away = points - best
-        trial = points - np.einsum("ij,ij->i", away, normal)[:, None] * normal
+        rows, feet, normals = everyone, best[:, None], shape.normal(best)[:, None]
+        for _ in range(3):
+            trial = offer(rows, _nearest_on_planes(points[rows], feet, normals))
+            other = shape.normal(trial)
+            is_other = (np.einsum("nki,ni->nk", normals, other) < _SAME_FACE).all(axis=1)
+            rows = rows[is_other]
+            if not len(rows):
+                break
+            feet = np.concatenate([feet[is_other], trial[is_other, None]], axis=1)
+            normals = np.concatenate([normals[is_other], other[is_other, None]], axis=1)
     return best
+
+
+def _nearest_on_planes(points: FloatArray, feet: FloatArray, normals: FloatArray) -> FloatArray:
+    """Return the nearest point that lies on each of up to three planes, shape (n, k, 3)."""
+    heights = np.einsum("nki,nki->nk", points[:, None] - feet, normals)
+    # Planes that are nearly parallel in threes have no common point: a trace of 1e-9 finds one.
+    gram = normals @ normals.transpose(0, 2, 1) + 1e-9 * np.eye(normals.shape[1])
+    shares = np.linalg.solve(gram, heights[..., None])
+    nearest: FloatArray = points - (normals.transpose(0, 2, 1) @ shares)[..., 0]
+    return nearest
 
 
 def frame_about(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -154,62 +212,20 @@ def unit_vectors(vectors: FloatArray) -> FloatArray:
     return unit
 
 
-def _bracket(
-    shape: Shape, origins: FloatArray, directions: FloatArray, reach: float, first_only: bool
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """March along the rays and return (ray, distance before, distance after) of sign changes."""
-    shortest = _SHORTEST_STEP * diagonal_of(shape)
-    ray = np.arange(len(origins))
-    travelled = np.zeros(len(origins))
-    value = shape.value(origins)
-    found: list[tuple[IntArray, FloatArray, FloatArray]] = []
-    for _ in range(_MOST_STEPS):
-        if not len(ray):
-            break
-        ahead = travelled + np.maximum(np.abs(value), shortest)
-        next_value = shape.value(origins[ray] + ahead[:, None] * directions[ray])
-        crossed = (value < 0.0) != (next_value < 0.0)
-        found.append((ray[crossed], travelled[crossed], ahead[crossed]))
-        goes_on = ahead < reach
-        if first_only:
-            goes_on &= ~crossed
-        ray, travelled, value = ray[goes_on], ahead[goes_on], next_value[goes_on]
-    if not found:
-        return ray, travelled, travelled
-    rays, near, far = (np.concatenate(column) for column in zip(*found, strict=True))
-    return rays, near, far
+def _cross(
+    tracer: Tracer, origins: FloatArray, directions: FloatArray, reach: float, first_only: bool
+) -> tuple[IntArray, FloatArray]:
+    """Return where rays cross the surface, on all cores; see `cross_rays`."""
+
+    def cross(part: slice) -> tuple[IntArray, FloatArray]:
+        rays, distances = tracer.cross(origins[part], directions[part], reach, first_only)
+        return rays + part.start, distances
+
+    rays, distances = zip(*run_in_blocks(cross, len(origins)), strict=True)
+    return np.concatenate(rays), np.concatenate(distances)
 
 
-def _polish(
-    shape: Shape, origins: FloatArray, directions: FloatArray, near: FloatArray, far: FloatArray
-) -> FloatArray:
-    """Close in on the sign change between `near` and `far` along each ray."""
-    tolerance = _TOLERANCE * diagonal_of(shape)
-    root = 0.5 * (near + far)
-    left, right = near.copy(), far.copy()
-    at_left = shape.value(origins + left[:, None] * directions)
-    at_right = shape.value(origins + right[:, None] * directions)
-    active = np.arange(len(near))
-    for turn in range(80):
-        if not len(active):
-            break
-        a, b, fa, fb = left[active], right[active], at_left[active], at_right[active]
-        # Every fourth step halves: a kink of the field cannot stall the search.
-        t = 0.5 * (a + b) if turn % 4 == 3 else (a * fb - b * fa) / (fb - fa)
-        value = shape.value(origins[active] + t[:, None] * directions[active])
-        keeps_right = (value < 0.0) != (fb < 0.0)
-        left[active], at_left[active] = b, fb
-        # Illinois: an end that stays for a second time counts half.
-        left[active[~keeps_right]] = a[~keeps_right]
-        at_left[active[~keeps_right]] = 0.5 * fa[~keeps_right]
-        right[active], at_right[active] = t, value
-        root[active] = t
-        done = (np.abs(value) <= tolerance) | (np.abs(right[active] - left[active]) <= tolerance)
-        active = active[~done]
-    return root
-
-
-def _fall(shape: Shape, points: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _fall(shape: Shape, points: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Move points along their normals onto the surface; tell which ones arrived."""
     tolerance = 1e-12 * diagonal_of(shape)
     feet = points.copy()
@@ -217,10 +233,13 @@ def _fall(shape: Shape, points: FloatArray) -> tuple[FloatArray, NDArray[np.bool
     for _ in range(30):
         value = shape.value(feet[active])
         away = np.abs(value) > tolerance
-        active = active[away]
+        active, value = active[away], value[away]
         if not len(active):
             break
-        feet[active] -= value[away, None] * shape.normal(feet[active])
+        slope = shape.gradient(feet[active])
+        # A step is Newton's, but no longer than ten times the value: slopes vanish at centres.
+        square = np.maximum(np.einsum("ij,ij->i", slope, slope), 0.01)
+        feet[active] -= (value / square)[:, None] * slope
     landed = np.ones(len(points), dtype=bool)
     landed[active] = False
     return feet, landed

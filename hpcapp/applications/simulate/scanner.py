@@ -2,9 +2,9 @@
 
 ::
 
-    views on a sphere -> rays -> first hit -> what is lost -> depth noise -> poses
-                                                                               |
-                   flipped normals <- normals (PCA or exact) <- outliers <- all views
+    views on a sphere -> rays -> first hit -> what is lost -> depth noise, drift -> poses
+                                                                                      |
+                          flipped normals <- normals (PCA or exact) <- outliers <- all views
 
 Fractions of length are fractions of the shape's bounding-box diagonal. One seed gives one scan.
 """
@@ -17,9 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from hpcapp.applications.simulate.rays import cross_rays, frame_about, sample_lines, unit_vectors
+from hpcapp.applications.simulate.faults import draw_drift, draw_moves, strew_outliers
+from hpcapp.applications.simulate.implicit import Shape, diagonal_of
+from hpcapp.applications.simulate.rays import (
+    frame_about,
+    run_in_blocks,
+    sample_lines,
+    unit_vectors,
+)
 from hpcapp.applications.simulate.settings import ScanSettings
-from hpcapp.applications.simulate.shapes import Shape, diagonal_of
+from hpcapp.applications.simulate.tracing import Tracer
 from hpccomponent.errors import UsageError
 from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
@@ -42,6 +49,11 @@ class _Hits:
 
     def take(self, selection: NDArray[np.bool_] | IntArray) -> _Hits:
         return _Hits(*(getattr(self, f.name)[selection] for f in fields(self)))
+
+    @staticmethod
+    def join(parts: list[_Hits]) -> _Hits:
+        names = [f.name for f in fields(_Hits)]
+        return _Hits(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def simulate_scan(shape: Shape, settings: ScanSettings | None = None) -> PointCloud:
@@ -76,9 +88,15 @@ def simulate_scan(shape: Shape, settings: ScanSettings | None = None) -> PointCl
     look = _look(shape, settings, rng)
     hits = _gather(shape, settings, rng, look)
     depth = settings.noise * diagonal * rng.standard_normal(len(hits.view))
-    positions = hits.positions + depth[:, None] * hits.rays
-    positions, exact = _misplace(shape, settings, rng, positions, hits)
-    positions, is_outlier = _strew(shape, settings, rng, positions, hits.rays)
+    if settings.drift:
+        length = settings.correlation * diagonal
+        depth += settings.drift * diagonal * draw_drift(hits.positions, hits.view, length, rng)
+    positions, exact = hits.positions + depth[:, None] * hits.rays, hits.normals
+    if settings.pose_error:
+        moves = draw_moves(settings.views, settings.pose_error * diagonal, diagonal, rng)
+        middle = 0.5 * np.sum(shape.bounds, axis=0)
+        positions, exact = moves.apply(positions, exact, hits.view, middle)
+    positions, is_outlier = strew_outliers(shape, settings.outliers, positions, hits.rays, rng)
     facing = exact if settings.views == 0 else -hits.rays
     normals = exact if settings.normals == "exact" else _fit_normals(positions, facing)
     normals = np.where(
@@ -108,29 +126,33 @@ def sample_surface(shape: Shape, count: int, seed: int = 0) -> PointCloud:
     """
     rng = np.random.default_rng(seed)
     found = [np.empty((0, 3))]
-    lines, have = 2 * count, 0
+    lines, have, tracer = 2 * count, 0, Tracer(shape, 2 * count)
     while have < count:
-        found.append(sample_lines(shape, lines, rng))
+        found.append(sample_lines(shape, lines, rng, tracer))
         have += len(found[-1])
         lines = int(1.2 * lines * (count - have) / max(len(found[-1]), 1)) + 100
     points = np.concatenate(found)
     chosen = points[rng.permutation(len(points))[:count]]
-    return PointCloud(chosen, shape.normal(chosen))
+    normals = run_in_blocks(lambda part: shape.normal(chosen[part]), count)
+    return PointCloud(chosen, np.concatenate(normals))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Look:
     """What stays the same from one round of rays to the next.
 
-    Eyes and their frames, one per view; the waves that shape each view's blotches; the
-    direction in which the density falls; the middles of the regions that do not echo.
+    Eyes and their frames (ahead, aside, up: shape (3, views, 3)); the waves that shape each
+    view's blotches; the direction in which the density falls; the middles of the regions that do
+    not echo; what traces the rays.
     """
 
     eyes: FloatArray
+    frames: FloatArray
     waves: FloatArray
     thresholds: FloatArray
     slope: FloatArray
     holes: FloatArray
+    tracer: Tracer
 
 
 def _look(shape: Shape, settings: ScanSettings, rng: np.random.Generator) -> _Look:
@@ -142,12 +164,16 @@ def _look(shape: Shape, settings: ScanSettings, rng: np.random.Generator) -> _Lo
     sphere = np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
     spin = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     eyes = 0.5 * (low + high) + diagonal_of(shape) * sphere @ spin.T
+    ahead = unit_vectors(0.5 * (low + high) - eyes)
+    frames = np.stack([ahead, *frame_about(ahead)])
     waves = rng.uniform(-9.0, 9.0, (settings.views, 6, 3))
     probe = _disc(np.arange(4096), np.zeros(2))
     levels = [np.quantile(_ripple(probe, wave[None]), 1.0 - settings.dropout) for wave in waves]
     slope = unit_vectors(rng.standard_normal((1, 3)))[0]
     holes = sample_surface(shape, settings.missing, int(rng.integers(2**31))).positions
-    return _Look(eyes, waves, np.array(levels), slope, holes)
+    return _Look(
+        eyes, frames, waves, np.array(levels), slope, holes, Tracer(shape, 2 * settings.points)
+    )
 
 
 def _gather(shape: Shape, settings: ScanSettings, rng: np.random.Generator, look: _Look) -> _Hits:
@@ -165,7 +191,7 @@ def _gather(shape: Shape, settings: ScanSettings, rng: np.random.Generator, look
             f"only {have} of {cast} rays at the {shape.name} came back, {want} are wanted",
             "ask for fewer points, less dropout or a larger grazing angle",
         )
-    every = _Hits(*(np.concatenate([getattr(h, f.name) for h in rounds]) for f in fields(_Hits)))
+    every = _Hits.join(rounds)
     chosen = rng.permutation(have)[:want]
     return every.take(chosen[np.lexsort((chosen, every.view[chosen]))])
 
@@ -180,11 +206,12 @@ def _meet(
 ) -> _Hits:
     """Return what one round of rays meets and does not lose."""
     if settings.views == 0:
-        points = sample_lines(shape, batch, rng)
-        normals = shape.normal(points)
+        points = sample_lines(shape, batch, rng, look.tracer)
+        parts = run_in_blocks(lambda part: shape.normal(points[part]), len(points))
+        normals = np.concatenate(parts)
         hits = _Hits(points, normals, normals, np.zeros(len(points), dtype=np.int64))
     else:
-        hits = _shoot(shape, settings, rng, look, np.arange(cast, cast + batch))
+        hits = _shoot(shape, settings, look, cast, batch, rng.random(2))
     keep = np.ones(len(hits.view), dtype=bool)
     if settings.density_ratio > 1.0:
         low, high = shape.bounds
@@ -198,29 +225,32 @@ def _meet(
 
 
 def _shoot(
-    shape: Shape, settings: ScanSettings, rng: np.random.Generator, look: _Look, number: IntArray
+    shape: Shape, settings: ScanSettings, look: _Look, first: int, count: int, shift: FloatArray
 ) -> _Hits:
-    """Cast the rays of these numbers and drop those that graze or fall into a blotch."""
-    low, high = shape.bounds
+    """Cast `count` rays and drop those that graze or fall into a blotch."""
     diagonal = diagonal_of(shape)
-    view = number % settings.views
-    eye = look.eyes[view]
-    # The disc at the shape's middle that just covers the bounding sphere, seen from one diagonal.
-    spot = _disc(number // settings.views, rng.random(2))
-    axis = unit_vectors(0.5 * (low + high) - eye)
-    side, up = frame_about(axis)
     radius = diagonal * np.tan(np.arcsin(0.5))
-    aim = diagonal * axis + radius * (spot[:, :1] * side + spot[:, 1:] * up)
-    rays = unit_vectors(aim)
-    if settings.dropout:
-        seen = _ripple(spot, look.waves[view]) <= look.thresholds[view]
-        eye, rays, view = eye[seen], rays[seen], view[seen]
-    met, distance = cross_rays(shape, eye, rays, 1.6 * diagonal, first_only=True)
-    positions, rays = eye[met] + distance[:, None] * rays[met], rays[met]
-    normals = shape.normal(positions)
-    facing = -np.einsum("ij,ij->i", normals, rays)
-    echoes = facing > np.cos(np.radians(settings.grazing))
-    return _Hits(positions, normals, rays, view[met]).take(echoes)
+
+    def shoot(part: slice) -> _Hits:
+        number = np.arange(first + part.start, first + part.stop)
+        view = number % settings.views
+        # The disc at the shape's middle that just covers the bounding sphere, from one diagonal.
+        spot = _disc(number // settings.views, shift)
+        if settings.dropout:
+            seen = _ripple(spot, look.waves[view]) <= look.thresholds[view]
+            spot, view = spot[seen], view[seen]
+        ahead, side, up = look.frames
+        aim = spot[:, :1] * side[view] + spot[:, 1:] * up[view]
+        rays = unit_vectors(diagonal * ahead[view] + radius * aim)
+        eye = look.eyes[view]
+        met, distance = look.tracer.cross(eye, rays, 1.6 * diagonal, first_only=True)
+        rays = rays[met]
+        positions = eye[met] + distance[:, None] * rays
+        normals = shape.normal(positions)
+        echoes = -np.einsum("ij,ij->i", normals, rays) > np.cos(np.radians(settings.grazing))
+        return _Hits(positions, normals, rays, view[met]).take(echoes)
+
+    return _Hits.join(run_in_blocks(shoot, count))
 
 
 def _disc(number: IntArray, shift: FloatArray) -> FloatArray:
@@ -243,69 +273,21 @@ def _ripple(spot: FloatArray, waves: FloatArray) -> FloatArray:
     return height
 
 
-def _misplace(
-    shape: Shape,
-    settings: ScanSettings,
-    rng: np.random.Generator,
-    positions: FloatArray,
-    hits: _Hits,
-) -> tuple[FloatArray, FloatArray]:
-    """Register each view wrongly: a small rotation about the middle and a small shift."""
-    if not settings.pose_error:
-        return positions, hits.normals
-    low, high = shape.bounds
-    middle = 0.5 * (low + high)
-    shift = settings.pose_error * diagonal_of(shape) * rng.standard_normal((settings.views, 3))
-    # The ends are half a diagonal away: there a turn by 2 e moves as far as a shift by e.
-    turn = 2.0 * settings.pose_error * rng.standard_normal((settings.views, 3))[hits.view]
-    local = positions - middle
-    # A Cayley rotation is exact: no angle is too large for it.
-    moved = middle + _rotate(local, turn) + shift[hits.view]
-    return moved, _rotate(hits.normals, turn)
-
-
-def _rotate(vectors: FloatArray, turn: FloatArray) -> FloatArray:
-    """Rotate each vector about its `turn`, whose length is twice the tangent of half the angle."""
-    half = 0.5 * turn
-    first = np.cross(half, vectors)
-    scale = 2.0 / (1.0 + np.einsum("ij,ij->i", half, half))
-    rotated: FloatArray = vectors + scale[:, None] * (first + np.cross(half, first))
-    return rotated
-
-
-def _strew(
-    shape: Shape,
-    settings: ScanSettings,
-    rng: np.random.Generator,
-    positions: FloatArray,
-    rays: FloatArray,
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Replace some points by outliers; tell which."""
-    low, high = shape.bounds
-    chosen = rng.permutation(len(positions))[: round(settings.outliers * len(positions))]
-    near, far = np.array_split(chosen, 2)
-    offset = (
-        diagonal_of(shape) * rng.uniform(0.02, 0.10, len(near)) * rng.choice([-1, 1], len(near))
-    )
-    strewn = positions.copy()
-    strewn[near] += offset[:, None] * rays[near]
-    strewn[far] = 0.5 * (low + high) + (high - low) * rng.uniform(-1.0, 1.0, (len(far), 3))
-    is_outlier = np.zeros(len(positions), dtype=bool)
-    is_outlier[chosen] = True
-    return strewn, is_outlier
-
-
 def _fit_normals(positions: FloatArray, facing: FloatArray) -> FloatArray:
     """Return the normals of the planes through the nearest neighbours, turned to `facing`."""
     neighbours = min(_NEIGHBOURS, len(positions))
     tree = KDTree(positions)
     normals = np.empty_like(positions)
-    for start in range(0, len(positions), 50_000):
-        part = slice(start, start + 50_000)
-        nearest = tree.query(positions[part], k=neighbours)[1].reshape(-1, neighbours)
+
+    def fit(part: slice) -> None:
+        # In the order of the tree, so that one query finds in the cache what the last one read.
+        rows = tree.indices[part]
+        nearest = tree.query(positions[rows], k=neighbours)[1].reshape(-1, neighbours)
         around = positions[nearest]
         around -= around.mean(axis=1, keepdims=True)
-        spread = np.einsum("nki,nkj->nij", around, around)
-        normals[part] = np.linalg.eigh(spread)[1][:, :, 0]
+        spread = around.transpose(0, 2, 1) @ around
+        normals[rows] = np.linalg.eigh(spread)[1][:, :, 0]
+
+    run_in_blocks(fit, len(positions))
     normals[np.einsum("ij,ij->i", normals, facing) < 0.0] *= -1.0
     return normals

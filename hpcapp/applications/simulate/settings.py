@@ -24,7 +24,14 @@ class ScanSettings:
         Positions of the scanner, spread evenly on a sphere about the shape. 0 samples the whole
         surface evenly instead, seen or not, with its noise along the normal.
     noise : float
-        Standard deviation of the depth along the ray, as a fraction of the diagonal.
+        Standard deviation of the depth along the ray, as a fraction of the diagonal; independent
+        from point to point.
+    drift : float
+        Standard deviation of a second error of the depth, as a fraction of the diagonal, which is
+        smooth along the surface; each view has its own.
+    correlation : float
+        Length over which the drift changes, as a fraction of the diagonal: errors at a distance r
+        within one view are correlated by exp(-r^2 / (2 correlation^2)).
     dropout : float
         Share of each view's image that is lost, in blotches; from 0 to below 1.
     grazing : float
@@ -54,6 +61,8 @@ class ScanSettings:
     points: int = 100_000
     views: int = 20
     noise: float = 0.0
+    drift: float = 0.0
+    correlation: float = 0.05
     dropout: float = 0.0
     grazing: float = 80.0
     pose_error: float = 0.0
@@ -69,6 +78,8 @@ class ScanSettings:
             "points": (1, np.inf),
             "views": (0, np.inf),
             "noise": (0.0, 0.2),
+            "drift": (0.0, 0.2),
+            "correlation": (1e-4, 1.0),
             "dropout": (0.0, 0.95),
             "grazing": (1.0, 90.0),
             "pose_error": (0.0, 0.2),

@@ -67,6 +67,8 @@ def reconstruct(
     detail: float | None = None,
     clean: bool | None = None,
     attributes: str = "auto",
+    faces: int | None = None,
+    tolerance: float | None = None,
     executor: str | Executor | Client | None = None,
     workers: int | None = None,
     progress: Report | None = None,
@@ -92,6 +94,10 @@ def reconstruct(
     attributes : str
         What the mesh's vertices carry: ``auto`` (all that the cloud has), ``none``, or names with
         commas between them, of which ``normals`` and ``support`` are made for the vertices.
+    faces : int, optional
+        Simplify the mesh to so many triangles.
+    tolerance : float, optional
+        Simplify the mesh while its surface moves by less than this length.
     executor : str, concurrent.futures.Executor or distributed.Client, optional
         Where batches run: a name that ``--backend`` takes or the file of a cluster, or what is
         open already and stays so; by default what pays for so many points.
@@ -133,6 +139,8 @@ def reconstruct(
         backend=executor if isinstance(executor, str) else "auto",
         workers=workers,
         attributes=parse_attributes(attributes),
+        faces=faces,
+        tolerance=tolerance,
     )
     _check_settings(settings)
     checked = settings.attributes.select(_check_cloud(points, normals), "the cloud")
@@ -199,6 +207,7 @@ def _choose_method(method: str | MethodSettings, options: dict[str, Any]) -> Met
 
 def _check_settings(settings: Settings) -> None:
     """Refuse what the command would refuse."""
+    settings.target.check()
     if not isinstance(settings.grid, int | np.integer):
         raise UsageError(f"grid is {settings.grid!r}", "give a whole number of cells")
     if settings.voxel_size is None:

@@ -1,4 +1,4 @@
-"""The verbs of surface reconstruction: ``reconstruct`` and ``simulate``.
+"""The verb of surface reconstruction: ``reconstruct``.
 
 This module is imported for every ``--help``: numpy and all that stands on it are imported inside.
 """
@@ -21,7 +21,7 @@ from hpcapp.applications.surface.options import check_exclusive, make_click_opti
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
 from hpccomponent.errors import UsageError
 
-__all__ = ["check_flags", "reconstruct", "simulate"]
+__all__ = ["check_flags", "reconstruct"]
 
 log = logging.getLogger("hpcapp")
 
@@ -141,8 +141,8 @@ def _add_method_options(command: click.Command) -> click.Command:
     "--output",
     required=True,
     metavar="MESH",
-    help="Mesh to write: .ply, .obj, .glb, .vtp, .off, .stl, or a folder of PLYs, .tiles; - writes "
-    "a PLY to standard output.",
+    help="Mesh to write: .ply, .obj, .glb, .vtp, .3mf, .off, .stl, or a folder: of PLYs, .tiles, "
+    "or for web viewers, .3dtiles; - writes a PLY to standard output.",
 )
 @click.option(
     "--method",
@@ -250,6 +250,18 @@ def _add_method_options(command: click.Command) -> click.Command:
     "names as a,b,c; normals, support and confidence are made where they are named.",
 )
 @click.option(
+    "--faces",
+    type=click.IntRange(4),
+    metavar="N",
+    help="Simplify the mesh to N triangles.",
+)
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(0, min_open=True),
+    metavar="LENGTH",
+    help="Simplify the mesh while its surface moves by less, in the units of the input.",
+)
+@click.option(
     "--events",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
@@ -291,10 +303,12 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         from hpcapp.applications.surface.settings import JobSettings
         from hpcapp.io.points.inputs import find_paths, gather_points
         from hpcapp.progress_display import open_events, open_progress
+        from hpcapp.simplification.mesh import Target
 
         if options["max_memory"] is not None:
             options["max_memory"] = parse_limit(options["max_memory"])
         options["attributes"] = parse_attributes(options["attributes"])
+        Target(options["faces"], options["tolerance"]).check()
         own = {name: options.pop(name) for name in METHOD_OPTIONS}
         method = find_method(options.pop("method"))
         chosen = {name: own[name] for name in option_names(method)}
@@ -309,86 +323,3 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         ):
             settings = JobSettings(method=method(**chosen), points=points, inputs=files, **options)
             return run_job(settings, progress, machines)
-
-
-@click.command()
-@click.option("--shape", required=True, help="Which model; an unknown name lists all.")
-@click.option("-o", "--output", required=True, type=POINTS, help="Point cloud to write.")
-@click.option("--points", type=int, default=100_000, show_default=True, help="Exactly so many.")
-@click.option(
-    "--views",
-    type=int,
-    default=20,
-    show_default=True,
-    help="Positions of the scanner; 0 samples the whole surface evenly.",
-)
-@click.option(
-    "--noise",
-    type=float,
-    default=0.0,
-    show_default=True,
-    help="Depth noise (standard deviation), as a fraction of the diagonal.",
-)
-@click.option(
-    "--dropout",
-    type=float,
-    default=0.0,
-    show_default=True,
-    help="Share of each view that is lost, in blotches.",
-)
-@click.option(
-    "--grazing",
-    type=float,
-    default=80.0,
-    show_default=True,
-    help="Greatest angle of incidence that still echoes, in degrees.",
-)
-@click.option(
-    "--pose-error",
-    type=float,
-    default=0.0,
-    show_default=True,
-    help="Misplacement of each view, as a fraction of the diagonal.",
-)
-@click.option(
-    "--outliers",
-    type=float,
-    default=0.0,
-    show_default=True,
-    help="Share of points that are wrong, near and far.",
-)
-@click.option(
-    "--density-ratio",
-    type=float,
-    default=1.0,
-    show_default=True,
-    help="Density at the dense end over that at the sparse end.",
-)
-@click.option(
-    "--missing", type=int, default=0, show_default=True, help="Balls from which nothing came back."
-)
-@click.option(
-    "--flipped",
-    type=float,
-    default=0.0,
-    show_default=True,
-    help="Share of points whose normal has the wrong sign.",
-)
-@click.option(
-    "--normals",
-    type=click.Choice(["pca", "exact"]),
-    default="pca",
-    show_default=True,
-    help="From the neighbours' plane, or the model's own.",
-)
-@click.option("--seed", type=int, default=0, show_default=True, help="One seed gives one scan.")
-def simulate(shape: str, output: Path, **settings: Any) -> None:
-    """Scan an analytic model, whose true surface is known, and write the points."""
-    from hpcapp.applications.simulate.scanner import ScanSettings, simulate_scan
-    from hpcapp.applications.simulate.shapes import find_shape
-    from hpcapp.io import check_writable, write_points
-
-    check_writable(output, "points")
-    cloud = simulate_scan(find_shape(shape), ScanSettings(**settings))
-    write_points(output, cloud)
-    log.info("%s: %d points of %s", output, len(cloud), shape)

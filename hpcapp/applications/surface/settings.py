@@ -12,6 +12,7 @@ from hpcapp.applications.surface.attributes.choice import AttributeChoice
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.method import MARGIN, MethodSettings
 from hpcapp.communicator.policy import DEFAULT_POLICY
+from hpcapp.simplification.mesh import Target
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
@@ -68,6 +69,10 @@ class Settings:
         input as they are, ``estimate`` takes none of them.
     viewpoints : tuple of tuple of float
         Where scanners stood, in the coordinates of the input.
+    faces : int or None
+        Triangles to simplify the mesh to.
+    tolerance : float or None
+        How far its surface may move then, in length units of the input.
     """
 
     method: MethodSettings = field(default_factory=Hierarchical)
@@ -87,6 +92,13 @@ class Settings:
     attributes: AttributeChoice = field(default_factory=AttributeChoice)
     normals: str = "auto"
     viewpoints: tuple[tuple[float, float, float], ...] = ()
+    faces: int | None = None
+    tolerance: float | None = None
+
+    @property
+    def target(self) -> Target:
+        """How light the mesh shall be."""
+        return Target(self.faces, self.tolerance)
 
 
 @dataclass(frozen=True, slots=True)

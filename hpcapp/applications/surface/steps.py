@@ -31,6 +31,7 @@ from hpcapp.applications.surface.settings import (
     choose_steps,
     choose_threads,
 )
+from hpcapp.applications.surface.surface import simplify_surface
 from hpcapp.backends.selection import Backend
 from hpcapp.progress import StageClock
 from hpccomponent.runtime.background import Deferred
@@ -142,7 +143,17 @@ def run_loaded(
     )  # fmt: skip
     doubts = Deferred(partial(_doubt_points, grid, cloud))
     result = run_pipeline(cloud, method, workforce, clock, choose_steps(settings), doubts)
-    return Outcome(result, grid, backend, choice, _warn(settings, doubts(), result))
+    warnings = _warn(settings, doubts(), result)
+    if settings.target.is_something:
+        with clock.stage("simplify"):
+            light = simplify_surface(result.surface, settings.target)
+        result = replace(result, surface=light)
+        target = settings.target
+        is_bound = target.faces is not None and target.tolerance is None
+        if is_bound and len(light.whole.faces) > (target.faces or 0):
+            warnings.append(f"{len(light.whole.faces)} faces are left: fewer would break the mesh")
+            log.warning("warning: %s", warnings[-1])
+    return Outcome(result, grid, backend, choice, warnings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

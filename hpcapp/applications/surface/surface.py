@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -31,7 +31,9 @@ from hpcapp.io import (
     write_mesh,
     write_tiles,
 )
-from hpcapp.io.meshes.mesh_stream import as_stream
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.simplification.mesh import Target
+from hpcapp.simplification.stream import simplify_stream
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.runtime.background import Deferred
@@ -44,7 +46,7 @@ from hpccomponent.surface.types.lattice import number_keys
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray
 
-__all__ = ["PartSurface", "Surface", "WholeSurface"]
+__all__ = ["PartSurface", "Surface", "WholeSurface", "simplify_surface"]
 
 log = logging.getLogger("hpcapp")
 
@@ -54,6 +56,10 @@ class Surface(Protocol):
 
     def check(self) -> Topology:
         """Judge its topology."""
+        ...
+
+    def open_stream(self) -> AbstractContextManager[MeshStream]:
+        """Yield its vertices and faces, block after block, in the local frame."""
         ...
 
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
@@ -117,6 +123,11 @@ class WholeSurface:
     def check(self) -> Topology:
         """Judge its topology."""
         return check_mesh(self.whole)
+
+    @contextmanager
+    def open_stream(self) -> Iterator[MeshStream]:
+        """Yield its vertices and faces; see `Surface.open_stream`."""
+        yield as_stream(self.whole)
 
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
         """Return the share of the vertices that lie outside a box, 0 to 1.
@@ -210,6 +221,12 @@ class PartSurface:
         if self._topology is None:
             self._topology = Deferred(self.plan.judge)
         return self._topology()
+
+    @contextmanager
+    def open_stream(self) -> Iterator[MeshStream]:
+        """Yield its vertices and faces; see `Surface.open_stream`."""
+        with self._fetched() as load:
+            yield stream_mesh(self.plan, load, self.origin)
 
     def share_outside(self, low: FloatArray, high: FloatArray) -> float:
         """Return the share of the vertices that lie outside a box, 0 to 1.
@@ -315,6 +332,29 @@ class PartSurface:
                 tile = take_tile(plan, self.load, self.origin, index)
                 if tile.face_count:
                     write_mesh(file_of(index), tile)
+
+
+def simplify_surface(surface: Surface, target: Target) -> WholeSurface:
+    """Make a surface of fewer faces.
+
+    Parameters
+    ----------
+    surface : Surface
+        In parts it may be larger than memory.
+    target : Target
+
+    Returns
+    -------
+    WholeSurface
+        The same bits, wherever the parts of `surface` are and however many.
+
+    Raises
+    ------
+    UsageError
+        See `Target.check`.
+    """
+    with surface.open_stream() as stream:
+        return WholeSurface(simplify_stream(stream, target))
 
 
 def _left_undone(

@@ -23,7 +23,7 @@ from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import OutputError
 from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["write_glb"]
 
@@ -48,7 +48,7 @@ class _Array:
         return np.dtype(self.dtype).itemsize * self.width
 
 
-def write_glb(path: Path, mesh: Mesh | MeshStream) -> None:
+def write_glb(path: Path, mesh: Mesh | MeshStream, turns_up: bool = False) -> None:
     """Write a triangle mesh as GLB.
 
     Parameters
@@ -59,6 +59,9 @@ def write_glb(path: Path, mesh: Mesh | MeshStream) -> None:
         Vertices are written in single precision, in the local frame; the origin is the
         translation of the node. Colours keep their bytes, attributes become ``float`` under their
         names in capitals, after an underscore; NaN, which glTF forbids, becomes zero.
+    turns_up : bool
+        Whether the node turns z, which is up, into the y of glTF, and leaves the origin out, as
+        3D Tiles want it.
 
     Raises
     ------
@@ -69,7 +72,8 @@ def write_glb(path: Path, mesh: Mesh | MeshStream) -> None:
     names = _name_attributes(stream.layout)
     arrays = list(_list_arrays(stream.layout, names))
     sizes = [stream.vertex_count * array.size for array in arrays] + [12 * stream.face_count]
-    text = json.dumps(_describe(stream, names, arrays, sizes), separators=(",", ":")).encode()
+    node = _place(stream.origin, turns_up)
+    text = json.dumps(_describe(stream, node, names, arrays, sizes), separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     total = 12 + 8 + len(text) + 8 + sum(sizes)
     if total > _MOST_BYTES:
@@ -113,8 +117,19 @@ def _list_arrays(layout: PointCloud, names: dict[str, str]) -> Iterator[_Array]:
         yield _Array(names[name], "<f4", 1)
 
 
+def _place(origin: FloatArray, turns_up: bool) -> dict[str, Any]:
+    """Return how the node of a mesh is placed."""
+    if turns_up:
+        return {"matrix": [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]}  # column by column
+    return {"translation": origin.tolist()} if origin.any() else {}
+
+
 def _describe(
-    stream: MeshStream, names: dict[str, str], arrays: list[_Array], sizes: list[int]
+    stream: MeshStream,
+    place: dict[str, Any],
+    names: dict[str, str],
+    arrays: list[_Array],
+    sizes: list[int],
 ) -> dict[str, Any]:
     """Return the JSON of a mesh."""
     accessors: list[dict[str, Any]] = []
@@ -131,9 +146,6 @@ def _describe(
             low, high = np.asarray(stream.box, np.float32).tolist()
             accessor |= {"min": low, "max": high}
         accessors.append(accessor)
-    node: dict[str, Any] = {"mesh": 0, "name": "mesh"}
-    if stream.origin.any():
-        node["translation"] = stream.origin.tolist()
     # No material: readers that find one look for its texture, and set colours aside.
     primitive = {
         "attributes": {array.semantic: number for number, array in enumerate(arrays)},
@@ -146,7 +158,7 @@ def _describe(
         "asset": {"version": "2.0", "generator": "hpcapp"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [node],
+        "nodes": [{"mesh": 0, "name": "mesh", **place}],
         "meshes": [{"primitives": [primitive], "extras": {"attributes": names}}],
         "accessors": [*accessors, {**indices, "type": "SCALAR"}],
         "bufferViews": [

@@ -15,7 +15,7 @@ from hpcapp.io.ply.format import write_ply_mesh
 from hpccomponent.errors import OutputError
 from hpccomponent.files.private_files import make_private_folder
 
-__all__ = ["TILES_SUFFIX", "check_tiles", "shared_tiles", "write_tiles"]
+__all__ = ["TILES_SUFFIX", "check_tiles", "new_folder", "shared_tiles", "write_tiles"]
 
 TILES_SUFFIX = ".tiles"
 """Of an output that is to be a folder of tiles."""
@@ -60,13 +60,36 @@ def shared_tiles(path: Path) -> Iterator[Callable[[int], Path]]:
     OutputError
         The folder holds something, or cannot be written.
     """
+    with new_folder(path) as folder:
+        yield lambda index: folder / f"tile-{index:04d}.ply"
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Open a new folder to write files into.
+
+    Parameters
+    ----------
+    path : Path
+        It appears with all that was written, when the block ends well; else nothing is left.
+
+    Yields
+    ------
+    Path
+        The folder, under the name that it has while it is written.
+
+    Raises
+    ------
+    OutputError
+        The folder holds something, or cannot be written.
+    """
     check_tiles(path)
     beside = _name_beside(path.absolute())
     try:
         with _translated(path):
             mode = _usual_mode(beside)
             make_private_folder(beside)
-            yield lambda index: beside / f"tile-{index:04d}.ply"
+            yield beside
             beside.chmod(mode)
             os.replace(beside, path)
     finally:

@@ -118,10 +118,12 @@ def test_the_stanford_bunny_is_read() -> None:
         (".ply", None),
         (".glb", None),
         (".vtp", None),
+        (".3dtiles", None),
+        (".3mf", "no normals, no intensity"),
         (".obj", "no intensity, no gps time, no is <good>, no number, no half"),
         (".off", "no normals, no colours, no intensity"),
         (".stl", "no normals, no colours, no intensity"),
-        (".tiles", "no normals of vertices: left out; .ply, .glb, .vtp hold all"),
+        (".tiles", "no normals of vertices: left out; .ply, .glb, .vtp, .3dtiles hold all"),
     ],
 )
 def test_what_a_format_does_not_hold_is_said(

@@ -61,6 +61,35 @@ def test_noise_has_the_spread_asked_for_along_the_ray() -> None:
     assert spread == pytest.approx(0.002, rel=0.08)
 
 
+def test_drift_is_smooth_over_its_length_and_unlike_from_view_to_view() -> None:
+    cloud = scan(SPHERE, points=20_000, views=0, drift=0.003, correlation=0.03)
+    error = heights(SPHERE, cloud)
+    assert error.std() == pytest.approx(0.003, rel=0.1)
+    length = 0.03 * diagonal_of(SPHERE)
+
+    def correlation(distance: float) -> float:
+        pairs = KDTree(cloud.positions).query_pairs(1.05 * distance, output_type="ndarray")
+        gap = np.linalg.norm(cloud.positions[pairs[:, 0]] - cloud.positions[pairs[:, 1]], axis=1)
+        pairs = pairs[gap > 0.95 * distance]
+        return float((error[pairs[:, 0]] * error[pairs[:, 1]]).mean() / error.var())
+
+    assert correlation(0.3 * length) == pytest.approx(np.exp(-0.045), abs=0.03)
+    assert correlation(length) == pytest.approx(np.exp(-0.5), abs=0.1)
+    assert correlation(3.0 * length) == pytest.approx(0.0, abs=0.1)
+    several = scan(SPHERE, points=20_000, views=6, drift=0.003, correlation=0.03, grazing=60.0)
+    error = heights(SPHERE, several)
+    nearest = KDTree(several.positions).query(several.positions, k=2)[1][:, 1]
+    assert np.abs(error - error[nearest]).max() > 0.005  # the neighbour is of another view
+
+
+def test_points_do_not_depend_on_the_number_of_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    several = scan(points=40_000, noise=0.001, drift=0.001)
+    monkeypatch.setattr("hpcapp.applications.simulate.rays.available_cores", lambda: 1)
+    single = scan(points=40_000, noise=0.001, drift=0.001)
+    assert np.array_equal(several.positions, single.positions)
+    assert np.array_equal(several.normals, single.normals)  # type: ignore[arg-type]
+
+
 def test_no_point_is_seen_at_more_than_the_grazing_angle() -> None:
     cloud = scan(SPHERE, views=1, grazing=60.0, normals="exact")
     # One view from a diagonal away: the cap it sees at 60 degrees and less has a known width.
@@ -141,6 +170,7 @@ def test_samples_are_exact_and_as_many_as_asked() -> None:
     [
         ("points", 0), ("noise", -0.1), ("dropout", 1.0), ("grazing", 95.0),
         ("density_ratio", 0.5), ("flipped", 2.0), ("noise", float("nan")), ("normals", "none"),
+        ("drift", 0.5), ("correlation", 0.0),
     ],
 )  # fmt: skip
 def test_settings_out_of_range_are_refused_by_name(setting: str, value: Any) -> None:

@@ -9,7 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from hpcapp.applications.points.command import convert, info
-from hpcapp.applications.surface.command import reconstruct, simulate
+from hpcapp.applications.simulate.command import simulate
+from hpcapp.applications.surface.command import reconstruct
 from hpcapp.applications.surface.job import JobSettings
 from hpcapp.applications.surface.methods import METHODS, find_method
 from hpcapp.applications.surface.options import option_names

@@ -1,0 +1,1 @@
+"""The analytic models, by what they test."""

@@ -1,0 +1,113 @@
+"""Fewer triangles for a mesh that may be larger than memory.
+
+::
+
+    blocks ──> runs of a million faces, each simplified with its rim fixed ──> the whole, again
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from math import ceil
+from tempfile import TemporaryFile
+
+import numpy as np
+
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.simplification.mesh import Target, simplify_faces, simplify_mesh, unite_vertices
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+__all__ = ["RUN_FACES", "simplify_stream"]
+
+RUN_FACES = 1 << 20
+"""Faces of a run, which takes some 500 MB."""
+_RUNS_KEEP = 3
+"""As many times the faces that are asked for stay after the runs."""
+
+
+def simplify_stream(mesh: Mesh | MeshStream, target: Target, run_faces: int = RUN_FACES) -> Mesh:
+    """Simplify a mesh that may be larger than memory.
+
+    Parameters
+    ----------
+    mesh : Mesh or MeshStream
+        What its vertices carry is left out.
+    target : Target
+        Three times as many faces as the result has must fit in memory.
+    run_faces : int
+        Faces that are simplified at once, where there are more.
+
+    Returns
+    -------
+    Mesh
+        As of `simplify_mesh`; it depends on the order of the vertices and faces, and on nothing
+        else: not on blocks, tiles or memory.
+
+    Raises
+    ------
+    UsageError
+        See `Target.check`.
+
+    Notes
+    -----
+    Runs of a million faces come first, each within half of the tolerance. The vertices on the rim
+    of a run stay as they are, so that runs fit together; the pass over the whole simplifies these,
+    too.
+    """
+    target.check()
+    stream = as_stream(mesh)
+    goal = 0 if target.faces is None else _RUNS_KEEP * target.faces
+    if stream.face_count <= max(run_faces, goal):
+        vertices = np.concatenate([np.empty((0, 3)), *(b.positions for b in stream.vertices())])
+        faces = np.concatenate([np.empty((0, 3), np.int64), *stream.faces()])
+        return simplify_mesh(Mesh(vertices, faces, stream.origin), target)
+    if target.tolerance is not None:
+        target = replace(target, tolerance=target.tolerance / 2)
+    vertices, faces = _simplify_runs(stream, target, goal / stream.face_count, run_faces)
+    return simplify_mesh(Mesh(vertices, faces, stream.origin), target)
+
+
+def _simplify_runs(
+    stream: MeshStream, target: Target, share: float, run_faces: int
+) -> tuple[FloatArray, IntArray]:
+    """Simplify run after run, and join them at the vertices that stayed."""
+    with TemporaryFile() as file:  # the array holds it open
+        os.posix_fallocate(
+            file.fileno(), 0, 24 * max(stream.vertex_count, 1)
+        )  # a full disk says so
+        places = np.memmap(file, np.float64, "r+", shape=(max(stream.vertex_count, 1), 3))
+    start = 0
+    for block in stream.vertices():
+        places[start : start + len(block)] = block.positions
+        start += len(block)
+    vertices, faces, names, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], [], 0
+    for run in _cut_runs(stream.faces(), run_faces):
+        used, rows = np.unique(run, return_inverse=True)
+        asked = target
+        if target.faces is not None:
+            asked = replace(target, faces=max(4, ceil(share * len(run))))
+        moved, light, stays = simplify_faces(np.asarray(places[used]), rows.reshape(-1, 3), asked)
+        vertices.append(moved)
+        faces.append(light + count)
+        names.append(np.where(stays >= 0, used[stays], -1))
+        count += len(moved)
+    whole = unite_vertices(np.concatenate(vertices), np.concatenate(faces), np.concatenate(names))
+    return whole[:2]
+
+
+def _cut_runs(blocks: Iterator[IntArray], run_faces: int) -> Iterator[IntArray]:
+    """Cut faces that come in blocks of any size into runs of one size; the last may be shorter."""
+    waiting: list[IntArray] = []
+    count = 0
+    for block in blocks:
+        while count + len(block) >= run_faces:
+            head, block = block[: run_faces - count], block[run_faces - count :]
+            yield np.concatenate([*waiting, head])
+            waiting, count = [], 0
+        waiting.append(block)
+        count += len(block)
+    if count:
+        yield np.concatenate(waiting)
