@@ -13,8 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from metrics import MeshTruth, ShapeTruth, Truth, read_global_mesh
-
+from hpcapp.applications.compare.truth import MeshTruth, ShapeTruth, Truth, read_mesh_at
 from hpcapp.applications.simulate.scanner import ScanSettings, simulate_scan
 from hpcapp.applications.simulate.shapes import find_shape
 from hpcapp.io import write_points
@@ -178,7 +177,7 @@ def open_truth(cloud: Cloud) -> Truth:
     """Return what the cloud is a scan of."""
     if isinstance(cloud, SimulatedCloud):
         return ShapeTruth(find_shape(cloud.shape))
-    return MeshTruth(read_global_mesh(_given_file(cloud.truth_file)))
+    return MeshTruth(read_mesh_at(_given_file(cloud.truth_file)))
 
 
 def _given_file(name: str) -> Path:

@@ -14,13 +14,17 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from clouds import Cloud, find_clouds, open_truth
-from metrics import Truth, as_json, measure_mesh, read_global_mesh
 from peer_table import print_cloud, print_summary
+
+from hpcapp.applications.compare.metrics import as_json, measure_mesh
+from hpcapp.applications.compare.truth import Truth
+from hpcapp.io import read_mesh
 
 __all__ = ["Contender", "Outcome", "Usage", "measure_process", "run_contender"]
 
@@ -129,7 +133,8 @@ def run_contender(
     usage = measure_process(contender.fill(source, target), stem.with_suffix(".log"))
     measures = None
     if usage.exit_code == 0 and target.exists():
-        mesh = read_global_mesh(target)
+        mesh = read_mesh(target)
+        mesh = replace(mesh, vertices=mesh.vertices + mesh.origin, origin=np.zeros(3))
         measures = as_json(measure_mesh(mesh, truth, samples)) if len(mesh.faces) else None
     outcome = Outcome(cloud, contender.name, usage, measures)
     stem.with_suffix(".json").write_text(json.dumps(asdict(outcome)))

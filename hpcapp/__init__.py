@@ -4,6 +4,7 @@ From Python::
 
     mesh = hpcapp.reconstruct(points, normals)
     mesh = hpcapp.reconstruct(hpcapp.read_points("scan.ply"))
+    mesh.show()  # in a browser; a notebook shows it by itself
     hpcapp.write_mesh("mesh.ply", mesh)
 
     with hpcapp.open_executor("cluster.yaml") as backend:
@@ -20,11 +21,13 @@ if TYPE_CHECKING:
     from hpcapp.applications.surface.hierarchical.settings import Hierarchical
     from hpcapp.applications.surface.paper.settings import Paper
     from hpcapp.backends.selection import open_executor
-    from hpcapp.io import read_mesh, read_points, write_mesh
+    from hpcapp.io import read_points, write_mesh
+    from hpcapp.pages.shown_mesh import Mesh, read_mesh
     from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
     "Hierarchical",
+    "Mesh",
     "Paper",
     "PointCloud",
     "open_executor",
@@ -36,10 +39,11 @@ __all__ = [
 
 _HOMES = {
     "Hierarchical": "hpcapp.applications.surface.hierarchical.settings",
+    "Mesh": "hpcapp.pages.shown_mesh",
     "Paper": "hpcapp.applications.surface.paper.settings",
     "PointCloud": "hpccomponent.surface.types.points",
     "open_executor": "hpcapp.backends.selection",
-    "read_mesh": "hpcapp.io",
+    "read_mesh": "hpcapp.pages.shown_mesh",
     "read_points": "hpcapp.io",
     "reconstruct": "hpcapp.applications.surface.api",
     "write_mesh": "hpcapp.io",

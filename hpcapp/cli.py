@@ -28,6 +28,8 @@ SHIPPED = {
     "info": "hpcapp.applications.points.command:info",
     "convert": "hpcapp.applications.points.command:convert",
     "simplify": "hpcapp.simplification.command:simplify",
+    "view": "hpcapp.applications.view.command:view",
+    "compare": "hpcapp.applications.compare.command:compare",
 }
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # What these log is raised too, and said in our words: a user sees it with --debug only.

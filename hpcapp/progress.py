@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
-from typing import Protocol
+from typing import Any, Protocol
+
+from hpcapp.timeline import MASTER, Timeline
 
 __all__ = ["Progress", "SilentProgress", "StageClock"]
 
@@ -41,6 +43,16 @@ class Progress(Protocol):
         """
         ...
 
+    def show_part(self, load: Callable[[], Any]) -> None:
+        """Announce that a part of the result is there.
+
+        Parameters
+        ----------
+        load : callable
+            Returns it, from any thread, as long as the job runs.
+        """
+        ...
+
 
 class SilentProgress:
     """A display that shows nothing."""
@@ -70,6 +82,14 @@ class SilentProgress:
         seconds : float
         """
 
+    def show_part(self, load: Callable[[], Any]) -> None:
+        """Show nothing.
+
+        Parameters
+        ----------
+        load : callable
+        """
+
 
 class StageClock:
     """Times the stages of a job and passes them on to a display.
@@ -78,6 +98,13 @@ class StageClock:
     ----------
     progress : Progress
         Where stages are announced.
+    timeline : Timeline, optional
+        Of the job: its stages, and what backends record in it (see `Backend.record`).
+
+    Attributes
+    ----------
+    seconds : dict of str to float
+        How long each stage took that has ended well.
 
     Examples
     --------
@@ -88,9 +115,10 @@ class StageClock:
     ['fit']
     """
 
-    def __init__(self, progress: Progress) -> None:
+    def __init__(self, progress: Progress, timeline: Timeline | None = None) -> None:
         self.progress = progress
         self.seconds: dict[str, float] = {}
+        self.timeline = timeline or Timeline()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -103,7 +131,12 @@ class StageClock:
         """
         self.progress.begin(name)
         start = perf_counter()
-        yield
+        try:
+            yield
+        except BaseException:
+            self.timeline.record(name, MASTER, perf_counter() - start, "failed")
+            raise
         elapsed = perf_counter() - start
+        self.timeline.record(name, MASTER, elapsed)
         self.seconds[name] = self.seconds.get(name, 0.0) + elapsed
         self.progress.end(name, elapsed)

@@ -1,7 +1,8 @@
 """Displays of progress: bars on a terminal, a line now and then elsewhere; always on stderr.
 
 Besides, `open_events` writes what another program may read: one JSON object a line, either
-``{"stage": NAME, "done": N, "total": N}`` or, at its end, ``{"stage": NAME, "seconds": S}``.
+``{"stage": NAME, "done": N, "total": N}`` or, at its end, ``{"stage": NAME, "seconds": S}``;
+before them ``{"dashboard": ADDRESS}`` where the job has a page.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
@@ -46,6 +47,7 @@ class LineProgress:
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._stage = ""
+        self._start = 0.0
         self._next_line = 0.0
 
     def begin(self, stage: str) -> None:
@@ -55,8 +57,8 @@ class LineProgress:
         ----------
         stage : str
         """
-        self._stage = stage
-        self._next_line = time.monotonic() + LINE_PERIOD_S
+        self._stage, self._start = stage, time.monotonic()
+        self._next_line = self._start + LINE_PERIOD_S
 
     def advance(self, done: int, total: int) -> None:
         """Write a line where `LINE_PERIOD_S` have passed since the last.
@@ -66,9 +68,12 @@ class LineProgress:
         done, total : int
             Parts of the current stage.
         """
-        if time.monotonic() >= self._next_line:
-            self._next_line = time.monotonic() + LINE_PERIOD_S
-            self._write(f"{self._stage}: {done} of {total}")
+        now = time.monotonic()
+        if now >= self._next_line:
+            self._next_line = now + LINE_PERIOD_S
+            self._write(
+                f"{self._stage}: {done} of {total}{_foresee(done, total, now - self._start)}"
+            )
 
     def end(self, stage: str, seconds: float) -> None:
         """Write how long the stage took.
@@ -80,10 +85,28 @@ class LineProgress:
         """
         self._write(f"{stage}: done in {seconds:.2f} s")
 
+    def show_part(self, load: Callable[[], Any]) -> None:
+        """Show nothing: a part is nothing for a line of text.
+
+        Parameters
+        ----------
+        load : callable
+        """
+
     def _write(self, line: str) -> None:
         with contextlib.suppress(OSError):  # a full or closed stderr must not end the job
             self._stream.write(line + "\n")
             self._stream.flush()
+
+
+def _foresee(done: int, total: int, elapsed_s: float) -> str:
+    """Say how fast a stage is and how long it will take, once something is done."""
+    if not done:
+        return ""
+    from hpccomponent.bars import say_rate, say_seconds
+
+    left_s = elapsed_s / done * (total - done)
+    return f", {say_rate(done / elapsed_s)}, {say_seconds(left_s)} left"
 
 
 class BarProgress:
@@ -92,6 +115,7 @@ class BarProgress:
     def __init__(self, bars: Bars) -> None:
         self._bars = bars
         self._task: TaskID | None = None
+        self._total = 1
 
     def begin(self, stage: str) -> None:
         """Draw a new bar.
@@ -101,7 +125,7 @@ class BarProgress:
         stage : str
             The bar's label.
         """
-        self._task = self._bars.add_task(stage, total=None)
+        self._task, self._total = self._bars.add_task(stage, total=None), 1
 
     def advance(self, done: int, total: int) -> None:
         """Move the bar.
@@ -112,6 +136,7 @@ class BarProgress:
             Parts of the current stage.
         """
         if self._task is not None:
+            self._total = total
             self._bars.update(self._task, completed=done, total=total)
 
     def end(self, stage: str, seconds: float) -> None:
@@ -124,8 +149,16 @@ class BarProgress:
         """
         del stage, seconds
         if self._task is not None:
-            self._bars.update(self._task, completed=1, total=1)
+            self._bars.update(self._task, completed=self._total, total=self._total)
             self._bars.stop_task(self._task)
+
+    def show_part(self, load: Callable[[], Any]) -> None:
+        """Show nothing: a part is nothing for a bar.
+
+        Parameters
+        ----------
+        load : callable
+        """
 
 
 class EventProgress:
@@ -137,12 +170,16 @@ class EventProgress:
         Where lines go.
     display : Progress
         The other one.
+    dashboard : str, optional
+        Address of the job's page: the first event.
     """
 
-    def __init__(self, stream: TextIO, display: Progress) -> None:
+    def __init__(self, stream: TextIO, display: Progress, dashboard: str | None = None) -> None:
         self._stream = stream
         self._display = display
         self._stage = ""
+        if dashboard is not None:
+            self._write({"dashboard": dashboard})
 
     def begin(self, stage: str) -> None:
         """Write that nothing is done yet.
@@ -178,6 +215,15 @@ class EventProgress:
         self._write({"stage": stage, "seconds": round(seconds, 6)})
         self._display.end(stage, seconds)
 
+    def show_part(self, load: Callable[[], Any]) -> None:
+        """Pass a part on: it is nothing for a line of JSON.
+
+        Parameters
+        ----------
+        load : callable
+        """
+        self._display.show_part(load)
+
     def _write(self, event: dict[str, Any]) -> None:
         with contextlib.suppress(OSError):  # a full disk must not end the job here
             self._stream.write(json.dumps(event) + "\n")
@@ -192,7 +238,9 @@ def _open_if_read(name: str, flags: int) -> int:
 
 
 @contextmanager
-def open_events(path: Path | None, display: Progress) -> Iterator[Progress]:
+def open_events(
+    path: Path | None, display: Progress, dashboard: str | None = None
+) -> Iterator[Progress]:
     """Yield a display that writes events to the file `path` as well, if there is one.
 
     Parameters
@@ -201,6 +249,8 @@ def open_events(path: Path | None, display: Progress) -> Iterator[Progress]:
         A file that is written anew, or a pipe that somebody reads.
     display : Progress
         The one that is yielded where there is no file, else shown to as well.
+    dashboard : str, optional
+        Address of the job's page: the first event.
 
     Yields
     ------
@@ -221,7 +271,7 @@ def open_events(path: Path | None, display: Progress) -> Iterator[Progress]:
             f"{path}: cannot be written ({error.strerror})", "give another --events"
         ) from error
     try:
-        yield EventProgress(stream, display)
+        yield EventProgress(stream, display, dashboard)
     finally:
         with contextlib.suppress(OSError):  # what is left to write, likewise
             stream.close()
@@ -243,10 +293,7 @@ def open_progress(stream: TextIO) -> Iterator[Progress]:
     if not stream.isatty():
         yield LineProgress(stream)
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bars
+    from hpccomponent.bars import make_bars
 
-    columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
-    with Bars(*columns, console=Console(file=stream)) as bars:
+    with make_bars(stream) as bars:
         yield BarProgress(bars)

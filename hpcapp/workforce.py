@@ -13,6 +13,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
+from hpcapp.timeline import find_worker
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import HpcError, TaskError, WorkerLostError
 from hpccomponent.runtime.background import Background, Deferred
@@ -168,6 +169,7 @@ def stream_batches(
     task: Callable[..., Result],
     batches: Iterable[tuple[Any, ...]],
     at_once: int,
+    makers: dict[int, str | None] | None = None,
 ) -> Iterator[tuple[int, Result]]:
     """Run `task` once per batch, with so many batches in memory, and yield results as they come.
 
@@ -179,6 +181,8 @@ def stream_batches(
         See `map_batches`; the next one is asked for when there is room for it.
     at_once : int
         How many batches are on their way at most.
+    makers : dict, optional
+        Gets the worker of each batch, before its result is yielded, where the backend tells.
 
     Yields
     ------
@@ -202,7 +206,10 @@ def stream_batches(
                     return
                 workforce.background.run_until(pending)
                 done = next(as_completed(pending))
-                yield pending.pop(done), done.result()
+                index = pending.pop(done)
+                if makers is not None:
+                    makers[index] = find_worker(done)
+                yield index, done.result()
     finally:
         for future in pending:
             future.cancel()

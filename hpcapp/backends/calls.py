@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import platform
+import threading
+import time
 from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from typing import Any, TypeVar
 
@@ -12,12 +16,31 @@ import numpy as np
 from hpccomponent.errors import JobError
 from hpccomponent.runtime.numerics import numerics_id
 
-__all__ = ["align", "run_task"]
+__all__ = ["Ran", "align", "count_bytes", "run_task"]
 
 T = TypeVar("T")
 
 
-def run_task(numerics: str, task: Callable[..., T], *arguments: Any) -> T:
+@dataclass(frozen=True, slots=True, eq=False)
+class Ran:
+    """What a worker of a foreign engine answers.
+
+    Parameters
+    ----------
+    value : object
+        What the task returned.
+    worker : str
+        The machine and the process, and the thread where it is not the process's first.
+    seconds : float
+        How long the task took.
+    """
+
+    value: Any
+    worker: str
+    seconds: float
+
+
+def run_task(numerics: str, task: Callable[..., Any], *arguments: Any) -> Ran:
     """Run a task, on a worker, if it computes the same bits as the master.
 
     Parameters
@@ -30,8 +53,7 @@ def run_task(numerics: str, task: Callable[..., T], *arguments: Any) -> T:
 
     Returns
     -------
-    object
-        What the task returns.
+    Ran
 
     Raises
     ------
@@ -44,7 +66,15 @@ def run_task(numerics: str, task: Callable[..., T], *arguments: Any) -> T:
             f"a worker on {platform.node()} computes with {here}, the master with {numerics}",
             "install the same build of hpcapp and numpy on all of them ('hpcapp --version')",
         )
-    return task(*(align(value) for value in arguments))
+    start = time.perf_counter()
+    value = task(*(align(value) for value in arguments))
+    return Ran(value, _name_worker(), time.perf_counter() - start)
+
+
+def _name_worker() -> str:
+    """Name the process, and the thread, that this runs in."""
+    process, thread = f"{platform.node()}:{os.getpid()}", threading.current_thread()
+    return process if thread is threading.main_thread() else f"{process}:{thread.name}"
 
 
 @cache
@@ -84,3 +114,33 @@ def align(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: align(item) for key, item in value.items()}
     return value
+
+
+def count_bytes(value: Any) -> int:
+    """Return how many bytes the arrays in a value have: what travels, but for little.
+
+    Parameters
+    ----------
+    value : object
+        An array, bytes, or tuples, lists, dicts and dataclasses that may hold some.
+
+    Returns
+    -------
+    int
+
+    Examples
+    --------
+    >>> count_bytes((np.zeros(3), {"mesh": b"12345"}, "name"))
+    29
+    """
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    if isinstance(value, bytes | bytearray | memoryview):
+        return len(value)
+    if isinstance(value, tuple | list):
+        return sum(map(count_bytes, value))
+    if isinstance(value, dict):
+        return sum(map(count_bytes, value.values()))
+    if is_dataclass(value) and not isinstance(value, type):
+        return sum(count_bytes(getattr(value, one.name)) for one in fields(value))
+    return 0

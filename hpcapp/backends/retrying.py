@@ -21,13 +21,15 @@ wait for the engine's end.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from concurrent import futures
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
 from typing import Any, TypeVar
 
-from hpcapp.backends.calls import align, run_task
+from hpcapp.backends.calls import Ran, align, count_bytes, run_task
+from hpcapp.timeline import ANY_WORKER, Timeline, note_worker
 from hpccomponent.errors import WorkerLostError
 from hpccomponent.limits import available_cores, is_shortage
 from hpccomponent.runtime.numerics import numerics_id
@@ -93,6 +95,7 @@ class _Task(Future[Any]):
         self.function = function
         self.arguments = arguments
         self.inner: Future[Any] | None = None
+        self.since = 0.0
         self.losses = 0
         self.is_unwanted = False
 
@@ -103,6 +106,11 @@ class _Task(Future[Any]):
             return super().cancel()
         self.is_unwanted = True
         return inner.cancel()  # which ends this one, see RetryingExecutor._finish
+
+    @property
+    def name(self) -> str:
+        """The name of the task's function."""
+        return getattr(self.function, "__name__", repr(self.function))
 
     def end(self, error: BaseException | None, result: Any = None) -> None:
         """Be done, and let go of the arguments."""
@@ -148,6 +156,7 @@ class RetryingExecutor(Executor):
         self._numerics = numerics_id()
         self._lock = threading.Lock()  # held while something is submitted or the engine changes
         self._tasks: set[_Task] = set()
+        self._timeline: Timeline | None = None
         self._is_shut_down = False
         self._gives_up = False
         self._opened = ExitStack()
@@ -202,6 +211,16 @@ class RetryingExecutor(Executor):
         share = getattr(self._engine, "share", None)
         return value if share is None else share(value)
 
+    def record(self, timeline: Timeline) -> None:
+        """Record from now on what becomes of tasks.
+
+        Parameters
+        ----------
+        timeline : Timeline
+            The process on the worker's machine is the worker; of a lost one nothing is known.
+        """
+        self._timeline = timeline
+
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End as ``concurrent.futures`` documents; the engine is closed once all is done.
 
@@ -239,7 +258,7 @@ class RetryingExecutor(Executor):
     def _start(self, task: _Task) -> None:
         """Submit a task to the engine."""
         with self._lock:
-            engine = self._engine
+            engine, task.since = self._engine, time.monotonic()
             try:
                 inner = engine.submit(run_task, self._numerics, task.function, *task.arguments)
             except BrokenExecutor as error:  # other tasks have not heard of it yet
@@ -262,16 +281,34 @@ class RetryingExecutor(Executor):
             return
         error = inner.exception()
         if error is None:
-            task.end(None, align(inner.result()))
+            ran: Ran = inner.result()
+            self._note(task, "done", ran)
+            note_worker(task, ran.worker)
+            task.end(None, align(ran.value))
         elif self._count_losses(error) or is_shortage(error):
             self._mender.submit(self._mend, task, engine, error)
         else:
+            self._note(task, "failed")
             task.end(error)
+
+    def _note(self, task: _Task, outcome: str, ran: Ran | None = None) -> None:
+        """Record what became of a task; without an answer, since it was handed to the engine."""
+        timeline = self._timeline
+        if timeline is None:
+            return
+        sent = count_bytes(task.arguments)
+        if ran is None:
+            spent = time.monotonic() - task.since
+            timeline.record(task.name, ANY_WORKER, spent, outcome, bytes_out=sent)
+            return
+        came = count_bytes(ran.value)
+        timeline.record(task.name, ran.worker, ran.seconds, outcome, bytes_in=came, bytes_out=sent)
 
     def _mend(self, task: _Task, engine: Executor, error: BaseException) -> None:
         """Run a task again whose worker was lost, or give it up."""
         is_short = is_shortage(error)  # which breaks no engine, so that it can always be asked anew
         task.losses += self._count_losses(error) or is_short
+        self._note(task, "lost")
         try:
             if self._gives_up or task.losses > (MOST_LOSSES if is_short else self._most_losses):
                 raise self._lost(task, f"{task.losses} worker(s) {_say_fate(error)}")
@@ -290,8 +327,7 @@ class RetryingExecutor(Executor):
                 self._engine = self._opened.enter_context(self._open_engine())
 
     def _lost(self, task: _Task, reason: str) -> WorkerLostError:
-        name = getattr(task.function, "__name__", repr(task.function))
-        return WorkerLostError(f"{name} was not finished: {reason}", self._advice)
+        return WorkerLostError(f"{task.name} was not finished: {reason}", self._advice)
 
 
 def _say_fate(error: BaseException) -> str:

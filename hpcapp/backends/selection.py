@@ -24,14 +24,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpcapp.backends import BACKENDS, IN_PROCESS
 from hpcapp.backends.capacity import check_address_space, check_workers
+from hpcapp.backends.recorded import RecordedExecutor
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
+from hpcapp.timeline import Timeline
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
@@ -95,6 +97,25 @@ class Backend:
     def executor(self) -> Executor:
         """The Executor that tasks are submitted to."""
         return self.workforce.executor
+
+    def record(self, timeline: Timeline) -> Backend:
+        """Record from now on what becomes of tasks.
+
+        Parameters
+        ----------
+        timeline : Timeline
+
+        Returns
+        -------
+        Backend
+            To be used in place of this one.
+        """
+        record = getattr(self.executor, "record", None)
+        if record is not None:
+            record(timeline)
+            return self
+        recorded = RecordedExecutor(self.executor, timeline)
+        return replace(self, workforce=replace(self.workforce, executor=recorded))
 
 
 def check_backend(name: str) -> None:

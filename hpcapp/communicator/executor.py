@@ -26,8 +26,10 @@ from hpcapp.communicator.listener import Door
 from hpcapp.communicator.loop import Engine, Timing
 from hpcapp.communicator.pending import Ledger
 from hpcapp.communicator.policy import AdaptivePolicy, Policy
+from hpcapp.communicator.recording import list_workers
 from hpcapp.communicator.scheduler import Scheduler
 from hpcapp.communicator.submission import each_traits, make_entry
+from hpcapp.timeline import Timeline
 from hpccomponent.clock import Clock, MonotonicClock
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.protocol.blobs import Blob, make_blob
@@ -160,6 +162,17 @@ class CommunicatorExecutor(Executor):
             "dropped": own["dropped"] + scheduled["dropped"],
             "refused": scheduled["refused"] + self._transport.troubles.total(),
         }
+
+    def record(self, timeline: Timeline) -> None:
+        """Record from now on what becomes of tasks.
+
+        Parameters
+        ----------
+        timeline : Timeline
+        """
+        scheduler = self._engine.scheduler
+        timeline.roster = lambda: list_workers(scheduler.workers)
+        scheduler.recording.timeline = timeline
 
     # -- workers -------------------------------------------------------------------------------
 

@@ -307,11 +307,13 @@ class Engine:
         actions = self.scheduler.results(
             identity, message.batch, message.results, message.is_finished
         )
+        maker = self.scheduler.workers.get(identity)
         # The next batch leaves first: whoever waits for a result may take its time with it.
         self._carry_out([action for action in actions if not isinstance(action, Deliver)])
         for action in actions:
             if isinstance(action, Deliver):
-                self.ledger.deliver(action.task, action.result, opened[action.index])
+                name = None if maker is None else maker.machine
+                self.ledger.deliver(action.task, action.result, opened[action.index], name)
 
     def _take_need(self, worker: bytes, message: Need) -> None:
         # A value that was changed after it was shared is refused by every worker, for ever.

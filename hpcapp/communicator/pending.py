@@ -9,6 +9,7 @@ from typing import Any
 
 from hpcapp.communicator.state import Task
 from hpcapp.communicator.submission import Entry, split_entry
+from hpcapp.timeline import note_worker
 from hpccomponent import errors
 from hpccomponent.errors import HpcError, TaskError
 from hpccomponent.protocol.frames import Buffer
@@ -182,7 +183,7 @@ class Ledger:
         """
         return self._entries.get(number)
 
-    def deliver(self, number: int, result: Result, value: Any) -> None:
+    def deliver(self, number: int, result: Result, value: Any, worker: str | None = None) -> None:
         """Set a future's result, which has been checked, or what its task raised.
 
         Parameters
@@ -192,12 +193,15 @@ class Ledger:
             What the worker has sent.
         value : object
             The value in it; not used where the task raised.
+        worker : str, optional
+            Who has sent it: see `timeline.note_worker`.
         """
         entry = self._entries[number]
         if result.failure is not None:
             self.fail(number, _rebuild(result.failure, entry.name))
             return
         del self._entries[number]
+        note_worker(entry.future, worker)
         entry.future.set_result(value)
 
     def fail(self, number: int, error: HpcError) -> None:

@@ -25,6 +25,7 @@ from hpcapp.communicator.batching import MAX_TASKS, BatchCutter, find_holder
 from hpcapp.communicator.forecast import Forecast
 from hpcapp.communicator.losses import LOSS_BUDGET, Losses
 from hpcapp.communicator.policy import Policy
+from hpcapp.communicator.recording import Recording
 from hpcapp.communicator.speculation import choose_to_run_again, choose_to_split
 from hpcapp.communicator.state import (
     Action,
@@ -89,6 +90,7 @@ class Scheduler:
         self.tasks: dict[int, Task] = {}
         self.counts: Counter[str] = Counter()
         self.assignments = Assignments()
+        self.recording = Recording()
         self._policy = policy
         self._clock = clock
         self._admission = Admission(package, numerics)
@@ -168,6 +170,7 @@ class Scheduler:
         reason = self._admission.objection(register, key, self.workers.values())
         if reason is not None:
             self.counts["refused"] += 1
+            self.recording.turned_away(register)
             return [Refuse(identity, reason)]
         self._admission.numerics = register.numerics
         level = min((worker.placed for worker in self._open_workers()), default=0)
@@ -194,11 +197,15 @@ class Scheduler:
         worker.seen = self._clock.now()
         actions: list[Action] = []
         flight = worker.batches.get(batch)
-        spent_s = worker.seen - worker.since - sum([result.seconds for result in results])
-        way_s = max(0.0, spent_s) / max(1, len(results))
+        later_s = sum([result.seconds for result in results])
+        way_s = max(0.0, worker.seen - worker.since - later_s) / max(1, len(results))
         for index, result in enumerate(results):
             own = flight.pop(result.task) if flight is not None else None
             task = self.tasks.get(result.task)
+            later_s -= result.seconds
+            answered = task or own
+            if answered is not None:
+                self.recording.answered(worker, flight, answered, result, later_s)
             if own is not None and result.failure is None:
                 self._forecast.learn(identity, own, result.seconds, way_s)
             if task is None:
@@ -394,13 +401,14 @@ class Scheduler:
         number = self.assignments.add(worker)
         if not worker.batches:
             worker.since = self._clock.now()
-        worker.batches[number] = Flight({task.number: task for task in batch})
+        flight = worker.batches[number] = Flight({task.number: task for task in batch})
         for task in batch:
             task.places[worker.identity] = number
         lacking = {
             blob.key: blob for task in batch for blob in task.blobs if blob.key not in worker.blobs
         }
         worker.blobs.update(lacking)
+        flight.shared_bytes = sum([blob.size_bytes for blob in lacking.values()])
         numbers = tuple([task.number for task in batch])
         return [Assign(worker.identity, number, numbers, tuple(lacking.values()))]
 
@@ -431,6 +439,7 @@ class Scheduler:
     def _turn_away(self, workers: Iterable[Worker], why: str) -> list[Action]:
         actions: list[Action] = []
         for worker in workers:
+            worker.is_refused = True
             actions.append(Refuse(worker.identity, why))
             actions += self._lose(worker, why, is_blamed=False)
         return actions
@@ -452,7 +461,11 @@ class Scheduler:
         """Put the tasks of a batch back into the queue, but for those at work elsewhere too."""
         actions: list[Action] = []
         again = []
+        at_work_s = 0.0
+        if next(iter(worker.batches), None) == batch:
+            at_work_s, worker.since = self._clock.now() - worker.since, self._clock.now()
         flight = worker.batches.pop(batch, Flight({}))
+        self.recording.taken_back(worker, flight, at_work_s)
         self.assignments.take_back(batch, flight)
         for task in flight.tasks.values():
             task.places.pop(worker.identity, None)

@@ -70,13 +70,14 @@ class Flight:
     """A batch on its way or at work: the tasks that its worker has not answered, in order.
 
     `work` is how much that is, by the names of these tasks, `counts` how many; `limits` how large
-    the answer to each task of the whole batch may be, in bytes.
+    the answer to each task of the whole batch may be, in bytes; `shared_bytes` what went before it.
     """
 
     tasks: dict[int, Task]
     work: dict[str, float] = field(default_factory=dict)
     counts: Counter[str] = field(default_factory=Counter)
     limits: dict[int, int] = field(default_factory=dict)
+    shared_bytes: int = 0
 
     def __post_init__(self) -> None:
         self.counts.update(task.name for task in self.tasks.values())
@@ -103,6 +104,17 @@ class Flight:
                 del self.work[task.name], self.counts[task.name]
         return task
 
+    def take_shared(self) -> int:
+        """Return the size of the blobs that went before the batch, once; then 0.
+
+        Returns
+        -------
+        int
+            In bytes.
+        """
+        shared, self.shared_bytes = self.shared_bytes, 0
+        return shared
+
 
 @dataclass(slots=True, eq=False)
 class Worker:
@@ -112,7 +124,8 @@ class Worker:
     when its present task began, as far as is known. `remaining_s`, `next_s` and `slowness` are what
     a policy sees (see `policy.Load`). `backlog` holds what waits for this worker and no other.
     `blobs` are the keys of what has been sent to it; it may have let some go, and says so when one
-    is needed. One that is retired gets nothing more, and waits for the end of the job.
+    is needed. One that is retired gets nothing more, and waits for the end of the job; one that is
+    refused is turned away.
     """
 
     identity: bytes
@@ -123,6 +136,7 @@ class Worker:
     progress: int = 0
     is_draining: bool = False
     is_retired: bool = False
+    is_refused: bool = False
     since: float = 0.0
     remaining_s: float = 0.0
     next_s: float = 0.0

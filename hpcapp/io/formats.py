@@ -11,15 +11,17 @@ from pathlib import Path
 from typing import Literal, TypeVar
 
 from hpcapp.io.meshes.glb import write_glb
+from hpcapp.io.meshes.glb_reader import read_glb
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
-from hpcapp.io.meshes.obj import read_obj, write_obj
+from hpcapp.io.meshes.obj import holds_obj_faces, read_obj, write_obj
 from hpcapp.io.meshes.off import read_off, write_off
 from hpcapp.io.meshes.stl import read_stl, write_stl
 from hpcapp.io.meshes.threemf import write_3mf
 from hpcapp.io.meshes.tiles import TILES_SUFFIX, check_tiles, write_tiles
 from hpcapp.io.meshes.tileset import TILESET_SUFFIX, write_tileset
 from hpcapp.io.meshes.vtp import write_vtp
-from hpcapp.io.ply.format import read_ply_mesh, write_ply_mesh
+from hpcapp.io.meshes.vtp_reader import read_vtp
+from hpcapp.io.ply.format import holds_ply_faces, read_ply_mesh, write_ply_mesh
 from hpcapp.io.point_writers import POINT_WRITERS
 from hpcapp.io.points.point_source import PointSource, Scan, read_whole, translated
 from hpcapp.io.points.recognition import recognise
@@ -30,9 +32,11 @@ from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import PointCloud
 
 __all__ = [
+    "MESH_SUFFIXES",
     "STANDARD_INPUT",
     "check_writable",
     "describe_losses",
+    "holds_faces",
     "open_points",
     "read_mesh",
     "read_points",
@@ -52,7 +56,13 @@ _MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".obj": read_obj,
     ".off": read_off,
     ".stl": read_stl,
+    ".glb": read_glb,
+    ".vtp": read_vtp,
 }
+
+
+MESH_SUFFIXES = tuple(_MESH_READERS)
+"""Of the files that meshes are read from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,8 +149,36 @@ def open_points(path: str | PathLike[str]) -> PointSource:
         return recognise(point_format.open(Path(path)))
 
 
+def holds_faces(path: str | PathLike[str]) -> bool:
+    """Tell whether a file is read as a mesh, and not as points alone.
+
+    Parameters
+    ----------
+    path : str or PathLike
+        The suffix, in any case, chooses the format.
+
+    Returns
+    -------
+    bool
+        Of a PLY or an OBJ, what the file holds decides.
+
+    Raises
+    ------
+    InputError
+        The file cannot be opened, or its start is damaged.
+    """
+    file, suffix = Path(path), Path(path).suffix.lower()
+    with translated(file):
+        _refuse_special(file)
+        if suffix == ".ply":
+            return holds_ply_faces(file)
+        if suffix == ".obj":
+            return holds_obj_faces(file)
+    return suffix in _MESH_READERS
+
+
 def read_mesh(path: str | PathLike[str]) -> Mesh:
-    """Read a triangle mesh: .ply, .obj, .off, .stl; polygons become triangle fans.
+    """Read a triangle mesh: .ply, .obj, .off, .stl, .glb, .vtp; polygons become triangle fans.
 
     Parameters
     ----------

@@ -33,7 +33,9 @@ def test_elsewhere_a_long_stage_speaks_now_and_then(monkeypatch: pytest.MonkeyPa
     for done in range(1, 26):
         now[0] += 1.0
         progress.advance(done, 30)
-    assert stream.getvalue() == "fit: 10 of 30\nfit: 20 of 30\n"
+    assert stream.getvalue() == (
+        "fit: 10 of 30, 1.0/s, 20 s left\nfit: 20 of 30, 1.0/s, 10 s left\n"
+    )
 
 
 def test_a_full_stream_does_not_end_the_job() -> None:
@@ -63,6 +65,7 @@ def test_a_terminal_gets_bars(terminal: io.StringIO) -> None:
     assert "fit" in drawn
     assert "━" in drawn
     assert "\x1b[3" in drawn  # a colour
+    assert "4 of 4" in drawn
 
 
 def test_no_color_is_heeded(terminal: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> None:

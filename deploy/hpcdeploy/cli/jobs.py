@@ -22,6 +22,9 @@ VERB = "reconstruct"
 PATH = click.Path(dir_okay=False, path_type=Path)
 FILE = click.argument("file", type=PATH)
 JOB = click.argument("job", required=False)
+DASHBOARD = click.option(
+    "--dashboard", is_flag=True, help="Lead to the job's page from this machine; print its address."
+)
 AS_JSON = click.option(
     "--json", "as_json", is_flag=True, help="Print JSON objects on standard output, one a line."
 )
@@ -33,25 +36,35 @@ AS_JSON = click.option(
 @click.argument("options", nargs=-1, type=click.UNPROCESSED)
 @click.option("-o", "--output", required=True, type=PATH, metavar="MESH", help="Mesh to write.")
 @click.option("--detach", is_flag=True, help="Leave once the job is in the queue.")
+@DASHBOARD
 @AS_JSON
 def submit(
-    file: Path, points: Path, options: tuple[str, ...], output: Path, detach: bool, as_json: bool
+    file: Path,
+    points: Path,
+    options: tuple[str, ...],
+    output: Path,
+    detach: bool,
+    dashboard: bool,
+    as_json: bool,
 ) -> None:
     """Run `reconstruct` with OPTIONS (after --) on the points of POINTS on the cluster of FILE."""
     from hpcdeploy.jobs import cluster_job
     from hpcdeploy.jobs.queries import open_jobs
     from hpcdeploy.reconcile.cluster import open_cluster
 
+    if dashboard:
+        options = (*options, "--dashboard")
     with open_cluster(file) as cluster:
         cluster_job.check_job(cluster, VERB, points, output, options)
         opened = open_jobs(cluster)
         status = cluster_job.submit(opened, VERB, points, output.name, options)
         if detach:
             _tell([status], as_json)
-            log.info("hpcapp attach %s %s shows it, hpcapp fetch %s %s brings the mesh",
-                     file, status.job, file, status.job)  # fmt: skip
+            log.info("hpcapp attach %s %s%s shows it, hpcapp fetch %s %s brings the mesh",
+                     file, status.job, " --dashboard" if dashboard else "",
+                     file, status.job)  # fmt: skip
             return
-        status = cluster_job.watch(cluster, opened, status)
+        status = cluster_job.watch(cluster, opened, status, has_page=dashboard)
         _tell_report(output, cluster_job.fetch(opened, status, output), as_json)
 
 
@@ -94,7 +107,8 @@ def logs(file: Path, job: str | None, follow: bool) -> None:
 @click.command()
 @FILE
 @JOB
-def attach(file: Path, job: str | None) -> None:
+@DASHBOARD
+def attach(file: Path, job: str | None, dashboard: bool) -> None:
     """Show JOB, by default the last one, until it has ended; leave with its exit code."""
     from hpcdeploy.jobs import cluster_job
     from hpcdeploy.jobs.queries import open_jobs, raise_failure
@@ -102,7 +116,7 @@ def attach(file: Path, job: str | None) -> None:
 
     with open_cluster(file) as cluster:
         opened = open_jobs(cluster)
-        status = cluster_job.watch(cluster, opened, opened.find(job))
+        status = cluster_job.watch(cluster, opened, opened.find(job), has_page=dashboard)
         raise_failure(status)
         log.info("job %s is done: hpcapp fetch %s %s brings the mesh", status.job, file, status.job)
         log.info("%s: %s", status.mesh, opened.report(status)["summary"])

@@ -10,6 +10,7 @@ import logging
 import os
 import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -18,10 +19,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpccomponent.errors import CloudError, HpcError, OutputError
-from hpcdeploy.jobs.display import open_display
+from hpcdeploy.jobs.display import ForwardingDisplay, open_display
 from hpcdeploy.jobs.queries import Jobs, open_jobs
 from hpcdeploy.machine.provider import State
 from hpcdeploy.reconcile.cluster import open_cluster
+from hpcdeploy.reconcile.cost import estimate_cost
 from hpcdeploy.spec.job_folder import JobStatus
 from hpcdeploy.spec.layout import machine_folder
 
@@ -54,7 +56,8 @@ def run_on_cluster(
     Returns
     -------
     dict
-        The verb's report.
+        The verb's report; ``cost`` in it is what the cluster costs at most, in dollars an hour and
+        for as long as the job took from here, where it costs something and all prices are known.
 
     Raises
     ------
@@ -65,23 +68,33 @@ def run_on_cluster(
     """
     with open_cluster(path) as cluster:
         is_ours = _bring_up_if_needed(cluster)
-        stays = False
+        stays, start = False, time.monotonic()
         try:
             jobs = open_jobs(cluster)
             status = submit(jobs, verb, points, target.name, options)
             try:
-                status = watch(cluster, jobs, status)
+                status = watch(cluster, jobs, status, has_page="--dashboard" in options)
             except (KeyboardInterrupt, CloudError):
                 stays = True
                 if is_ours:
                     log.info("the cluster stays up for it: hpcapp down %s ends it", path)
                 raise
-            return fetch(jobs, status, target)
+            report = fetch(jobs, status, target)
+            return report | _describe_cost(cluster, time.monotonic() - start)
         finally:
             if is_ours and not stays:
                 from hpcdeploy.reconcile.converge import take_down
 
                 take_down(cluster, log.info)
+
+
+def _describe_cost(cluster: Cluster, seconds: float) -> dict[str, Any]:
+    """Return what a job has cost at most, for its report; nothing where that is not known."""
+    cost = estimate_cost(cluster.spec)
+    if cost.unknown or not cost.hourly:
+        return {}
+    job = cost.hourly * seconds / 3600.0
+    return {"cost": {"dollars_an_hour": round(cost.hourly, 4), "dollars_job": round(job, 4)}}
 
 
 def check_job(
@@ -196,7 +209,7 @@ def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, Any]:
         return jobs.fetch(status, target, partial(display.show_bytes, "fetch"))
 
 
-def watch(cluster: Cluster, jobs: Jobs, status: JobStatus) -> JobStatus:
+def watch(cluster: Cluster, jobs: Jobs, status: JobStatus, *, has_page: bool = False) -> JobStatus:
     """Show a job from its beginning until it has ended; return how.
 
     Parameters
@@ -207,6 +220,8 @@ def watch(cluster: Cluster, jobs: Jobs, status: JobStatus) -> JobStatus:
         Of the cluster.
     status : JobStatus
         Of the job.
+    has_page : bool
+        Whether to lead to its dashboard from here.
 
     Returns
     -------
@@ -223,7 +238,15 @@ def watch(cluster: Cluster, jobs: Jobs, status: JobStatus) -> JobStatus:
     again = f"hpcapp attach {cluster.path} {status.job}"
     try:
         with _replacing_lost(cluster), open_display(sys.stderr) as display:
-            return jobs.follow(status.job, display)
+            if not has_page or status.state.is_over:
+                return jobs.follow(status.job, display)
+            forwarding = ForwardingDisplay(display, jobs.forward)
+            ended = jobs.follow(status.job, forwarding)
+            if not forwarding.has_page:
+                log.warning(
+                    "warning: job %s had no dashboard: submit it with --dashboard", ended.job
+                )
+            return ended
     except KeyboardInterrupt:
         log.info("detached: job %s goes on; %s shows it again, hpcapp cancel %s %s ends it",
                  status.job, again, cluster.path, status.job)  # fmt: skip

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
+from urllib.parse import urlsplit
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-__all__ = ["JobDisplay", "open_display"]
+__all__ = ["ForwardingDisplay", "JobDisplay", "open_display"]
 
 log = logging.getLogger("hpcapp")
 
@@ -33,7 +34,8 @@ class JobDisplay:
         Parameters
         ----------
         event : dict
-            ``stage``, and how much of it is ``done`` of ``total``.
+            ``stage``, and how much of it is ``done`` of ``total``; ``is_bytes`` where that is
+            bytes; or ``dashboard``, the address of the job's page on the head.
         """
 
     def show_bytes(self, stage: str, done: int, total: int) -> None:
@@ -46,7 +48,7 @@ class JobDisplay:
         done, total : int
             In bytes.
         """
-        self.show_event({"stage": stage, "done": done, "total": total})
+        self.show_event({"stage": stage, "done": done, "total": total, "is_bytes": True})
 
 
 class BarDisplay(JobDisplay):
@@ -55,6 +57,7 @@ class BarDisplay(JobDisplay):
     def __init__(self, bars: Progress) -> None:
         self._bars = bars
         self._task: TaskID | None = None
+        self._stage = ""
 
     def show_event(self, event: dict[str, Any]) -> None:
         """Move the bar; the next stage takes the place of the one that has ended.
@@ -64,15 +67,57 @@ class BarDisplay(JobDisplay):
         event : dict
             As `JobDisplay.show_event` takes it; without ``done`` the bar stays as it is.
         """
-        if self._task is None:
-            self._task = self._bars.add_task("", total=None)
-        if "done" in event:
-            self._bars.update(
-                self._task,
-                description=event["stage"],
-                completed=event["done"],
-                total=event["total"] or None,
-            )
+        if "done" not in event:
+            return
+        if self._task is None or self._stage != event["stage"]:
+            if self._task is not None:
+                self._bars.remove_task(self._task)
+            self._stage = event["stage"]
+            is_bytes = event.get("is_bytes", False)
+            self._task = self._bars.add_task(self._stage, total=None, is_bytes=is_bytes)
+        self._bars.update(self._task, completed=event["done"], total=event["total"] or None)
+
+
+class ForwardingDisplay(JobDisplay):
+    """Makes the job's page on the head one of this machine, beside another display.
+
+    Parameters
+    ----------
+    display : JobDisplay
+        The other one.
+    forward : callable
+        From a port on the head's loopback to one here that leads there.
+    """
+
+    def __init__(self, display: JobDisplay, forward: Callable[[int], int]) -> None:
+        self._display = display
+        self._forward = forward
+        self.has_page = False
+
+    def show_log(self, line: str) -> None:
+        """Show a line that the job has written.
+
+        Parameters
+        ----------
+        line : str
+        """
+        self._display.show_log(line)
+
+    def show_event(self, event: dict[str, Any]) -> None:
+        """Show how far a stage has come, or where the page is.
+
+        Parameters
+        ----------
+        event : dict
+            As `JobDisplay.show_event` takes it.
+        """
+        if "dashboard" not in event:
+            self._display.show_event(event)
+            return
+        parts = urlsplit(str(event["dashboard"]))
+        port = self._forward(parts.port or 0)
+        log.info("dashboard: http://127.0.0.1:%d/?%s", port, parts.query)
+        self.has_page = True
 
 
 @contextmanager
@@ -91,9 +136,7 @@ def open_display(stream: TextIO) -> Iterator[JobDisplay]:
     if not stream.isatty():
         yield JobDisplay()
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from hpccomponent.bars import make_bars
 
-    columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(file=stream), transient=True) as bars:
+    with make_bars(stream, is_transient=True) as bars:
         yield BarDisplay(bars)

@@ -198,6 +198,21 @@ class Jobs:
             )
         return ended[-1]
 
+    def forward(self, port: int) -> int:
+        """Return a port of this machine that leads to one of the head's loopback.
+
+        Parameters
+        ----------
+        port : int
+            On the head.
+
+        Returns
+        -------
+        int
+            Open until the cluster is left.
+        """
+        return self._head.forward("127.0.0.1", port)
+
     def cancel(self, number: str) -> JobStatus:
         """End a job, and return its status when nothing of it runs any more.
 

@@ -42,10 +42,10 @@ SAMPLE = click.option(
 def info(points: tuple[str, ...], sample: int | None, as_json: bool, png: Path | None) -> None:
     """Print what the point clouds POINTS hold, and what of it was taken for what."""
     from hpcapp.applications.points.info import describe_file
-    from hpcapp.applications.points.thumbnail import write_thumbnail
     from hpcapp.io import open_points
     from hpcapp.io.points.inputs import gather_points
     from hpcapp.io.points.point_source import Findings
+    from hpcapp.pages.thumbnail import write_thumbnail
 
     with gather_points(points, sample) as path:
         source = open_points(path)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from hpcapp.io import PointSource, read_whole
-from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
+from hpcapp.io.points.column_roles import tell_use
 from hpccomponent.surface.cloud.repeated import find_repeated
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.points import FloatArray, PointCloud
@@ -54,7 +54,7 @@ def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
         "normals": source.normals_from if cloud.normals is not None else None,
         "is_oriented": source.oriented if cloud.normals is not None else None,
         "attributes": list(cloud.attributes),
-        "columns": {name: _tell_use(name, cloud) for name in source.columns},
+        "columns": {name: tell_use(name, cloud) for name in source.columns},
         "scans": [
             {
                 "points": scan.points,
@@ -77,18 +77,6 @@ def _count_not_finite(cloud: PointCloud) -> int:
     if cloud.normals is not None:
         lost |= ~np.isfinite(cloud.normals).all(axis=1)
     return int(lost.sum())
-
-
-def _tell_use(name: str, cloud: PointCloud) -> str:
-    """Say as what a column was taken."""
-    role = find_role(name)
-    if role in AXES:
-        return "position"
-    if role in NORMALS and cloud.normals is not None:
-        return "normal"
-    if role in COLOURS and cloud.colours is not None:
-        return "colour"
-    return "attribute" if role in cloud.attributes or name in cloud.attributes else "left out"
 
 
 def describe(cloud: PointCloud) -> dict[str, Any]:

@@ -40,10 +40,10 @@ from hpcapp.applications.surface.steps import run_memory
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
 from hpcapp.io.points.usable import Dropped, refuse_too_few
+from hpcapp.pages.shown_mesh import Mesh
 from hpcapp.progress import Progress, SilentProgress, StageClock
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.attributes.labels import find_labels
-from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import ByteArray, FloatArray, PointCloud
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ def reconstruct(
         with run_memory(settings, loaded, opener, clock, executor=given) as outcome:
             carrying = carry_from_memory(settings, loaded, outcome, clock)
             mesh = outcome.result.surface.mesh(carrying)
-    return replace(mesh, vertices=mesh.vertices + mesh.origin, origin=np.zeros(3))
+    return Mesh.of(replace(mesh, vertices=mesh.vertices + mesh.origin, origin=np.zeros(3)))
 
 
 class _Calls(Progress):
@@ -187,6 +187,9 @@ class _Calls(Progress):
         del seconds
         if self._done < self._total:
             self._report(stage, self._total, self._total)
+
+    def show_part(self, load: Callable[[], Any]) -> None:
+        """Report nothing: a part is none of the numbers."""
 
 
 def _choose_method(method: str | MethodSettings, options: dict[str, Any]) -> MethodSettings:

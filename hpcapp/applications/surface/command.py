@@ -8,6 +8,9 @@ from __future__ import annotations
 import json
 import logging
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -17,8 +20,19 @@ import click
 from hpcapp.applications.points.command import INPUTS, SAMPLE
 from hpcapp.applications.surface.attributes.choice import parse_attributes
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, METHODS, find_method
-from hpcapp.applications.surface.options import check_exclusive, make_click_options, option_names
+from hpcapp.applications.surface.options import (
+    WATCHED,
+    check_exclusive,
+    make_click_options,
+    option_names,
+    typed_command,
+)
+from hpcapp.applications.view.command import check_page, check_picture
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
+from hpcapp.dashboard.server import DEFAULT_ADDRESS, open_dashboard, parse_address
+from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
+from hpcapp.progress import Progress
+from hpcapp.timeline import Timeline
 from hpccomponent.errors import UsageError
 
 __all__ = ["check_flags", "reconstruct"]
@@ -121,7 +135,11 @@ def check_flags(ctx: click.Context) -> None:
         from hpcapp.backends.selection import check_backend
 
         check_backend(ctx.params["backend"])
+    if ctx.params["dashboard"] is not None:
+        parse_address(ctx.params["dashboard"])
     parse_attributes(ctx.params["attributes"])
+    check_page(ctx.params["report"], "--report")
+    check_picture(ctx.params["png"], "--png")
     _check_method_options(ctx)
 
 
@@ -267,6 +285,27 @@ def _add_method_options(command: click.Command) -> click.Command:
     metavar="FILE",
     help="Write the progress to a file as it comes, one JSON object a line.",
 )
+@click.option(
+    "--trace",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Write when each stage and each task ran, and on which worker, as a Chrome trace.",
+)
+@click.option(
+    "--report",
+    type=POINTS,
+    metavar="PAGE",
+    help="Write a page (.html) with the mesh and all that the job decided and did; works offline.",
+)
+@click.option("--png", type=POINTS, metavar="FILE", help="Draw the mesh into a picture.")
+@click.option(
+    "--dashboard",
+    is_flag=False,
+    flag_value=DEFAULT_ADDRESS,
+    metavar="[HOST:PORT]",
+    help="Show the job on a page while it runs; its address is printed. On loopback unless a host "
+    "is given.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 @click.pass_context
 def reconstruct(ctx: click.Context, /, **options: Any) -> None:
@@ -276,21 +315,72 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
     """
     check_flags(ctx)
     as_json = options.pop("as_json")
-    events = options.pop("events")
+    watching = Watching(*(options.pop(name) for name in WATCHED))
     cluster = options["cluster"]
     if cluster is not None and cluster.suffix != ".json":
         from hpcapp.applications.surface.remote import run_on_cluster
 
         report = run_on_cluster(ctx)
     else:
-        report = _run_here(options, events)
+        options["command"] = typed_command(ctx)
+        report = _run_here(options, watching)
     if as_json:
         click.echo(json.dumps(report))
     else:
         log.info("%s: %s", options["output"], report["summary"])
 
 
-def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class Watching:
+    """How the user wants to watch a job, beside the bars.
+
+    Parameters
+    ----------
+    events, trace : Path or None
+        Files that are written.
+    dashboard : str or None
+        Where the page is served, as ``HOST:PORT``.
+    """
+
+    events: Path | None
+    trace: Path | None
+    dashboard: str | None
+
+    @contextmanager
+    def open(self, timeline: Timeline, title: str) -> Iterator[Progress]:
+        """Open all of it, for one job.
+
+        Parameters
+        ----------
+        timeline : Timeline
+            That the job fills.
+        title : str
+            Of the page.
+
+        Yields
+        ------
+        Progress
+        """
+        from hpcapp.progress_display import open_events, open_progress
+        from hpcapp.trace import open_trace
+
+        job = WatchedJob(timeline, title)
+        with (
+            open_trace(self.trace, timeline),
+            open_dashboard(self.dashboard, job) if self.dashboard else nullcontext() as address,
+            open_progress(sys.stderr) as display,
+            open_events(self.events, display, address) as progress,
+        ):
+            if address is None:
+                yield progress
+                return
+            if self.events is None:  # else whoever reads them shows it
+                log.info("dashboard: %s", address)
+            with job.running():
+                yield WatchedProgress(job, progress)
+
+
+def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
     """Run the job with this process as its master."""
     from hpcapp.backends.selection import start_early
 
@@ -302,7 +392,6 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         from hpcapp.applications.surface.memory import parse_limit
         from hpcapp.applications.surface.settings import JobSettings
         from hpcapp.io.points.inputs import find_paths, gather_points
-        from hpcapp.progress_display import open_events, open_progress
         from hpcapp.simplification.mesh import Target
 
         if options["max_memory"] is not None:
@@ -316,10 +405,7 @@ def _run_here(options: dict[str, Any], events: Path | None) -> dict[str, Any]:
         files = find_paths(names)
         if options["resume"] and not files:
             raise UsageError("--resume needs a file to know again", "write the points to a file")
-        with (
-            gather_points(names, sample) as points,
-            open_progress(sys.stderr) as display,
-            open_events(events, display) as progress,
-        ):
+        timeline, title = Timeline(), f"{Path(names[0]).name} \u2192 {options['output']}"
+        with gather_points(names, sample) as points, watching.open(timeline, title) as progress:
             settings = JobSettings(method=method(**chosen), points=points, inputs=files, **options)
-            return run_job(settings, progress, machines)
+            return run_job(settings, progress, machines, timeline)

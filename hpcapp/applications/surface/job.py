@@ -18,6 +18,7 @@ from hpcapp.applications.surface.carry import carry_from_file
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.input.folder import choose_tile, plan_passes
 from hpcapp.applications.surface.input.load import Loaded, load_folder, load_memory
+from hpcapp.applications.surface.input.recognised import describe_input
 from hpcapp.applications.surface.input.room import Room, open_room
 from hpcapp.applications.surface.memory import check_memory, count_most_points
 from hpcapp.applications.surface.method import TILE_POINTS
@@ -30,10 +31,12 @@ from hpcapp.backends.selection import Backend
 from hpcapp.io import describe_losses
 from hpcapp.io.output import open_output
 from hpcapp.progress import Progress, StageClock
+from hpcapp.timeline import Timeline
 from hpccomponent.surface.build import kernel_id
 from hpccomponent.surface.freed_memory import keep_memory
 
 if TYPE_CHECKING:
+    from hpcapp.applications.surface.attributes.carrying import Carrying
     from hpcapp.applications.surface.steps import Outcome
     from hpcapp.applications.surface.stitching.topology import Topology
     from hpcapp.backends.local_machines import LocalMachines
@@ -47,7 +50,10 @@ LARGE_CLOUD = 2_500_000
 
 
 def run_job(
-    settings: JobSettings, progress: Progress, machines: LocalMachines | None = None
+    settings: JobSettings,
+    progress: Progress,
+    machines: LocalMachines | None = None,
+    timeline: Timeline | None = None,
 ) -> dict[str, Any]:
     """Reconstruct a mesh from file to file.
 
@@ -59,6 +65,8 @@ def run_job(
         Where stages are announced.
     machines : LocalMachines, optional
         What `selection.start_early` has started for the job.
+    timeline : Timeline, optional
+        Of the job, for others to look at; filled here.
 
     Returns
     -------
@@ -70,7 +78,7 @@ def run_job(
     HpcError
         Whatever went wrong; no output is left half written.
     """
-    clock = StageClock(progress)
+    clock = StageClock(progress, timeline)
     if count_most_points(settings.points) >= LARGE_CLOUD:
         keep_memory()
     with open_output(settings.output, settings.files) as target, open_room(settings) as room:
@@ -108,8 +116,9 @@ def _run_in_folder(
     guess = _guess_job(settings)
     with (
         approach_workers(settings, machines=machines) as opener,
-        opener.open(guess) as (backend, choice),
+        opener.open(guess) as (opened, choice),
     ):
+        backend = opened.record(clock.timeline)
         if backend.workforce.in_process and not room.is_needed:
             keeping = None if settings.temp_dir is None else room.keeping
             loaded = load_memory(settings, clock)
@@ -170,7 +179,32 @@ def _write(
     }
     report["turned_normals"] = loaded.cleaned.flipped
     report["normals"] = loaded.oriented.to_json()
+    report["input"] = describe_input(settings)
+    report["command"] = list(settings.command)
+    if settings.report is not None or settings.png is not None:
+        with clock.stage("show"):
+            _show(settings, loaded, outcome, carrying, clock, report)
     return report
+
+
+def _show(
+    settings: JobSettings,
+    loaded: Loaded,
+    outcome: Outcome,
+    carrying: Carrying,
+    clock: StageClock,
+    report: dict[str, Any],
+) -> None:
+    """Write the job's page and picture."""
+    from hpcapp.applications.surface.report_page import show_job, write_job_page
+    from hpcapp.pages.picture import write_picture
+
+    shown = show_job(loaded, outcome, carrying)
+    if settings.png is not None:
+        write_picture(settings.png, shown.mesh)
+    if settings.report is not None:
+        told = {**report, "stages": clock.seconds, "timeline": clock.timeline.to_json()}
+        write_job_page(settings.report, shown, told, Path(settings.output).name)
 
 
 def _summarize(topology: Topology) -> str:

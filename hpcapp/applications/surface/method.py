@@ -27,6 +27,8 @@ __all__ = [
     "Method",
     "MethodSettings",
     "Resources",
+    "ShowPart",
+    "show_nothing",
 ]
 
 MARGIN = 4
@@ -41,6 +43,18 @@ TILES_EACH = 2
 `tiles.KEPT_TILES` are prepared twice."""
 
 Advance = Callable[[int, int], None]
+ShowPart = Callable[[Callable[[], Any]], None]
+
+
+def show_nothing(load: Callable[[], Any]) -> None:
+    """Leave a part unseen.
+
+    Parameters
+    ----------
+    load : callable
+    """
+
+
 PartitionT = TypeVar("PartitionT")
 QuadricsT = TypeVar("QuadricsT")
 
@@ -57,11 +71,14 @@ class Resources:
         Of a tile at most, about.
     keeping : Keeping, optional
         Where finished tiles are kept.
+    show_part : callable
+        Told of each `MeshPart` as it comes, by what returns it (see `Progress.show_part`).
     """
 
     threads: int = 1
     tile_points: int | None = None
     keeping: Keeping | None = None
+    show_part: ShowPart = show_nothing
 
 
 class MethodSettings(Protocol):

@@ -6,7 +6,7 @@ fields, and `check_options` holds values from Python to the same ranges. Nothing
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import Field, dataclass, field, fields
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Protocol, get_args, get_type_hints
@@ -16,12 +16,15 @@ import click
 from hpccomponent.errors import UsageError
 
 __all__ = [
+    "WATCHED",
     "Options",
     "check_exclusive",
     "check_options",
     "make_click_options",
     "option",
     "option_names",
+    "typed_command",
+    "typed_options",
 ]
 
 _KEY = "option"
@@ -170,6 +173,59 @@ def make_click_options(settings: type[Options], prefix: str) -> Iterator[click.O
             metavar=None if asked.choices or kind is bool else "N" if kind is int else "F",
             help=f"{prefix}{asked.help}",
         )
+
+
+def typed_options(ctx: click.Context, without: Collection[str]) -> list[str]:
+    """Return the options that were typed, as they can be typed again.
+
+    Parameters
+    ----------
+    ctx : click.Context
+        Of a command.
+    without : collection of str
+        Names of parameters that are left out.
+
+    Returns
+    -------
+    list of str
+        Words of the command line.
+    """
+    words: list[str] = []
+    for parameter in ctx.command.params:
+        name = parameter.name or ""
+        is_typed = ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+        if not is_typed or name in without:
+            continue
+        value = ctx.params[name]
+        if name == "viewpoints":
+            for place in value:
+                words += [parameter.opts[-1], ",".join(map(repr, place))]
+        elif value is False:
+            words.append(parameter.secondary_opts[0])
+        else:
+            words += [parameter.opts[-1]] if value is True else [parameter.opts[-1], str(value)]
+    return words
+
+
+WATCHED = ("events", "trace", "dashboard")
+"""Options by which a job is watched."""
+
+
+def typed_command(ctx: click.Context) -> tuple[str, ...]:
+    """Return the command that was typed, to be typed again for the same mesh.
+
+    Parameters
+    ----------
+    ctx : click.Context
+        Of a command that reads points.
+
+    Returns
+    -------
+    tuple of str
+        Without what is written beside the mesh.
+    """
+    words = typed_options(ctx, ("points", "report", "png", *WATCHED, "as_json"))
+    return ("hpcapp", ctx.command.name or "", *ctx.params["points"], *words)
 
 
 def _click_type(

@@ -7,16 +7,22 @@ from typing import Any
 
 import click
 
+from hpcapp.applications.surface.options import typed_command, typed_options
 from hpcapp.backends.cluster_jobs import load_cluster_function
-from hpcapp.io import drop_unusable, read_points
+from hpcapp.io import MESH_SUFFIXES, drop_unusable, read_points
 from hpcapp.io.output import open_output
 from hpcapp.io.points.inputs import find_paths, gather_points
 from hpccomponent.errors import UsageError
 
 __all__ = ["OF_THIS_MACHINE", "check_points", "run_on_cluster"]
 
-OF_THIS_MACHINE = ("points", "sample", "output", "cluster", "events", "as_json")
+OF_THIS_MACHINE = ("points", "sample", "output", "cluster", "events", "report", "png", "as_json")
 """What options name here; on the head they are the job's own."""
+
+_FILES = {
+    "events": "its jobs keep their events by themselves",
+    "trace": "give it to 'hpcapp submit' behind --: it lies in the job's folder then",
+}
 
 
 def check_points(points: Path, sample: int | None = None) -> None:
@@ -59,35 +65,45 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
         Whatever went wrong, here or there.
     """
     names, cluster = ctx.params["points"], ctx.params["cluster"]
-    if ctx.params["events"] is not None:
-        raise UsageError(
-            "--events means nothing to a cluster file", "its jobs keep their events by themselves"
-        )
+    for name, instead in _FILES.items():
+        if ctx.params[name] is not None:
+            raise UsageError(f"--{name} means nothing to a cluster file", instead)
     run = load_cluster_function("run")
     files = find_paths(names)
+    _check_shown(ctx)
     with (
         open_output(ctx.params["output"], files) as target,
         gather_points(names, ctx.params["sample"], goes_elsewhere=True) as points,
     ):
         check_points(points)
-        report: dict[str, Any] = run(cluster, "reconstruct", points, target, _typed_options(ctx))
+        words = typed_options(ctx, OF_THIS_MACHINE)
+        report: dict[str, Any] = run(cluster, "reconstruct", points, target, words)
+        report["command"] = list(typed_command(ctx))  # the head has typed its own
+        _show(ctx, report, target, points)
     return report
 
 
-def _typed_options(ctx: click.Context) -> list[str]:
-    """Return the options that were typed, but for those that name what is on this machine."""
-    words: list[str] = []
-    for parameter in ctx.command.params:
-        name = parameter.name or ""
-        is_typed = ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-        if not is_typed or name in OF_THIS_MACHINE:
-            continue
-        value = ctx.params[name]
-        if name == "viewpoints":
-            for place in value:
-                words += [parameter.opts[-1], ",".join(map(repr, place))]
-        elif value is False:
-            words.append(parameter.secondary_opts[0])
-        else:
-            words += [parameter.opts[-1]] if value is True else [parameter.opts[-1], str(value)]
-    return words
+def _check_shown(ctx: click.Context) -> None:
+    """Refuse a page or a picture of a mesh that could not be read again here."""
+    suffix = Path(ctx.params["output"]).suffix.lower()
+    for name in ("report", "png"):
+        if ctx.params[name] is not None and suffix not in ("", *MESH_SUFFIXES):
+            raise UsageError(
+                f"--{name} of a {suffix} that a cluster makes: it is not read here",
+                f"write {', '.join(MESH_SUFFIXES)}, or give --{name} to 'hpcapp submit' behind --",
+            )
+
+
+def _show(ctx: click.Context, report: dict[str, Any], mesh: Path, points: Path) -> None:
+    """Write the page and the picture of a mesh that has been fetched."""
+    page, png = ctx.params["report"], ctx.params["png"]
+    if page is None and png is None:
+        return
+    from hpcapp.applications.surface.report_page import show_files, write_job_page
+    from hpcapp.pages.picture import write_picture
+
+    shown = show_files(mesh, points)
+    if png is not None:
+        write_picture(png, shown.mesh)
+    if page is not None:
+        write_job_page(page, shown, report, Path(ctx.params["output"]).name)

@@ -113,11 +113,18 @@ class JobSettings(Settings):
         The mesh to write; ``-`` for standard output.
     inputs : tuple of Path
         The files that the user named, where `points` is made of them.
+    report, png : Path or None
+        The page and the picture to write beside the mesh.
+    command : tuple of str
+        What the user typed, to be typed again.
     """
 
     points: Path
     output: str
     inputs: tuple[Path, ...] = ()
+    report: Path | None = None
+    png: Path | None = None
+    command: tuple[str, ...] = ()
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -100,7 +100,8 @@ def run_memory(
     cloud = loaded.cloud
     grid = choose_grid(settings, cloud.low, cloud.high)
     check_memory(settings.method, grid, cloud.points)
-    with opener.open(Job(len(cloud), grid), executor) as (backend, choice):
+    with opener.open(Job(len(cloud), grid), executor) as (opened, choice):
+        backend = opened.record(clock.timeline)
         if keeping and keeping.holds_files and not all_see_folder(Path(keeping.where), backend):
             keeping = replace(keeping, is_shared=False)
         yield run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
@@ -136,7 +137,9 @@ def run_loaded(
     workforce, cloud = backend.workforce, loaded.cloud
     threads = choose_threads(workforce, len(cloud))
     tile_points = choose_tile(settings, backend)
-    method = settings.method.open(grid, Resources(threads, tile_points, keeping))
+    method = settings.method.open(
+        grid, Resources(threads, tile_points, keeping, clock.progress.show_part)
+    )
     log.info(
         "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
         settings.method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -44,7 +44,7 @@ from hpccomponent.surface.tasks.shared_ply import write_kept, write_part
 from hpccomponent.surface.tasks.tile_ply import write_kept_tile
 from hpccomponent.surface.types.lattice import number_keys
 from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray
+from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["PartSurface", "Surface", "WholeSurface", "simplify_surface"]
 
@@ -74,6 +74,18 @@ class Surface(Protocol):
         -------
         float
         """
+        ...
+
+    def stream(self) -> MeshStream:
+        """Return it block by block, as it may not fit into memory."""
+        ...
+
+    def owners(self) -> IntArray | None:
+        """Return which part each vertex is from, shape (v,); None where there are no parts."""
+        ...
+
+    def makers(self) -> list[str]:
+        """Return the worker that made each part; empty where it is not known of all."""
         ...
 
     def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
@@ -143,6 +155,18 @@ class WholeSurface:
         """
         return _count_outside(self.whole.vertices, low, high) / max(1, len(self.whole.vertices))
 
+    def stream(self) -> MeshStream:
+        """Return it block by block."""
+        return as_stream(self.whole)
+
+    def owners(self) -> IntArray | None:
+        """Return None: there are no parts."""
+        return None
+
+    def makers(self) -> list[str]:
+        """Return nothing: there are no parts."""
+        return []
+
     def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
         """Return all of it; see `Surface.mesh`."""
         return carrying.to_mesh(self.whole)
@@ -181,12 +205,15 @@ class PartSurface:
         Of the local frame that the parts' vertices are in.
     keeping : Keeping, optional
         Where parts are kept.
+    workers : list of str or None
+        Who made each part, where that is known.
     """
 
     parts: list[MeshPart | str]
     summaries: list[PartSummary]
     origin: FloatArray
     keeping: Keeping | None = None
+    workers: list[str | None] = field(default_factory=list)
     _plan: WeldPlan | None = None
     _topology: Deferred[Topology] | None = None
 
@@ -245,6 +272,20 @@ class PartSurface:
         mesh = stream_mesh(self.plan, self.load, self.origin)  # a part has more than it gives
         outside = sum(_count_outside(block.positions, low, high) for block in mesh.vertices())
         return outside / max(1, mesh.vertex_count)
+
+    def stream(self) -> MeshStream:
+        """Return it block by block."""
+        return stream_mesh(self.plan, self.load, self.origin)
+
+    def owners(self) -> IntArray | None:
+        """Return which part each vertex is from, shape (v,), in the order of `stream`."""
+        parts = self.plan.bricks.part_of(self.plan.bricks.taken).astype(np.int32)
+        return np.repeat(parts, np.diff(self.plan.vertex_starts))
+
+    def makers(self) -> list[str]:
+        """Return the worker that made each part; empty where it is not known of all."""
+        known = [name for name in self.workers if name is not None]
+        return known if len(known) == len(self.parts) else []
 
     def mesh(self, carrying: Carrying = NOTHING) -> Mesh:
         """Return all of it; see `Surface.mesh`."""

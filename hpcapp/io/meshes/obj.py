@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from hpccomponent.errors import InputError
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray
 
-__all__ = ["coordinate_format", "read_obj", "write_obj"]
+__all__ = ["coordinate_format", "holds_obj_faces", "read_obj", "write_obj"]
 
 
 def read_obj(path: Path) -> Mesh:
@@ -29,6 +30,7 @@ def read_obj(path: Path) -> Mesh:
     Returns
     -------
     Mesh
+        With colours, where each vertex has its own behind its coordinates, from 0 to 1.
 
     Raises
     ------
@@ -38,6 +40,7 @@ def read_obj(path: Path) -> Mesh:
         The file cannot be read.
     """
     vertex_lines: list[Line] = []
+    colour_lines: list[Line] = []
     lengths: list[int] = []
     corners: list[int] = []
     with path.open(encoding="utf-8-sig", errors="replace") as file:
@@ -45,6 +48,8 @@ def read_obj(path: Path) -> Mesh:
             keyword, *words = line[1].split()
             if keyword == "v":
                 vertex_lines.append((line[0], " ".join(words[:3])))  # w or a colour may follow
+                if len(words) >= 6:
+                    colour_lines.append((line[0], " ".join(words[3:6])))
             elif keyword == "f":
                 lengths.append(len(words))
                 corners += _corners(words, len(vertex_lines), line, path)
@@ -54,7 +59,31 @@ def read_obj(path: Path) -> Mesh:
         )
     vertices = parse_table(iter(vertex_lines), 3, path)
     polygons = Ragged(np.array(lengths, np.int64), np.array(corners, np.int64))
-    return mesh_of_polygons(vertices, polygons, path)
+    mesh = mesh_of_polygons(vertices, polygons, path)
+    if len(colour_lines) < len(vertex_lines):
+        return mesh
+    shares = np.clip(np.nan_to_num(parse_table(iter(colour_lines), 3, path)), 0.0, 1.0)
+    return replace(mesh, colours=np.rint(255.0 * shares).astype(np.uint8))
+
+
+def holds_obj_faces(path: Path) -> bool:
+    """Tell whether an OBJ file has faces.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    """
+    with path.open("rb") as file:
+        return any(line.startswith((b"f ", b"f\t")) for line in file)
 
 
 def _corners(words: list[str], vertices: int, line: Line, path: Path) -> list[int]:

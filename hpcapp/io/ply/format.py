@@ -43,10 +43,34 @@ from hpccomponent.surface.tasks.shared_ply import (
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
-__all__ = ["read_ply_mesh", "shared_ply", "write_ply_mesh", "write_ply_points"]
+__all__ = ["holds_ply_faces", "read_ply_mesh", "shared_ply", "write_ply_mesh", "write_ply_points"]
 
 _ROWS_AT_ONCE = 1 << 16
 _MOST_VERTICES = 2**31 - 1
+
+
+def holds_ply_faces(path: Path) -> bool:
+    """Tell whether a PLY file has faces.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+
+    Raises
+    ------
+    InputError
+        The header is damaged.
+    OSError
+        The file cannot be read.
+    """
+    header = read_header(path)
+    if find_polygons(header) is None:
+        return False
+    return any(one.name == "face" and one.count > 0 for one in header.elements)
 
 
 def read_ply_mesh(path: Path) -> Mesh:

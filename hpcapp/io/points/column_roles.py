@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hpccomponent.surface.types.points import FloatArray
+from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = [
     "AXES",
@@ -148,3 +148,28 @@ def _lengths(vectors: FloatArray) -> FloatArray:
     with np.errstate(over="ignore", under="ignore"):
         lengths: FloatArray = np.linalg.norm(vectors, axis=1)
     return lengths
+
+
+def tell_use(name: str, cloud: PointCloud) -> str:
+    """Say as what a column was taken.
+
+    Parameters
+    ----------
+    name : str
+        Of the column, in the file.
+    cloud : PointCloud
+        What was read from the file.
+
+    Returns
+    -------
+    str
+        ``position``, ``normal``, ``colour``, ``attribute`` or ``left out``.
+    """
+    role = find_role(name)
+    if role in AXES:
+        return "position"
+    if role in NORMALS and cloud.normals is not None:
+        return "normal"
+    if role in COLOURS and cloud.colours is not None:
+        return "colour"
+    return "attribute" if role in cloud.attributes or name in cloud.attributes else "left out"

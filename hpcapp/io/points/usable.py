@@ -21,6 +21,7 @@ __all__ = [
     "refuse_degenerate",
     "refuse_line",
     "refuse_too_few",
+    "take_finite",
 ]
 
 log = logging.getLogger("hpcapp")
@@ -206,3 +207,27 @@ def _is_line(parts: Parts) -> bool:
         squares += np.einsum("ij,ik->jk", centred, centred)
     least, most = np.linalg.eigvalsh(squares)[1:]
     return bool(least <= _FLATTEST**2 * most)
+
+
+def take_finite(cloud: PointCloud, source: str) -> PointCloud:
+    """Leave out the points that have no place: for what is looked at and not reconstructed.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+    source : str
+        The file, for the message.
+
+    Returns
+    -------
+    PointCloud
+
+    Raises
+    ------
+    InputError
+        There is no other.
+    """
+    finite = np.logical_and.reduce(np.isfinite(cloud.positions), axis=1)
+    if not finite.any():
+        raise InputError(f"{source}: no point has a finite place", "check how it was exported")
+    return cloud if finite.all() else cloud.take(finite)

@@ -22,12 +22,13 @@ import numpy as np
 from hpccomponent.cutting import cut_equal
 from hpccomponent.surface import kernels
 from hpccomponent.surface.fitting.cell_points import SortedPoints
+from hpccomponent.surface.fitting.features import find_features, join_features
 from hpccomponent.surface.fitting.pyramid import Level, Parents, Pyramid, VertexQuadrics, fit_levels
 from hpccomponent.surface.fitting.support import crowd_vertices
 from hpccomponent.surface.fitting.weights import Weights, trust_vertices
 from hpccomponent.surface.kernels import BASIS
 from hpccomponent.surface.kernels.parallel import run_batches
-from hpccomponent.surface.types.field import FarField, Field, FieldLevel
+from hpccomponent.surface.types.field import FarField, Features, Field, FieldLevel
 from hpccomponent.surface.types.grid import BRICK, Grid
 from hpccomponent.surface.types.lattice import find_layers, unique_keys, unpack_keys
 from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
@@ -147,8 +148,9 @@ class SlabFields:
         low, high = int(np.floor(places[0])), int(np.floor(places[1])) + 1
         vertices = pyramid.vertices[0]
         part = replace(pyramid, vertices=[vertices[find_layers(vertices, low, high)]])
-        finest = _fit_finest(part, self.weights, self.parents, self.far, self.threads)
-        return Field(pyramid.origin, pyramid.cell_size, (finest, *self.above), self.far)
+        finest, features = _fit_finest(part, self.weights, self.parents, self.far, self.threads)
+        levels = (finest, *self.above)
+        return Field(pyramid.origin, pyramid.cell_size, levels, self.far, features)
 
 
 def _fit_finest(
@@ -157,7 +159,7 @@ def _fit_finest(
     parents: Parents | None,
     far: FarField,
     threads: int = 1,
-) -> FieldLevel:
+) -> tuple[FieldLevel, Features]:
     """Fit the finest level, some layers of vertices at a time.
 
     Parameters
@@ -176,6 +178,7 @@ def _fit_finest(
     vertices = pyramid.vertices[0]
     coefficients = np.empty((len(vertices), BASIS), np.float32)
     trust = np.empty(len(vertices), np.float32)
+    features: list[Features] = []
     for first, end in pairwise(_cut_layers(vertices)):
         low, high = unpack_keys(vertices[[first, end - 1]])[:, 0].tolist()
         finest = pyramid.levels[0]
@@ -189,7 +192,9 @@ def _fit_finest(
         (found,) = find_trust(part, quadrics, far, threads)
         coefficients[first:end] = found.coefficients
         trust[first:end] = found.trust
-    return FieldLevel(vertices, coefficients, trust)
+        of_run = vertices[first:end], quadrics[0].counts, weights[0].noise
+        features.append(find_features(*of_run, finest.cells, points, threads))
+    return FieldLevel(vertices, coefficients, trust), join_features(features)
 
 
 def find_trust(

@@ -7,12 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpccomponent.protocol.records import record
-from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
+from hpccomponent.surface.types.points import ByteArray, Float32Array, FloatArray, IntArray
 
-__all__ = ["CHANNELS", "FarField", "Field", "FieldLevel"]
+__all__ = ["CHANNELS", "PIECES", "FarField", "Features", "Field", "FieldLevel"]
 
 CHANNELS = 12
 """Ten coefficients, presence and trust of a vertex."""
+
+
+PIECES = 3
+"""Quadrics of a vertex at an edge or a corner."""
 
 
 @record("surface.field_level")
@@ -47,6 +51,26 @@ class FieldLevel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """Those vertices of the finest lattice around which the surface has an edge or a corner.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+        Sorted, each a vertex of the lattice.
+    pieces : ndarray of float32, shape (k, 3, 10)
+        The quadrics of the smooth pieces, in cells; of an edge, the second one stands twice.
+    joints : ndarray of uint8, shape (k,)
+        How they are joined: f = outer(p0, inner(p1, p2)). Bit 0: outer is min, else max; bit 1:
+        inner is min, else max. Of convex edges it is max, positive values lie outside.
+    """
+
+    keys: IntArray
+    pieces: Float32Array
+    joints: ByteArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Field:
     """All that the implicit function is made of.
 
@@ -59,12 +83,15 @@ class Field:
     levels : tuple of FieldLevel
         Finest first; the cells of each are twice as large as those of the one before.
     far : FarField
+    features : Features, optional
+        Vertices of the finest level whose joined quadrics take the place of their own one.
     """
 
     origin: FloatArray
     cell_size: float
     levels: tuple[FieldLevel, ...]
     far: FarField
+    features: Features | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import os
+import platform
 import threading
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor, as_completed
@@ -12,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.backends.calls import align, run_task
+from hpcapp.backends.calls import Ran, align, run_task
 from hpcapp.backends.retrying import MOST_LOSSES, RetryingExecutor
 from hpcapp.workforce import Workforce, map_batches
 from hpccomponent.errors import JobError, WorkerLostError
@@ -251,7 +253,10 @@ def test_as_many_workers_as_the_engine_tells(engines: Engines) -> None:
 
 
 def test_a_worker_with_other_kernels_refuses() -> None:
-    assert run_task(numerics_id(), pow, 2, 3) == 8
+    ran = run_task(numerics_id(), pow, 2, 3)
+    assert ran.value == 8
+    assert ran.worker.startswith(f"{platform.node()}:{os.getpid()}")
+    assert ran.seconds >= 0.0
     with pytest.raises(JobError, match=r"computes with .*, the master with native-other"):
         run_task("native-other", pow, 2, 3)
 
@@ -280,6 +285,6 @@ def test_tasks_get_and_give_aligned_arrays(executor: RetryingExecutor, engines: 
     odd = unaligned(np.arange(9.0))
     future = executor.submit(np.positive, odd)
     inner, function, arguments = engines.opened[0].waiting[0]
-    assert function(*arguments).flags.aligned
-    inner.set_result(odd)
+    assert function(*arguments).value.flags.aligned
+    inner.set_result(Ran(odd, "worker", 0.0))
     assert future.result(60).flags.aligned

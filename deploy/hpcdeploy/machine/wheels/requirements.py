@@ -110,16 +110,19 @@ def needs_of(
     local = [path for text in spec.env.packages if (path := base / text).is_file()]
     named = [text for text in spec.env.packages if not (base / text).is_file()]
     wanted = [*(text for text in _bounds() if is_head or _name(text) in WORKER_NEEDS), *named]
+    page = [*_bounds("dashboard")] if is_head else []
     own = [package] if isinstance(package, Path) else []
     pip = _bundled_pip()
     if spec.env.wheelhouse is None:
         later = tuple(path.name for path in local)
-        requirements = (*map(_pinned, wanted), *later)
+        requirements = (*map(_pinned, [*wanted, *page]), *later)
         bare = own[0].name if own else str(package)
         return Needs((*pip, *own, *local), requirements, (bare,), is_offline=False), ()
     places = [base / expand_home(spec.env.wheelhouse), *local]
     wanted += [text for path in local for text in read_requirements(path)]
-    chosen = select_wheels(places, wanted, kind)
+    chosen = select_wheels(places, [*wanted, *page], kind)
+    if chosen.missing and page:  # a head does its work without: its jobs show no page then
+        chosen = select_wheels(places, wanted, kind)
     named_package = [] if own else [str(package)]
     release = select_wheels(places, named_package, kind, is_deep=False)
     wheels = tuple(dict.fromkeys((*chosen.wheels, *local, *release.wheels, *own)))
@@ -199,11 +202,14 @@ def missing_wheels(spec: ClusterSpec, base: Path, kind: Kind, *, is_head: bool) 
     return needs_of(spec, base, package, kind, is_head=is_head)[1]
 
 
-def _bounds() -> Iterator[str]:
-    """Yield what this release requires, extras left out."""
+def _bounds(extra: str = "") -> Iterator[str]:
+    """Yield what this release requires, or what one of its extras does besides."""
     for text in distribution(DISTRIBUTION).requires or ():
-        if "extra ==" not in text:
+        bound, _, marker = text.partition(";")
+        if not extra and "extra ==" not in marker:
             yield text
+        elif extra and f'extra == "{extra}"' in marker.replace("'", '"'):
+            yield bound.strip()
 
 
 def _pinned(text: str) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.hierarchical.coarse import Coarse
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
-from hpcapp.applications.surface.method import Advance
+from hpcapp.applications.surface.method import Advance, ShowPart, show_nothing
 from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import JobError
@@ -39,8 +39,15 @@ Found = tuple[MeshPart | None, PartSummary, IntArray]
 class _Regions:
     """Runs the tasks of a job, and gathers what they give."""
 
-    def __init__(self, workforce: Workforce, origin: FloatArray, keeping: Keeping | None) -> None:
+    def __init__(
+        self,
+        workforce: Workforce,
+        origin: FloatArray,
+        keeping: Keeping | None,
+        show_part: ShowPart,
+    ) -> None:
         self._workforce = workforce
+        self._show_part = show_part
         self._keeping = keeping
         self._exits: list[IntArray] = []
         self.surface = PartSurface([], [], origin, keeping)
@@ -73,17 +80,22 @@ class _Regions:
                 kept = self._keeping.find(name) if self._keeping else None
                 if kept is not None:
                     found[index] = (None, *kept[1:])
+                    self._show(name, None)
                     advance(len(found), count)
                     continue
                 started.append(index)
                 yield *arguments, self._keep(name)
 
         at_once = self._workforce.workers * (1 if self._workforce.in_process else 2)
-        for batch, result in stream_batches(self._workforce, task, batches(), at_once):
-            found[started[batch]] = self._put(names[started[batch]], result)
+        makers: dict[int, str | None] = {}
+        for batch, result in stream_batches(self._workforce, task, batches(), at_once, makers):
+            name = names[started[batch]]
+            found[started[batch]] = self._put(name, result)
+            self._show(name, found[started[batch]][0])
             advance(len(found), count)
+        workers = {started[batch]: worker for batch, worker in makers.items()}
         for index, name in enumerate(names):
-            self._take(name, found[index])
+            self._take(name, found[index], workers.get(index))
 
     def left(self) -> IntArray:
         """Return the bricks that the surface leaves for, and that no part has."""
@@ -104,8 +116,17 @@ class _Regions:
         self._keeping.store.put(name, result)
         return None, *result[1:]
 
-    def _take(self, name: str, result: Found) -> None:
+    def _show(self, name: str, part: MeshPart | None) -> None:
+        """Announce a part, which is here or kept under its name."""
+        if part is not None:
+            self._show_part(lambda: part)
+        elif self._keeping is not None:
+            store = self._keeping.store
+            self._show_part(lambda: store.get(name)[0])
+
+    def _take(self, name: str, result: Found, worker: str | None) -> None:
         part, summary, exits = result
+        self.surface.workers.append(worker)
         self.surface.parts.append(name if part is None else part)
         self.surface.summaries.append(summary)
         self._exits.append(exits)
@@ -118,6 +139,7 @@ def mesh_regions(
     advance: Advance,
     origin: FloatArray,
     keeping: Keeping | None = None,
+    show_part: ShowPart = show_nothing,
 ) -> PartSurface:
     """Reconstruct the surface inside all tiles.
 
@@ -132,6 +154,8 @@ def mesh_regions(
         Of the cloud's local frame.
     keeping : Keeping, optional
         Where finished tiles are kept; by default they come back to this process.
+    show_part : callable
+        Told of each part as it comes; see `Resources`.
 
     Returns
     -------
@@ -144,7 +168,7 @@ def mesh_regions(
         The surface still grows after more rounds than any needs.
     """
     plan = coarse.plan
-    regions = _Regions(workforce, origin, keeping)
+    regions = _Regions(workforce, origin, keeping, show_part)
 
     def tiles() -> Iterator[tuple[str, tuple[Any, ...]]]:
         for index in range(len(tiling)):

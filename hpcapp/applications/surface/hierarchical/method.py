@@ -21,7 +21,15 @@ from hpcapp.applications.surface.hierarchical.estimates import Scale, choose_sca
 from hpcapp.applications.surface.hierarchical.growth import mesh_regions
 from hpcapp.applications.surface.hierarchical.slabs import mesh_slabs
 from hpcapp.applications.surface.hierarchical.tiles import Tiling
-from hpcapp.applications.surface.method import LARGE_TILE, MARGIN, TILE_POINTS, TILES_EACH, Advance
+from hpcapp.applications.surface.method import (
+    LARGE_TILE,
+    MARGIN,
+    TILE_POINTS,
+    TILES_EACH,
+    Advance,
+    ShowPart,
+    show_nothing,
+)
 from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
@@ -83,6 +91,8 @@ class HierarchicalMethod:
         one tile where tasks run in this process.
     keeping : Keeping, optional
         Where finished tiles are kept; by default they come back to this process.
+    show_part : callable
+        Told of each part of the mesh as it comes; see `Resources`.
 
     Raises
     ------
@@ -98,6 +108,7 @@ class HierarchicalMethod:
         threads: int = 1,
         tile_points: int | None = None,
         keeping: Keeping | None = None,
+        show_part: ShowPart = show_nothing,
     ) -> None:
         if grid < _LEAST_GRID:
             raise UsageError(
@@ -112,6 +123,7 @@ class HierarchicalMethod:
         self.threads = threads
         self.tile_points = tile_points
         self.keeping = keeping
+        self.show_part = show_part
 
     def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> HierarchicalPartition:
         """Find spacing, noise and cell size, and cut the cloud into tiles.
@@ -224,11 +236,19 @@ class HierarchicalMethod:
         origin = partition.cloud.origin
         if partition.tiling is None:
             points = self._read_points(partition.cloud)
-            surface, partition.patches = mesh_slabs(points, partition.plan, self.threads, advance)
+            surface, partition.patches = mesh_slabs(
+                points, partition.plan, self.threads, advance, self.show_part
+            )
         else:
             assert quadrics is not None  # noqa: S101 - tiles have coarse quadrics
             surface = mesh_regions(
-                partition.tiling, quadrics, workforce, advance, origin, self.keeping
+                partition.tiling,
+                quadrics,
+                workforce,
+                advance,
+                origin,
+                self.keeping,
+                self.show_part,
             )
         if not surface.plan.face_count:
             raise InputError(

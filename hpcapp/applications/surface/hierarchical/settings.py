@@ -101,4 +101,5 @@ class Hierarchical:
             resources.threads,
             resources.tile_points,
             resources.keeping,
+            resources.show_part,
         )

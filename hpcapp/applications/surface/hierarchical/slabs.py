@@ -7,7 +7,9 @@
 
 from __future__ import annotations
 
-from hpcapp.applications.surface.method import Advance
+from functools import partial
+
+from hpcapp.applications.surface.method import Advance, ShowPart, show_nothing
 from hpcapp.applications.surface.surface import PartSurface
 from hpccomponent.surface.extraction.summary import summarize_part
 from hpccomponent.surface.fitting.levels import SlabFields, fit_above
@@ -22,7 +24,11 @@ __all__ = ["mesh_slabs"]
 
 
 def mesh_slabs(
-    cloud: PointCloud, plan: Plan, threads: int, advance: Advance
+    cloud: PointCloud,
+    plan: Plan,
+    threads: int,
+    advance: Advance,
+    show_part: ShowPart = show_nothing,
 ) -> tuple[PartSurface, int]:
     """Reconstruct the surface of a cloud.
 
@@ -35,6 +41,8 @@ def mesh_slabs(
         The result does not depend on it.
     advance : callable
         Told (slabs done, slabs in all).
+    show_part : callable
+        Told of each part as it comes; see `Resources`.
 
     Returns
     -------
@@ -55,6 +63,7 @@ def mesh_slabs(
     for part, _ in grow_slabs(fields, kinds, bounds):
         surface.parts.append(part)
         surface.summaries.append(summarize_part(part))
+        show_part(partial(surface.load, len(surface.parts) - 1))
         advance(min(len(surface.parts), slabs), slabs)  # one without points has no part
     advance(slabs, slabs)
     return surface, patches

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.method import Advance
+from hpcapp.applications.surface.method import Advance, ShowPart, show_nothing
 from hpcapp.applications.surface.paper.indicator_blend import (
     plan_grid,
     sample_indicator_blend,
@@ -91,6 +91,8 @@ class PaperMethod:
         Which constraint the fit obeys; see `fit_patches`.
     grid : int
         Cells along the longest side.
+    show_part : callable
+        Told of the mesh; see `Resources`.
 
     Raises
     ------
@@ -105,6 +107,7 @@ class PaperMethod:
     patches: int | None = None
     norm: str = "consistent"
     grid: int = 64
+    show_part: ShowPart = show_nothing
 
     def __post_init__(self) -> None:
         SplitRule(self.delta, self.cone, self.max_points)
@@ -208,7 +211,9 @@ class PaperMethod:
         nodes = plan_grid(partition.patches, self.grid)
         values = sample_indicator_blend(partition.patches, quadrics, nodes, advance)
         settle_zeros(values)
-        return WholeSurface(extract_iso_surface(values, nodes, partition.points.origin))
+        mesh = extract_iso_surface(values, nodes, partition.points.origin)
+        self.show_part(lambda: mesh)
+        return WholeSurface(mesh)
 
     def facts(self, partition: PaperPartition) -> dict[str, Any]:
         """Return the number of patches, the rule that made them, and the fit's residuals.

@@ -100,13 +100,12 @@ class Paper:
         grid : int
             Cells along the longest side, margins included.
         resources : Resources
-            Not needed.
+            The mesh is its only part.
 
         Returns
         -------
         PaperMethod
         """
-        del resources
         from hpcapp.applications.surface.paper.method import PaperMethod
 
         return PaperMethod(
@@ -116,4 +115,5 @@ class Paper:
             patches=self.patches,
             norm=self.norm,
             grid=grid - 2 * MARGIN,
+            show_part=resources.show_part,
         )

@@ -27,7 +27,7 @@ from hpccomponent.surface.types.points import (
 __all__ = [
     "accumulate_moments", "balance_vertices", "bound_free_memory", "bound_points",
     "corner_moments", "count_boxes", "count_cells", "count_packed", "evaluate_bricks",
-    "evaluate_residuals", "find_keys", "find_seams", "fit_corners", "gather_points",
+    "evaluate_residuals", "find_keys", "find_seams", "fit_corners", "fit_features", "gather_points",
     "grow_surface", "inherit_level", "integrate_normals", "keep_memory", "label_cells",
     "label_components", "look_near", "mark_ancestors", "mark_near", "merge_cells", "pack_records",
     "parent_keys", "place_packed", "poll_normals", "rate_points", "sample_boxes",
@@ -221,6 +221,22 @@ def fit_corners(
     result: tuple[Float32Array, Float32Array, Float32Array, Float32Array] = _native.fit_corners(
         *keys, *values, *weights, threads
     )
+    return result
+
+
+def fit_features(
+    vertices: IntArray,
+    cells: IntArray,
+    offsets: IntArray,
+    local_positions: FloatArray,
+    normals: FloatArray,
+    noise: float,
+    threads: int = 1,
+) -> tuple[Float32Array, ByteArray]:
+    """Fit joined quadrics around vertices (a task)."""
+    keys = (_integers(vertices), _integers(cells), _integers(offsets))
+    points = (_floats(local_positions), _floats(normals))
+    result: tuple[Float32Array, ByteArray] = _native.fit_features(*keys, *points, noise, threads)
     return result
 
 
@@ -505,14 +521,16 @@ def bound_free_memory(most_bytes: int) -> None:
 
 
 def _field_values(field: Field) -> tuple[Any, ...]:
-    """Return a field as the six values that the extension takes."""
+    """Return a field as the seven values that the extension takes."""
     far = field.far
     levels = tuple(
         (_integers(level.keys), _singles(level.coefficients), _singles(level.trust))
         for level in field.levels
     )
     near = (_floats(field.origin), field.cell_size, levels)
-    return (*near, far.values, _floats(far.origin), far.step)
+    found = field.features
+    features = () if found is None else (found.keys, found.pieces, found.joints)
+    return (*near, far.values, _floats(far.origin), far.step, features)
 
 
 def _grid_values(grid: Grid) -> tuple[Any, ...]:

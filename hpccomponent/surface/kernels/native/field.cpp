@@ -9,6 +9,7 @@
 #include <algorithm>
 
 #include "families.h"
+#include "features.h"
 #include "layers.h"
 #include "threads.h"
 #include "transpose.h"
@@ -254,6 +255,16 @@ std::vector<FieldLevel> take_levels(const nb::tuple& levels_of) {
   return levels;
 }
 
+Features take_features(const nb::tuple& arguments) {
+  if (arguments.size() == 0) return {nullptr, 0, nullptr, nullptr};
+  if (arguments.size() != 3) refuse("features: expected keys, pieces and joints");
+  const Input keys = nb::cast<Input>(arguments[0]);
+  const int64_t* sorted = check_keys(keys, "keys");
+  const int64_t count = rows_of(keys);
+  return {sorted, count, check<float>(nb::cast<Input>(arguments[1]), "pieces", {count, PIECES, QUADRIC}),
+          check<uint8_t>(nb::cast<Input>(arguments[2]), "joints", {count})};
+}
+
 void round_values(const Real* total, float* values) {
   for (int x = 0; x < NODES; ++x)
     for (int i = 0; i < NODES * NODES; ++i) {
@@ -273,7 +284,7 @@ Grid take_grid(const Input& origin, double step, const Input& bricks) {
 }
 
 Field take_field(const nb::tuple& arguments, const Grid& grid) {
-  if (arguments.size() != 6) refuse("field: expected six values");
+  if (arguments.size() != 7) refuse("field: expected seven values");
   const auto array = [&](size_t i) { return nb::cast<Input>(arguments[i]); };
   const Input far = array(3);
   const int64_t side = far.ndim() == 3 ? rows_of(far) : 0;
@@ -281,7 +292,8 @@ Field take_field(const nb::tuple& arguments, const Grid& grid) {
   const Field field{check<double>(array(0), "origin", {3}), nb::cast<double>(arguments[1]),
                     take_levels(nb::cast<nb::tuple>(arguments[2])),
                     check<float>(far, "far", {side, side, side}), side,
-                    check<double>(array(4), "far origin", {3}), nb::cast<double>(arguments[5])};
+                    check<double>(array(4), "far origin", {3}), nb::cast<double>(arguments[5]),
+                    take_features(nb::cast<nb::tuple>(arguments[6]))};
   check_positive(field.cell_size, "cell_size");
   check_positive(field.far_step, "far step");
   check_finite(field.origin, 3, "origin");
@@ -298,9 +310,11 @@ Field take_field(const nb::tuple& arguments, const Grid& grid) {
 }
 
 BrickEvaluator::BrickEvaluator(const Field& field, const Grid& grid)
-    : field_(field), grid_(grid), scratch_(2 * NODES * PLANE) {
+    : field_(field), grid_(grid), features_(new FeatureBlend(field.features)), scratch_(2 * NODES * PLANE) {
   for (const FieldLevel& level : field.levels) fingers_.emplace_back(level.keys, level.vertices);
 }
+
+BrickEvaluator::~BrickEvaluator() = default;
 
 bool BrickEvaluator::add_level(const Place& brick, size_t depth) {
   const double scale = std::ldexp(1.0, static_cast<int>(depth));
@@ -319,6 +333,8 @@ bool BrickEvaluator::add_level(const Place& brick, size_t depth) {
   Real* vertices = scratch_.data() + 2 * NODES * PLANE;
   if (!load_vertices(field_.levels[depth], fingers_[depth], axes, shape, vertices)) return true;
   collapse(vertices, vertices + raw, shape, axes, static_cast<Real>(scale), composite);
+  if (depth == 0 && features_->find(axes))
+    features_->add(axes, vertices, int64_t{1} * shape.y * lanes, lanes, composite.total, composite.rest, PLANE);
   for (int x = 0; x < NODES; ++x)
     for (int i = 0; i < NODES * NODES; ++i)
       if (composite.rest[x * PLANE + i] > 0) return true;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "arrays.h"
@@ -29,6 +30,14 @@ struct FieldLevel {
   const float *coefficients, *trust;
 };
 
+// Those vertices of the finest lattice that have three quadrics, joined by max or min.
+struct Features {
+  const int64_t* keys;
+  int64_t count;
+  const float* pieces;
+  const uint8_t* joints;
+};
+
 struct Field {
   const double* origin;
   double cell_size;
@@ -37,16 +46,20 @@ struct Field {
   int64_t far_nodes;
   const double* far_origin;
   double far_step;
+  Features features;
 };
 
-// What every call takes as (origin, step, bricks) and as six arguments.
+// What every call takes as (origin, step, bricks) and as seven arguments.
 Grid take_grid(const Input& origin, double step, const Input& bricks);
 Field take_field(const nb::tuple& arguments, const Grid& grid);
+
+class FeatureBlend;
 
 // Evaluates bricks, one after the other; each thread has its own.
 class BrickEvaluator {
  public:
   BrickEvaluator(const Field& field, const Grid& grid);
+  ~BrickEvaluator();
   // Write the values of all nodes, x slowest.
   void evaluate(const Place& brick, float* values);
 
@@ -57,6 +70,7 @@ class BrickEvaluator {
   const Field& field_;
   Grid grid_;
   std::vector<Finger> fingers_;
+  std::unique_ptr<FeatureBlend> features_;
   std::vector<Real> scratch_;
 };
 

@@ -22,4 +22,5 @@ NB_MODULE(_native, module) {
   hpc::bind_robust(module);
   hpc::bind_seams(module);
   hpc::bind_balance(module);
+  hpc::bind_features(module);
 }

@@ -30,6 +30,7 @@ from hpccomponent.surface.kernels.portable.counting import (
     sample_boxes,
     sum_neighbours,
 )
+from hpccomponent.surface.kernels.portable.features import fit_features
 from hpccomponent.surface.kernels.portable.field import evaluate_bricks
 from hpccomponent.surface.kernels.portable.halo import look_near, mark_near
 from hpccomponent.surface.kernels.portable.hermite import evaluate_residuals
@@ -53,7 +54,7 @@ from hpccomponent.surface.kernels.portable.seams import find_seams, sum_bricks
 __all__ = [
     "accumulate_moments", "balance_vertices", "bound_free_memory", "bound_points",
     "corner_moments", "count_boxes", "count_cells", "count_packed", "evaluate_bricks",
-    "evaluate_residuals", "find_keys", "find_seams", "fit_corners", "gather_points",
+    "evaluate_residuals", "find_keys", "find_seams", "fit_corners", "fit_features", "gather_points",
     "grow_surface", "inherit_level", "integrate_normals", "keep_memory", "label_cells",
     "label_components", "look_near", "mark_ancestors", "mark_near", "merge_cells", "pack_records",
     "parent_keys", "place_packed", "poll_normals", "rate_points", "sample_boxes",

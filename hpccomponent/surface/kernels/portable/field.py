@@ -15,6 +15,7 @@ from hpccomponent.surface.kernels.portable.blending import (
     interpolate_far,
     needed_layers,
 )
+from hpccomponent.surface.kernels.portable.features import blend_features
 from hpccomponent.surface.types.field import Field
 from hpccomponent.surface.types.grid import BRICK, NODES, Grid
 from hpccomponent.surface.types.lattice import find_keys, pack_places
@@ -76,8 +77,12 @@ def _evaluate_chunk(
         lower, local = _locate(nodes, grid, field.origin, field.cell_size * scale)
         layers, lower = needed_layers(lower)
         corners = np.stack(np.broadcast_arrays(*cross_axes(layers)), axis=-1)
-        rows = find_keys(level.keys, pack_places(corners))
+        keys = pack_places(corners)
+        rows = find_keys(level.keys, keys)
         quadric, presence, trust = blend_quadrics(channels[depth], rows, lower, local)
+        if depth == 0 and field.features is not None:
+            given = channels[depth], rows, keys, lower, local
+            quadric += blend_features(field.features, *given)
         near = scale * quadric / np.where(presence > 0.0, presence, 1.0)
         total += rest * trust * near
         rest *= 1.0 - trust

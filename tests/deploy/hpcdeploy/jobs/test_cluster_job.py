@@ -8,6 +8,8 @@ import signal
 import socket
 import subprocess
 import sys
+import urllib.error
+import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -185,6 +187,33 @@ def test_a_job_outlives_the_client(cluster: Place, number: signal.Signals) -> No
         cluster.run("cancel", "cluster.yaml")
         _, errors = cluster.run("attach", "cluster.yaml", job["job"], code=1)
         assert f"hpcapp: job {job['job']} was cancelled" in errors
+
+
+@pytest.mark.slow
+def test_the_page_of_a_job_is_led_to(cluster: Place) -> None:
+    with cluster.held():
+        output, errors = cluster.run(
+            *SUBMIT, "m.ply", "--detach", "--dashboard", "--json", "--", *OPTIONS, *ON_WORKERS
+        )
+        job = json.loads(output)["job"]
+        assert f"hpcapp attach cluster.yaml {job} --dashboard" in errors
+        client = cluster.start("attach", "cluster.yaml", job, "--dashboard")
+        assert client.stderr is not None
+        line = next(line for line in client.stderr if line.startswith("dashboard: "))
+        address = line.split()[1]
+        with urllib.request.urlopen(address, timeout=60) as answer:  # noqa: S310 - loopback
+            assert b"m.ply" in answer.read()
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(address.partition("?")[0], timeout=60)  # noqa: S310
+    _, errors = client.communicate(timeout=200)
+    assert client.returncode == 0, errors
+
+
+@pytest.mark.slow
+def test_a_job_without_a_page_says_so(cluster: Place) -> None:
+    cluster.run(*SUBMIT, "m.ply", "--detach", "--", *OPTIONS)
+    _, errors = cluster.run("attach", "cluster.yaml", "--dashboard")
+    assert "submit it with --dashboard" in errors or "is done" in errors
 
 
 @pytest.mark.slow

@@ -8,16 +8,18 @@ import click
 import pytest
 from click.testing import CliRunner
 
+from hpcapp.applications.compare.command import compare
 from hpcapp.applications.points.command import convert, info
 from hpcapp.applications.simulate.command import simulate
 from hpcapp.applications.surface.command import reconstruct
 from hpcapp.applications.surface.job import JobSettings
 from hpcapp.applications.surface.methods import METHODS, find_method
-from hpcapp.applications.surface.options import option_names
+from hpcapp.applications.surface.options import WATCHED, option_names
+from hpcapp.applications.view.command import view
 from hpccomponent.errors import UsageError
 
 
-@pytest.mark.parametrize("command", [reconstruct, simulate, info, convert])
+@pytest.mark.parametrize("command", [reconstruct, simulate, info, convert, view, compare])
 def test_every_option_is_explained(command: click.Command) -> None:
     for parameter in command.params:
         if isinstance(parameter, click.Option):
@@ -27,9 +29,8 @@ def test_every_option_is_explained(command: click.Command) -> None:
 def test_every_setting_can_be_typed() -> None:
     typed = {parameter.name for parameter in reconstruct.params}
     own = {name for method in METHODS for name in option_names(find_method(method))}
-    assert typed == {*JobSettings.__dataclass_fields__, *own, "as_json", "events", "sample"} - {
-        "inputs"
-    }
+    settings = JobSettings.__dataclass_fields__.keys() - {"inputs", "command"}
+    assert typed == {*settings, *own, *WATCHED, "as_json", "sample"}
     assert not own & JobSettings.__dataclass_fields__.keys()
 
 

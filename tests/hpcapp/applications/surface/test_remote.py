@@ -137,3 +137,36 @@ def test_a_job_is_checked_with_its_options(
         check(sphere_file, str(packed))
     with pytest.raises(UsageError, match="--json is not for the job"):
         check(sphere_file, "--json")
+
+
+def test_the_page_of_a_fetched_mesh_is_made_here(
+    tmp_path: Path, sphere: PointCloud, sphere_file: Path, cluster: Cluster
+) -> None:
+    def run(
+        path: Path, verb: str, points: Path, target: Path, options: Sequence[str]
+    ) -> dict[str, Any]:
+        cluster.options = list(options)
+        corners = 0.5 * np.vstack([np.zeros(3), np.eye(3)])
+        write_mesh(target, Mesh(corners, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])))
+        return {"summary": "a tetrahedron", "spacing": 0.125, "command": ["of the head"]}
+
+    cluster.run = run  # type: ignore[method-assign]
+    page, png = tmp_path / "r.html", tmp_path / "r.png"
+    submit(tmp_path, sphere_file, "--grid", "32", "--report", page, "--png", png)
+    assert cluster.options == ["--grid", "32"]
+    shown = page.read_text()
+    assert "a tetrahedron" in shown
+    assert "0.125" in shown
+    assert "--cluster cluster.yaml" in shown
+    assert "of the head" not in shown
+    assert png.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_mesh_that_is_not_read_here_has_no_page_here(
+    tmp_path: Path, sphere_file: Path, cluster: Cluster
+) -> None:
+    words = [str(sphere_file), "-o", str(tmp_path / "m.tiles"), "--cluster", "cluster.yaml"]
+    words += ["--report", str(tmp_path / "r.html")]
+    with pytest.raises(UsageError, match="not read here"):
+        CliRunner().invoke(reconstruct, words, catch_exceptions=False)
+    assert cluster.options == []

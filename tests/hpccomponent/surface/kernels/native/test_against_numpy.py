@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
@@ -24,6 +25,7 @@ from hpccomponent.surface.kernels.portable import (
 from hpccomponent.surface.kernels.portable import marching_cubes as extraction
 from hpccomponent.surface.types import grid as grid_types
 from hpccomponent.surface.types import lattice
+from hpccomponent.surface.types.field import PIECES, Features
 from hpccomponent.surface.types.mesh import BrickMesh, Survey
 
 coordinates = arrays.arrays(
@@ -34,7 +36,9 @@ coordinates = arrays.arrays(
 def field_values(which: Any) -> tuple[Any, ...]:
     far = which.far
     levels = tuple((level.keys, level.coefficients, level.trust) for level in which.levels)
-    return which.origin, which.cell_size, levels, far.values, far.origin, far.step
+    found = which.features
+    features = () if found is None else (found.keys, found.pieces, found.joints)
+    return which.origin, which.cell_size, levels, far.values, far.origin, far.step, features
 
 
 def grid_values(which: Any) -> tuple[Any, ...]:
@@ -276,6 +280,44 @@ def test_bricks(native: ModuleType, any_ball: Any) -> None:
     expected = portable.evaluate_bricks(function, grid, places)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
     assert ((found < 0) == (expected < 0)).all()
+
+
+def test_bricks_with_edges(native: ModuleType, any_ball: Any) -> None:
+    function, grid = any_ball
+    rng = np.random.default_rng(8)
+    keys = function.levels[0].keys[::3].copy()
+    pieces = rng.normal(size=(len(keys), PIECES, 10)).astype(np.float32)
+    joints = (np.arange(len(keys)) % 4).astype(np.uint8)
+    edged = replace(function, features=Features(keys, pieces, joints))
+    places = np.array([[1, 1, 1], [0, 1, 1], [1, 0, 0]])
+    found = native.evaluate_bricks(field_values(edged), *grid_values(grid), places, 1)
+    expected = portable.evaluate_bricks(edged, grid, places)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
+    plain = native.evaluate_bricks(field_values(function), *grid_values(grid), places, 1)
+    assert np.abs(found - plain).max() > 0.1
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_joined_quadrics(native: ModuleType, noise: float) -> None:
+    """Around the edges of a box whose sides are some cells long."""
+    rng = np.random.default_rng(6)
+    positions = rng.uniform(-1.0, 1.0, size=(5000, 3))
+    rows, axis = np.arange(5000), rng.integers(0, 3, 5000)
+    sign = rng.choice([-1.0, 1.0], 5000)
+    positions[rows, axis] = sign + np.sqrt(noise) * rng.normal(size=5000)
+    normals = np.zeros((5000, 3))
+    normals[rows, axis] = sign
+    of_cells, offsets, order = cells.sort_points(positions, np.full(3, 0.01), 0.12)
+    local, turned = cells.gather_points(positions, normals, order, np.full(3, 0.01), 0.12)
+    vertices = lattice.spread_keys(of_cells, 0, 1)[::7].copy()
+    given = vertices, of_cells, offsets, local, turned, noise / 0.12**2
+    pieces, joints = native.fit_features(*given, 1)
+    expected, expected_joints = portable.fit_features(*given)
+    same = joints == expected_joints
+    assert same.mean() > 0.99  # a point midway may fall to either piece
+    assert (joints < 255).mean() > 0.2
+    off = np.abs(pieces[same] - expected[same]).max(axis=(1, 2))[joints[same] < 255]
+    assert np.quantile(off, 0.97) < 1e-5
 
 
 def test_surface(native: ModuleType, any_ball: Any) -> None:

@@ -32,6 +32,8 @@ def test_threads(native: ModuleType, cloud: Any, threads: int) -> None:
     fits = (*around, np.zeros((len(cloud.touched), 10), np.float32), noise, *WEIGHTS)
     fitted = native.fit_corners(*fits, 1)
     same(fitted, native.fit_corners(*fits, threads))
+    pieces = (cloud.touched, cloud.cells, cloud.offsets, cloud.local, cloud.sorted_normals, 1e-4)
+    same(native.fit_features(*pieces, 1), native.fit_features(*pieces, threads))
     parents = cells.parent_keys(cloud.touched)
     means = np.ones((len(parents), 10), np.float32)
     level = (cloud.touched, parents, means, means[:, :3].copy())
@@ -49,7 +51,7 @@ def test_threads_of_the_extraction(native: ModuleType, ball: Any, threads: int) 
     kinds[4, 3, 3] = OWN
     levels = tuple((level.keys, level.coefficients, level.trust) for level in function.levels)
     arguments = (
-        (function.origin, function.cell_size, levels, far.values, far.origin, far.step),
+        (function.origin, function.cell_size, levels, far.values, far.origin, far.step, ()),
         grid.origin, grid.step, np.array(grid.bricks),
         np.zeros(3, np.int64), kinds, case_triangles(),
     )  # fmt: skip

@@ -18,7 +18,7 @@ from hpccomponent.surface.types.lattice import pack_places
 KERNELS = (
     "accumulate_moments", "balance_vertices", "corner_moments", "count_boxes", "count_cells",
     "evaluate_bricks", "poll_normals", "sum_neighbours",
-    "evaluate_residuals", "find_keys", "fit_corners", "grow_surface",
+    "evaluate_residuals", "find_keys", "fit_corners", "fit_features", "grow_surface",
     "inherit_level", "label_components", "merge_cells",
     "parent_keys", "sample_grid", "scale_moments", "seed_bricks", "shift_moments",
     "signed_volume", "sort_points", "spread_keys", "survey_mesh", "unite_keys", "gather_points",
@@ -54,10 +54,10 @@ def hostile_arrays(draw: st.DrawFn) -> Any:
 
 
 anything = st.one_of(numbers, hostile_arrays(), st.just(case_triangles()), st.none(), st.text())
-arguments = st.one_of(anything, st.lists(anything, min_size=6, max_size=6).map(tuple))
+arguments = st.one_of(anything, st.lists(anything, min_size=7, max_size=7).map(tuple))
 
 
-@given(st.sampled_from(KERNELS), st.lists(arguments, min_size=1, max_size=7))
+@given(st.sampled_from(KERNELS), st.lists(arguments, min_size=1, max_size=8))
 @settings(deadline=None, max_examples=400)
 def test_random_arguments(native: ModuleType, name: str, values: list[Any]) -> None:
     with contextlib.suppress(TypeError, ValueError, OverflowError, RuntimeError, MemoryError):
@@ -141,6 +141,16 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
         ("sample_corners", np.ones((4, 4, 4), np.float32), keys, points[:1].sum(axis=0), 1e300),
         ("corner_moments", keys, keys, random.normal(size=(len(keys), 44)), 2),
         ("inherit_level", keys, keys, means, means[:, :3].copy(), 2),
+        (
+            "fit_features",
+            keys,
+            keys,
+            np.linspace(0, rows, len(keys) + 1).astype(np.int64),
+            points,
+            points,
+            draw(st.sampled_from([0.0, 0.01, 1e300])),
+            2,
+        ),
         ("merge_cells", keys, np.ones((len(keys), 44))),
         ("sample_grid", np.ones((4, 4, 4), np.float32), points),
         ("seed_bricks", points, np.zeros(3), 0.5, random.integers(-1, 9, size=3)),

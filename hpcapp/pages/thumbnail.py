@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.staging import replacing
+from hpcapp.pages.png import write_png
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["draw_points", "write_thumbnail"]
@@ -38,18 +36,7 @@ def write_thumbnail(path: Path, cloud: PointCloud, scanner: FloatArray | None = 
     OutputError
         The file cannot be written.
     """
-    picture = draw_points(cloud, scanner)
-    height, width = picture.shape[:2]
-    # Each row of a PNG begins with the number of its filter: 0 is none.
-    rows = np.insert(picture.reshape(height, 3 * width), 0, 0, axis=1)
-    head = struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)  # 8 bits of red, green and blue
-    with replacing(path) as file:
-        file.write(b"\x89PNG\r\n\x1a\n")
-        packed = zlib.compress(rows.tobytes())
-        for name, content in ((b"IHDR", head), (b"IDAT", packed), (b"IEND", b"")):
-            checked = name + content
-            file.write(struct.pack(">I", len(content)) + checked)
-            file.write(struct.pack(">I", zlib.crc32(checked)))
+    write_png(path, draw_points(cloud, scanner))
 
 
 def draw_points(cloud: PointCloud, scanner: FloatArray | None = None) -> NDArray[np.uint8]:

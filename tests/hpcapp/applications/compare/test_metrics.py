@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from metrics import MeshTruth, ShapeTruth, measure_mesh, sample_mesh
-from nearest import NearestFace
 from skimage.measure import marching_cubes
 
+from hpcapp.applications.compare.metrics import measure_mesh
+from hpcapp.applications.compare.nearest import NearestFace
+from hpcapp.applications.compare.truth import MeshTruth, PointTruth, ShapeTruth, sample_mesh
 from hpcapp.applications.simulate.shapes import SHAPES, diagonal_of
 from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import PointCloud
 
 
 def ball(radius: float = 1.0, cells: int = 40) -> Mesh:
@@ -85,3 +87,36 @@ def test_the_distance_to_a_triangle_knows_face_side_and_corner() -> None:
     triangle = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
     points = np.array([[0.2, 0.2, 3.0], [0.5, -2.0, 0.0], [-3.0, -4.0, 0.0], [1.0, 1.0, 0.0]])
     assert NearestFace(triangle).query(points)[0] == pytest.approx([3, 2, 5, np.sqrt(0.5)])
+
+
+def test_far_points_are_exact_too() -> None:
+    whole = ball()
+    points = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [30.0, 0.0, 0.0], [20.0, 20.0, 20.0]])
+    corners = whole.vertices[whole.faces]
+    single = [
+        min(
+            NearestFace(Mesh(corner, np.array([[0, 1, 2]]))).query(point[None])[0][0]
+            for corner in corners
+        )
+        for point in points[:1]
+    ]
+    distances = NearestFace(whole).query(points)[0]
+    assert distances[:1] == pytest.approx(single, abs=1e-12)
+    assert distances[2] == pytest.approx(29.0, abs=2e-3)
+    assert distances[3] == pytest.approx(np.sqrt(1200) - 1.0, abs=2e-3)
+
+
+def test_points_are_a_truth_without_normals() -> None:
+    whole = ball()
+    truth = PointTruth(PointCloud(sample_mesh(whole, 20_000, seed=3).positions))
+    found = measure_mesh(whole, truth, samples=3000)
+    assert found.completeness < 1e-10
+    assert 0.0 < found.accuracy < 1.0  # the points' spacing
+    assert np.isnan(found.normal_deg)
+    assert found.p95 <= found.hausdorff
+
+
+def test_a_seed_gives_the_same_measures_again() -> None:
+    truth = MeshTruth(ball(cells=20))
+    first, again, other = (measure_mesh(ball(), truth, 500, seed) for seed in (5, 5, 6))
+    assert first == again != other

@@ -27,8 +27,8 @@ class NearestFace:
     -----
     A k-d tree over the faces' middles proposes candidates. Faces much larger than the median
     are cut up, so that a bound on their radius holds: once the k-th middle is farther away than
-    the best distance and that radius together, no other face can be nearer. Points for which 512
-    candidates do not settle it are far from the mesh; their error is below one radius.
+    the best distance and that radius together, no other face can be nearer. For points far from
+    the mesh, which 512 candidates do not settle, all middles within that reach are tried.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -59,11 +59,26 @@ class NearestFace:
                 best, piece, farthest = self._try(points[rows], k)
                 distances[rows], faces[rows] = best, self._face[piece]
                 settled[start : start + step] = best <= farthest - self._radius
-            if k >= min(_MOST_CANDIDATES, len(self._triangles)):
+            if k == len(self._triangles):
                 break
             open_rows = open_rows[~settled]
+            if k == _MOST_CANDIDATES:
+                self._try_all(points, open_rows, distances, faces)
+                break
             k = min(4 * k, _MOST_CANDIDATES, len(self._triangles))
         return distances, faces
+
+    def _try_all(
+        self, points: FloatArray, rows: IntArray, distances: FloatArray, faces: IntArray
+    ) -> None:
+        """Settle some points, whose best distances so far bound the search."""
+        for row in rows.tolist():
+            reach = (distances[row] + self._radius) * (1.0 + 1e-9)
+            pieces = np.array(self._tree.query_ball_point(points[row], reach))
+            pairs = _distance_to_triangles(points[row : row + 1], self._triangles[pieces])
+            best = int(pairs.argmin())
+            if pairs[best] < distances[row]:
+                distances[row], faces[row] = pairs[best], self._face[pieces[best]]
 
     def _try(self, points: FloatArray, k: int) -> tuple[FloatArray, IntArray, FloatArray]:
         """Return the best of k candidates, which it is, and how far the last middle is."""
@@ -122,7 +137,7 @@ def _radii(triangles: FloatArray) -> FloatArray:
 
 
 def _distance_to_triangles(points: FloatArray, triangles: FloatArray) -> FloatArray:
-    """Return the distance from each point to its own triangle.
+    """Return the distance from each point to its own triangle; one point serves all.
 
     Notes
     -----
@@ -131,7 +146,7 @@ def _distance_to_triangles(points: FloatArray, triangles: FloatArray) -> FloatAr
     corners = triangles.transpose(1, 0, 2)
     normal = _unit_normals(triangles)
     inside = np.einsum("ij,ij->i", normal, normal) > 0.5
-    nearest = np.full(len(points), np.inf)
+    nearest = np.full(len(triangles), np.inf)
     for k in range(3):
         start, along = corners[k], corners[(k + 1) % 3] - corners[k]
         offset = points - start

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from render import render_mesh, write_png
 
+from hpcapp.pages.png import write_png
+from hpcapp.pages.render import render_mesh
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import BoolArray, ByteArray
 

@@ -1,4 +1,4 @@
-"""A picture of a mesh without any graphics library: python benchmarks/render.py MESH -o PNG.
+"""A picture of a mesh without any graphics library.
 
 A z-buffer in numpy: faces are cut into pixels by their bounding boxes, a chunk of faces at a
 time; every pixel keeps the nearest one. Back faces are drawn in red, so that holes and turned
@@ -7,19 +7,13 @@ faces stand out.
 
 from __future__ import annotations
 
-import argparse
-import struct
-import zlib
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io import read_mesh
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray
 
-__all__ = ["render_mesh", "write_png"]
+__all__ = ["render_mesh"]
 
 Picture = NDArray[np.uint8]
 
@@ -37,11 +31,13 @@ def render_mesh(
     up: str = "z",
     zoom: float = 1.0,
 ) -> Picture:
-    """Draw a mesh in parallel projection, each face in one shade.
+    """Draw a mesh in parallel projection, each face in one shade of its colour.
 
     Parameters
     ----------
     mesh : Mesh
+        Faces have the mean colour of their corners, or grey where there are no colours; their
+        backs are red. Vertices that are not finite are left out with their faces.
     azimuth, elevation : float
         Where the eye is, in degrees.
     size : int
@@ -49,46 +45,26 @@ def render_mesh(
     up : {"x", "y", "z"}
         The axis that points up.
     zoom : float
+        Above 1, the middle of the picture is seen larger.
 
     Returns
     -------
     ndarray of uint8, shape (size, size, 3)
     """
     fine = 2 * size  # averaged down at the end: smooth outlines
+    is_finite = np.logical_and.reduce(np.isfinite(mesh.vertices), axis=1)
+    faces = mesh.faces[is_finite[mesh.faces].all(axis=1)]
     view = _view(mesh.vertices, azimuth, elevation, up)
-    used = view[np.unique(mesh.faces)] if len(mesh.faces) else np.zeros((1, 3))
+    used = view[np.unique(faces)] if len(faces) else np.zeros((1, 3))
     low, high = used.min(axis=0), used.max(axis=0)
     scale = 0.92 * zoom * fine / max(float((high - low)[:2].max()), 1e-300)
     screen = (view - 0.5 * (low + high)) * scale + [0.5 * fine, 0.5 * fine, 0.0]
-    nearest = _rasterise(screen, mesh.faces, fine)
-    colors = np.concatenate([_shade(screen, mesh.faces), np.full((1, 3), _BACKGROUND)])
-    image = colors[nearest].reshape(size, 2, size, 2, 3).mean(axis=(1, 3))
+    nearest = _rasterise(screen, faces, fine)
+    front = _FRONT if mesh.colours is None else mesh.colours[faces].mean(axis=1) / 255.0
+    shades = np.concatenate([_shade(screen, faces, front), np.full((1, 3), _BACKGROUND)])
+    image = shades[nearest].reshape(size, 2, size, 2, 3).mean(axis=(1, 3))
     picture: Picture = (255.0 * np.clip(image[::-1], 0.0, 1.0) + 0.5).astype(np.uint8)
     return picture
-
-
-def write_png(path: Path, picture: Picture) -> None:
-    """Write a picture as PNG.
-
-    Parameters
-    ----------
-    path : Path
-    picture : ndarray of uint8, shape (height, width, 3)
-    """
-    height, width, _ = picture.shape
-    rows = np.concatenate([np.zeros((height, 1), np.uint8), picture.reshape(height, -1)], axis=1)
-
-    def chunk(kind: bytes, body: bytes) -> bytes:
-        checksum = struct.pack(">I", zlib.crc32(kind + body))
-        return struct.pack(">I", len(body)) + kind + body + checksum
-
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    path.write_bytes(
-        b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", header)
-        + chunk(b"IDAT", zlib.compress(rows.tobytes(), 6))
-        + chunk(b"IEND", b"")
-    )
 
 
 def _view(vertices: FloatArray, azimuth: float, elevation: float, up: str) -> FloatArray:
@@ -101,7 +77,7 @@ def _view(vertices: FloatArray, azimuth: float, elevation: float, up: str) -> Fl
     return seen
 
 
-def _shade(screen: FloatArray, faces: NDArray[np.int64]) -> FloatArray:
+def _shade(screen: FloatArray, faces: NDArray[np.int64], front: FloatArray) -> FloatArray:
     """Return one colour per face: a light over the left shoulder, a weaker one from below."""
     a, b, c = (screen[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
@@ -110,7 +86,7 @@ def _shade(screen: FloatArray, faces: NDArray[np.int64]) -> FloatArray:
     normal = np.where(is_front[:, None], normal, -normal)
     key, fill = np.array([-0.45, 0.55, 0.70]), np.array([0.6, -0.5, 0.6])
     light = 0.16 + 0.80 * np.maximum(normal @ key, 0.0) + 0.24 * np.maximum(normal @ fill, 0.0)
-    shade: FloatArray = light[:, None] * np.where(is_front[:, None], _FRONT, _BACK)
+    shade: FloatArray = light[:, None] * np.where(is_front[:, None], front, _BACK)
     return shade
 
 
@@ -163,22 +139,3 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the z component of the cross products of plane vectors."""
     area: FloatArray = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     return area
-
-
-def main() -> None:
-    """Draw one mesh."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("mesh", type=Path)
-    parser.add_argument("-o", "--output", type=Path, required=True, help="the PNG to write")
-    parser.add_argument("--view", default="30,20", help="azimuth,elevation in degrees")
-    parser.add_argument("--size", type=int, default=800, help="pixels")
-    parser.add_argument("--up", choices=["x", "y", "z"], default="z")
-    parser.add_argument("--zoom", type=float, default=1.0)
-    args = parser.parse_args()
-    azimuth, elevation = (float(part) for part in args.view.split(","))
-    picture = render_mesh(read_mesh(args.mesh), azimuth, elevation, args.size, args.up, args.zoom)
-    write_png(args.output, picture)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,103 @@
+"""The verb ``compare``: how far a mesh is from the truth.
+
+This module is imported for every ``--help``: numpy and all that stands on it are imported inside.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hpcapp.applications.view.command import check_page
+
+__all__ = ["compare"]
+
+log = logging.getLogger("hpcapp")
+
+_THRESHOLDS = (0.02, 0.1, 0.5)
+
+
+@click.command()
+@click.argument("mesh", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("truth")
+@click.option(
+    "--samples",
+    type=click.IntRange(100, 10_000_000),
+    default=50_000,
+    show_default=True,
+    metavar="N",
+    help="Points on either surface.",
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True,
+              help="One seed gives one result.")  # fmt: skip
+@click.option(
+    "--threshold",
+    "thresholds",
+    type=click.FloatRange(0, min_open=True),
+    multiple=True,
+    default=_THRESHOLDS,
+    show_default=True,
+    metavar="PERCENT",
+    help="Of an F-score, in per cent of the diagonal; may be given several times.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+@click.option(
+    "--html",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="PAGE",
+    help="Write a page with the mesh, coloured by its distance.",
+)
+def compare(
+    mesh: Path,
+    truth: str,
+    samples: int,
+    seed: int,
+    thresholds: tuple[float, ...],
+    as_json: bool,
+    html: Path | None,
+) -> None:
+    """Measure the distances between MESH and TRUTH.
+
+    TRUTH is a mesh, points, or shape:NAME (a model of 'hpcapp simulate'). Distances are taken from
+    points spread evenly over either surface to the other surface, exactly, and are in per cent of
+    the diagonal of TRUTH's bounding box.
+    """
+    check_page(html, "--html")
+    from hpcapp.applications.compare.metrics import as_json as to_json
+    from hpcapp.applications.compare.metrics import measure_mesh
+    from hpcapp.applications.compare.truth import check_usable, open_truth
+    from hpcapp.io import read_mesh
+
+    found = read_mesh(mesh)
+    check_usable(found, mesh)
+    wanted = open_truth(truth, found.origin)
+    measures = measure_mesh(found, wanted, samples, seed, thresholds)
+    facts = to_json(measures)
+    if html is not None:
+        from hpcapp.applications.compare.page import make_comparison
+        from hpcapp.pages.page import write_page
+
+        write_page(html, make_comparison(mesh, truth, found, wanted, facts))
+    if as_json:
+        click.echo(json.dumps(facts))
+    else:
+        click.echo(_tabulate(facts))
+    if html is not None:
+        log.info("%s: the mesh, coloured by its distance", html)
+
+
+def _tabulate(facts: dict[str, Any]) -> str:
+    """Return the measures as a table for people."""
+    from hpcapp.applications.compare.page import list_measures, say_openness
+
+    rows = list_measures(facts)
+    width = max(len(name) for name, _, _ in rows)
+    lines = [f"{'':{width}}  {'% of diagonal':>14}  {'length':>12}"]
+    lines += [f"{name:{width}}  {share:>14}  {length:>12}".rstrip() for name, share, length in rows]
+    if openness := say_openness(facts):
+        lines.append(openness)
+    return "\n".join(lines)

@@ -1,0 +1,143 @@
+"""The distances between a mesh and the truth, in per cent of the truth's diagonal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from hpcapp.applications.compare.nearest import NearestFace, face_normals
+from hpcapp.applications.compare.truth import Truth, sample_mesh
+from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray
+
+__all__ = ["F_THRESHOLDS", "Measures", "as_json", "measure_mesh"]
+
+F_THRESHOLDS = (0.02, 0.1, 0.5)  # per cent of the diagonal
+
+
+@dataclass(frozen=True, slots=True)
+class Measures:
+    """A mesh against the truth; lengths in per cent of the truth's diagonal.
+
+    Parameters
+    ----------
+    accuracy : float
+        Mean distance from the mesh to the truth; NaN where the truth is open.
+    completeness : float
+        Mean distance from the truth to the mesh.
+    l1 : float
+        Mean of the two; the completeness where the truth is open.
+    rms : float
+        Root of the mean square of both directions' distances together.
+    p95 : float
+        95 of 100 of both directions' distances are smaller.
+    hausdorff : float
+        Largest distance met in either direction.
+    f_scores : dict of str to float
+        Harmonic mean of precision and recall, by threshold in per cent.
+    normal_deg : float
+        Mean angle between the truth's normal and that of the nearest face, in degrees; NaN where
+        the truth has no normals.
+    diagonal : float
+        Of the truth's bounding box, in length units.
+    topology : Topology
+        Of the mesh.
+    """
+
+    accuracy: float
+    completeness: float
+    l1: float
+    rms: float
+    p95: float
+    hausdorff: float
+    f_scores: dict[str, float]
+    normal_deg: float
+    diagonal: float
+    topology: Topology
+
+
+def measure_mesh(
+    mesh: Mesh,
+    truth: Truth,
+    samples: int = 50_000,
+    seed: int = 0,
+    thresholds: Sequence[float] = F_THRESHOLDS,
+) -> Measures:
+    """Compare a mesh with the truth.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        In the frame of the truth, with at least one face.
+    truth : Truth
+    samples : int
+        Points on either surface, spread evenly over its area.
+    seed : int
+        The same seed gives the same measures.
+    thresholds : sequence of float
+        Of the F-scores, in per cent of the diagonal.
+
+    Returns
+    -------
+    Measures
+    """
+    percent = 100.0 / (truth.diagonal or 1.0)
+    wanted = truth.sample(samples, seed)
+    backward, faces = NearestFace(mesh).query(wanted.positions)
+    backward *= percent
+    if truth.is_closed:
+        forward = percent * truth.distance(sample_mesh(mesh, samples, seed).positions)
+    else:
+        forward = np.empty(0)
+    both = np.concatenate([forward, backward])
+    accuracy = float(forward.mean()) if truth.is_closed else float("nan")
+    completeness = float(backward.mean())
+    return Measures(
+        accuracy,
+        completeness,
+        0.5 * (accuracy + completeness) if truth.is_closed else completeness,
+        float(np.sqrt((both**2).mean())),
+        float(np.quantile(both, 0.95)),
+        float(both.max()),
+        {f"{t:g}": _f_score(forward, backward, t) for t in thresholds},
+        _mean_angle(wanted.normals, face_normals(mesh)[faces]),
+        truth.diagonal,
+        check_mesh(mesh),
+    )
+
+
+def _mean_angle(wanted: FloatArray | None, found: FloatArray) -> float:
+    """Return the mean angle between unit vectors, in degrees."""
+    if wanted is None:
+        return float("nan")
+    cosine = np.einsum("ij,ij->i", wanted, found)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean())
+
+
+def _f_score(forward: FloatArray, backward: FloatArray, threshold: float) -> float:
+    """Return the harmonic mean of precision and recall; recall alone where the truth is open."""
+    recall = float((backward <= threshold).mean())
+    if not len(forward):
+        return recall
+    precision = float((forward <= threshold).mean())
+    return 2.0 * precision * recall / max(precision + recall, 1e-12)
+
+
+def as_json(measures: Measures) -> dict[str, Any]:
+    """Return measures as plain values.
+
+    Parameters
+    ----------
+    measures : Measures
+
+    Returns
+    -------
+    dict
+        NaN becomes None, which JSON knows.
+    """
+    plain = asdict(measures)
+    return {name: None if value != value else value for name, value in plain.items()}

@@ -1,0 +1,124 @@
+"""A comparison for people: its rows, and a page with the mesh coloured by its distance."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from hpcapp.applications.compare.truth import Truth
+from hpcapp.pages.page import Section, build_page
+from hpcapp.pages.scene import MOST_POINTS, Field, Scene, fields_of
+from hpcapp.pages.thin import thin_mesh
+from hpccomponent.surface.types.mesh import Mesh
+
+__all__ = ["list_measures", "make_comparison", "say_openness"]
+
+_MOST_FACES = 500_000  # the distance of each vertex is found exactly: some 10 µs each
+_LENGTHS = (
+    ("accuracy", "mesh to truth, mean"),
+    ("completeness", "truth to mesh, mean"),
+    ("l1", "mean of both (L1)"),
+    ("rms", "root mean square"),
+    ("p95", "95 % are below"),
+    ("hausdorff", "largest (Hausdorff)"),
+)
+
+
+def list_measures(facts: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Return the rows of a table: name, per cent of the diagonal (or the number), length.
+
+    Parameters
+    ----------
+    facts : dict
+        See `metrics.as_json`.
+
+    Returns
+    -------
+    list of tuple of str
+    """
+    unit = facts["diagonal"] / 100.0
+    rows = [
+        (label, _say(facts[name], ".5f"), _say(facts[name], ".6g", unit))
+        for name, label in _LENGTHS
+    ]
+    rows += [
+        (f"F-score at {threshold} %", f"{score:.4f}", "")
+        for threshold, score in facts["f_scores"].items()
+    ]
+    rows.append(("angle of normals, degrees", _say(facts["normal_deg"], ".3f"), ""))
+    rows.append(("diagonal", "100", f"{facts['diagonal']:.6g}"))
+    for name, value in facts["topology"].items():
+        if isinstance(value, tuple):
+            value = ", ".join(map(str, value))
+        shown = ("yes" if value else "no") if isinstance(value, bool) else str(value)
+        rows.append((name.replace("_", " "), shown, ""))
+    return rows
+
+
+def say_openness(facts: dict[str, Any]) -> str | None:
+    """Say why distances from the mesh are missing; None where they are there.
+
+    Parameters
+    ----------
+    facts : dict
+        See `metrics.as_json`.
+
+    Returns
+    -------
+    str or None
+    """
+    if facts["accuracy"] is not None:
+        return None
+    return (
+        "the truth is open: the mesh may be right where it has nothing, so that only distances "
+        "from the truth to the mesh count"
+    )
+
+
+def _say(value: float | None, digits: str, unit: float = 1.0) -> str:
+    return "-" if value is None else format(value * unit, digits)
+
+
+def make_comparison(
+    path: Path, truth_name: str, mesh: Mesh, truth: Truth, facts: dict[str, Any]
+) -> str:
+    """Return a page with the mesh, coloured by its distance from the truth.
+
+    Parameters
+    ----------
+    path : Path
+        Of the mesh.
+    truth_name : str
+        As the user typed it.
+    mesh : Mesh
+    truth : Truth
+        In the mesh's frame.
+    facts : dict
+        See `metrics.as_json`.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    thin = thin_mesh(mesh, _MOST_FACES)
+    distance = Field("distance", "Distance to the truth", truth.distance(thin.vertices), low=0.0)
+    scene = Scene(
+        thin, [distance, *fields_of(thin)], truth.sample(MOST_POINTS, 0), colouring="distance"
+    )
+    lines = [
+        f'<tr><th>{escape(name)}</th><td class="number">{share}</td>'
+        f'<td class="number">{length}</td></tr>'
+        for name, share, length in list_measures(facts)
+    ]
+    head = "<tr><th></th><th>% of diagonal</th><th>length</th></tr>"
+    table = f"<table>\n{head}\n" + "\n".join(lines) + "\n</table>"
+    notes = (
+        "<p>Distances are exact: from points spread evenly over one surface to the nearest place "
+        "on the other. The points beside the mesh are the truth's.</p>"
+    )
+    if openness := say_openness(facts):
+        notes = f"<p>{escape(openness)}</p>" + notes
+    summary = f"compared with {truth_name}"
+    return build_page(path.name, summary, scene, [Section("Distances", table + notes)])

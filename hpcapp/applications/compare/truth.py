@@ -1,0 +1,273 @@
+"""What a mesh is compared with: another mesh, points, or a shape whose surface is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from hpcapp.applications.compare.nearest import NearestFace, face_normals
+from hpcapp.applications.simulate.rays import closest_points
+from hpcapp.applications.simulate.scanner import sample_surface
+from hpcapp.applications.simulate.shapes import Shape, diagonal_of, find_shape
+from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.io import holds_faces, read_mesh, read_points, take_finite
+from hpccomponent.errors import InputError
+from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, PointCloud
+
+__all__ = [
+    "MeshTruth",
+    "PointTruth",
+    "ShapeTruth",
+    "Truth",
+    "open_truth",
+    "read_mesh_at",
+    "sample_mesh",
+]
+
+SHAPE = "shape:"
+"""In front of the name of a shape that is the truth."""
+_GUESSES = 50_000  # points on a shape, from which its nearest one is sought
+
+
+class Truth(Protocol):
+    """A surface to compare with."""
+
+    @property
+    def diagonal(self) -> float:
+        """The diagonal of its bounding box, in length units."""
+        ...
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it has no holes: where it has some, only completeness means anything."""
+        ...
+
+    def sample(self, count: int, seed: int) -> PointCloud:
+        """Return points spread evenly over it, with its normals where they are known.
+
+        Parameters
+        ----------
+        count : int
+        seed : int
+
+        Returns
+        -------
+        PointCloud
+        """
+        ...
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Return each point's distance to it.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, 3)
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+            In length units.
+        """
+        ...
+
+
+class ShapeTruth:
+    """An analytic shape as the truth; see `Truth`.
+
+    Parameters
+    ----------
+    shape : Shape
+    """
+
+    is_closed = True
+
+    def __init__(self, shape: Shape) -> None:
+        self.shape = shape
+        self.diagonal = diagonal_of(shape)
+        self._guesses = sample_surface(shape, _GUESSES, seed=1).positions
+        self._tree = KDTree(self._guesses)
+
+    def sample(self, count: int, seed: int) -> PointCloud:
+        """Return exact points of the surface."""
+        return sample_surface(self.shape, count, seed)
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Return the distances to the surface."""
+        guesses = self._guesses[self._tree.query(points)[1]]
+        feet = closest_points(self.shape, points, guesses, rounds=3)
+        lengths: FloatArray = np.linalg.norm(points - feet, axis=1)
+        return lengths
+
+
+class MeshTruth:
+    """A mesh as the truth; see `Truth`.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        With at least one face.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = mesh
+        self._faces = NearestFace(mesh)
+        low, high = bound_points(mesh.vertices[np.unique(mesh.faces)])
+        self.diagonal = float(np.linalg.norm(high - low))
+
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether no edge has only one face."""
+        return check_mesh(self.mesh).boundary_edges == 0
+
+    def sample(self, count: int, seed: int) -> PointCloud:
+        """Return points of the faces."""
+        return sample_mesh(self.mesh, count, seed)
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Return the distances to the faces."""
+        return self._faces.query(points)[0]
+
+
+class PointTruth:
+    """Points as the truth; see `Truth`.
+
+    A distance to points is that to the nearest: at best as small as their spacing and noise.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        At least one point, all finite.
+    """
+
+    is_closed = True  # what lies far from all points counts
+
+    def __init__(self, cloud: PointCloud) -> None:
+        self.cloud = cloud
+        self._tree = KDTree(cloud.positions)
+        low, high = bound_points(cloud.positions)
+        self.diagonal = float(np.linalg.norm(high - low))
+
+    def sample(self, count: int, seed: int) -> PointCloud:
+        """Return some of the points, or all of them where there are fewer."""
+        if len(self.cloud) <= count:
+            return self.cloud
+        rows = np.random.default_rng(seed).choice(len(self.cloud), count, replace=False)
+        return self.cloud.take(np.sort(rows))
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Return the distances to the nearest points."""
+        lengths: FloatArray = self._tree.query(points)[0]
+        return lengths
+
+
+def sample_mesh(mesh: Mesh, count: int, seed: int = 0) -> PointCloud:
+    """Return points spread evenly over the faces of a mesh, with the faces' normals.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        With at least one face of positive area.
+    count : int
+    seed : int
+
+    Returns
+    -------
+    PointCloud
+    """
+    rng = np.random.default_rng(seed)
+    corners = mesh.vertices[mesh.faces]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(crosses, axis=1)
+    # Equal steps through the summed areas: fewer clumps than independent draws.
+    steps = (np.arange(count) + rng.random(count)) / count
+    total = np.cumsum(area)
+    face = np.minimum(np.searchsorted(total, steps * total[-1]), len(area) - 1)
+    u, v = rng.random((2, count, 1))
+    u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
+    a, b, c = corners[face].transpose(1, 0, 2)
+    return PointCloud(a + u * (b - a) + v * (c - a), face_normals(mesh)[face])
+
+
+def open_truth(name: str, origin: FloatArray) -> Truth:
+    """Open what a user names as the truth.
+
+    Parameters
+    ----------
+    name : str
+        A mesh, points, or ``shape:NAME``; a file that holds faces is a mesh.
+    origin : ndarray of float64, shape (3,)
+        Of the frame that the truth is wanted in.
+
+    Returns
+    -------
+    Truth
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or holds nothing that can be compared with.
+    UsageError
+        The suffix or the shape is unknown.
+    """
+    if name.startswith(SHAPE):
+        if origin.any():
+            raise InputError(
+                "a mesh with coordinates far from zero is none of a shape", "compare it with a file"
+            )
+        return ShapeTruth(find_shape(name.removeprefix(SHAPE)))
+    path = Path(name)
+    if holds_faces(path):
+        return MeshTruth(read_mesh_at(path, origin))
+    cloud = take_finite(read_points(path), name)
+    return PointTruth(replace(cloud, positions=cloud.positions + (cloud.origin - origin)))
+
+
+def read_mesh_at(path: Path, origin: FloatArray | None = None) -> Mesh:
+    """Read a mesh in a frame of choice.
+
+    Parameters
+    ----------
+    path : Path
+    origin : ndarray of float64, shape (3,), optional
+        Of that frame, in the coordinates of the file; by default zero.
+
+    Returns
+    -------
+    Mesh
+
+    Raises
+    ------
+    InputError
+        It cannot be read, holds no faces, or has vertices that are not finite.
+    """
+    mesh = read_mesh(path)
+    check_usable(mesh, path)
+    wanted = np.zeros(3) if origin is None else origin
+    return replace(mesh, vertices=mesh.vertices + (mesh.origin - wanted), origin=wanted)
+
+
+def check_usable(mesh: Mesh, path: Path) -> None:
+    """Refuse a mesh of which no distances can be taken.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    path : Path
+        Its file, for messages.
+
+    Raises
+    ------
+    InputError
+        It has no faces, or a vertex of a face is not finite.
+    """
+    if not len(mesh.faces):
+        raise InputError(f"{path}: holds no faces", "give a mesh")
+    if not np.isfinite(mesh.vertices[mesh.faces]).all():
+        raise InputError(f"{path}: has vertices that are NaN or infinite", "leave them out")

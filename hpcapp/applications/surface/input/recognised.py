@@ -1,0 +1,35 @@
+"""What the input of a job was taken for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.io import open_points
+from hpcapp.io.points.column_roles import tell_use
+
+__all__ = ["describe_input"]
+
+
+def describe_input(settings: JobSettings) -> dict[str, Any]:
+    """Return what the input is, and what its columns were taken for.
+
+    Parameters
+    ----------
+    settings : JobSettings
+
+    Returns
+    -------
+    dict
+        JSON values: ``files`` as the user named them, ``format``, ``columns`` (what each was taken
+        for, by its name), ``crs`` and ``unit`` where the file tells.
+    """
+    source = open_points(settings.points)
+    first = next(source.chunks(1))
+    return {
+        "files": [str(file) for file in settings.files],
+        "format": source.format,
+        "columns": {name: tell_use(name, first) for name in source.columns},
+        "crs": source.crs,
+        "unit": source.unit,
+    }

@@ -1,0 +1,158 @@
+"""The verb ``view``: a mesh or points on a page, or in a picture.
+
+This module is imported for every ``--help``: numpy and all that stands on it are imported inside.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import click
+
+from hpccomponent.errors import UsageError
+
+__all__ = ["check_page", "check_picture", "view"]
+
+log = logging.getLogger("hpcapp")
+
+FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+def check_page(path: Path | None, flag: str) -> None:
+    """Refuse a page that could not be written, before the work.
+
+    Parameters
+    ----------
+    path : Path or None
+    flag : str
+        The option that names it.
+
+    Raises
+    ------
+    UsageError
+        Its suffix is none of a page.
+    OutputError
+        It cannot be written there.
+    """
+    _check(path, flag, (".html", ".htm"), "page")
+
+
+def check_picture(path: Path | None, flag: str) -> None:
+    """Refuse a picture that could not be written, before the work.
+
+    Parameters
+    ----------
+    path : Path or None
+    flag : str
+        The option that names it.
+
+    Raises
+    ------
+    UsageError
+        Its suffix is not that of a PNG.
+    OutputError
+        It cannot be written there.
+    """
+    _check(path, flag, (".png",), "picture")
+
+
+def _check(path: Path | None, flag: str, suffixes: tuple[str, ...], what: str) -> None:
+    if path is None:
+        return
+    if path.suffix.lower() not in suffixes:
+        raise UsageError(f"{flag} {path}: is no {what}", f"give a file that ends in {suffixes[0]}")
+    from hpcapp.io.staging import check_place
+
+    check_place(path)
+
+
+def _parse_eye(
+    ctx: click.Context, param: click.Parameter, text: str | None
+) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        azimuth, elevation = (float(part) for part in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not two angles, as 30,20", ctx, param) from None
+    return azimuth, elevation
+
+
+@click.command()
+@click.argument("file", type=FILE)
+@click.option(
+    "--points",
+    type=FILE,
+    metavar="POINTS",
+    help="Show these points beside the mesh, and how far it is from them.",
+)
+@click.option(
+    "--report",
+    type=FILE,
+    metavar="JSON",
+    help="Say what the job decided: the object that 'reconstruct --json' has printed.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=FILE,
+    metavar="PAGE",
+    help="Page to write, .html.  [default: one in the temporary folder]",
+)
+@click.option("--png", type=FILE, metavar="FILE", help="Draw it into a picture.")
+@click.option(
+    "--eye",
+    callback=_parse_eye,
+    metavar="A,E",
+    help="From where --png looks: azimuth and elevation in degrees.  [default: 30,20]",
+)
+@click.option("--size", type=click.IntRange(16, 8192), default=800, show_default=True,
+              help="Pixels along a side of the picture.")  # fmt: skip
+@click.option("--up", type=click.Choice(["x", "y", "z"]), default="z", show_default=True,
+              help="The axis that points up.")  # fmt: skip
+@click.option("--open/--no-open", "is_opened", default=True, show_default=True,
+              help="Open the page in a browser; its path is printed in any case.")  # fmt: skip
+def view(
+    file: Path,
+    points: Path | None,
+    report: Path | None,
+    output: Path | None,
+    png: Path | None,
+    eye: tuple[float, float] | None,
+    size: int,
+    up: str,
+    is_opened: bool,
+) -> None:
+    """Look at the mesh or the points FILE, on a page that works offline.
+
+    FILE is a mesh (.ply, .obj, .stl, .off, .glb, .vtp), or points of any format that is read. With
+    --png and without -o only the picture is made.
+    """
+    check_page(output, "--output")
+    check_picture(png, "--png")
+    if png is None and eye is not None:
+        raise UsageError("--eye means nothing without --png", "the page can be turned by hand")
+    from hpcapp.applications.view.page import make_page, read_shown
+    from hpcapp.pages.page import write_page
+    from hpcapp.pages.picture import write_picture
+    from hpcapp.pages.shown_mesh import show_page
+
+    shown = read_shown(file)
+    if png is not None:
+        write_picture(png, shown, eye, size, up)
+        log.info("%s: a picture of %s", png, file)
+        if output is None:
+            return
+    page = make_page(file, shown, points, report, up)
+    path = _temporary_page(file) if output is None else output
+    write_page(path, page)
+    click.echo(path)
+    show_page(path, is_opened=is_opened)
+
+
+def _temporary_page(file: Path) -> Path:
+    """Return a page that stays when this process has gone: a browser reads it later."""
+    import tempfile
+
+    return Path(tempfile.mkdtemp(prefix="hpcapp-view-")) / f"{file.stem}.html"

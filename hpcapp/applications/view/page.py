@@ -1,0 +1,145 @@
+"""The page of one file: what is in it, and what can be said of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from hpcapp.applications.surface.stitching.topology import check_mesh
+from hpcapp.io import holds_faces, read_mesh, read_points, take_finite
+from hpcapp.pages.job import describe_job
+from hpcapp.pages.page import Section, build_page, make_table
+from hpcapp.pages.scene import Field, Scene, fields_of
+from hpcapp.pages.thin import thin_mesh
+from hpccomponent.errors import InputError
+from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, PointCloud
+
+__all__ = ["make_page", "read_shown"]
+
+
+def read_shown(path: Path) -> Mesh | PointCloud:
+    """Read a file as a mesh where it holds faces, and as points otherwise.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Mesh or PointCloud
+        Points without those that are not finite.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or holds nothing that can be shown.
+    UsageError
+        The suffix is unknown.
+    """
+    if holds_faces(path):
+        return read_mesh(path)
+    return take_finite(read_points(path), str(path))
+
+
+def make_page(
+    path: Path,
+    shown: Mesh | PointCloud,
+    points: Path | None = None,
+    report: Path | None = None,
+    up: str = "z",
+) -> str:
+    """Return the page of a file.
+
+    Parameters
+    ----------
+    path : Path
+        Its name is the title.
+    shown : Mesh or PointCloud
+        What is in it.
+    points : Path, optional
+        Points beside a mesh.
+    report : Path, optional
+        The job's report that made the mesh, as JSON.
+    up : {"x", "y", "z"}
+
+    Returns
+    -------
+    str
+        HTML.
+
+    Raises
+    ------
+    InputError
+        `points` or `report` cannot be used.
+    """
+    sections = [] if report is None else describe_job(_read_report(report), has_mesh=False)
+    if isinstance(shown, PointCloud):
+        facts = _describe_box(shown.positions, shown.origin)
+        names = {"points": len(shown), "colours": shown.colours is not None,
+                 "normals": shown.normals is not None,
+                 "attributes": ", ".join(shown.attributes) or "none"}  # fmt: skip
+        summary = f"{len(shown):,} points"
+        sections.insert(0, Section("Points", make_table({**names, **facts})))
+        return build_page(path.name, summary, Scene(None, points=shown, up=up), sections)
+    thin = thin_mesh(shown)
+    topology = check_mesh(shown)
+    found: dict[str, Any] = {
+        "vertices": topology.vertices,
+        "faces": topology.faces,
+        "watertight": topology.watertight,
+        "edges without a neighbour": topology.boundary_edges,
+        "components": topology.components,
+        **_describe_box(shown.vertices, shown.origin),
+    }
+    if thin is not shown:
+        found["shown"] = f"a copy with {len(thin.faces):,} faces"
+    sections.insert(0, Section("Mesh", make_table(found)))
+    cloud = None if points is None else _read_beside(points, shown)
+    fields = [*fields_of(thin), *([] if cloud is None else [_measure(thin, cloud)])]
+    closed = "watertight" if topology.watertight else "not watertight"
+    summary = f"{topology.vertices:,} vertices, {topology.faces:,} faces, {closed}"
+    return build_page(path.name, summary, Scene(thin, fields, cloud, up=up), sections)
+
+
+def _describe_box(positions: FloatArray, origin: FloatArray) -> dict[str, str]:
+    finite = positions[np.isfinite(positions).all(axis=1)]
+    if not len(finite):
+        return {}
+    low, high = bound_points(finite)
+
+    def say(corner: FloatArray) -> str:
+        return " ".join(f"{value:.9g}" for value in corner)
+
+    return {"lowest": say(low + origin), "highest": say(high + origin), "extent": say(high - low)}
+
+
+def _read_beside(path: Path, mesh: Mesh) -> PointCloud:
+    """Read points into the frame of a mesh."""
+    cloud = take_finite(read_points(path), str(path))
+    return replace(cloud, positions=cloud.positions + (cloud.origin - mesh.origin))
+
+
+def _measure(mesh: Mesh, cloud: PointCloud) -> Field:
+    """Return the distance of each vertex from the nearest point."""
+    finite = np.nan_to_num(mesh.vertices)
+    distances, _ = cKDTree(cloud.positions).query(finite, workers=-1)
+    return Field("distance", "Distance to the points", distances, low=0.0)
+
+
+def _read_report(path: Path) -> dict[str, Any]:
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}", "give what --json has printed") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is no JSON ({error})", "give what --json has printed") from None
+    if not isinstance(report, dict):
+        raise InputError(f"{path}: is no report", "give what --json has printed")
+    return report

@@ -1,0 +1,116 @@
+"""What the scheduler's decisions were, in the timeline of the job: who had which task, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from hpcapp.communicator.state import Flight, Task, Worker
+from hpcapp.timeline import Timeline, WorkerNow
+from hpccomponent.protocol.messages import Register, Result
+
+__all__ = ["Recording"]
+
+
+class Recording:
+    """Records tasks in a timeline, from the time on when there is one.
+
+    Attributes
+    ----------
+    timeline : Timeline or None
+    """
+
+    def __init__(self) -> None:
+        self.timeline: Timeline | None = None
+
+    def answered(
+        self, worker: Worker, flight: Flight | None, task: Task, result: Result, later_s: float
+    ) -> None:
+        """Record an answer.
+
+        Parameters
+        ----------
+        worker : Worker
+            Who answers.
+        flight : Flight or None
+            The batch that the task is of, if the worker still has it.
+        task : Task
+            Which it answers; one that is done was answered before.
+        result : Result
+        later_s : float
+            How long the tasks took, in seconds, whose answers came with it and after it.
+        """
+        if self.timeline is None:
+            return
+        outcome = "repeated" if task.is_done else "done" if result.failure is None else "failed"
+        self.timeline.record(
+            _function(task),
+            worker.machine,
+            result.seconds,
+            outcome,
+            ago=later_s,
+            bytes_in=len(result.header) + sum(result.sizes),
+            bytes_out=task.size_bytes + (flight.take_shared() if flight is not None else 0),
+        )
+
+    def taken_back(self, worker: Worker, flight: Flight, at_work_s: float) -> None:
+        """Record the tasks of a batch that its worker has not answered.
+
+        Parameters
+        ----------
+        worker : Worker
+            Who had it.
+        flight : Flight
+            What was left of it.
+        at_work_s : float
+            How long the first of them has been at work, in seconds; the others had not begun.
+        """
+        if self.timeline is None:
+            return
+        for task in flight.tasks.values():
+            self.timeline.record(
+                _function(task),
+                worker.machine,
+                at_work_s,
+                "refused" if worker.is_refused else "lost",
+                bytes_out=task.size_bytes + flight.take_shared(),
+            )
+            at_work_s = 0.0
+
+    def turned_away(self, register: Register) -> None:
+        """Record that a worker was not taken in.
+
+        Parameters
+        ----------
+        register : Register
+            How it introduced itself.
+        """
+        if self.timeline is not None:
+            self.timeline.record("register", register.worker, 0.0, "refused")
+
+
+def list_workers(workers: Mapping[bytes, Worker]) -> list[WorkerNow]:
+    """Return what each worker does at the moment, for any thread to ask.
+
+    Parameters
+    ----------
+    workers : mapping of bytes to Worker
+        The scheduler's own; copied in one step each, since it changes meanwhile.
+
+    Returns
+    -------
+    list of WorkerNow
+    """
+    found = []
+    for worker in list(workers.values()):
+        flights = list(worker.batches.values())
+        tasks = list(flights[0].tasks.values()) if flights else []
+        state = "retired" if worker.is_retired else "leaving" if worker.is_draining else "busy"
+        if state == "busy" and not tasks:
+            state = "idle"
+        found.append(WorkerNow(worker.machine, state, _function(tasks[0]) if tasks else ""))
+    return found
+
+
+def _function(task: Task) -> str:
+    """Return the name of a task's function, as other backends tell it."""
+    return task.name.rpartition(".")[2]

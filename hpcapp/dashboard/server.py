@@ -1,0 +1,146 @@
+"""The dashboard's server: a thread beside the job, on loopback unless the user says otherwise."""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+import secrets
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from hpcapp.dashboard.watched_job import WatchedJob
+from hpccomponent.errors import UsageError
+
+if TYPE_CHECKING:
+    import uvicorn
+
+__all__ = ["DEFAULT_ADDRESS", "open_dashboard", "parse_address"]
+
+log = logging.getLogger("hpcapp")
+
+DEFAULT_ADDRESS = "127.0.0.1:0"
+"""Any free port of loopback."""
+
+INSTALL = "pip install 'hpcapp[dashboard]'"
+CLIENTS = 64  # connections; more are told to come later
+FAREWELL_S = 2  # for pages to read the end
+LEAVE_S = 5.0
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """Return host and port of an address.
+
+    Parameters
+    ----------
+    text : str
+        ``HOST:PORT``; port 0 is any free one.
+
+    Returns
+    -------
+    host : str
+    port : int
+
+    Raises
+    ------
+    UsageError
+        It is none.
+
+    Examples
+    --------
+    >>> parse_address("[::1]:8080")
+    ('::1', 8080)
+    """
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or not port.isdecimal() or int(port) > 65535:
+        raise UsageError(
+            f"--dashboard {text!r} is not HOST:PORT",
+            "write --dashboard 127.0.0.1:8080, or --dashboard alone behind the other arguments",
+        )
+    return host.strip("[]"), int(port)
+
+
+@contextmanager
+def open_dashboard(address: str, job: WatchedJob) -> Iterator[str]:
+    """Serve the page of a job while the block runs.
+
+    Parameters
+    ----------
+    address : str
+        See `parse_address`.
+    job : WatchedJob
+
+    Yields
+    ------
+    str
+        The page's address, which holds a random token.
+
+    Raises
+    ------
+    UsageError
+        Nothing can listen there, or the libraries are not installed.
+    """
+    host, port = parse_address(address)
+    token = secrets.token_urlsafe(24)
+    server = _make_server(job, token)
+    listener = _listen(host, port)
+    thread = threading.Thread(target=_serve, args=(server, listener), name="dashboard", daemon=True)
+    thread.start()
+    shown = f"[{host}]" if ":" in host else host
+    try:
+        yield f"http://{shown}:{listener.getsockname()[1]}/?token={token}"
+    finally:
+        server.should_exit = True
+        thread.join(FAREWELL_S + LEAVE_S)
+        listener.close()
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        listener = socket.create_server((host, port), family=family)
+    except (OSError, UnicodeError) as error:
+        raise UsageError(
+            f"--dashboard {host}:{port}: nothing can listen there "
+            f"({getattr(error, 'strerror', None) or error})",
+            "give another address; port 0 is any free one",
+        ) from error
+    if not ipaddress.ip_address(listener.getsockname()[0]).is_loopback:
+        log.warning(
+            "warning: the dashboard listens on %s without encryption: whoever reads the traffic "
+            "reads the token", host,
+        )  # fmt: skip
+    return listener
+
+
+def _make_server(job: WatchedJob, token: str) -> uvicorn.Server:
+    try:
+        import uvicorn
+
+        from hpcapp.dashboard.app import make_app
+    except ImportError as error:
+        raise UsageError(f"the dashboard is not installed here ({error})", INSTALL) from None
+    config = uvicorn.Config(
+        make_app(job, token),
+        loop="asyncio",
+        http="h11",
+        ws="none",
+        lifespan="off",
+        log_config=None,
+        log_level="critical",
+        access_log=False,  # addresses hold the token
+        server_header=False,
+        limit_concurrency=CLIENTS,
+        timeout_graceful_shutdown=FAREWELL_S,
+    )
+    return uvicorn.Server(config)
+
+
+def _serve(server: uvicorn.Server, listener: socket.socket) -> None:
+    """Serve until it is told to end; whatever goes wrong, the job goes on."""
+    try:
+        server.run(sockets=[listener])
+    except Exception as error:
+        log.warning("the dashboard has ended: %s; the job goes on", error)

@@ -1,0 +1,187 @@
+"""Reads binary glTF 2.0 as one mesh: the triangles of all nodes of its scene, in its frame.
+
+https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.io.frame import to_local
+from hpccomponent.errors import InputError
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import ByteArray, FloatArray
+
+__all__ = ["read_glb"]
+
+_TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_HEAD, _CHUNK = 12, 8  # bytes
+_TRIANGLES = 4
+_DEEPEST = 64  # of nodes in nodes: deeper ones are a circle
+
+
+def read_glb(path: Path) -> Mesh:
+    """Read a GLB file as a triangle mesh.
+
+    Parameters
+    ----------
+    path : Path
+        With one buffer of its own, without compression.
+
+    Returns
+    -------
+    Mesh
+        Nodes are where their matrices put them; colours are kept where all primitives have some,
+        attributes (semantics with an underscore, under the name that `write_glb` gave them) where
+        there is one primitive.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, has no triangles, or needs an extension.
+    OSError
+        The file cannot be read.
+    """
+    try:
+        file = _open(path)
+        parts = [part for root in file.roots for part in _read_node(file, root, np.eye(4), 0)]
+        if not parts:
+            raise InputError(f"{path}: holds no triangles", "give a mesh")
+        return _join(parts)
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"{path}: is no whole GLB: {type(error).__name__}: {error}", "export it again"
+        ) from None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _File:
+    """What is in a GLB."""
+
+    path: Path
+    told: dict[str, Any]
+    body: bytes
+
+    @property
+    def roots(self) -> list[int]:
+        scenes = self.told.get("scenes")
+        if scenes:
+            return list(scenes[self.told.get("scene", 0)].get("nodes", []))
+        return list(range(len(self.told.get("nodes", []))))
+
+    def array(self, number: int) -> NDArray[Any]:
+        """Return the rows of an accessor."""
+        accessor = self.told["accessors"][number]
+        if "sparse" in accessor or "bufferView" not in accessor:
+            raise InputError(f"{self.path}: holds sparse accessors", "export it without them")
+        view = self.told["bufferViews"][accessor["bufferView"]]
+        dtype, width = np.dtype(_TYPES[accessor["componentType"]]), _WIDTHS[accessor["type"]]
+        stride = view.get("byteStride", dtype.itemsize * width)
+        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        rows = np.ndarray(
+            (accessor["count"], width), dtype, self.body, start, (stride, dtype.itemsize)
+        )
+        if accessor.get("normalized") and dtype.kind != "f":
+            return rows / np.iinfo(dtype).max
+        return rows
+
+
+def _open(path: Path) -> _File:
+    raw = path.read_bytes()
+    if raw[:4] != b"glTF" or len(raw) < _HEAD + _CHUNK:
+        raise InputError(f"{path}: does not start as a GLB does", "export it as binary glTF 2.0")
+    chunks: dict[bytes, bytes] = {}
+    at = _HEAD
+    while at + _CHUNK <= len(raw):
+        length = int.from_bytes(raw[at : at + 4], "little")
+        chunks.setdefault(raw[at + 4 : at + 8], raw[at + _CHUNK : at + _CHUNK + length])
+        at += _CHUNK + length
+    told = json.loads(chunks[b"JSON"])
+    if needed := told.get("extensionsRequired"):
+        raise InputError(
+            f"{path}: needs the extension {needed[0]}", "export it without compression"
+        )
+    return _File(path, told, chunks.get(b"BIN\0", b""))
+
+
+def _read_node(file: _File, number: int, outer: FloatArray, depth: int) -> Iterator[Mesh]:
+    """Yield the primitives of a node and of those in it."""
+    if depth > _DEEPEST:
+        raise ValueError("nodes are nested too deep")
+    node = file.told["nodes"][number]
+    matrix = outer @ _matrix(node)
+    if "mesh" in node:
+        mesh = file.told["meshes"][node["mesh"]]
+        is_single = len(mesh["primitives"]) == 1
+        for primitive in mesh["primitives"]:
+            if primitive.get("mode", _TRIANGLES) == _TRIANGLES:
+                names = mesh.get("extras", {}).get("attributes", {}) if is_single else {}
+                yield _read_primitive(file, primitive, matrix, names)
+    for child in node.get("children", []):
+        yield from _read_node(file, child, matrix, depth + 1)
+
+
+def _matrix(node: dict[str, Any]) -> FloatArray:
+    """Return the matrix of a node."""
+    if "matrix" in node:
+        return np.array(node["matrix"], float).reshape(4, 4).T
+    x, y, z, w = node.get("rotation", (0, 0, 0, 1))
+    turn = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn * np.array(node.get("scale", (1, 1, 1)))
+    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    return matrix
+
+
+def _read_primitive(
+    file: _File, primitive: dict[str, Any], matrix: FloatArray, names: dict[str, str]
+) -> Mesh:
+    columns = primitive["attributes"]
+    places = file.array(columns["POSITION"]).astype(np.float64)
+    corners = (
+        file.array(primitive["indices"]).reshape(-1).astype(np.int64)
+        if "indices" in primitive
+        else np.arange(len(places))
+    )
+    faces = corners[: len(corners) // 3 * 3].reshape(-1, 3)
+    if len(faces) and faces.max() >= len(places):
+        raise ValueError(f"a face names vertex {faces.max()} of {len(places)}")
+    if np.linalg.det(matrix[:3, :3]) < 0:
+        faces = faces[:, ::-1]
+    colours: ByteArray | None = None
+    if "COLOR_0" in columns:
+        shares = np.clip(file.array(columns["COLOR_0"])[:, :3], 0.0, 1.0)
+        colours = np.rint(255.0 * shares).astype(np.uint8)
+    attributes = {
+        name: file.array(columns[semantic])[:, 0].copy()
+        for name, semantic in names.items()
+        if semantic in columns
+    }
+    # A translation alone keeps the local frame, as `write_glb` writes it.
+    if np.array_equal(matrix[:3, :3], np.eye(3)):
+        return Mesh(places, faces, matrix[:3, 3].copy(), None, colours, attributes)
+    return Mesh(places @ matrix[:3, :3].T, faces, matrix[:3, 3].copy(), None, colours, attributes)
+
+
+def _join(parts: list[Mesh]) -> Mesh:
+    """Return some meshes as one."""
+    if len(parts) == 1:
+        return parts[0]
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    vertices, origin = to_local(np.concatenate([part.vertices + part.origin for part in parts]))
+    faces = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=False)])
+    colours = [part.colours for part in parts if part.colours is not None]
+    mesh = Mesh(vertices, faces, origin)
+    return replace(mesh, colours=np.concatenate(colours)) if len(colours) == len(parts) else mesh

@@ -1,0 +1,139 @@
+"""What a job's report says, as sections of a page."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+from hpcapp.pages.page import Section, make_list, make_table
+from hpcapp.pages.timeline import draw_timeline
+
+__all__ = ["describe_job"]
+
+_MESH = ("vertices", "faces", "watertight", "edge_manifold", "vertex_manifold", "components",
+         "genus", "attributes")  # fmt: skip
+_WORK = ("backend", "workers", "policy", "kernels")
+_ELSEWHERE = (*_MESH, *_WORK, "summary", "input", "normals", "dropped", "warnings", "stages",
+              "timeline", "choice", "bytes_sent", "bytes_received", "command", "cost",
+              "losses")  # fmt: skip
+_FAILED = ("lost", "failed", "refused", "repeated")
+
+
+def describe_job(
+    report: Mapping[str, Any], marked: Sequence[str] = (), *, has_mesh: bool = True
+) -> list[Section]:
+    """Return what a job found, decided and did.
+
+    Parameters
+    ----------
+    report : mapping
+        JSON values; see ``docs/reference/reconstruct.md``. What it lacks is left out, and names
+        that are not known here stand among the decisions.
+    marked : sequence of str
+        The texts of the scene's markers.
+    has_mesh : bool
+        Whether what the mesh is, is said.
+
+    Returns
+    -------
+    list of Section
+    """
+    sections = [
+        Section("Mesh", make_table(_pick(report, _MESH)) if has_mesh else ""),
+        _describe_warnings(report, marked),
+        Section("Decided", make_table(_decisions(report))),
+        *_describe_input(report),
+        Section("Time", _describe_time(report)),
+        Section("Workers and traffic", make_table(_work(report))),
+    ]
+    if command := report.get("command"):
+        words = command if isinstance(command, str) else shlex.join(command)
+        sections.append(Section("To do it again", f"<pre>{escape(words)}</pre>"))
+    return [section for section in sections if section.body]
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _readable(value: Any) -> Any:
+    """Return a JSON value as a cell shows it."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{_words(str(k))} {_say(_readable(v))}" for k, v in value.items()) or "-"
+    if isinstance(value, list | tuple):
+        return ", ".join(_say(_readable(item)) for item in value) or "none"
+    return "-" if value is None else value
+
+
+def _say(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _pick(report: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
+    return {_words(name): _readable(report[name]) for name in names if name in report}
+
+
+def _decisions(report: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what was chosen and found on the way to the mesh."""
+    rows = _pick(report, (name for name in report if name not in _ELSEWHERE))
+    if isinstance(normals := report.get("normals"), Mapping):
+        rows |= {f"normals: {_words(name)}": _readable(v) for name, v in normals.items()}
+    if isinstance(dropped := report.get("dropped"), Mapping):
+        rows |= {f"dropped: {_words(name)}": _readable(v) for name, v in dropped.items()}
+    return rows
+
+
+def _describe_input(report: Mapping[str, Any]) -> list[Section]:
+    given = report.get("input")
+    if not isinstance(given, Mapping):
+        return []
+    rows = {_words(name): _readable(v) for name, v in given.items() if name != "columns"}
+    columns = given.get("columns")
+    if isinstance(columns, Mapping):
+        by_use: dict[str, list[str]] = {}
+        for name, use in columns.items():
+            by_use.setdefault(str(use), []).append(str(name))
+        rows |= {f"taken as {use}": ", ".join(names) for use, names in by_use.items()}
+    return [Section("Input", make_table(rows))]
+
+
+def _describe_warnings(report: Mapping[str, Any], marked: Sequence[str]) -> Section:
+    """Return the warnings, those that are marked on the mesh first."""
+    others = list(map(str, report.get("warnings", [])))
+    body = make_list(marked, "warning", 0) if marked else ""
+    body += make_list(others, "warning") if others else ""
+    return Section("Warnings", body or "<p>none</p>")
+
+
+def _describe_time(report: Mapping[str, Any]) -> str:
+    """Draw the spans of the job; its stages one after the other where there are none."""
+    spans = report.get("timeline", {}).get("spans") or []
+    if not spans:
+        begin = 0.0
+        for name, seconds in report.get("stages", {}).items():
+            end = begin + float(seconds)
+            spans.append({"name": name, "worker": "master", "begin": begin, "end": end})
+            begin = end
+    return draw_timeline(spans)
+
+
+def _work(report: Mapping[str, Any]) -> dict[str, Any]:
+    """Return who did the work, what travelled, what failed and what it cost."""
+    rows = _pick(report, _WORK)
+    if isinstance(choice := report.get("choice"), Mapping) and "reason" in choice:
+        rows["why these"] = choice["reason"]
+    for name in ("bytes_sent", "bytes_received"):
+        if name in report:
+            rows[_words(name)] = report[name]
+    spans = report.get("timeline", {}).get("spans") or []
+    for outcome in _FAILED:
+        if spans:
+            rows[f"tasks {outcome}"] = sum(span.get("outcome") == outcome for span in spans)
+    for name in ("losses", "cost"):
+        if name in report:
+            rows[name] = _readable(report[name])
+    return rows

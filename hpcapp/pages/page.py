@@ -1,0 +1,211 @@
+"""A page: one file of HTML with all that it shows and the program that shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from hpcapp.io.staging import replacing
+from hpcapp.pages.arrays import pack_text
+from hpcapp.pages.scene import Scene, pack_scene
+
+__all__ = ["Section", "build_page", "make_list", "make_table", "write_page"]
+
+# In the order in which they are loaded: each may import those before it, by its name.
+_MODULES = (
+    ("three", "three/three.module.min.js"),
+    ("three/addons/controls/OrbitControls.js", "three/OrbitControls.js"),
+    ("hpcapp/viewer.js", "viewer.js"),
+    ("hpcapp/colours.js", "colours.js"),
+    ("hpcapp/page.js", "page.js"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of a page beside the mesh.
+
+    Parameters
+    ----------
+    title : str
+    body : str
+        HTML.
+    """
+
+    title: str
+    body: str
+
+
+def build_page(
+    title: str,
+    summary: str,
+    scene: Scene,
+    sections: Sequence[Section] = (),
+    *,
+    is_small: bool = False,
+) -> str:
+    """Return a page.
+
+    Parameters
+    ----------
+    title, summary : str
+        Its heading, and the line below.
+    scene : Scene
+    sections : sequence of Section
+        Below the controls.
+    is_small : bool
+        Whether it is shown within another page.
+
+    Returns
+    -------
+    str
+        HTML; the same scene and sections give the same text.
+    """
+    description, colourings, arrays = pack_scene(scene)
+    modules = "\n".join(
+        f'<script type="application/gzip" data-module="{name}">{pack_text(_read(file))}</script>'
+        for name, file in _MODULES
+    )
+    return Template(_read("page.html")).substitute(
+        version=escape(version("hpcapp")),
+        layout="small" if is_small else "large",
+        title=escape(title),
+        summary=escape(summary),
+        style=_read("page.css"),
+        controls=_make_controls(scene, colourings),
+        sections="\n".join(f"<h2>{escape(one.title)}</h2>\n{one.body}" for one in sections),
+        licence=escape(_read("three/LICENSE")),
+        scene=description,
+        arrays=arrays,
+        modules=modules,
+        boot=_read("boot.js"),
+    )
+
+
+def write_page(path: Path, page: str) -> None:
+    """Write a page.
+
+    Parameters
+    ----------
+    path : Path
+        Appears whole or not at all.
+    page : str
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    with replacing(path) as file:
+        file.write(page.encode())
+
+
+def make_table(rows: Mapping[str, Any]) -> str:
+    """Return names and values as a table.
+
+    Parameters
+    ----------
+    rows : mapping of str to object
+        Numbers are written with six digits.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    lines = []
+    for name, value in rows.items():
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        kind = ' class="number"' if is_number else ""
+        lines.append(f"<tr><th>{escape(name)}</th><td{kind}>{escape(_say(value))}</td></tr>")
+    return "<table>\n" + "\n".join(lines) + "\n</table>"
+
+
+def make_list(texts: Sequence[str], kind: str = "", first_marker: int | None = None) -> str:
+    """Return lines as a list.
+
+    Parameters
+    ----------
+    texts : sequence of str
+    kind : str
+        The class of its items.
+    first_marker : int, optional
+        The items are the scene's markers, from this one on, and lead there.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    items = []
+    for number, text in enumerate(texts):
+        goes = (
+            "" if first_marker is None else f' data-marker="{first_marker + number}" tabindex="0"'
+        )
+        items.append(f'<li class="{kind}"{goes}>{escape(text)}</li>')
+    tag = "ul" if first_marker is None else "ol"
+    return f"<{tag}>\n" + "\n".join(items) + f"\n</{tag}>"
+
+
+def _say(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _read(name: str) -> str:
+    return files("hpcapp.pages").joinpath("static", *name.split("/")).read_text(encoding="utf-8")
+
+
+def _make_controls(scene: Scene, colourings: Sequence[Mapping[str, Any]]) -> str:
+    """Return the controls that mean something for a scene."""
+    rows: list[tuple[str, str]] = []
+    boxes = [] if scene.mesh is None else [_box("show-mesh", "mesh", True)]
+    if scene.points is not None:
+        boxes.append(_box("show-points", "points", scene.mesh is None))
+    if scene.markers:
+        boxes.append(_box("show-markers", "warnings", True))
+    rows.append(("Show", " ".join(boxes)))
+    if scene.mesh is not None:
+        options = "".join(
+            f'<option value="{escape(one["name"])}">{escape(one["label"])}</option>'
+            for one in colourings
+        )
+        rows.append(("Colour", f'<select id="colouring">{options}</select>'))
+        rows.append(("", '<span id="legend"></span>'))
+        rows.append(("Draw", _box("wireframe", "wireframe") + _box("flat", "facets")))
+    axes = "".join(f'<option value="{axis}">{axis}</option>' for axis in "xyz")
+    rows.append((
+        "Clip",
+        f'<select id="clip-axis"><option value="">off</option>{axes}</select>'
+        '<input type="range" id="clip-at" min="0" max="1" step="0.002" value="0.5" '
+        f'aria-label="where">{_box("clip-flip", "other side")}',
+    ))  # fmt: skip
+    if scene.points is not None:
+        rows.append((
+            "Point size",
+            '<input type="range" id="point-size" min="1" max="8" step="0.5" value="2">',
+        ))  # fmt: skip
+    ups = "".join(
+        f'<option value="{axis}"{" selected" if axis == scene.up else ""}>{axis} up</option>'
+        for axis in "zyx"
+    )
+    rows.append((
+        "View",
+        f'<select id="up">{ups}</select> <button id="reset" type="button">whole</button>',
+    ))  # fmt: skip
+    lines = [f'<span>{name}</span><div class="row">{body}</div>' for name, body in rows]
+    return '<div class="controls">\n' + "\n".join(lines) + "\n</div>"
+
+
+def _box(name: str, label: str, is_checked: bool = False) -> str:
+    checked = " checked" if is_checked else ""
+    return f'<label><input type="checkbox" id="{name}"{checked}> {label}</label>'

@@ -1,0 +1,49 @@
+"""A picture of whatever is shown: meshes as shaded faces, clouds as points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hpcapp.pages.png import write_png
+from hpcapp.pages.render import render_mesh
+from hpcapp.pages.thumbnail import write_thumbnail
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import PointCloud
+
+__all__ = ["EYE", "write_picture"]
+
+EYE = (30.0, 20.0)
+"""Azimuth and elevation from where a mesh is seen, in degrees."""
+
+
+def write_picture(
+    path: Path,
+    shown: Mesh | PointCloud,
+    eye: tuple[float, float] | None = None,
+    size: int = 800,
+    up: str = "z",
+) -> None:
+    """Draw a mesh or a cloud into a PNG file.
+
+    Parameters
+    ----------
+    path : Path
+        Appears whole or not at all.
+    shown : Mesh or PointCloud
+    eye : tuple of float, optional
+        Azimuth and elevation, in degrees; `EYE` by default.
+    size : int
+        Pixels along a side of a mesh's picture.
+    up : {"x", "y", "z"}
+        The axis that points up in a mesh's picture.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    if isinstance(shown, PointCloud):
+        write_thumbnail(path, shown)
+        return
+    azimuth, elevation = eye or EYE
+    write_png(path, render_mesh(shown, azimuth, elevation, size, up))

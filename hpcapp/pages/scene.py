@@ -1,0 +1,239 @@
+"""What a page draws: a mesh, numbers on its vertices, points beside it, and marked places."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.pages.arrays import pack_array, quantise
+from hpccomponent.surface.kernels import bound_points
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import FloatArray, PointCloud
+
+__all__ = ["MOST_POINTS", "Field", "Marker", "Scene", "fields_of", "label_field", "pack_scene"]
+
+MOST_POINTS = 200_000
+"""Of a cloud, so many are shown beside a mesh, evenly picked."""
+_TOP = 0.95  # share of the vertices that a scale of colours covers: a few must not make all dark
+_LEVELS = 254  # the byte 255 means: no number
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Field:
+    """Numbers by which the vertices of a mesh can be coloured.
+
+    Parameters
+    ----------
+    name, label : str
+        In the page's program, and for people.
+    values : ndarray, shape (v,)
+        NaN where there is no number; of labels, their indices in `labels`.
+    unit : str
+        Behind numbers.
+    low, high : float, optional
+        Ends of the scale; by default those of all but the largest twentieth.
+    labels : sequence of str, optional
+        What whole numbers stand for.
+    """
+
+    name: str
+    label: str
+    values: NDArray[Any]
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    labels: Sequence[str] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marker:
+    """A place in the scene, and what is to be said of it.
+
+    Parameters
+    ----------
+    place : ndarray of float64, shape (3,)
+        In the frame of the scene.
+    text : str
+        One line.
+    """
+
+    place: FloatArray
+    text: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """All that a page draws, in one frame.
+
+    Parameters
+    ----------
+    mesh : Mesh or None
+        Its colours can be shown.
+    fields : sequence of Field
+        Of its vertices.
+    points : PointCloud or None
+        At most some `MOST_POINTS` of them are drawn.
+    markers : sequence of Marker
+    up : {"x", "y", "z"}
+        The axis that points up at first.
+    colouring : str, optional
+        The field that is shown at first; by default the colours, where there are some.
+    """
+
+    mesh: Mesh | None
+    fields: Sequence[Field] = ()
+    points: PointCloud | None = None
+    markers: Sequence[Marker] = ()
+    up: str = "z"
+    colouring: str | None = None
+
+
+def fields_of(mesh: Mesh) -> list[Field]:
+    """Return the attributes of a mesh as fields.
+
+    Parameters
+    ----------
+    mesh : Mesh
+
+    Returns
+    -------
+    list of Field
+    """
+    return [Field(f"attribute-{name}", name, mesh.attributes[name]) for name in mesh.attributes]
+
+
+def label_field(name: str, label: str, numbers: NDArray[Any], words: str) -> Field:
+    """Return whole numbers as a field of labels.
+
+    Parameters
+    ----------
+    name, label : str
+    numbers : ndarray of int, shape (v,)
+        From 0.
+    words : str
+        In front of each number in the legend.
+
+    Returns
+    -------
+    Field
+    """
+    labels = [f"{words} {number}" for number in range(int(numbers.max(initial=0)) + 1)]
+    return Field(name, label, numbers, labels=labels)
+
+
+def pack_scene(scene: Scene) -> tuple[str, list[dict[str, Any]], str]:
+    """Return a scene as a page holds it.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    description : str
+        JSON, safe inside of a ``script`` element.
+    colourings : list of dict
+        ``name`` and ``label`` of what the mesh can be coloured by; the first is shown first.
+    arrays : str
+        Elements with the numbers.
+    """
+    arrays: list[str] = []
+
+    def pack(values: NDArray[Any]) -> str:
+        name = f"array-{len(arrays)}"
+        arrays.append(pack_array(name, values))
+        return name
+
+    mesh = None if scene.mesh is None else _pack_mesh(scene.mesh, pack)
+    colourings = [] if scene.mesh is None else _pack_fields(scene, scene.mesh, pack)
+    points = None if scene.points is None else _pack_points(scene.points, pack)
+    described = {
+        "mesh": mesh,
+        "fields": colourings,
+        "points": points,
+        "markers": [{"place": one.place.tolist(), "text": one.text} for one in scene.markers],
+        "up": scene.up,
+    }
+    text = json.dumps(described, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c"), colourings, "\n".join(arrays)
+
+
+def _pack_mesh(mesh: Mesh, pack: Any) -> dict[str, Any]:
+    finite = mesh.vertices[np.isfinite(mesh.vertices).all(axis=1)]
+    low, high = bound_points(finite) if len(finite) else np.zeros((2, 3))
+    vertices = np.nan_to_num(mesh.vertices, nan=0.0)
+    return {
+        "low": low.tolist(),
+        "step": (float((high - low).max()) or 1.0) / 65535,
+        "positions": pack(quantise(vertices, low, high)),
+        "indices": pack(mesh.faces.astype(np.uint32).reshape(-1)),
+    }
+
+
+def _pack_points(cloud: PointCloud, pack: Any) -> dict[str, Any] | None:
+    """Pack a sample of points; None where no point is finite."""
+    finite = np.flatnonzero(np.isfinite(cloud.positions).all(axis=1))
+    if not len(finite):
+        return None
+    shown = cloud.take(finite[:: max(1, -(-len(finite) // MOST_POINTS))])
+    low, high = bound_points(shown.positions)
+    colours = shown.colours
+    return {
+        "low": low.tolist(),
+        "step": (float((high - low).max()) or 1.0) / 65535,
+        "positions": pack(quantise(shown.positions, low, high)),
+        "colours": None if colours is None else pack(colours.astype(np.uint8)),
+        "shown": len(shown),
+        "total": len(cloud),
+    }
+
+
+def _pack_fields(scene: Scene, mesh: Mesh, pack: Any) -> list[dict[str, Any]]:
+    """Pack what a mesh can be coloured by, what is shown first in front."""
+    packed: list[dict[str, Any]] = []
+    if mesh.colours is not None:
+        colours = pack(mesh.colours.astype(np.uint8))
+        packed.append({"name": "colours", "label": "Colours", "kind": "rgb", "array": colours})
+    packed.append({"name": "plain", "label": "One colour", "kind": "plain"})
+    packed.append({"name": "normals", "label": "Normals", "kind": "normals"})
+    packed += [_pack_field(field, pack) for field in scene.fields]
+    packed.sort(key=lambda one: one["name"] != scene.colouring)  # stable
+    return packed
+
+
+def _pack_field(field: Field, pack: Any) -> dict[str, Any]:
+    packed: dict[str, Any] = {"name": field.name, "label": field.label}
+    if field.labels is not None:
+        most = max(len(field.labels) - 1, 0)
+        numbers = field.values.astype(np.uint8 if most < 256 else np.uint16)
+        return packed | {"kind": "label", "labels": list(field.labels), "array": pack(numbers)}
+    field = _with_ends(field)
+    assert field.low is not None  # noqa: S101 - it has been given its ends
+    assert field.high is not None  # noqa: S101
+    values = field.values.astype(np.float64)
+    is_known = np.isfinite(values)
+    share = (values - field.low) / ((field.high - field.low) or 1.0)
+    levels = np.rint(_LEVELS * np.clip(np.where(is_known, share, 0.0), 0.0, 1.0))
+    return packed | {
+        "kind": "scale",
+        "low": field.low,
+        "high": field.high,
+        "unit": field.unit,
+        "lacks": not bool(is_known.all()),
+        "array": pack(np.where(is_known, levels, 255).astype(np.uint8)),
+    }
+
+
+def _with_ends(field: Field) -> Field:
+    """Return a field whose scale has two ends."""
+    known = field.values[np.isfinite(field.values.astype(np.float64))].astype(np.float64)
+    if not len(known):
+        return replace(field, low=field.low or 0.0, high=field.high or 1.0)
+    low = float(known.min()) if field.low is None else field.low
+    high = float(np.quantile(known, _TOP)) if field.high is None else field.high
+    return replace(field, low=low, high=high)

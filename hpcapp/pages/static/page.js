@@ -1,0 +1,94 @@
+// Decodes what a page holds, and joins its controls to the viewer.
+import { Viewer } from 'hpcapp/viewer.js';
+import { shadeField, legend } from 'hpcapp/colours.js';
+
+const TYPES = { u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
+const find = (id) => document.getElementById(id);
+
+/** Return the numbers of an array in the page: see hpcapp/pages/arrays.py. */
+async function readArray(id) {
+  const holder = find(id);
+  const { type, rows, columns } = holder.dataset;
+  const bytes = await window.unpack(holder.textContent);
+  holder.remove();
+  const values = new TYPES[type](rows * columns), size = values.BYTES_PER_ELEMENT;
+  const count = values.length;
+  for (let column = 0; column < columns; column++) {
+    let last = 0;
+    for (let row = 0, at = column * rows; row < rows; row++, at++) {
+      let step = bytes[at];
+      for (let plane = 1; plane < size; plane++) step |= bytes[plane * count + at] << (8 * plane);
+      last += (step >>> 1) ^ -(step & 1); // 0, -1, 1, -2, 2 ...
+      if (size === 4) last |= 0;
+      values[row * columns + column] = last;
+    }
+  }
+  return values;
+}
+
+async function show(scene) {
+  const viewer = new Viewer(find('view'));
+  window.viewer = viewer;
+  let mesh = null;
+  if (scene.mesh) {
+    const [positions, indices] = await Promise.all(
+      [readArray(scene.mesh.positions), readArray(scene.mesh.indices)]);
+    mesh = viewer.addMesh({ ...scene.mesh, positions, indices });
+  }
+  if (scene.points) {
+    const positions = await readArray(scene.points.positions);
+    const colours = scene.points.colours ? await readArray(scene.points.colours) : null;
+    viewer.setPoints({ ...scene.points, positions, colours });
+    viewer.show('points', !mesh);
+  }
+  const dark = matchMedia('(prefers-color-scheme: dark)');
+  const paint = () => viewer.setBackground(dark.matches ? '#16181d' : '#ffffff');
+  dark.addEventListener('change', paint);
+  paint();
+  viewer.look(scene.up);
+  await join(viewer, scene, mesh);
+}
+
+async function join(viewer, scene, mesh) {
+  const listen = (id, event, act) => find(id)?.addEventListener(event, (e) => act(e.target));
+  const values = new Map();
+  async function recolour(name) {
+    const field = scene.fields.find((one) => one.name === name);
+    if (field?.array && !values.has(name)) values.set(name, await readArray(field.array));
+    find('legend')?.replaceChildren(...legend(field));
+    if (mesh) viewer.colour(mesh, shadeField(viewer, mesh, field, values.get(name)));
+  }
+  listen('colouring', 'change', (select) => recolour(select.value));
+  listen('show-mesh', 'change', (box) => viewer.show('meshes', box.checked));
+  listen('show-points', 'change', (box) => viewer.show('points', box.checked));
+  listen('show-markers', 'change', (box) => viewer.show('markers', box.checked));
+  listen('wireframe', 'change', (box) => viewer.setWireframe(box.checked));
+  listen('flat', 'change', (box) => viewer.setFlat(box.checked));
+  listen('point-size', 'input', (range) => viewer.setPointSize(Number(range.value)));
+  const clip = () => viewer.clip(
+    find('clip-axis').value || null, Number(find('clip-at').value), find('clip-flip').checked);
+  for (const id of ['clip-axis', 'clip-at', 'clip-flip']) listen(id, 'input', clip);
+  listen('up', 'change', (select) => viewer.look(select.value));
+  listen('reset', 'click', () => viewer.look());
+  const approach = (index) => viewer.approach(scene.markers[index].place);
+  viewer.setMarkers(scene.markers, (index) => {
+    approach(index);
+    const item = document.querySelector(`[data-marker="${index}"]`);
+    item?.scrollIntoView({ block: 'center' });
+    item?.focus();
+  });
+  for (const item of document.querySelectorAll('[data-marker]')) {
+    item.addEventListener('click', () => approach(Number(item.dataset.marker)));
+  }
+  if (mesh) await recolour(find('colouring').value);
+}
+
+try {
+  await show(JSON.parse(find('scene').textContent));
+  document.body.dataset.state = 'ready';
+} catch (error) {
+  document.body.dataset.state = 'failed';
+  find('failure').textContent = `Nothing can be drawn here: ${error.message}. `
+    + 'A browser with WebGL 2 shows the mesh; `hpcapp view MESH --png FILE` draws it without one.';
+  throw error;
+}

@@ -1,0 +1,81 @@
+"""Edges and corners: vertices of the finest lattice around which the points fall into pieces.
+
+They are few: what is known of them stands beside the level, and all others cost nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpccomponent.surface import kernels
+from hpccomponent.surface.fitting.cell_points import SortedPoints
+from hpccomponent.surface.kernels import BASIS
+from hpccomponent.surface.types.field import PIECES, Features
+from hpccomponent.surface.types.lattice import find_layers, unpack_keys
+from hpccomponent.surface.types.points import Float32Array, IntArray
+
+__all__ = ["find_features", "join_features"]
+
+_REACH = 3  # cells on each side of a vertex that the fits look at (see `fit_features`)
+_NONE = 255  # joints of a vertex where one quadric does
+
+
+def find_features(
+    vertices: IntArray,
+    counts: Float32Array,
+    noise: float,
+    cells: IntArray,
+    points: SortedPoints,
+    threads: int = 1,
+) -> Features:
+    """Fit joined quadrics where one quadric would round an edge or a corner off.
+
+    Parameters
+    ----------
+    vertices : ndarray of int64, shape (v,)
+        Sorted keys of the finest lattice, one or more.
+    counts : ndarray of float32, shape (v,)
+        Points in the eight cells around each; where there are none, one quadric does.
+    noise : float
+        Variance of the positions along the normals, in cells squared.
+    cells : ndarray of int64, shape (c,)
+        Sorted keys of the occupied cells.
+    points : SortedPoints
+        In these.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    Features
+    """
+    asked = vertices[counts > 0.0]
+    low, high = unpack_keys(vertices[[0, -1]])[:, 0].tolist()
+    run = find_layers(cells, low - _REACH, high + _REACH - 1)
+    local, normals, offsets = points.place(run)
+    given = asked, cells[run], offsets, local, normals, noise
+    pieces, joints = kernels.fit_features(*given, threads)
+    found = joints < _NONE
+    return Features(asked[found], pieces[found], joints[found])
+
+
+def join_features(parts: list[Features]) -> Features:
+    """Join the features of runs of vertices, one after the other.
+
+    Parameters
+    ----------
+    parts : list of Features
+
+    Returns
+    -------
+    Features
+    """
+    none = Features(
+        np.empty(0, np.int64), np.empty((0, PIECES, BASIS), np.float32), np.empty(0, np.uint8)
+    )
+    parts = [none, *parts]
+    return Features(
+        np.concatenate([part.keys for part in parts]),
+        np.concatenate([part.pieces for part in parts]),
+        np.concatenate([part.joints for part in parts]),
+    )

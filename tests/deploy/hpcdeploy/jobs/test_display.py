@@ -1,0 +1,42 @@
+"""Displays of a job: a page on the head becomes one of this machine."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import pytest
+
+from hpcdeploy.jobs.display import ForwardingDisplay, JobDisplay
+
+
+class Shown(JobDisplay):
+    def __init__(self) -> None:
+        self.said: list[Any] = []
+
+    def show_log(self, line: str) -> None:
+        self.said.append(line)
+
+    def show_event(self, event: dict[str, Any]) -> None:
+        self.said.append(event)
+
+
+def test_the_port_changes_and_the_token_stays(caplog: pytest.LogCaptureFixture) -> None:
+    shown = Shown()
+    asked: list[int] = []
+
+    def forward(port: int) -> int:
+        asked.append(port)
+        return 4321
+
+    display = ForwardingDisplay(shown, forward)
+    assert not display.has_page
+    stage = {"stage": "fit", "done": 1, "total": 2}
+    with caplog.at_level(logging.INFO, "hpcapp"):
+        display.show_event({"dashboard": "http://127.0.0.1:1234/?token=a-b_c"})
+    display.show_event(stage)
+    display.show_log("a line")
+    assert asked == [1234]
+    assert caplog.messages == ["dashboard: http://127.0.0.1:4321/?token=a-b_c"]
+    assert display.has_page
+    assert shown.said == [stage, "a line"]

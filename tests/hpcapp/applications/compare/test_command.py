@@ -1,0 +1,114 @@
+"""The command ``compare``: known distances, as a table, as JSON and on a page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hpcapp.applications.compare.command import compare
+from hpcapp.io import write_mesh, write_points
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import PointCloud
+
+CORNERS = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+FACES = np.array([
+    [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+    [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+])  # fmt: skip
+FAR = np.array([4e5, 5e6, 0.0])
+
+
+def run(*words: str | Path) -> str:
+    done = CliRunner().invoke(compare, list(map(str, words)), catch_exceptions=False)
+    assert done.exit_code == 0
+    return done.output
+
+
+def measure(*words: str | Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(run(*words, "--json", "--samples", "2000"))
+    return found
+
+
+@pytest.fixture
+def cube(tmp_path: Path) -> Path:
+    write_mesh(tmp_path / "cube.ply", Mesh(CORNERS, FACES, FAR))
+    return tmp_path / "cube.ply"
+
+
+def test_a_mesh_is_at_no_distance_from_itself(cube: Path) -> None:
+    found = measure(cube, cube)
+    assert found["hausdorff"] < 1e-7
+    assert found["diagonal"] == pytest.approx(3**0.5)
+    assert found["f_scores"] == {"0.02": 1.0, "0.1": 1.0, "0.5": 1.0}
+    assert found["topology"]["watertight"]
+
+
+def test_a_larger_cube_is_as_far_away_as_it_is_larger(cube: Path, tmp_path: Path) -> None:
+    write_mesh(tmp_path / "more.ply", Mesh(1.2 * CORNERS - 0.1, FACES, FAR))
+    found = measure(tmp_path / "more.ply", cube)
+    unit = found["diagonal"] / 100
+    assert found["completeness"] * unit == pytest.approx(0.1, rel=1e-6)
+    assert 0.1 < found["accuracy"] * unit < 0.11  # corners are farther away
+    assert 0.1 <= found["hausdorff"] * unit <= 0.1 * 3**0.5
+    assert found["normal_deg"] < 1e-3
+
+
+def test_points_are_a_truth(cube: Path, tmp_path: Path) -> None:
+    write_points(tmp_path / "c.ply", PointCloud(CORNERS, origin=FAR))
+    found = measure(cube, tmp_path / "c.ply")
+    assert found["completeness"] < 1e-9
+    assert found["accuracy"] > 10.0  # eight corners are far from most of the faces
+    assert found["normal_deg"] is None
+
+
+def test_a_shape_is_a_truth(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "cube.ply", Mesh(2 * CORNERS - 1, FACES))
+    assert measure(tmp_path / "cube.ply", "shape:sphere")["accuracy"] > 1.0
+
+
+def test_an_open_truth_leaves_half_unsaid(cube: Path, tmp_path: Path) -> None:
+    write_mesh(tmp_path / "open.ply", Mesh(CORNERS, FACES[2:], FAR))
+    assert measure(cube, tmp_path / "open.ply")["accuracy"] is None
+    assert "open" in run(cube, tmp_path / "open.ply")
+
+
+def test_the_table_has_every_measure(cube: Path) -> None:
+    table = run(cube, cube, "--threshold", "0.3")
+    for words in ("L1", "root mean square", "95 %", "Hausdorff", "F-score at 0.3 %", "watertight"):
+        assert words in table
+
+
+def test_a_seed_gives_the_same_again(cube: Path, tmp_path: Path) -> None:
+    write_mesh(tmp_path / "more.ply", Mesh(1.2 * CORNERS, FACES, FAR))
+    first, again, other = (
+        measure(tmp_path / "more.ply", cube, "--seed", seed) for seed in ("1", "1", "2")
+    )
+    assert first == again != other
+
+
+def test_the_page_is_coloured_by_the_distance(cube: Path, tmp_path: Path) -> None:
+    write_mesh(tmp_path / "more.ply", Mesh(1.2 * CORNERS - 0.1, FACES, FAR))
+    run(tmp_path / "more.ply", cube, "--html", tmp_path / "p.html")
+    page = (tmp_path / "p.html").read_text()
+    scene = json.loads(page.split('id="scene">')[1].split("</script>")[0])
+    assert scene["fields"][0]["name"] == "distance"
+    assert scene["fields"][0]["high"] == pytest.approx(0.1 * 3**0.5)
+    assert "Hausdorff" in page
+
+
+def test_what_cannot_be_compared_is_said(cube: Path, tmp_path: Path) -> None:
+    write_points(tmp_path / "c.ply", PointCloud(CORNERS))
+    for words, error in (
+        ((tmp_path / "c.ply", cube), InputError),
+        ((cube, tmp_path / "none.ply"), InputError),
+        ((cube, "shape:sphere"), InputError),
+        ((cube, cube, "--html", tmp_path / "p.txt"), UsageError),
+    ):
+        with pytest.raises(error):
+            run(*words)

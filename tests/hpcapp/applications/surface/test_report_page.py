@@ -1,0 +1,160 @@
+"""The page of a job: in memory, out of core, on workers and fetched from a cluster."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hpcapp.applications.surface.command import reconstruct
+from hpcapp.applications.surface.report_page import build_job_page, find_guesses, show_files
+from hpcapp.io import read_mesh, write_points
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import PointCloud
+
+
+def run(*words: str | Path) -> dict[str, Any]:
+    done = CliRunner().invoke(reconstruct, [*map(str, words), "--json"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    report: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return report
+
+
+def scene_of(page: str) -> dict[str, Any]:
+    scene: dict[str, Any] = json.loads(page.split('id="scene">')[1].split("</script>")[0])
+    return scene
+
+
+def names_of(page: str) -> set[str]:
+    return {field["name"] for field in scene_of(page)["fields"]}
+
+
+@pytest.fixture
+def capless(sphere: PointCloud, tmp_path: Path) -> Path:
+    """Points of a sphere without its top."""
+    rng = np.random.default_rng(1)
+    more = rng.normal(size=(6000, 3))
+    more /= np.linalg.norm(more, axis=1, keepdims=True)
+    more = more[more[:, 2] < 0.75]
+    write_points(tmp_path / "capless.ply", PointCloud(more, more))
+    return tmp_path / "capless.ply"
+
+
+def test_a_page_says_what_the_job_says(capless: Path, tmp_path: Path) -> None:
+    report = run(capless, "-o", tmp_path / "m.ply", "--grid", "48", "--report", tmp_path / "r.html")
+    page = (tmp_path / "r.html").read_text()
+    assert report["summary"] in page
+    assert f"{report['spacing']:.6g}" in page
+    assert f"{report['cell_size']:.6g}" in page
+    assert "taken as normal" in page
+    assert f"reconstruct {capless} --output {tmp_path / 'm.ply'} --grid 48" in page
+    assert {"distance", "support", "normals", "plain"} <= names_of(page)
+    assert scene_of(page)["points"]["total"] == report["points"]
+    assert "show" in report["stages"]
+
+
+def test_guesswork_is_marked_where_it_is(capless: Path, tmp_path: Path) -> None:
+    run(capless, "-o", tmp_path / "m.ply", "--grid", "48", "--report", tmp_path / "r.html")
+    [marker] = scene_of((tmp_path / "r.html").read_text())["markers"]
+    x, y, z = marker["place"]
+    assert np.hypot(x, y) < 0.4
+    assert z > 0.6
+    assert "guesswork" in marker["text"]
+
+
+def test_what_points_support_is_not_marked() -> None:
+    corners = np.random.default_rng(0).normal(size=(30, 3))
+    mesh = Mesh(corners, np.arange(30).reshape(-1, 3))
+    assert find_guesses(mesh, np.full(30, 0.1), 1.0) == []
+    far = np.where(np.arange(30) < 6, 50.0, 0.1)
+    markers = find_guesses(mesh, far, 1.0)
+    assert len(markers) == 2
+    middles = mesh.vertices[mesh.faces[:2]].mean(axis=1)
+    assert {tuple(one.place) for one in markers} == {tuple(middle) for middle in middles}
+
+
+def test_a_picture_is_drawn_beside_the_mesh(capless: Path, tmp_path: Path) -> None:
+    run(capless, "-o", tmp_path / "m.ply", "--grid", "32", "--png", tmp_path / "m.png")
+    assert (tmp_path / "m.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_page_changes_no_byte_of_the_mesh(capless: Path, tmp_path: Path) -> None:
+    run(capless, "-o", tmp_path / "a.ply", "--grid", "32")
+    run(capless, "-o", tmp_path / "b.ply", "--grid", "32", "--report", tmp_path / "r.html")
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+@pytest.mark.slow
+def test_tiles_and_workers_can_be_told_apart(capless: Path, tmp_path: Path) -> None:
+    words: list[str | Path] = [
+        capless,
+        "-o",
+        tmp_path / "m.ply",
+        "--grid",
+        "64",
+        "--report",
+        tmp_path / "r.html",
+    ]
+    report = run(*words, "--backend", "zmq", "--workers", "2")
+    page = (tmp_path / "r.html").read_text()
+    assert report["tiles"] > 1
+    fields = {field["name"]: field for field in scene_of(page)["fields"]}
+    assert set(fields["worker"]["labels"]) <= {"machine-0", "machine-1"}
+    assert len(fields["tile"]["labels"]) >= report["tiles"]
+    assert "machine-0" in page.split("<svg")[1]
+
+
+@pytest.mark.slow
+def test_points_that_lie_in_a_folder_are_near_too(tmp_path: Path) -> None:
+    normals = np.random.default_rng(3).normal(size=(60_000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    write_points(tmp_path / "c.ply", PointCloud(normals, normals))
+    pages = []
+    there: list[str | Path] = ["--temp-dir", tmp_path / "t", "--backend", "processes"]
+    for name, more in (("a", []), ("b", there)):
+        page = tmp_path / f"{name}.html"
+        words: list[str | Path] = [
+            tmp_path / "c.ply",
+            "-o",
+            tmp_path / f"{name}.ply",
+            "--grid",
+            "48",
+        ]
+        run(*words, "--report", page, *more)
+        pages.append(scene_of(page.read_text()))
+    ends = [
+        next(field["high"] for field in scene["fields"] if field["name"] == "distance")
+        for scene in pages
+    ]
+    assert ends[0] == pytest.approx(ends[1], rel=1e-9)
+
+
+def test_a_mesh_that_a_cluster_has_made_has_a_page(capless: Path, tmp_path: Path) -> None:
+    report = run(capless, "-o", tmp_path / "m.ply", "--grid", "32")
+    shown = show_files(tmp_path / "m.ply", capless)
+    assert len(shown.mesh.faces) == report["faces"]
+    page = build_job_page(shown, report, "m.ply")
+    assert scene_of(page)["markers"]
+
+
+def test_a_copy_is_called_one(capless: Path, tmp_path: Path) -> None:
+    report = run(capless, "-o", tmp_path / "m.ply", "--grid", "32")
+    shown = show_files(tmp_path / "m.ply", capless)
+    page = build_job_page(replace(shown, faces=10 * shown.faces), report, "m.ply")
+    assert "A copy with fewer faces is shown" in page
+    assert len(read_mesh(tmp_path / "m.ply").faces) == shown.faces
+
+
+@pytest.mark.parametrize("flag", [["--report", "no/r.html"], ["--report", "r.pdf"], ["--png", "r"]])
+def test_a_page_that_cannot_be_is_refused_before_the_work(
+    capless: Path, tmp_path: Path, flag: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(reconstruct, [str(capless), "-o", "m.ply", *flag])
+    assert done.exception is not None
+    assert [path.name for path in tmp_path.iterdir()] == ["capless.ply"]

@@ -1,0 +1,112 @@
+"""The command ``view``: pages and pictures of any file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from hpcapp.applications.view.command import view
+from hpcapp.io import write_mesh, write_points
+from hpccomponent.errors import InputError, OutputError, UsageError
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import PointCloud
+
+CORNERS = np.array([[0.0, 0, 0], [2.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
+FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+TETRAHEDRON = Mesh(CORNERS, FACES, np.array([4e5, 5e6, 0.0]))
+
+
+def run(*words: str | Path) -> Result:
+    return CliRunner().invoke(view, list(map(str, words)), catch_exceptions=False)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".off", ".glb", ".vtp"])
+def test_every_format_of_meshes_has_a_page(tmp_path: Path, suffix: str) -> None:
+    write_mesh(tmp_path / f"m{suffix}", TETRAHEDRON)
+    done = run(tmp_path / f"m{suffix}", "-o", tmp_path / "p.html", "--no-open")
+    assert done.output.strip() == str(tmp_path / "p.html")
+    page = (tmp_path / "p.html").read_text()
+    assert "4 vertices, 4 faces, watertight" in page
+    assert 'id="wireframe"' in page
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".xyz", ".npz"])
+def test_points_have_a_page(tmp_path: Path, suffix: str) -> None:
+    cloud = np.random.default_rng(0).normal(size=(50, 3))
+    write_points(tmp_path / f"c{suffix}", PointCloud(cloud))
+    run(tmp_path / f"c{suffix}", "-o", tmp_path / "p.html", "--no-open")
+    page = (tmp_path / "p.html").read_text()
+    assert "50 points" in page
+    assert 'id="wireframe"' not in page
+
+
+def test_points_beside_a_mesh_tell_its_distance(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "m.ply", TETRAHEDRON)
+    write_points(
+        tmp_path / "c.ply",
+        PointCloud(CORNERS + 0.3, origin=TETRAHEDRON.origin),
+    )
+    run(tmp_path / "m.ply", "--points", tmp_path / "c.ply", "-o", tmp_path / "p.html", "--no-open")
+    page = (tmp_path / "p.html").read_text()
+    scene = json.loads(page.split('id="scene">')[1].split("</script>")[0])
+    [distance] = [one for one in scene["fields"] if one["name"] == "distance"]
+    assert distance["high"] == pytest.approx(0.3 * 3**0.5, abs=0.2)
+
+
+def test_a_report_is_said_on_the_page(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "m.ply", TETRAHEDRON)
+    (tmp_path / "r.json").write_text(json.dumps({"noise": 0.125, "warnings": ["!w"]}))
+    run(tmp_path / "m.ply", "--report", tmp_path / "r.json", "-o", tmp_path / "p.html", "--no-open")
+    page = (tmp_path / "p.html").read_text()
+    assert "0.125" in page
+    assert "!w" in page
+
+
+@pytest.mark.parametrize("content", ["", "[1]", "{", "\xff"])
+def test_a_report_that_is_none_is_refused(tmp_path: Path, content: str) -> None:
+    write_mesh(tmp_path / "m.ply", TETRAHEDRON)
+    (tmp_path / "r.json").write_text(content, encoding="latin-1")
+    with pytest.raises(InputError, match=r"r\.json"):
+        run(tmp_path / "m.ply", "--report", tmp_path / "r.json", "-o", tmp_path / "p.html")
+    assert not (tmp_path / "p.html").exists()
+
+
+def test_a_picture_alone_makes_no_page(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "m.ply", TETRAHEDRON)
+    done = run(tmp_path / "m.ply", "--png", tmp_path / "m.png", "--size", "32", "--eye", "10,5")
+    assert not done.output
+    assert (tmp_path / "m.png").read_bytes().startswith(b"\x89PNG")
+    assert {path.name for path in tmp_path.iterdir()} == {"m.ply", "m.png"}
+
+
+@pytest.mark.parametrize(
+    ("words", "error", "said"),
+    [
+        (["-o", "p.txt"], UsageError, "ends in .html"),
+        (["--png", "p.jpg"], UsageError, "ends in .png"),
+        (["-o", "no/p.html"], OutputError, "create the folder"),
+        (["--eye", "1,2"], UsageError, "--png"),
+    ],
+)
+def test_what_cannot_be_is_said(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    error: type[Exception],
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_mesh("m.ply", TETRAHEDRON)
+    with pytest.raises(error, match=said):
+        run("m.ply", *words)
+    assert [path.name for path in tmp_path.iterdir()] == ["m.ply"]
+
+
+def test_a_cloud_without_a_place_is_refused(tmp_path: Path) -> None:
+    write_points(tmp_path / "c.npz", PointCloud(np.full((5, 3), np.nan)))
+    with pytest.raises(InputError):
+        run(tmp_path / "c.npz", "-o", tmp_path / "p.html", "--no-open")

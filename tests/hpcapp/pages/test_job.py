@@ -1,0 +1,103 @@
+"""A job's report as a page says it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hpcapp.pages.job import describe_job
+from hpcapp.pages.timeline import draw_timeline
+
+REPORT: dict[str, Any] = {
+    "summary": "4 vertices",
+    "method": "hierarchical",
+    "vertices": 4,
+    "watertight": True,
+    "spacing": 0.25,
+    "noise": 0.001,
+    "levels": 5,
+    "a_new_fact": 17,
+    "normals": {"source": "estimated", "sure": 0.75},
+    "dropped": {"outliers": 12},
+    "warnings": ["the <scan> is open"],
+    "input": {"files": ["a.las"], "format": "LAS", "columns": {"X": "position", "t": "left out"}},
+    "backend": "zmq",
+    "workers": 2,
+    "choice": {"reason": "it was asked for"},
+    "bytes_sent": 123456,
+    "stages": {"read": 1.5, "fit": 0.5},
+    "command": ["hpcapp", "reconstruct", "my scan.las", "-o", "m.ply"],
+}
+
+
+def bodies(report: dict[str, Any], marked: tuple[str, ...] = ()) -> dict[str, str]:
+    return {section.title: section.body for section in describe_job(report, marked)}
+
+
+def test_everything_that_was_decided_is_said() -> None:
+    decided = bodies(REPORT)["Decided"]
+    for words in ("hierarchical", "0.25", "0.001", "a new fact", "17", "estimated", "0.75", "12"):
+        assert words in decided
+
+
+def test_columns_are_said_by_their_use() -> None:
+    said = bodies(REPORT)["Input"]
+    assert "taken as position" in said
+    assert "taken as left out" in said
+
+
+def test_warnings_that_are_marked_come_first() -> None:
+    said = bodies(REPORT, ("a hole",))["Warnings"]
+    assert said.index("a hole") < said.index("the &lt;scan&gt; is open")
+    assert said.count("data-marker") == 1
+
+
+def test_the_command_can_be_typed_again() -> None:
+    assert "reconstruct &#x27;my scan.las&#x27; -o m.ply" in bodies(REPORT)["To do it again"]
+
+
+def test_traffic_failures_and_cost_are_said() -> None:
+    spans = [
+        {"name": "mesh_tile", "worker": "w-1", "begin": 0.0, "end": 1.0, "outcome": "lost"},
+        {"name": "mesh_tile", "worker": "w-2", "begin": 1.0, "end": 2.0, "outcome": "done"},
+    ]
+    told = {**REPORT, "timeline": {"spans": spans}, "cost": "0.12 USD"}
+    said = bodies(told)["Workers and traffic"]
+    assert "123,456" in said
+    assert "it was asked for" in said
+    assert "0.12 USD" in said
+    assert '<th>tasks lost</th><td class="number">1</td>' in said
+    assert "w-1" in bodies(told)["Time"]
+
+
+def test_an_empty_report_has_no_empty_tables() -> None:
+    assert all("<tr>" in body or title == "Warnings" or "<table>" in body
+               for title, body in bodies({"summary": ""}).items())  # fmt: skip
+
+
+def test_stages_stand_in_for_spans() -> None:
+    said = bodies(REPORT)["Time"]
+    assert "read: 1.5 s from 0 s" in said
+    assert "fit: 0.5 s from 1.5 s" in said
+
+
+def test_workers_are_in_the_order_of_their_numbers_behind_the_master() -> None:
+    spans = [
+        {"name": "t", "worker": worker, "begin": 0.0, "end": 1.0, "outcome": "done"}
+        for worker in ("w-10", "w-2", "master")
+    ]
+    drawn = draw_timeline(spans)
+    assert drawn.index(">master<") < drawn.index(">w-2<") < drawn.index(">w-10<")
+
+
+def test_of_very_many_spans_the_longest_are_drawn() -> None:
+    spans = [
+        {"name": "t", "worker": f"w-{n % 100}", "begin": 0.0, "end": 1.0 + n, "outcome": "done"}
+        for n in range(5000)
+    ]
+    drawn = draw_timeline(spans)
+    assert drawn.count("<title>") <= 4000
+    assert "the longest 4000 of 5000 spans and 64 of 100 workers" in drawn
+
+
+def test_nothing_is_drawn_of_nothing() -> None:
+    assert draw_timeline([]) == ""
