@@ -77,7 +77,8 @@ function showWorkers() {
   const found = new Map();
   const of = (name) => {
     if (!found.has(name)) {
-      found.set(name, { now: '', tasks: 0, busy: 0, received: 0, sent: 0, lost: 0, first: news.now });
+      found.set(name, { now: '', tasks: 0, busy: 0, received: 0, sent: 0, lost: 0, again: 0,
+        first: news.now });
     }
     return found.get(name);
   };
@@ -85,7 +86,7 @@ function showWorkers() {
   for (const [, worker, begin, end, outcome, received, sent] of spans) {
     if (worker === MASTER) continue;
     const row = of(worker);
-    if (outcome === 'done') row.tasks += 1; else row.lost += 1;
+    row[{ done: 'tasks', repeated: 'again' }[outcome] ?? 'lost'] += 1;
     row.busy += end - begin;
     row.received += received;
     row.sent += sent;
@@ -97,7 +98,7 @@ function showWorkers() {
     const share = row.busy / Math.max(1e-9, news.now - row.first);
     return [name, row.now, row.tasks, { text: `${Math.min(100, Math.round(100 * share))} %` },
       { text: bytes(row.received) }, { text: bytes(row.sent) },
-      { text: row.lost, isBad: row.lost > 0 }];
+      { text: row.again }, { text: row.lost, isBad: row.lost > 0 }];
   }));
 }
 

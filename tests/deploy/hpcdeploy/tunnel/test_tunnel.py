@@ -10,11 +10,13 @@ import socket
 import struct
 import sys
 import threading
+import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import paramiko
@@ -23,8 +25,13 @@ import zmq
 from machines.servers import USER, Machines, Server
 
 from hpcapp.backends.cluster import open_inventory
+from hpcapp.dashboard.server import open_dashboard
+from hpcapp.dashboard.watched_job import WatchedJob
+from hpcapp.timeline import Timeline
 from hpccomponent.errors import CloudError
 from hpccomponent.inventory import hold_cluster
+from hpcdeploy.jobs.display import ForwardingDisplay, JobDisplay
+from hpcdeploy.jobs.queries import Jobs
 from hpcdeploy.machine.local_shell import LocalShell
 from hpcdeploy.machine.ssh.connect import connect
 from hpcdeploy.machine.ssh.shell import SshShell
@@ -194,3 +201,17 @@ def test_a_cluster_that_was_not_set_up_is_one_line(tmp_path: Path) -> None:
         lead_workers(LocalShell("head", tmp_path), FOLDER, "tcp://127.0.0.1:9"),
     ):
         pass
+
+
+def test_a_page_on_the_head_is_reached_through_ssh(
+    shell: SshShell, caplog: pytest.LogCaptureFixture
+) -> None:
+    job = WatchedJob(Timeline(), "far away")
+    display = ForwardingDisplay(JobDisplay(), Jobs(shell, "standing").forward)
+    with caplog.at_level(logging.INFO, "hpcapp"), open_dashboard("127.0.0.1:0", job) as there:
+        display.show_event({"dashboard": there})
+        here = caplog.messages[-1].removeprefix("dashboard: ")
+        assert urlsplit(here).port != urlsplit(there).port
+        assert urlsplit(here).query == urlsplit(there).query
+        with urllib.request.urlopen(here, timeout=60) as answer:  # noqa: S310 - loopback
+            assert b"far away" in answer.read()

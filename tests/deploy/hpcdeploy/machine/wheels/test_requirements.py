@@ -173,3 +173,14 @@ def test_an_empty_wheelhouse_is_one_line(tmp_path: Path) -> None:
 
 def test_without_a_wheelhouse_nothing_can_be_missing(tmp_path: Path) -> None:
     assert find_problems(spec(), tmp_path) == []
+
+
+def test_a_head_gets_what_the_dashboard_needs_where_it_can(tmp_path: Path) -> None:
+    head, _ = needs_of(spec(), tmp_path, "hpcapp", BOOKWORM, is_head=True)
+    worker, _ = needs_of(spec(), tmp_path, "hpcapp", BOOKWORM, is_head=False)
+    assert [text for text in head.requirements if text.startswith("starlette")]
+    assert not [text for text in worker.requirements if text.startswith("starlette")]
+    (tmp_path / "wheels").mkdir()  # a wheelhouse may do without: no job shows a page then
+    _, missing = needs_of(spec(wheelhouse="wheels"), tmp_path, "hpcapp", BOOKWORM, is_head=True)
+    assert missing
+    assert not [text for text in missing if text.startswith(("starlette", "uvicorn"))]
