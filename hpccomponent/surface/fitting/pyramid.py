@@ -26,6 +26,7 @@ from hpccomponent.surface.fitting.cell_points import (
 from hpccomponent.surface.fitting.robust import weigh_points
 from hpccomponent.surface.fitting.support import sum_squares, surrounded_vertices
 from hpccomponent.surface.fitting.weights import (
+    CHANCE_SHARE,
     FIELD_LEVELS,
     Weights,
     find_agreement,
@@ -133,12 +134,16 @@ class VertexQuadrics:
     variances : ndarray of float32, shape (v, 3)
         What the fits leave over (see `hermite.residual_variances`), in cells squared: its own, the
         mean of its parents' and of theirs. Where points are few, its own is the parents'.
+    misfits : ndarray of float32, shape (v,)
+        How far its gradients are off the points' normals (see `hermite.evaluate_misfits`), 0
+        where there are no points.
     """
 
     coefficients: Float32Array
     counts: Float32Array
     inherited: Float32Array
     variances: Float32Array
+    misfits: Float32Array
 
 
 @record("surface.parents")
@@ -311,7 +316,7 @@ def fit_levels(
         if not asked.all():
             touched, rows = touched[asked], rows[asked]
         local = depth < pyramid.height - _LOCAL_FROM
-        noise = _find_noise(weights[depth].noise, quadrics.variances[rows], local)
+        noise = _find_noise(CHANCE_SHARE * weights[depth].noise, quadrics.variances[rows], local)
         arguments = touched, rows, quadrics, noise, weights[depth], threads
         if depth == 1 and index == 1 and np.isfinite(weights[1].tolerance):
             _fit_weighed(pyramid, *arguments)
@@ -334,11 +339,12 @@ def _inherit_level(vertices: IntArray, parents: Parents | None, threads: int) ->
     none = np.zeros(len(vertices), np.float32)
     if parents is None:
         coefficients, variances = (np.zeros((len(vertices), k), np.float32) for k in (BASIS, 3))
-        return VertexQuadrics(coefficients, none, none.copy(), variances)
+        return VertexQuadrics(coefficients, none, none.copy(), variances, none.copy())
     values = np.column_stack((parents.support, _FINER_UNITS * parents.variances))
     given = vertices, parents.keys, parents.coefficients, values
     means, inherited = kernels.inherit_level(*given, threads)
-    return VertexQuadrics(means, none, inherited[:, 0].copy(), inherited[:, [1, 1, 2]])
+    support, variances = inherited[:, 0].copy(), inherited[:, [1, 1, 2]]
+    return VertexQuadrics(means, none, support, variances, none.copy())
 
 
 def _offer_level(vertices: IntArray, cells: IntArray, quadrics: VertexQuadrics) -> Parents:
@@ -377,6 +383,7 @@ def _fit_level(
             noise[cut], weights.lam, weights.least_mu, weights.most_mu,
         )  # fmt: skip
         quadrics.coefficients[at] = coefficients
+        quadrics.misfits[at] = misfits
         quadrics.counts[at] = counts if level.is_finest else counts * find_agreement(misfits)
         known = ~np.isnan(variances)
         quadrics.variances[at[known], 0] = variances[known]

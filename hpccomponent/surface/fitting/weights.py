@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hpccomponent.surface.types.points import Float32Array, FloatArray
 
 __all__ = [
+    "CHANCE_SHARE",
     "FIELD_LEVELS",
     "LEAST_MU",
     "Weights",
@@ -27,12 +28,15 @@ __all__ = [
 FIELD_LEVELS = 4
 """So many levels, finest first, lie above the far field; coarser ones only serve as priors."""
 
+CHANCE_SHARE = 0.5
+"""Of the noise's variance, what excuses that a prior misses few points: where shape is rich, the
+variance is estimated too large."""
+
 LEAST_MU = 0.3
 """The least weight of a prior, in points; and its weight where there is nothing to compare."""
 
 
 _MOST_MU = 1000.0
-_CHANCE_SHARE = 0.5  # of the noise's variance: where shape is rich, it is estimated too large
 _LAM_PER_NOISE = 15.0
 _LEAST_LAM = 0.001
 _LEAST_COARSE_LAM = 0.1  # a quadric bends within a coarse cell: its normals hold it
@@ -58,8 +62,7 @@ class Weights:
     lam : float
         Of the normals against the positions, dimensionless.
     noise : float
-        Variance of the positions along the normals, in cells of the level squared, as far as it
-        excuses that a prior misses points.
+        Variance of the positions along the normals, in cells of the level squared.
     least_mu, most_mu : float
         Between which the weight of a prior lies, in points.
     tolerance : float
@@ -104,7 +107,7 @@ def weigh_levels(
         least = _LEAST_COARSE_LAM if depth else _LEAST_LAM
         lam = min(max(_LAM_PER_NOISE * variance, least), _MOST_LAM)
         most_mu = _MOST_MU if depth < levels - 1 else LEAST_MU
-        weights.append(Weights(lam, _CHANCE_SHARE * variance, LEAST_MU, most_mu, tolerance))
+        weights.append(Weights(lam, variance, LEAST_MU, most_mu, tolerance))
     return weights
 
 

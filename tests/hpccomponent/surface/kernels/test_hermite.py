@@ -161,7 +161,7 @@ def scan_plane(points: int, sigma: float, offset: float, seed: int) -> Patch:
     return places, np.tile([0.0, 0.0, 1.0], (points, 1))
 
 
-def weigh_plane(patches: list[Patch], noise: float, least: float = 1e-3) -> FloatArray:
+def weigh_plane(patches: Sequence[Patch], noise: float, least: float = 1e-3) -> FloatArray:
     prior = np.repeat(PLANE, len(patches), axis=0)
     told = np.full(len(patches), noise)
     return weigh_priors(stack_moments(patches), prior, told, 0.3, least, 1000.0)
