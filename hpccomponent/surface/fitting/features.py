@@ -17,12 +17,13 @@ from hpccomponent.surface.types.points import Float32Array, IntArray
 __all__ = ["find_features", "join_features"]
 
 _REACH = 3  # cells on each side of a vertex that the fits look at (see `fit_features`)
+_ROUND = 0.1  # misfit of a quadric (see `hermite.evaluate_misfits`), some 18 degrees
 _NONE = 255  # joints of a vertex where one quadric does
 
 
 def find_features(
     vertices: IntArray,
-    counts: Float32Array,
+    misfits: Float32Array,
     noise: float,
     cells: IntArray,
     points: SortedPoints,
@@ -34,8 +35,9 @@ def find_features(
     ----------
     vertices : ndarray of int64, shape (v,)
         Sorted keys of the finest lattice, one or more.
-    counts : ndarray of float32, shape (v,)
-        Points in the eight cells around each; where there are none, one quadric does.
+    misfits : ndarray of float32, shape (v,)
+        How far the gradients of their quadrics are off the points' normals (see
+        `hermite.evaluate_misfits`): where they agree, one quadric does.
     noise : float
         Variance of the positions along the normals, in cells squared.
     cells : ndarray of int64, shape (c,)
@@ -49,7 +51,7 @@ def find_features(
     -------
     Features
     """
-    asked = vertices[counts > 0.0]
+    asked = vertices[misfits > _ROUND]
     low, high = unpack_keys(vertices[[0, -1]])[:, 0].tolist()
     run = find_layers(cells, low - _REACH, high + _REACH - 1)
     local, normals, offsets = points.place(run)

@@ -192,7 +192,7 @@ def _fit_finest(
         (found,) = find_trust(part, quadrics, far, threads)
         coefficients[first:end] = found.coefficients
         trust[first:end] = found.trust
-        of_run = vertices[first:end], quadrics[0].counts, weights[0].noise
+        of_run = vertices[first:end], quadrics[0].misfits, weights[0].noise
         features.append(find_features(*of_run, finest.cells, points, threads))
     return FieldLevel(vertices, coefficients, trust), join_features(features)
 

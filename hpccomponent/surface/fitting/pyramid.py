@@ -25,7 +25,13 @@ from hpccomponent.surface.fitting.cell_points import (
 )
 from hpccomponent.surface.fitting.robust import weigh_points
 from hpccomponent.surface.fitting.support import sum_squares, surrounded_vertices
-from hpccomponent.surface.fitting.weights import FIELD_LEVELS, Weights, localise_noise
+from hpccomponent.surface.fitting.weights import (
+    CHANCE_SHARE,
+    FIELD_LEVELS,
+    Weights,
+    find_agreement,
+    localise_noise,
+)
 from hpccomponent.surface.kernels import BASIS
 from hpccomponent.surface.kernels.parallel import run_batches
 from hpccomponent.surface.types.lattice import (
@@ -78,6 +84,11 @@ class Level:
     points: SortedPoints | CellMoments | PartMoments
     squares: FloatArray
 
+    @property
+    def is_finest(self) -> bool:
+        """Whether the level holds the points themselves."""
+        return isinstance(self.points, SortedPoints)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pyramid:
@@ -115,19 +126,24 @@ class VertexQuadrics:
     ----------
     coefficients : ndarray of float32, shape (v, 10)
     counts : ndarray of float32, shape (v,)
-        Points in the eight cells around each vertex.
+        Points in the eight cells around each vertex; above the finest level, as far as the
+        quadric agrees with their normals.
     inherited : ndarray of float32, shape (v,)
         The mean count of its parents, 0 for those that points do not surround (see `crowding`),
         plus a quarter of what these inherited.
     variances : ndarray of float32, shape (v, 3)
         What the fits leave over (see `hermite.residual_variances`), in cells squared: its own, the
         mean of its parents' and of theirs. Where points are few, its own is the parents'.
+    misfits : ndarray of float32, shape (v,)
+        How far its gradients are off the points' normals (see `hermite.evaluate_misfits`), 0
+        where there are no points.
     """
 
     coefficients: Float32Array
     counts: Float32Array
     inherited: Float32Array
     variances: Float32Array
+    misfits: Float32Array
 
 
 @record("surface.parents")
@@ -300,7 +316,7 @@ def fit_levels(
         if not asked.all():
             touched, rows = touched[asked], rows[asked]
         local = depth < pyramid.height - _LOCAL_FROM
-        noise = _find_noise(weights[depth].noise, quadrics.variances[rows], local)
+        noise = _find_noise(CHANCE_SHARE * weights[depth].noise, quadrics.variances[rows], local)
         arguments = touched, rows, quadrics, noise, weights[depth], threads
         if depth == 1 and index == 1 and np.isfinite(weights[1].tolerance):
             _fit_weighed(pyramid, *arguments)
@@ -323,11 +339,12 @@ def _inherit_level(vertices: IntArray, parents: Parents | None, threads: int) ->
     none = np.zeros(len(vertices), np.float32)
     if parents is None:
         coefficients, variances = (np.zeros((len(vertices), k), np.float32) for k in (BASIS, 3))
-        return VertexQuadrics(coefficients, none, none.copy(), variances)
+        return VertexQuadrics(coefficients, none, none.copy(), variances, none.copy())
     values = np.column_stack((parents.support, _FINER_UNITS * parents.variances))
     given = vertices, parents.keys, parents.coefficients, values
     means, inherited = kernels.inherit_level(*given, threads)
-    return VertexQuadrics(means, none, inherited[:, 0].copy(), inherited[:, [1, 1, 2]])
+    support, variances = inherited[:, 0].copy(), inherited[:, [1, 1, 2]]
+    return VertexQuadrics(means, none, support, variances, none.copy())
 
 
 def _offer_level(vertices: IntArray, cells: IntArray, quadrics: VertexQuadrics) -> Parents:
@@ -360,13 +377,14 @@ def _fit_level(
         first = step_keys(touched[0], -OCTANTS[-1])
         bounds = np.searchsorted(level.cells, (first, touched[-1] + 1))
         near = slice(int(bounds[0]), int(bounds[1]))
-        coefficients, counts, variances = kernels.fit_corners(
+        coefficients, counts, variances, misfits = kernels.fit_corners(
             touched, level.cells[near], level.points.sum(near),
             quadrics.coefficients.take(at, axis=0),
             noise[cut], weights.lam, weights.least_mu, weights.most_mu,
         )  # fmt: skip
         quadrics.coefficients[at] = coefficients
-        quadrics.counts[at] = counts
+        quadrics.misfits[at] = misfits
+        quadrics.counts[at] = counts if level.is_finest else counts * find_agreement(misfits)
         known = ~np.isnan(variances)
         quadrics.variances[at[known], 0] = variances[known]
 

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from hpccomponent.surface.types.points import Float32Array, FloatArray
 
 __all__ = [
+    "CHANCE_SHARE",
     "FIELD_LEVELS",
     "LEAST_MU",
     "Weights",
+    "find_agreement",
     "localise_noise",
     "tell_noise",
     "trust_vertices",
@@ -25,6 +27,10 @@ __all__ = [
 
 FIELD_LEVELS = 4
 """So many levels, finest first, lie above the far field; coarser ones only serve as priors."""
+
+CHANCE_SHARE = 0.5
+"""Of the noise's variance, what excuses that a prior misses few points: where shape is rich, the
+variance is estimated too large."""
 
 LEAST_MU = 0.3
 """The least weight of a prior, in points; and its weight where there is nothing to compare."""
@@ -43,6 +49,7 @@ _FULL_COUNT = 6.0
 _FULL_INHERITED = 16.0
 _OWN_COUNT = 3.0
 _CROWDED_FROM, _CROWDED_AT = 6.0, 12.0  # other points in the cell of a point, one level finer
+_AGREES, _CONTRADICTS = 0.2, 0.6  # mean squared distances of gradients and normals
 _OVERRULED_FROM, _OVERRULED_AT = 0.6, 1.2  # steps of the far field from its surface
 
 
@@ -151,6 +158,29 @@ def localise_noise(overall: float, finer: Float32Array, coarser: Float32Array) -
     """
     local = np.clip(tell_noise(finer, coarser), overall * _LEAST_LOCAL, overall * _MOST_LOCAL)
     result: Float32Array = local.astype(np.float32)
+    return result
+
+
+def find_agreement(misfits: Float32Array) -> Float32Array:
+    """Tell how far quadrics of a coarser level agree with the normals of their points.
+
+    Parameters
+    ----------
+    misfits : ndarray of float32, shape (v,)
+        Mean squared distances of gradients and normals (see `hermite.evaluate_misfits`).
+
+    Returns
+    -------
+    ndarray of float32, shape (v,)
+        From 1 down to 0: how much of its points supports a quadric.
+
+    Notes
+    -----
+    Where two sheets lie in one coarse cell, as at the rim of a wing, no quadric follows both. It
+    is left from the field, and supports no finer one, or the surface would grow beyond the rim.
+    """
+    share = (_CONTRADICTS - misfits) / (_CONTRADICTS - _AGREES)
+    result: Float32Array = np.clip(share, 0.0, 1.0).astype(np.float32)
     return result
 
 

@@ -23,6 +23,7 @@ from hpccomponent.surface.types.points import IntArray, PointCloud
 
 __all__ = ["Scale", "choose_scale"]
 
+_NOISE_CELLS = 2.5  # standard deviations across a cell: its quadric has its prior to average with
 _PROBE_SPACINGS = 2.0
 _PROBE_LAM = 0.3
 _PROBE_SHARE = 0.15
@@ -170,6 +171,6 @@ def choose_scale(
     """
     spacing = measured.spacing
     noise = _probe(measured.sample, spacing, threads)
-    wanted = max(1.5 * spacing, 6.0 * noise.deviation * smoothness) / detail
+    wanted = max(1.5 * spacing, _NOISE_CELLS * noise.deviation * smoothness) / detail
     cell_size = max(wanted, step)
     return Scale(spacing, noise.deviation, cell_size, noise.tolerance)

@@ -213,12 +213,12 @@ def fit_corners(
     least_mu: float,
     most_mu: float,
     threads: int = 1,
-) -> tuple[Float32Array, Float32Array, Float32Array]:
+) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array]:
     """Fit a quadric to the points around each corner (a task)."""
     weights = (lam, least_mu, most_mu)
     keys = (_integers(touched), _integers(cells))
     values = (_floats(moments), _singles(prior), _singles(noise))
-    result: tuple[Float32Array, Float32Array, Float32Array] = _native.fit_corners(
+    result: tuple[Float32Array, Float32Array, Float32Array, Float32Array] = _native.fit_corners(
         *keys, *values, *weights, threads
     )
     return result

@@ -12,6 +12,7 @@ constexpr int BASIS = 10;
 constexpr double RIDGE = 1e-9;
 constexpr double LEAST_SLOPE = 0.05, LEAST_EXCESS = 1e-12;  // see hermite.weigh_priors
 constexpr double LEAST_POINTS = 24.0;  // see hermite.residual_variances
+constexpr double CHANCE_GAIN = 12.236, TOLD_POINTS = 60.0, OWN_WEIGHT = 3.0;  // see hermite.weigh_priors
 
 constexpr int value_column(int i, int j) {
   const int* p = EXPONENTS[i].power;
@@ -156,7 +157,7 @@ HPC_INLINE void solve(Matrix& matrix, Vector& right) {
 struct Fits {
   const float *prior, *noise;
   double lam, least_mu, most_mu;
-  float *coefficients, *counts, *variances;
+  float *coefficients, *counts, *variances, *misfits;
 };
 
 template <int ENTRY>
@@ -176,9 +177,10 @@ HPC_INLINE void add_all_squares(const Block& rows, const Vector& c, double (&res
   (add_squares<ENTRY>(rows, c, residual, slope), ...);
 }
 
-// Find the mean squared distances of the points from the quadrics' surfaces.
-HPC_INLINE void mean_squares(const Block& rows, const Vector& c, double (&squares)[LANES]) {
-  double residual[LANES] = {}, slope[LANES] = {};
+// Find the mean squared distances of the points from the quadrics' surfaces, and the sums of |grad f|^2.
+HPC_INLINE void mean_squares(const Block& rows, const Vector& c, double (&squares)[LANES], double (&slope)[LANES]) {
+  double residual[LANES] = {};
+  EACH_LANE slope[lane] = 0.0;
   add_all_squares(rows, c, residual, slope, Entries());
   EACH_LANE {
     const double least = LEAST_SLOPE * rows[0][lane];
@@ -187,37 +189,57 @@ HPC_INLINE void mean_squares(const Block& rows, const Vector& c, double (&square
   }
 }
 
+// Fit quadrics with priors of some weights.
+HPC_INLINE void fit_rows(const Block& rows, const Vector& prior, double lam, const double (&mu)[LANES], Vector& fitted) {
+  Matrix matrix;
+  fill_equations(rows, prior, lam, mu, matrix, fitted);
+  solve(matrix, fitted);
+}
+
 // Weigh each prior by how well it explains the points.
 HPC_INLINE void weigh_priors(const Block& rows, const Vector& prior, const double (&noise)[LANES],
                              const Fits& fits, double (&mu)[LANES]) {
-  double squares[LANES];
-  mean_squares(rows, prior, squares);
+  double missed[LANES], left[LANES] = {}, slope[LANES];
+  mean_squares(rows, prior, missed, slope);
+  bool rich = false;
+  EACH_LANE rich |= rows[0][lane] >= LEAST_POINTS;
+  if (rich) {
+    Vector fitted;
+    EACH_LANE mu[lane] = fits.least_mu;
+    fit_rows(rows, prior, fits.lam, mu, fitted);
+    mean_squares(rows, fitted, left, slope);
+  }
   EACH_LANE {
-    const double chance = noise[lane] * (1.0 + std::sqrt(2.0 / rows[0][lane]));
-    const double excess = squares[lane] - chance;
-    const double weight = noise[lane] / (excess > LEAST_EXCESS ? excess : LEAST_EXCESS);
+    const double count = rows[0][lane];
+    const double told = (left[lane] * count + TOLD_POINTS * noise[lane]) / (count - BASIS + TOLD_POINTS);
+    const bool own = count >= LEAST_POINTS;
+    const double gain = missed[lane] - left[lane] - told * (CHANCE_GAIN / count);
+    const double beyond = missed[lane] - noise[lane] * (1.0 + std::sqrt(2.0 / count));
+    const double excess = own ? gain : beyond;
+    const double scale = own ? OWN_WEIGHT * told : noise[lane];
+    const double weight = scale / (excess > LEAST_EXCESS ? excess : LEAST_EXCESS);
     const double bounded = weight < fits.most_mu ? weight : fits.most_mu;
     mu[lane] = bounded > fits.least_mu ? bounded : fits.least_mu;
   }
 }
 
-// Tell the noise of the points from what the fits leave over.
+// Tell the noise of the points from what the fits leave over, and how far their gradients are off.
 HPC_INLINE void measure_residuals(const Block& rows, const Vector& fitted, const Fits& fits,
                                   int64_t start, int width) {
-  bool rich = false;
-  EACH_LANE rich |= rows[0][lane] >= LEAST_POINTS;
-  double squares[LANES] = {};
-  if (rich) mean_squares(rows, fitted, squares);
+  double squares[LANES], slope[LANES], along[LANES] = {};
+  mean_squares(rows, fitted, squares, slope);
+  for (int i = 1; i < BASIS; ++i) EACH_LANE along[lane] += fitted[i][lane] * rows[MONOMIALS + i - 1][lane];
   for (int lane = 0; lane < width; ++lane) {
     const double count = rows[0][lane];
     fits.variances[start + lane] = count >= LEAST_POINTS
                                        ? static_cast<float>(squares[lane] * (count / (count - BASIS)))
                                        : std::numeric_limits<float>::quiet_NaN();
+    const double misfit = (slope[lane] - 2.0 * along[lane]) / count + 1.0;
+    fits.misfits[start + lane] = static_cast<float>(std::max(misfit, 0.0));
   }
 }
 
 HPC_INLINE void fit_block(const Block& rows, const Fits& fits, int64_t start, int width) {
-  Matrix matrix;
   Vector prior, right;
   double noise[LANES], mu[LANES];
   EACH_LANE {
@@ -226,8 +248,7 @@ HPC_INLINE void fit_block(const Block& rows, const Fits& fits, int64_t start, in
     for (int i = 0; i < BASIS; ++i) prior[i][lane] = fits.prior[row * BASIS + i];
   }
   weigh_priors(rows, prior, noise, fits, mu);
-  fill_equations(rows, prior, fits.lam, mu, matrix, right);
-  solve(matrix, right);
+  fit_rows(rows, prior, fits.lam, mu, right);
   measure_residuals(rows, right, fits, start, width);
   for (int lane = 0; lane < width; ++lane)
     for (int i = 0; i < BASIS; ++i) fits.coefficients[(start + lane) * BASIS + i] = static_cast<float>(right[i][lane]);
@@ -281,6 +302,7 @@ nb::tuple fit_corners(Input touched_of, Input cells_of, Input moments_of, Input 
   auto coefficients = make_buffer<float>(count * BASIS);
   auto counts = make_buffer<float>(count);
   auto variances = make_buffer<float>(count);
+  auto misfits = make_buffer<float>(count);
   const Fits fits{check<float>(prior_of, "prior", {count, BASIS}),
                   check<float>(noise_of, "noise", {count}),
                   lam,
@@ -288,7 +310,8 @@ nb::tuple fit_corners(Input touched_of, Input cells_of, Input moments_of, Input 
                   most_mu,
                   coefficients.get(),
                   counts.get(),
-                  variances.get()};
+                  variances.get(),
+                  misfits.get()};
   const int workers = check_threads(threads);
   {
     nb::gil_scoped_release unlocked;
@@ -300,7 +323,7 @@ nb::tuple fit_corners(Input touched_of, Input cells_of, Input moments_of, Input 
   }
   const size_t rows = static_cast<size_t>(count);
   return nb::make_tuple(give(std::move(coefficients), {rows, BASIS}), give(std::move(counts), {rows}),
-                        give(std::move(variances), {rows}));
+                        give(std::move(variances), {rows}), give(std::move(misfits), {rows}));
 }
 
 Output<double> evaluate_residuals(Input moments_of, Input coefficients_of) {

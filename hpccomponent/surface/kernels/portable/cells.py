@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hpccomponent.surface.kernels.constants import BASIS, COLUMNS
 from hpccomponent.surface.kernels.portable.hermite import (
+    evaluate_misfits,
     fit_vertices,
     inherit_quadrics,
     residual_variances,
@@ -220,7 +221,7 @@ def fit_corners(
     least_mu: float,
     most_mu: float,
     threads: int = 1,
-) -> tuple[Float32Array, Float32Array, Float32Array]:
+) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array]:
     """Fit one quadric to the points in the eight cells around each corner.
 
     Parameters
@@ -246,20 +247,23 @@ def fit_corners(
         Points around each corner.
     variances : ndarray of float32, shape (t,)
         What the fits leave over, NaN where points are few: see `hermite.residual_variances`.
+    misfits : ndarray of float32, shape (t,)
+        How far the gradients are off the points' normals: see `hermite.evaluate_misfits`.
     """
     del threads  # numpy runs on one
     coefficients = np.empty((len(touched), BASIS), np.float32)
-    counts, variances = np.empty((2, len(touched)), np.float32)
+    counts, variances, misfits = np.empty((3, len(touched)), np.float32)
     for start in range(0, len(touched), _CHUNK_VERTICES):
         rows = slice(start, start + _CHUNK_VERTICES)
         around = corner_moments(touched[rows], cells, moments)
         priors = prior[rows].astype(np.float64)
-        mu = weigh_priors(around, priors, noise[rows].astype(np.float64), least_mu, most_mu)
+        mu = weigh_priors(around, priors, noise[rows].astype(np.float64), lam, least_mu, most_mu)
         fitted = fit_vertices(around, priors, lam, mu)
         coefficients[rows] = fitted
         counts[rows] = around[:, 0]
         variances[rows] = residual_variances(around, fitted)
-    return coefficients, counts, variances
+        misfits[rows] = evaluate_misfits(around, fitted)
+    return coefficients, counts, variances, misfits
 
 
 def inherit_level(

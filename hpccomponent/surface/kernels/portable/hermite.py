@@ -14,6 +14,7 @@ from hpccomponent.surface.kernels.portable.moments import EXPONENTS
 from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
 __all__ = [
+    "evaluate_misfits",
     "evaluate_residuals",
     "evaluate_slopes",
     "fit_vertices",
@@ -26,6 +27,11 @@ _RIDGE = 1e-9
 _LEAST_SLOPE = 0.05  # of the mean square of a prior's gradient, which is about 1
 _LEAST_EXCESS = 1e-12
 _LEAST_POINTS = 24.0  # for a variance: with fewer, it says more of the fit than of the noise
+# What a fit gains over a prior that is right, in variances over all points: its 10 coefficients by
+# chance, a half of the standard deviation sqrt(20) on top.
+_CHANCE_GAIN = 12.236
+_TOLD_POINTS = 60.0  # that the noise counts like which is told from further up
+_OWN_WEIGHT = 3.0  # of a prior whose error is known by a fit: this many times the variances' ratio
 _CHUNK_ROWS = 1 << 11
 _COLUMN_OF = {exponent: column for column, exponent in enumerate(EXPONENTS)}
 
@@ -249,8 +255,34 @@ def residual_variances(moments: FloatArray, coefficients: FloatArray) -> FloatAr
     return np.where(rich, _mean_squares(moments, coefficients) * unbiased, np.nan)
 
 
+def evaluate_misfits(moments: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Tell how far the gradients of quadrics are off the normals of their points.
+
+    Parameters
+    ----------
+    moments : ndarray of float64, shape (v, 44)
+    coefficients : ndarray of float64, shape (v, 10)
+
+    Returns
+    -------
+    ndarray of float64, shape (v,)
+        Mean |grad f - normal|^2: 0 where they agree, about 1 where the points lie on two sheets
+        whose normals oppose each other. Never negative.
+    """
+    along = np.zeros(len(moments))
+    for i in range(1, BASIS):
+        along += coefficients[:, i] * moments[:, MONOMIALS + i - 1]
+    slopes = evaluate_slopes(moments, coefficients)
+    return np.maximum((slopes - 2.0 * along) / moments[:, 0] + 1.0, 0.0)
+
+
 def weigh_priors(
-    moments: FloatArray, prior: FloatArray, noise: FloatArray | float, least: float, most: float
+    moments: FloatArray,
+    prior: FloatArray,
+    noise: FloatArray,
+    lam: float,
+    least: float,
+    most: float,
 ) -> FloatArray:
     """Weigh each prior by how well it explains the points: empirical Bayes.
 
@@ -258,8 +290,10 @@ def weigh_priors(
     ----------
     moments : ndarray of float64, shape (v, 44)
     prior : ndarray of float64, shape (v, 10)
-    noise : float, or ndarray of float64, shape (v,)
-        Variance of the positions along the normals, in cells squared.
+    noise : ndarray of float64, shape (v,)
+        Variance of the positions along the normals, in cells squared, told from further up.
+    lam : float
+        Weight of the normals, see `fit_vertices`.
     least, most : float
         Between which the weight lies, in points.
 
@@ -270,12 +304,26 @@ def weigh_priors(
 
     Notes
     -----
-    The mean squared distance of the points from the prior's surface, sum f^2 / sum |grad f|^2,
-    is the noise plus the prior's own variance. Where no more than chance is left for that one,
-    the prior is kept: it averages over many more points. Where it misses them, the points win.
-    The weight is the ratio of the variances: a prior counts like so many points.
+    Where points are many, a fit of their own is the judge: both are measured at the same points,
+    whose noise cancels, and what it gains beyond chance is the prior's error. Its residuals tell
+    the noise, too. Where points are few, their mean squared distance from the prior's surface,
+    sum f^2 / sum |grad f|^2, is the noise plus the prior's own variance.
+
+    Where no more than chance is left for that, the prior is kept: it averages over many more
+    points. Where it misses them, the points win. The weight goes by the ratio of the variances: a
+    prior counts like so many points.
     """
-    chance = noise * (1.0 + np.sqrt(2.0 / moments[:, 0]))
-    excess = _mean_squares(moments, prior) - chance
-    weights: FloatArray = np.clip(noise / np.maximum(excess, _LEAST_EXCESS), least, most)
+    counts = moments[:, 0]
+    missed = _mean_squares(moments, prior)
+    scale = noise.copy()
+    excess = missed - noise * (1.0 + np.sqrt(2.0 / counts))
+    rich = np.flatnonzero(counts >= _LEAST_POINTS)
+    if len(rich):
+        many = counts[rich]
+        fitted = fit_vertices(moments[rich], prior[rich], lam, least)
+        left = _mean_squares(moments[rich], fitted)
+        told = (left * many + _TOLD_POINTS * noise[rich]) / (many - BASIS + _TOLD_POINTS)
+        excess[rich] = missed[rich] - left - told * (_CHANCE_GAIN / many)
+        scale[rich] = _OWN_WEIGHT * told
+    weights: FloatArray = np.clip(scale / np.maximum(excess, _LEAST_EXCESS), least, most)
     return weights

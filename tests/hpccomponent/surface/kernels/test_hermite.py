@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hpccomponent.surface.kernels.portable.hermite import (
+    evaluate_misfits,
     evaluate_residuals,
     evaluate_slopes,
     fit_vertices,
@@ -16,7 +17,7 @@ from hpccomponent.surface.kernels.portable.hermite import (
 from hpccomponent.surface.kernels.portable.moments import accumulate_moments
 from hpccomponent.surface.types.points import FloatArray
 
-Patch = tuple[FloatArray, FloatArray, FloatArray]
+Patch = tuple[FloatArray, ...]
 
 MU = 0.3
 
@@ -149,26 +150,71 @@ def test_slopes_are_the_sums_of_squares(
     np.testing.assert_allclose(found, np.array(expected))
 
 
+PLANE = np.array([[0.0, 0, 0, 1, 0, 0, 0, 0, 0, 0]])
+
+
+def scan_plane(points: int, sigma: float, offset: float, seed: int) -> Patch:
+    """Points of a plane that the prior PLANE misses by `offset`."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-1, 1, (points, 3)) * [1, 1, 0]
+    places[:, 2] = offset + sigma * rng.normal(size=points)
+    return places, np.tile([0.0, 0.0, 1.0], (points, 1))
+
+
+def weigh_plane(patches: Sequence[Patch], noise: float, least: float = 1e-3) -> FloatArray:
+    prior = np.repeat(PLANE, len(patches), axis=0)
+    told = np.full(len(patches), noise)
+    return weigh_priors(stack_moments(patches), prior, told, 0.3, least, 1000.0)
+
+
 @pytest.mark.parametrize("offset", [0.1, 0.3])
-def test_a_prior_weighs_as_many_points_as_its_error_is_worth(offset: float) -> None:
-    """A plane that misses the points by `offset`: its variance is that, squared."""
-    rng = np.random.default_rng(9)
-    sigma, normals = 0.05, np.tile([0.0, 0.0, 1.0], (4000, 1))
-    points = rng.uniform(-1, 1, (4000, 3)) * [1, 1, 0]
-    points[:, 2] = offset + sigma * rng.normal(size=4000)
-    prior = np.array([[0.0, 0, 0, 1, 0, 0, 0, 0, 0, 0]])
-    moments = stack_moments([(points, normals)])
-    mu = weigh_priors(moments, prior, sigma**2, 0.0, 1000.0)
-    assert mu == pytest.approx((sigma / offset) ** 2, rel=0.1)
+@pytest.mark.parametrize("told", [0.5, 1.0, 4.0])
+def test_a_prior_weighs_as_many_points_as_its_error_is_worth(offset: float, told: float) -> None:
+    """A plane that misses the points by `offset`: the fit sees the noise, whatever was told."""
+    sigma = 0.05
+    mu = weigh_plane([scan_plane(4000, sigma, offset, 9)], told * sigma**2)
+    assert mu == pytest.approx(3.0 * (sigma / offset) ** 2, rel=0.15)
+
+
+@pytest.mark.parametrize("points", [12, 20])
+def test_few_points_are_judged_by_the_noise_that_was_told(points: int) -> None:
+    sigma, offset = 0.05, 0.3
+    mu = weigh_plane([scan_plane(points, sigma, offset, seed) for seed in range(200)], sigma**2)
+    assert np.median(mu) == pytest.approx((sigma / offset) ** 2, rel=0.15)
 
 
 def test_a_prior_that_explains_the_points_is_kept_and_without_noise_none_is() -> None:
-    rng = np.random.default_rng(10)
-    points = rng.uniform(-1, 1, (100, 3)) * [1, 1, 0.01]
-    moments = stack_moments([(points, np.tile([0.0, 0.0, 1.0], (100, 1)))])
-    prior = np.array([[0.0, 0, 0, 1, 0, 0, 0, 0, 0, 0]])
-    assert weigh_priors(moments, prior, 0.01, 0.3, 1000.0) == 1000.0
-    assert weigh_priors(moments, prior, 0.0, 0.3, 1000.0) == 0.3
+    right = [scan_plane(100, 0.05, 0.0, seed) for seed in range(400)]
+    kept = weigh_plane(right, 0.05**2, 0.3)
+    assert np.mean(kept == 1000.0) > 0.6
+    assert np.mean(kept < 20.0) < 0.1
+    exact = [scan_plane(points, 0.0, 0.1, 1) for points in (12, 100)]
+    np.testing.assert_array_equal(weigh_plane(exact, 0.0, 0.3), 0.3)
+
+
+@pytest.mark.parametrize("bend", [0.05, 0.1])
+def test_detail_far_below_the_noise_of_a_point_is_seen_by_many(bend: float) -> None:
+    """A saddle that the prior, a plane, misses by less than the noise."""
+    sigma, weights = 0.1, []
+    for height in (0.0, bend):
+        patches = []
+        for seed in range(100):
+            places, normals = scan_plane(400, sigma, 0.0, seed)
+            places[:, 2] += height * 3.0 * (places[:, 0] ** 2 - places[:, 1] ** 2)
+            patches.append((places, normals))
+        weights.append(np.median(weigh_plane(patches, sigma**2, 0.3)))
+    assert weights[0] > 100.0
+    assert weights[1] < 60.0
+
+
+@pytest.mark.parametrize(("opposed", "expected"), [(0.0, 0.0), (0.5, 1.0)])
+def test_misfits_tell_sheets_that_oppose_each_other(opposed: float, expected: float) -> None:
+    """The best that one gradient can do with two opposite normals is to be none."""
+    places, normals = scan_plane(1000, 0.01, 0.0, 3)
+    normals[: int(opposed * len(normals))] *= -1.0
+    moments = stack_moments([(places, normals)])
+    fitted = fit_vertices(moments, np.zeros((1, 10)), 0.3, 0.3)
+    assert evaluate_misfits(moments, fitted) == pytest.approx(expected, abs=0.03)
 
 
 def test_what_a_fit_leaves_over_is_the_noise() -> None:

@@ -226,16 +226,17 @@ def test_fits(native: ModuleType, cloud: Any, lam: float, most_noise: float) -> 
     noise = (most_noise * random.uniform(size=len(around))).astype(np.float32)
     points = (cloud.touched, cloud.cells, cloud.moments, prior.astype(np.float32), noise)
     weights = (lam, 0.3, 9.0)
-    found, counts, variances = native.fit_corners(*points, *weights, 1)
-    expected, wanted_counts, wanted_variances = cells.fit_corners(*points, *weights)
+    found, counts, variances, misfits = native.fit_corners(*points, *weights, 1)
+    expected, wanted_counts, wanted_variances, wanted = cells.fit_corners(*points, *weights)
+    np.testing.assert_allclose(misfits, wanted, rtol=1e-5, atol=1e-6)
     np.testing.assert_array_equal(counts, wanted_counts)
     assert 0 < np.isnan(variances).sum() < len(variances)
     np.testing.assert_allclose(variances, wanted_variances, rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
     expected = expected.astype(np.float64)
     residuals = native.evaluate_residuals(around, expected)
-    wanted = hermite.evaluate_residuals(around, expected)
-    np.testing.assert_allclose(residuals, wanted, rtol=1e-9, atol=1e-9)
+    summed = hermite.evaluate_residuals(around, expected)
+    np.testing.assert_allclose(residuals, summed, rtol=1e-9, atol=1e-9)
 
 
 def test_priors(native: ModuleType, cloud: Any) -> None:
