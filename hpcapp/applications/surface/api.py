@@ -27,13 +27,10 @@ from hpcapp.applications.surface.input.load import (
     clean_points,
     orient_points,
 )
-from hpcapp.applications.surface.method import MethodSettings
+from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID, MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
 from hpcapp.applications.surface.options import option_names
 from hpcapp.applications.surface.settings import (
-    DEFAULT_GRID,
-    MAX_GRID,
-    MIN_GRID,
     Settings,
 )
 from hpcapp.applications.surface.steps import run_memory
@@ -59,7 +56,7 @@ Report = Callable[[str, int, int], object]
 def reconstruct(
     points: ArrayLike | PointCloud,
     normals: ArrayLike | None = None,
-    grid: int = DEFAULT_GRID,
+    grid: int | None = None,
     *,
     voxel_size: float | None = None,
     method: str | MethodSettings = DEFAULT_METHOD,
@@ -86,8 +83,8 @@ def reconstruct(
     normals : array_like, shape (n, 3), optional
         Pointing out of the object, of any length but zero; not beside a cloud. Estimated where
         there are none.
-    grid : int
-        Cells along the longest side, 16 to 4096.
+    grid : int, optional
+        Cells along the longest side, 16 to 4096; by default what the points resolve, 256 or more.
     voxel_size : float, optional
         Edge of a cell in the unit of the points; takes the place of `grid`.
     method : str, Hierarchical or Paper
@@ -221,13 +218,15 @@ def _choose_method(method: str | MethodSettings, options: dict[str, Any]) -> Met
 def _check_settings(settings: Settings) -> None:
     """Refuse what the command would refuse."""
     settings.target.check()
-    if not isinstance(settings.grid, int | np.integer):
-        raise UsageError(f"grid is {settings.grid!r}", "give a whole number of cells")
-    if settings.voxel_size is None:
+    if settings.grid is not None:
+        if not isinstance(settings.grid, int | np.integer):
+            raise UsageError(f"grid is {settings.grid!r}", "give a whole number of cells")
         _check_range("grid", settings.grid, MIN_GRID, MAX_GRID)
-    elif settings.grid != DEFAULT_GRID:
+    if settings.voxel_size is None:
+        return
+    if settings.grid is not None:
         raise UsageError("grid and voxel_size exclude each other", "give one of them")
-    elif not settings.voxel_size > 0.0:
+    if not settings.voxel_size > 0.0:
         raise UsageError(f"voxel_size is {settings.voxel_size!r}", "give an edge longer than zero")
 
 

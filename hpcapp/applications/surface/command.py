@@ -19,6 +19,7 @@ import click
 
 from hpcapp.applications.points.command import INPUTS, SAMPLE
 from hpcapp.applications.surface.attributes.choice import parse_attributes
+from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, METHODS, find_method
 from hpcapp.applications.surface.options import (
     WATCHED,
@@ -108,6 +109,43 @@ METHOD_OPTIONS = {name: method for method in METHODS for name in option_names(fi
 """The method of each of the methods' own options."""
 
 
+class GridSize(click.ParamType[int | None]):
+    """Cells along the longest side, or ``auto``: then it is the method that chooses."""
+
+    name = "cells"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> int | None:
+        """Return the number, None for ``auto``.
+
+        Parameters
+        ----------
+        value : object
+            As typed.
+        param : click.Parameter or None
+        ctx : click.Context or None
+
+        Returns
+        -------
+        int or None
+
+        Raises
+        ------
+        click.BadParameter
+            It is neither.
+        """
+        if value == "auto":
+            return None
+        try:
+            cells = int(value)
+        except ValueError:
+            cells = 0
+        if not MIN_GRID <= cells <= MAX_GRID:
+            self.fail(f"{value!r} is not auto, nor from {MIN_GRID} to {MAX_GRID}", param, ctx)
+        return cells
+
+
 def check_flags(ctx: click.Context) -> None:
     """Raise UsageError where flags contradict each other.
 
@@ -171,9 +209,10 @@ def _add_method_options(command: click.Command) -> click.Command:
 )
 @click.option(
     "--grid",
-    type=click.IntRange(16, 4096),
+    type=GridSize(),
     metavar="N",
-    help="Cells along the longest side.  [default: 256]",
+    help="Cells along the longest side, 16 to 4096, or auto: what the scan resolves, 256 or more, "
+    "as far as memory allows.  [default: auto]",
 )
 @click.option("--depth", type=click.IntRange(4, 12), metavar="D", help="The same as --grid 2^D.")
 @click.option(

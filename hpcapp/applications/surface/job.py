@@ -20,12 +20,11 @@ from hpcapp.applications.surface.input.folder import choose_tile, plan_passes
 from hpcapp.applications.surface.input.load import Loaded, load_folder, load_memory
 from hpcapp.applications.surface.input.recognised import describe_input
 from hpcapp.applications.surface.input.room import Room, open_room
-from hpcapp.applications.surface.memory import check_memory, count_most_points
+from hpcapp.applications.surface.memory import count_most_points
 from hpcapp.applications.surface.method import TILE_POINTS
+from hpcapp.applications.surface.resolution import find_grid, guess_grid
 from hpcapp.applications.surface.settings import (
-    DEFAULT_GRID,
     JobSettings,
-    choose_grid,
 )
 from hpcapp.backends.selection import Backend
 from hpcapp.io import describe_losses
@@ -127,8 +126,7 @@ def _run_in_folder(
         loaded.report(settings.shown)
         from hpcapp.applications.surface.steps import run_loaded  # imported by now: `load_folder`
 
-        grid = choose_grid(settings, loaded.cloud.low, loaded.cloud.high)
-        check_memory(settings.method, grid, loaded.cloud.points)
+        grid = find_grid(settings, loaded.cloud)
         outcome = run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
         return _write(settings, loaded, outcome, target, clock)
 
@@ -148,8 +146,8 @@ def _load_there(
 
 def _guess_job(settings: JobSettings) -> Job:
     """Return what can be known of a job before its points are read: as much as it may be."""
-    grid = DEFAULT_GRID if settings.depth is None else 2**settings.depth
-    return Job(count_most_points(settings.points), settings.grid or grid)
+    points = count_most_points(settings.points)
+    return Job(points, guess_grid(settings, points))
 
 
 def _write(

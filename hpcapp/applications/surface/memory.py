@@ -18,6 +18,7 @@ __all__ = [
     "check_memory",
     "count_most_points",
     "estimate_surface",
+    "fit_memory",
     "fits_memory",
     "fitting_tile",
     "parse_limit",
@@ -149,20 +150,41 @@ def check_memory(method: MethodSettings, grid: int, points: PointCloud | None) -
     UsageError
         It takes more than there is; the message names a grid that fits.
     """
-    available = available_memory()
-    if grid <= SMALL_GRID or available is None or points is None:
+    fitting = fit_memory(method, grid, points)
+    if fitting >= grid or points is None:
         return
-    needed = method.estimate_memory(grid, points)
-    if needed <= available:
-        return
-    fitting = max(
-        SMALL_GRID, int(grid * (available / needed) ** (1 / method.memory_power)) // 16 * 16
-    )
+    needed, available = method.estimate_memory(grid, points), available_memory() or 0
     raise UsageError(
         f"--grid {grid} needs about {needed / 2**30:.0f} GB of memory, "
         f"{available / 2**30:.1f} GB are available",
         f"choose --grid {fitting} or smaller, or a machine with more memory",
     )
+
+
+def fit_memory(method: MethodSettings, grid: int, points: PointCloud | None) -> int:
+    """Return the finest grid, up to one, whose mesh can be computed in the memory there is.
+
+    Parameters
+    ----------
+    method : MethodSettings
+    grid : int
+        Cells along the longest side.
+    points : PointCloud or None
+        See `check_memory`.
+
+    Returns
+    -------
+    int
+        `grid`, or in sixteens; a grid of 256 is tried anywhere.
+    """
+    available = available_memory()
+    if grid <= SMALL_GRID or available is None or points is None:
+        return grid
+    needed = method.estimate_memory(grid, points)
+    if needed <= available:
+        return grid
+    fitting = int(grid * (available / needed) ** (1 / method.memory_power)) // 16 * 16
+    return max(SMALL_GRID, fitting)
 
 
 def estimate_surface(grid: int, cloud: PointCloud) -> float:

@@ -21,11 +21,14 @@ if TYPE_CHECKING:
 __all__ = [
     "LARGE_TILE",
     "MARGIN",
+    "MAX_GRID",
+    "MIN_GRID",
     "TILES_EACH",
     "TILE_POINTS",
     "Advance",
     "Method",
     "MethodSettings",
+    "Resolution",
     "Resources",
     "ShowPart",
     "show_nothing",
@@ -33,6 +36,9 @@ __all__ = [
 
 MARGIN = 4
 """Cells of the grid that stay free on each side of the cloud."""
+
+MIN_GRID, MAX_GRID = 16, 4096
+"""Cells along the longest side that may be asked for."""
 
 TILE_POINTS = 2_500_000
 """Of a tile where nothing else asks for smaller ones: what it takes stays below a gigabyte."""
@@ -81,6 +87,22 @@ class Resources:
     show_part: ShowPart = show_nothing
 
 
+@dataclass(frozen=True, slots=True)
+class Resolution:
+    """The evaluation grid that a method chooses.
+
+    Parameters
+    ----------
+    grid : int
+        Cells along the longest side, margins included.
+    reason : str
+        Why, for people.
+    """
+
+    grid: int
+    reason: str
+
+
 class MethodSettings(Protocol):
     """The options of a method, and what it needs."""
 
@@ -115,6 +137,25 @@ class MethodSettings(Protocol):
         Returns
         -------
         float
+        """
+        ...
+
+    def suggest_grid(self, cloud: ArrangedCloud) -> Resolution:
+        """Return the resolution that suits a cloud, where the user asks for none.
+
+        Parameters
+        ----------
+        cloud : ArrangedCloud
+            With unit normals.
+
+        Returns
+        -------
+        Resolution
+
+        Raises
+        ------
+        InputError
+            There are no normals, or all points are the same.
         """
         ...
 

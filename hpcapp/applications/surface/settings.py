@@ -6,36 +6,26 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from hpcapp.applications.surface.attributes.choice import AttributeChoice
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.method import MARGIN, MethodSettings
+from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.communicator.policy import DEFAULT_POLICY
 from hpcapp.simplification.mesh import Target
 from hpcapp.workforce import Workforce
-from hpccomponent.errors import UsageError
 from hpccomponent.limits import available_cores
-from hpccomponent.surface.types.points import FloatArray
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.pipeline import Preprocess
 
 __all__ = [
-    "DEFAULT_GRID",
-    "MAX_GRID",
-    "MIN_GRID",
     "JobSettings",
     "Settings",
-    "choose_grid",
     "choose_local",
     "choose_steps",
     "choose_threads",
     "name_backend",
 ]
 
-DEFAULT_GRID = 256
-MIN_GRID, MAX_GRID = 16, 4096
 # Below this many points a second thread costs more than it brings.
 THREADS_FROM_POINTS = 100_000
 
@@ -49,7 +39,8 @@ class Settings:
     method : MethodSettings
         With its options.
     grid, depth, voxel_size : int, int, float or None
-        The resolution; at most one of the three. `voxel_size` in length units of the input.
+        The resolution; at most one of the three, or none: then the method chooses it.
+        `voxel_size` in length units of the input.
     backend, workers, policy : str, int or None, str
         Where batches run; with the backend ``auto``, the most workers that may be used.
     cluster : Path or None
@@ -136,39 +127,6 @@ class JobSettings(Settings):
         """The input for messages."""
         first, *more = map(str, self.files)
         return f"{first} and {len(more)} more" if more else first
-
-
-def choose_grid(settings: Settings, low: FloatArray, high: FloatArray) -> int:
-    """Return the cells along the longest side, margins included, asked for in one of three ways.
-
-    Parameters
-    ----------
-    settings : Settings
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box around all points, in length units of the input.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    UsageError
-        The voxels are too small or too large.
-    """
-    if settings.depth is not None:
-        return int(2**settings.depth)
-    if settings.voxel_size is None:
-        return settings.grid or DEFAULT_GRID
-    longest = float((high - low).max())
-    with np.errstate(over="ignore"):
-        cells = float(np.ceil(np.float64(longest) / settings.voxel_size)) + 2 * MARGIN
-    if not MIN_GRID <= cells <= MAX_GRID:  # NaN is not, either
-        raise UsageError(
-            f"--voxel-size {settings.voxel_size:g} means {cells:g} cells along the longest side",
-            f"choose one that gives {MIN_GRID} to {MAX_GRID}; the side is {longest:g} long",
-        )
-    return int(cells)
 
 
 def choose_steps(settings: Settings) -> tuple[tuple[str, Preprocess], ...]:

@@ -22,13 +22,12 @@ from hpcapp.applications.surface.diagnostics import (
 )
 from hpcapp.applications.surface.input.folder import all_see_folder, choose_tile
 from hpcapp.applications.surface.input.load import Loaded
-from hpcapp.applications.surface.memory import check_memory
 from hpcapp.applications.surface.method import Resources
 from hpcapp.applications.surface.pipeline import Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
+from hpcapp.applications.surface.resolution import find_grid
 from hpcapp.applications.surface.settings import (
     Settings,
-    choose_grid,
     choose_steps,
     choose_threads,
 )
@@ -99,8 +98,7 @@ def run_memory(
     Outcome
     """
     cloud = loaded.cloud
-    grid = choose_grid(settings, cloud.low, cloud.high)
-    check_memory(settings.method, grid, cloud.points)
+    grid = find_grid(settings, cloud)
     with opener.open(Job(len(cloud), grid), executor) as (opened, choice):
         backend = opened.record(clock.timeline)
         if keeping and keeping.holds_files and not all_see_folder(Path(keeping.where), backend):

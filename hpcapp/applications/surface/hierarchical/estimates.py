@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hpcapp.applications.surface.method import MARGIN, MAX_GRID, Resolution
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.measured import Measured
 from hpccomponent.surface.fitting.cell_points import SortedPoints
@@ -21,8 +22,10 @@ from hpccomponent.surface.fitting.weights import LEAST_MU, Weights, tell_noise
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.points import IntArray, PointCloud
 
-__all__ = ["Scale", "choose_scale"]
+__all__ = ["Scale", "choose_scale", "suggest_grid"]
 
+_LEAST_AUTO, _SIXTEEN = 256, 16  # cells along the longest side
+_SPACINGS = 1.5  # across a cell
 _NOISE_CELLS = 2.5  # standard deviations across a cell: its quadric has its prior to average with
 _PROBE_SPACINGS = 2.0
 _PROBE_LAM = 0.3
@@ -171,6 +174,43 @@ def choose_scale(
     """
     spacing = measured.spacing
     noise = _probe(measured.sample, spacing, threads)
-    wanted = max(1.5 * spacing, _NOISE_CELLS * noise.deviation * smoothness) / detail
+    wanted = max(_SPACINGS * spacing, _NOISE_CELLS * noise.deviation * smoothness) / detail
     cell_size = max(wanted, step)
     return Scale(spacing, noise.deviation, cell_size, noise.tolerance)
+
+
+def suggest_grid(
+    measured: Measured, longest: float, smoothness: float, detail: float, threads: int = 1
+) -> Resolution:
+    """Choose the evaluation grid: about as many vertices as points, fewer where noise is large.
+
+    Parameters
+    ----------
+    measured : Measured
+        Of the cloud.
+    longest : float
+        Longest side of the box around all points, in length units of the input.
+    smoothness, detail, threads
+        See `choose_scale`.
+
+    Returns
+    -------
+    Resolution
+        From 256 to 4096 cells, in sixteens.
+
+    Notes
+    -----
+    A step is 1/1.5 of the finest cells that `choose_scale` would take if no grid kept it from
+    that: the spacing of the points, or 1.7 standard deviations of the noise. Smaller steps show
+    the same quadrics by more triangles.
+    """
+    scale = choose_scale(measured, 0.0, smoothness, detail, threads)
+    step = scale.cell_size / _SPACINGS
+    if step * MAX_GRID < longest:
+        return Resolution(MAX_GRID, f"the most; the points lie {scale.spacing:.3g} apart")
+    cells = _SIXTEEN * int(np.ceil((longest / step + 2 * MARGIN) / _SIXTEEN))
+    if cells <= _LEAST_AUTO:
+        return Resolution(_LEAST_AUTO, f"the least; the scan resolves {step:.3g}")
+    is_noisy = scale.cell_size > _SPACINGS * scale.spacing
+    what = f"noise of {scale.noise:.3g}" if is_noisy else f"points {scale.spacing:.3g} apart"
+    return Resolution(min(cells, MAX_GRID), f"steps of {step:.3g} for {what}")

@@ -10,7 +10,8 @@ from hpcapp.applications.surface.options import check_options, option
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.method import Method, Resources
+    from hpcapp.applications.surface.method import Method, Resolution, Resources
+    from hpccomponent.surface.cloud.arranged import ArrangedCloud
     from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["Hierarchical"]
@@ -103,6 +104,28 @@ class Hierarchical:
         from hpcapp.applications.surface.memory import estimate_surface
 
         return estimate_surface(grid, cloud)
+
+    def suggest_grid(self, cloud: ArrangedCloud) -> Resolution:
+        """Return the grid that shows what the scan resolves.
+
+        Parameters
+        ----------
+        cloud : ArrangedCloud
+            With unit normals.
+
+        Returns
+        -------
+        Resolution
+
+        Raises
+        ------
+        InputError
+            There are no normals, or all points are the same.
+        """
+        from hpcapp.applications.surface.hierarchical.estimates import suggest_grid
+
+        longest = float((cloud.high - cloud.low).max())
+        return suggest_grid(cloud.measure(), longest, self.smoothness, self.detail)
 
     def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
         """Return the strategy.

@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from hpcapp.applications.surface.method import MARGIN
+from hpcapp.applications.surface.method import MARGIN, Resolution
 from hpcapp.applications.surface.options import check_options, option
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.method import Method, Resources
+    from hpccomponent.surface.cloud.arranged import ArrangedCloud
     from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["Paper"]
 
+_GRID = 256
 _BYTES_PER_NODE = 16.0
 """Values, their magnitudes, masks, and a median's copy of every node of a cube."""
 
@@ -91,6 +93,21 @@ class Paper:
         """
         del cloud
         return _BYTES_PER_NODE * float(grid) ** 3
+
+    def suggest_grid(self, cloud: ArrangedCloud) -> Resolution:
+        """Return a grid of 256, whose nodes a small machine holds.
+
+        Parameters
+        ----------
+        cloud : ArrangedCloud
+            Not looked at.
+
+        Returns
+        -------
+        Resolution
+        """
+        del cloud
+        return Resolution(_GRID, "the default of this method")
 
     def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
         """Return the strategy, whose own grid has no margins.

@@ -41,12 +41,12 @@ def test_a_few_points_have_no_noise_that_could_be_found() -> None:
 def test_cells_follow_the_spacing_of_clean_clouds_and_the_noise_of_others() -> None:
     clean = choose_scale(measure_points(noisy_sphere(0.0)), 0.001, 1.0, 1.0)
     assert clean.cell_size == pytest.approx(1.5 * clean.spacing)
-    noisy = choose_scale(measure_points(noisy_sphere(0.01)), 0.001, 1.0, 1.0)
-    assert noisy.cell_size == pytest.approx(6 * noisy.noise)
+    noisy = choose_scale(measure_points(noisy_sphere(0.03)), 0.001, 1.0, 1.0)
+    assert noisy.cell_size == pytest.approx(2.5 * noisy.noise)
 
 
 def test_hands_on_the_wheel() -> None:
-    cloud = measure_points(noisy_sphere(0.01))
+    cloud = measure_points(noisy_sphere(0.03))
     scale = choose_scale(cloud, 0.001, 1.0, 1.0)
     smoother = choose_scale(cloud, 0.001, 2.0, 1.0)
     finer = choose_scale(cloud, 0.001, 1.0, 2.0)

@@ -1,0 +1,108 @@
+"""How fine the evaluation grid is: as asked for, or as the scan and the memory allow."""
+
+from __future__ import annotations
+
+import logging
+from math import sqrt
+
+import numpy as np
+
+from hpcapp.applications.surface.memory import check_memory, fit_memory
+from hpcapp.applications.surface.method import MARGIN, MAX_GRID, MIN_GRID
+from hpcapp.applications.surface.settings import Settings
+from hpccomponent.errors import UsageError
+from hpccomponent.surface.cloud.arranged import ArrangedCloud
+from hpccomponent.surface.types.points import FloatArray
+
+__all__ = ["choose_grid", "find_grid", "guess_grid"]
+
+log = logging.getLogger("hpcapp")
+
+_LEAST_GUESS = 256
+
+
+def find_grid(settings: Settings, cloud: ArrangedCloud) -> int:
+    """Return the cells along the longest side: asked for, or chosen by the method and announced.
+
+    Parameters
+    ----------
+    settings : Settings
+    cloud : ArrangedCloud
+        With what its method asks for.
+
+    Returns
+    -------
+    int
+        A chosen grid is never larger than what memory holds.
+
+    Raises
+    ------
+    UsageError
+        The voxels are too small or too large, or memory does not hold the grid that is asked for.
+    InputError
+        The method finds nothing to choose by.
+    """
+    asked = choose_grid(settings, cloud.low, cloud.high)
+    if asked is not None:
+        check_memory(settings.method, asked, cloud.points)
+        return asked
+    suited = settings.method.suggest_grid(cloud)
+    grid = min(suited.grid, fit_memory(settings.method, suited.grid, cloud.points))
+    reason = suited.reason
+    if grid < suited.grid:
+        reason = f"all that memory holds; {suited.grid} would suit ({reason})"
+    log.info("grid %d: %s", grid, reason)
+    return grid
+
+
+def choose_grid(settings: Settings, low: FloatArray, high: FloatArray) -> int | None:
+    """Return the cells along the longest side, margins included, asked for in one of three ways.
+
+    Parameters
+    ----------
+    settings : Settings
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box around all points, in length units of the input.
+
+    Returns
+    -------
+    int or None
+        None where the method is to choose.
+
+    Raises
+    ------
+    UsageError
+        The voxels are too small or too large.
+    """
+    if settings.depth is not None:
+        return int(2**settings.depth)
+    if settings.voxel_size is None:
+        return settings.grid
+    longest = float((high - low).max())
+    with np.errstate(over="ignore"):
+        cells = float(np.ceil(np.float64(longest) / settings.voxel_size)) + 2 * MARGIN
+    if not MIN_GRID <= cells <= MAX_GRID:  # NaN is not, either
+        raise UsageError(
+            f"--voxel-size {settings.voxel_size:g} means {cells:g} cells along the longest side",
+            f"choose one that gives {MIN_GRID} to {MAX_GRID}; the side is {longest:g} long",
+        )
+    return int(cells)
+
+
+def guess_grid(settings: Settings, points: int) -> int:
+    """Return the cells along the longest side before any point is read: as many as there may be.
+
+    Parameters
+    ----------
+    settings : Settings
+    points : int
+        About so many.
+
+    Returns
+    -------
+    int
+        What is asked for; else that of points spread evenly over a square.
+    """
+    if settings.depth is not None:
+        return int(2**settings.depth)
+    return settings.grid or min(max(_LEAST_GUESS, int(sqrt(points))), MAX_GRID)
