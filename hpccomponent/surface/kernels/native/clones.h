@@ -23,6 +23,9 @@
 // it is vectorised, such a loop of a few turns would stay scalar.
 #if defined(__GNUC__) && !defined(__clang__)
 #define HPC_LANES _Pragma("GCC ivdep") _Pragma("GCC unroll 1")
+// Before a loop of a few turns around such ones.
+#define HPC_UNROLLED _Pragma("GCC unroll 8")
 #else
 #define HPC_LANES
+#define HPC_UNROLLED
 #endif
