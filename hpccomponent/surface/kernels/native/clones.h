@@ -1,7 +1,8 @@
 // Several instruction sets in one library: the loader of the process picks the best one it has.
 //
-// Every loop that is compiled this way runs across moments, vertices or nodes, never across the
-// points of a sum, and contraction to fused operations is off: each version gives the same bits.
+// Every loop that is compiled this way runs across moments, vertices or nodes, or across eight sums
+// that are added up in a given order at the end, never across the points of one sum; contraction to
+// fused operations is off: each version gives the same bits.
 // No exception may pass through such a function: GCC takes it for one that throws none.
 #pragma once
 
@@ -23,6 +24,9 @@
 // it is vectorised, such a loop of a few turns would stay scalar.
 #if defined(__GNUC__) && !defined(__clang__)
 #define HPC_LANES _Pragma("GCC ivdep") _Pragma("GCC unroll 1")
+// Before a loop of a few turns around such ones.
+#define HPC_UNROLLED _Pragma("GCC unroll 8")
 #else
 #define HPC_LANES
+#define HPC_UNROLLED
 #endif

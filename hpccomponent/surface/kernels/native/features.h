@@ -4,12 +4,13 @@
 #include <cstdint>
 
 #include "arrays.h"
+#include "feature_points.h"
 #include "field.h"
 #include "layers.h"
 
 namespace hpc {
 
-constexpr int PIECES = 3, QUADRIC = 10;
+
 
 // Blends what joined quadrics differ by from the one quadric of their vertex.
 class FeatureBlend {
