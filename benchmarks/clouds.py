@@ -94,6 +94,7 @@ GROUPS: Mapping[str, str] = {
     "sharp": "machine parts with straight and curved edges, holes and fins",
     "correlated": "depth errors that are smooth along the surface, each view its own",
     "real": "scans of real objects",
+    "scans": "simulated scans of real objects' meshes, by name only",
 }
 
 
@@ -145,7 +146,22 @@ _REAL = (
     FileCloud("rocker-noisy", "real", "rocker_arm_scan_noisy.ply", "rocker_arm_mesh.ply"),
 )
 
-_EVERY: tuple[Cloud, ...] = (*_simulated(), *_REAL)
+
+def _scans() -> list[FileCloud]:
+    """Return the scans MESH__LEVEL of meshes MESH in the folder that HPCAPP_DATA names, if any."""
+    folder = Path(os.environ.get("HPCAPP_DATA", ""), "tuning")
+    return [
+        FileCloud(
+            path.stem,
+            "scans",
+            f"tuning/scans/{path.name}",
+            f"tuning/meshes/{path.stem.split('__')[0]}.ply",
+        )
+        for path in sorted((folder / "scans").glob("*.ply"))
+    ]
+
+
+_EVERY: tuple[Cloud, ...] = (*_simulated(), *_REAL, *_scans())
 CLOUDS: Mapping[str, Cloud] = {cloud.name: cloud for cloud in _EVERY}
 
 
@@ -155,7 +171,7 @@ def find_clouds(names: list[str]) -> list[Cloud]:
     Parameters
     ----------
     names : list of str
-        None means all, the real ones only where HPCAPP_DATA is set.
+        None means all but the scans, the real ones only where HPCAPP_DATA is set.
 
     Raises
     ------
@@ -170,7 +186,9 @@ def find_clouds(names: list[str]) -> list[Cloud]:
             )
     if names:
         return [c for c in CLOUDS.values() if c.name in names or c.group in names]
-    return [c for c in CLOUDS.values() if c.group != "real" or "HPCAPP_DATA" in os.environ]
+    given = {"real"} if "HPCAPP_DATA" in os.environ else set()
+    left_out = {"real", "scans"} - given
+    return [c for c in CLOUDS.values() if c.group not in left_out]
 
 
 def open_truth(cloud: Cloud) -> Truth:

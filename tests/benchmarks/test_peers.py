@@ -100,11 +100,11 @@ def test_a_cloud_is_made_once_and_the_same_each_time(tmp_path: Path) -> None:
 
 
 def test_names_and_groups_find_clouds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert {cloud.group for cloud in CLOUDS.values()} == set(GROUPS)
+    assert {cloud.group for cloud in CLOUDS.values()} | {"scans"} == set(GROUPS)
     assert [cloud.name for cloud in find_clouds(["knot-clean"])] == ["knot-clean"]
     assert {cloud.group for cloud in find_clouds(["thin", "pose"])} == {"thin", "pose"}
     monkeypatch.delenv("HPCAPP_DATA", raising=False)
-    assert "real" not in {cloud.group for cloud in find_clouds([])}
+    assert not {"real", "scans"} & {cloud.group for cloud in find_clouds([])}
     with pytest.raises(UsageError, match="no cloud or group"):
         find_clouds(["teapot"])
     with pytest.raises(UsageError, match="HPCAPP_DATA"):
