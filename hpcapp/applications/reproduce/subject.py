@@ -73,7 +73,9 @@ def open_subject(points: Path | None) -> Iterator[Subject]:
     with temporary_folder() as folder:
         path = folder / "points.ply"
         if points is None:
-            cloud = simulate_scan(find_shape("knot"), ScanSettings(points=EXAMPLE_POINTS, views=0, seed=7))
+            cloud = simulate_scan(
+                find_shape("knot"), ScanSettings(points=EXAMPLE_POINTS, views=0, seed=7)
+            )
             name = f"simulated knot, {len(cloud)} points"
         else:
             cloud = _read(points)
