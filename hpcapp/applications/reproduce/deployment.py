@@ -110,6 +110,6 @@ def _compare(workers: int, cluster: Path, *, is_emulated: bool) -> str:
         return (
             "The roles are the paper's; the machines are not: all four are folders of this "
             "machine and share its cores, where the paper has four virtual machines of a "
-            "Eucalyptus cloud."
+            "cloud."
         )
     return "The roles are the paper's; what the machines are is said by the cluster file."

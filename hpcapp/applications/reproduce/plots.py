@@ -20,8 +20,8 @@ from hpccomponent.errors import UsageError
 __all__ = ["check_plots", "make_figure_7", "make_figure_8"]
 
 _NO_NUMBERS = (
-    "The paper's 240 patches are of a cloud that is not published and its machines were slower, so "
-    "its times cannot be met"
+    "The paper's cloud for this figure is not published and its machines were others, so its "
+    "times cannot be met"
 )
 
 
