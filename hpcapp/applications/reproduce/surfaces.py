@@ -22,8 +22,8 @@ __all__ = ["make_figure_6", "mesh_by_default"]
 
 _SAMPLES = 20_000
 _SENTENCE = (
-    "No combination of the paper's rules gives the surface of its Figure 6 here: its blend jumps at "
-    "the faces of the boxes, and eigenvector fits of flat patches change sides."
+    "No combination of the paper's rules gives the surface of its Figure 6 here: its blend jumps "
+    "at the faces of the boxes, and eigenvector fits of flat patches change sides."
 )
 
 
