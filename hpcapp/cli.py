@@ -30,6 +30,7 @@ SHIPPED = {
     "simplify": "hpcapp.simplification.command:simplify",
     "view": "hpcapp.applications.view.command:view",
     "compare": "hpcapp.applications.compare.command:compare",
+    "reproduce": "hpcapp.applications.reproduce.command:reproduce",
 }
 EXIT_FAILED, EXIT_USAGE = 1, 2
 # What these log is raised too, and said in our words: a user sees it with --debug only.

@@ -235,7 +235,7 @@ def test_without_a_verb_the_help_is_shown(run: Run) -> None:
 def test_help_lists_every_option_and_default(run: Run) -> None:
     code, stdout, _ = run("reconstruct", "--help")
     assert code == 0
-    assert "[default: 256]" in " ".join(stdout.split())
+    assert "[default: auto]" in " ".join(stdout.split())
     assert "[default: hierarchical]" in " ".join(stdout.split())
 
 

@@ -1,0 +1,115 @@
+"""Table 1: one head that works and three workers, deployed from a cluster file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpcapp.applications.reproduce.finding import Finding
+from hpcapp.applications.reproduce.subject import Subject
+from hpcapp.backends.cluster_jobs import load_cluster_function
+from hpcapp.io import read_mesh
+from hpcapp.io.staging import replacing
+from hpcapp.pages.render import render_mesh
+
+__all__ = ["LOCAL_CLUSTER", "make_table_1", "write_local_cluster"]
+
+#: The machines of Table 1, emulated by folders of this machine.
+LOCAL_CLUSTER = """\
+# The machines of the paper's Table 1, each a folder with processes of its own on this machine.
+version: 1
+cluster: paper-table-1
+provider: {type: local}
+head: {component: true}       # VM 1: the HPC App and an HPC Component
+workers: {count: 3}           # VM 2, 3 and 4: an HPC Component each
+"""
+_MACHINES = 4
+
+
+def write_local_cluster(path: Path) -> None:
+    """Write the cluster file of the emulated machines.
+
+    Parameters
+    ----------
+    path : Path
+        Appears whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    with replacing(path) as file:
+        file.write(LOCAL_CLUSTER.encode())
+
+
+def make_table_1(
+    subject: Subject, cluster: Path, grid: int, up: str, *, is_emulated: bool
+) -> tuple[Finding, NDArray[np.uint8]]:
+    """Deploy the machines, have them run the paper's method, and take them away.
+
+    Parameters
+    ----------
+    subject : Subject
+    cluster : Path
+        The cluster file; machines that are up already stay up.
+    grid : int
+        Cells along the longest side.
+    up : {"x", "y", "z"}
+        The axis that points up in the picture.
+    is_emulated : bool
+        Whether the file is that of `write_local_cluster`.
+
+    Returns
+    -------
+    finding : Finding
+    picture : ndarray of uint8, shape (h, w, 3)
+
+    Raises
+    ------
+    HpcError
+        The cluster cannot be had, or the job has failed there.
+    """
+    run = load_cluster_function("run")
+    target = subject.path.with_name("mesh.ply")
+    words = ["--method", "paper", "--grid", str(grid), "--backend", "zmq", "--policy", "equal"]
+    report: dict[str, Any] = run(cluster, "reconstruct", subject.path, target, words)
+    finding = Finding(
+        f"Table 1: {subject.name} on the machines of {cluster.name}",
+        ("", "in the paper", "here"),
+        _tabulate(report),
+        _compare(report["workers"], cluster, is_emulated=is_emulated),
+        "The mesh that came back, by the paper's method.",
+    )
+    return finding, render_mesh(read_mesh(target), size=800, up=up)
+
+
+def _tabulate(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
+    stages = "; ".join(f"{name} {seconds:.2f}" for name, seconds in report["stages"].items())
+    return (
+        ("VM 1", "HPC App and HPC Component", "head, which runs the job and a component"),
+        ("VM 2 to VM 4", "an HPC Component each", "a worker with a component each"),
+        ("components at work", str(_MACHINES), str(report["workers"])),
+        ("patches", "-", str(report["patches"])),
+        ("sent, received by the head, MB", "-",
+         f"{report['bytes_sent'] / 1e6:.2f}, {report['bytes_received'] / 1e6:.2f}"),
+        ("stages, s", "-", stages),
+    )  # fmt: skip
+
+
+def _compare(workers: int, cluster: Path, *, is_emulated: bool) -> str:
+    if workers != _MACHINES:
+        return (
+            f"Not the paper's Table 1: {workers} components were at work in place of {_MACHINES}; "
+            f"give {cluster.name} 'head: {{component: true}}' and 'workers: {{count: 3}}'."
+        )
+    if is_emulated:
+        return (
+            "The roles are the paper's; the machines are not: all four are folders of this "
+            "machine and share its cores, where the paper has four virtual machines of a "
+            "cloud."
+        )
+    return "The roles are the paper's; what the machines are is said by the cluster file."

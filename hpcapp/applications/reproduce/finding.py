@@ -1,0 +1,67 @@
+"""What a figure has shown: a table beside the paper's numbers, and one sentence on the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Finding"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What came of one figure of the paper.
+
+    Parameters
+    ----------
+    title : str
+        Which figure, and of what.
+    columns : tuple of str
+        Of the table.
+    rows : tuple of tuple of str
+        As many cells each as there are columns.
+    sentence : str
+        Where it differs from the paper, and why.
+    picture : str
+        What is on the picture, from left to right.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    sentence: str
+    picture: str
+
+    def to_markdown(self, picture: str) -> str:
+        """Return the page of this figure.
+
+        Parameters
+        ----------
+        picture : str
+            The name of the picture's file, beside the page.
+
+        Returns
+        -------
+        str
+
+        Examples
+        --------
+        >>> found = Finding("Figure 0", ("a", "b"), (("1", "2"),), "As printed.", "A dot.")
+        >>> print(found.to_markdown("dot.png"))
+        # Figure 0
+        <BLANKLINE>
+        | a | b |
+        |---|---|
+        | 1 | 2 |
+        <BLANKLINE>
+        As printed.
+        <BLANKLINE>
+        ![A dot.](dot.png)
+        <BLANKLINE>
+        A dot.
+        <BLANKLINE>
+        """
+        lines = [f"| {' | '.join(cells)} |" for cells in (self.columns, *self.rows)]
+        lines.insert(1, "|" + "---|" * len(self.columns))
+        table = "\n".join(lines)
+        shown = f"![{self.picture}]({picture})\n\n{self.picture}\n"
+        return f"# {self.title}\n\n{table}\n\n{self.sentence}\n\n{shown}"

@@ -1,0 +1,177 @@
+"""The plots of Figures 7 and 8, their tables, and what can be said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from typing import Any, BinaryIO
+
+from hpcapp.applications.reproduce.finding import Finding
+from hpcapp.applications.reproduce.scaling import (
+    WAYS,
+    Run,
+    Spread,
+    Summary,
+    limit_of_fits,
+    summarise,
+)
+from hpccomponent.errors import UsageError
+
+__all__ = ["check_plots", "make_figure_7", "make_figure_8"]
+
+_NO_NUMBERS = (
+    "The paper's cloud for this figure is not published and its machines were others, so its "
+    "times cannot be met"
+)
+
+
+def check_plots() -> None:
+    """Refuse a figure that could not be drawn, before it is measured.
+
+    Raises
+    ------
+    UsageError
+        matplotlib is not installed.
+    """
+    if find_spec("matplotlib") is None:
+        raise UsageError(
+            "fig7 and fig8 are drawn by matplotlib, which is not installed",
+            "pip install 'hpcapp[plots]'",
+        )
+
+
+def make_figure_7(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO) -> Finding:
+    """Draw time against the number of workers.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Of all ways, from 0 workers.
+    subject : str
+        What was reconstructed, at which grid.
+    cores : int
+        What the workers and the master share.
+    file : binary file
+        Receives the PNG.
+
+    Returns
+    -------
+    Finding
+    """
+    ways = _by_way(runs)
+    figure, axes = _open_axes(ways, cores)
+    for way, lines in ways.items():
+        _draw(axes, lines, [line.job_s for line in lines], f"whole job, {way} handed out", "o")
+    fits = ways["fits"]
+    _draw(axes, fits, [line.fit_s for line in fits], "the paper's fits alone", "s")
+    axes.set(yscale="log", ylabel="time, s", title="Time (the paper's Figure 7)")
+    _save(figure, axes, file)
+    rows = [
+        (_name(fit), str(fit.fit_s), str(fit.job_s), str(tile.job_s))
+        for fit, tile in zip(fits, ways["tiles"], strict=True)
+    ]
+    return Finding(
+        f"Figure 7: time by workers, {subject}",
+        ("workers", "the paper's fits, s", "job with fits handed out, s",
+         "job with tiles handed out, s"),
+        tuple(rows),
+        f"{_NO_NUMBERS}: {_share(fits):.0f} % of the paper's method is in its fits here, and "
+        f"{_compare_cores(cores, fits[-1].workers)}",
+        "Time by the number of workers: medians, with bars from the fastest to the slowest run.",
+    )  # fmt: skip
+
+
+def make_figure_8(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO) -> Finding:
+    """Draw speed-up against the number of workers; see `make_figure_7`.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    subject : str
+    cores : int
+    file : binary file
+
+    Returns
+    -------
+    Finding
+    """
+    ways = _by_way(runs)
+    figure, axes = _open_axes(ways, cores)
+    for way, lines in ways.items():
+        speedups = [line.job_speedup for line in lines]
+        _draw(axes, lines, speedups, f"whole job, {way} handed out", "o")
+    fits = ways["fits"]
+    limits = [limit_of_fits(_share(fits) / 100.0, line.workers) for line in fits]
+    workers = [line.workers for line in fits]
+    axes.plot(workers, limits, "--", color="grey", label="fits, if handing them out were free")
+    axes.plot(workers, [max(1, count) for count in workers], ":", color="grey", label="ideal")
+    axes.set(ylim=(0, None), ylabel="speed-up over the master alone")
+    axes.set_title("Speed-up (the paper's Figure 8)")
+    _save(figure, axes, file)
+    rows = [
+        (_name(fit), str(fit.fit_speedup), str(fit.job_speedup), f"{limit:.2f}",
+         str(tile.job_speedup))
+        for fit, tile, limit in zip(fits, ways["tiles"], limits, strict=True)
+    ]  # fmt: skip
+    return Finding(
+        f"Figure 8: speed-up by workers, {subject}",
+        ("workers", "the paper's fits", "job with fits handed out", "if that were free",
+         "job with tiles handed out"),
+        tuple(rows),
+        "The paper's speed-up is not met by handing out fits: they are "
+        f"{_share(fits):.0f} % of the job here, so Amdahl's law leaves "
+        f"{limits[-1]:.2f} with {workers[-1]} workers; {_compare_cores(cores, workers[-1])}",
+        "Speed-up by the number of workers: medians, with bars from the least to the most of "
+        "any round.",
+    )  # fmt: skip
+
+
+def _by_way(runs: Sequence[Run]) -> dict[str, list[Summary]]:
+    return {way: summarise([run for run in runs if run.way == way]) for way in WAYS}
+
+
+def _share(fits: list[Summary]) -> float:
+    """Return the fits' share of the job without workers, by the medians, in per cent."""
+    return 100.0 * fits[0].fit_s.median / fits[0].job_s.median
+
+
+def _compare_cores(cores: int, workers: int) -> str:
+    if cores > workers:
+        return f"{workers} workers and the master have {cores} cores for themselves."
+    return (
+        f"{workers} emulated machines and the master share {cores} cores, so that no way of "
+        f"handing out can gain more than {cores} times."
+    )
+
+
+def _name(line: Summary) -> str:
+    return "0 (the master alone)" if line.workers == 0 else str(line.workers)
+
+
+def _open_axes(ways: dict[str, list[Summary]], cores: int) -> tuple[Any, Any]:
+    from matplotlib.figure import Figure  # optional and heavy
+
+    figure = Figure(figsize=(6.4, 4.2), dpi=120, layout="constrained")
+    axes = figure.subplots()
+    axes.set(
+        xticks=[line.workers for line in ways["fits"]],
+        xlabel=f"workers (0: the master alone; {cores} cores in all)",
+    )
+    axes.grid(visible=True, alpha=0.3)
+    return figure, axes
+
+
+def _draw(axes: Any, lines: list[Summary], values: list[Spread], label: str, marker: str) -> None:
+    """Draw medians, with bars from the smallest to the largest value."""
+    middle = [value.median for value in values]
+    bars = (
+        [value.median - value.low for value in values],
+        [value.high - value.median for value in values],
+    )
+    workers = [line.workers for line in lines]
+    axes.errorbar(workers, middle, yerr=bars, marker=marker, capsize=3, label=label)
+
+
+def _save(figure: Any, axes: Any, file: BinaryIO) -> None:
+    axes.legend()
+    figure.savefig(file, format="png")
