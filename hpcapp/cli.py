@@ -195,6 +195,26 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     sys.exit(code)
 
 
+def _is_interruption(error: BaseException | None) -> bool:
+    """Tell whether an error came of an interruption.
+
+    Python up to 3.11 makes a RuntimeError of whatever is raised while a class names its attributes,
+    as those of numpy do when it is imported.
+    """
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__
+    return error is not None
+
+
+def _report_interruption() -> int:
+    """Say that the command was interrupted; return its exit code."""
+    # An interruption that came out of the execution of a string, as of dataclasses, has `python -m`
+    # end by SIGINT whoever catches it, until the next such execution.
+    exec("")  # noqa: S102
+    _report("interrupted")
+    return EXIT_INTERRUPTED
+
+
 def _run(arguments: list[str], debug: bool) -> int:
     """Run the command; return its exit code."""
     try:
@@ -207,11 +227,7 @@ def _run(arguments: list[str], debug: bool) -> int:
         _report(error.format_message().replace("\n", " "))
         return EXIT_USAGE
     except (KeyboardInterrupt, click.Abort):
-        # One that came out of the execution of a string, as of dataclasses, has `python -m` end by
-        # SIGINT whoever catches it, until the next such execution.
-        exec("")  # noqa: S102
-        _report("interrupted")
-        return EXIT_INTERRUPTED
+        return _report_interruption()
     except HpcError as error:
         if debug:
             logging.getLogger("hpcapp").exception("the error's way:")
@@ -227,6 +243,8 @@ def _run(arguments: list[str], debug: bool) -> int:
         _report("out of memory; choose a smaller --grid or a machine with more memory")
         return EXIT_FAILED
     except Exception as error:
+        if _is_interruption(error):
+            return _report_interruption()
         if isinstance(error, RuntimeError) and "start new thread" in str(error):
             _report("no further thread can be started; raise 'ulimit -u', or use fewer --workers")
             return EXIT_FAILED

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from process_tree import are_gone, descendants
 
+from hpcapp import cli
 from hpcapp.cli import _run, main
 from hpcapp.io import read_mesh
 from hpccomponent.surface.types.points import PointCloud
@@ -363,3 +364,22 @@ def test_a_command_within_another_process_leaves_its_signals_alone() -> None:
     with pytest.raises(SystemExit):
         main(["--version"])
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_an_interrupt_while_a_class_names_its_attributes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Python 3.11 makes a RuntimeError of it, as in the midst of an import of numpy."""
+
+    class Naming:
+        def __set_name__(self, owner: type, name: str) -> None:
+            raise KeyboardInterrupt
+
+    def name(*_: object, **__: object) -> None:
+        type("Named", (), {"attribute": Naming()})
+
+    monkeypatch.setattr(cli.hpcapp, "main", name)
+    with pytest.raises(SystemExit) as left:
+        cli.main(["info", "scan.ply"])
+    assert left.value.code == 130
+    assert capsys.readouterr().err == "hpcapp: interrupted\n"
