@@ -27,7 +27,7 @@ from hpccomponent.surface.tasks.tiles import solve_far
 from hpccomponent.surface.tiles.halo import HALO_STEPS, mark_near
 from hpccomponent.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
 from hpccomponent.surface.types.field import FarField, FieldLevel
-from hpccomponent.surface.types.grid import Grid
+from hpccomponent.surface.types.grid import BRICK, Grid
 from hpccomponent.surface.types.lattice import ancestor_keys, unique_keys, unpack_keys
 from hpccomponent.surface.types.points import IntArray
 
@@ -71,7 +71,8 @@ class Coarse:
         plan = self.plan
         reach = HALO_STEPS * plan.step
         size = plan.cell_size * 2.0**plan.coarse
-        wide = int(np.ceil((reach + 3.0 * size) / size))  # corners that nobody needs have parents
+        # Corners that nobody needs have parents, too: those that `near_bricks` names beyond.
+        wide = int(np.ceil((reach + BRICK * plan.step + 3.0 * size) / size))
         rows = _find_around(self.parents.keys, cells, wide)
         above = self.parents
         parents = Parents(

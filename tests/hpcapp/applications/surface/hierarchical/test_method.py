@@ -317,3 +317,24 @@ def test_moments_of_tiles_go_through_the_folder_that_points_are_read_from(
     np.testing.assert_array_equal(first, second)
     keeping.clear()
     assert keeping.store.list() == []
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.001, 0.003])  # with heavy tails: points are weighed
+@pytest.mark.parametrize("steps", [1.2, 1.46, 1.52, 1.57, 1.65, 1.8, 2.2, 3.1])
+def test_tiles_hold_all_that_they_ask_for_whatever_a_cell_has_of_steps(
+    steps: float, noise: float
+) -> None:
+    cloud = torus(60_000)
+    normals = cloud.normals
+    assert normals is not None
+    rng = np.random.default_rng(4)
+    moved = cloud.positions + noise * rng.standard_t(3.0, size=(len(cloud), 1)) * normals
+    scan = PointCloud(moved, normals)
+    cell = estimates.choose_scale(arrange_cloud(scan).measure(), 0.0, 1.0, 1.0).cell_size
+    grid = int(2.8 / cell * steps) + 8
+    whole, facts = reconstruct(scan, HierarchicalMethod(grid))
+    assert facts["cell_size"] == pytest.approx(cell)
+    for tiles in (2, 7):
+        cut, _ = reconstruct(scan, HierarchicalMethod(grid), tiles)
+        np.testing.assert_array_equal(cut.vertices, whole.vertices)
+        np.testing.assert_array_equal(cut.faces, whole.faces)
