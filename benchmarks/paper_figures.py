@@ -24,13 +24,13 @@ import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from statistics import median
 from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any
 
 from clouds import SimulatedCloud
 
+from hpcapp.applications.reproduce.scaling import Spread, limit_of_fits
 from hpcapp.applications.simulate.scanner import ScanSettings
 from hpcapp.applications.surface.paper.method import PaperMethod
 from hpcapp.applications.surface.pipeline import reconstruct
@@ -43,10 +43,8 @@ from hpccomponent.surface.cloud.arranged import MemoryCloud
 
 __all__ = [
     "Run",
-    "Spread",
     "Summary",
     "find_cloud",
-    "limit_of_fits",
     "measure",
     "plot",
     "print_table",
@@ -85,26 +83,6 @@ class Run:
     fit_s: float
     job_s: float
     bytes_sent: int
-
-
-@dataclass(frozen=True, slots=True)
-class Spread:
-    """The median of some values, the smallest and the largest."""
-
-    median: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, values: list[float]) -> Spread:
-        """Return the spread of `values`, at least one.
-
-        Examples
-        --------
-        >>> Spread.of([3.0, 1.0, 2.0])
-        Spread(median=2.0, low=1.0, high=3.0)
-        """
-        return cls(median(values), min(values), max(values))
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,26 +244,6 @@ def summarise(runs: list[Run]) -> list[Summary]:
         )
         for own in by_workers
     ]
-
-
-def limit_of_fits(share: float, workers: int) -> float:
-    """Return the speed-up of a job whose fits cost nothing to hand out (Amdahl's law).
-
-    Parameters
-    ----------
-    share : float
-        Of the fits in the time of the job without workers, 0 to 1.
-    workers : int
-        0 means the master alone.
-
-    Examples
-    --------
-    >>> limit_of_fits(0.05, 0)
-    1.0
-    >>> round(limit_of_fits(0.05, 4), 3)
-    1.039
-    """
-    return 1.0 / (1.0 - share + share / max(workers, 1))
 
 
 def print_table(summaries: list[Summary]) -> None:

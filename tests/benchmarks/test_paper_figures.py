@@ -12,7 +12,6 @@ import pytest
 from paper_figures import (
     Run,
     find_cloud,
-    limit_of_fits,
     main,
     measure,
     plot,
@@ -91,16 +90,6 @@ def test_a_slow_round_leaves_the_speedups_alone(runs: list[Run]) -> None:
 def test_speedups_need_the_master_alone_in_every_round(runs: list[Run]) -> None:
     with pytest.raises(UsageError, match="without workers"):
         summarise([run for run in runs if (run.round, run.workers) != (1, 0)])
-
-
-@pytest.mark.parametrize("share", [0.0, 0.05, 0.5, 1.0])
-def test_the_limit_is_that_of_amdahl(share: float) -> None:
-    limits = [limit_of_fits(share, workers) for workers in range(9)]
-    assert limits[0] == limits[1] == 1.0
-    assert limits == sorted(limits)
-    for workers, limit in enumerate(limits[1:], start=1):
-        assert limit <= workers
-        assert limit * (1.0 - share) <= 1.0
 
 
 def test_the_cloud_is_the_given_one(sphere: Path, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Edges and corners: vertices of the finest lattice around which the points fall into pieces.
 
-They are few: what is known of them stands beside the level, and all others cost nothing.
+They are few: what is known of them stands beside the level. Where one quadric agrees with its
+points' normals, nothing is asked.
 """
 
 from __future__ import annotations

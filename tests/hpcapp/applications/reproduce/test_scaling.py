@@ -53,3 +53,4 @@ def test_the_limit_is_that_of_amdahl(share: float) -> None:
     assert limits[0] == limits[1] == 1.0
     assert limits == sorted(limits)
     assert all(limit * (1.0 - share) <= 1.0 for limit in limits)
+    assert all(limit <= workers for workers, limit in enumerate(limits[1:], start=1))
