@@ -95,6 +95,23 @@ def kill_worker() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+def freeze_first(note: str) -> int:
+    """Stop the process, where no file says that another has done so; return its id once it goes on.
+
+    Parameters
+    ----------
+    note : str
+        The file: the process's id.
+    """
+    try:
+        with open(note, "x", encoding="utf-8") as file:
+            file.write(str(os.getpid()))
+    except FileExistsError:
+        return os.getpid()
+    os.kill(os.getpid(), signal.SIGSTOP)
+    return os.getpid()
+
+
 def kill_below(bad: str) -> int:
     """End the process where it belongs to the component whose id a file holds; else return ours."""
     if os.getppid() == int(Path(bad).read_text(encoding="utf-8")):

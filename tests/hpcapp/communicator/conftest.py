@@ -22,7 +22,7 @@ TASKS = [
     for name in (
         "echo", "no_operation", "total", "fail", "append_line", "wait_for_file",
         "announce_and_wait", "kill_worker", "kill_below", "leave_work", "read_process",
-        "add_to_first", "lack_below",
+        "add_to_first", "lack_below", "freeze_first",
     )
 ]  # fmt: skip
 QUICK = Timing(heartbeat_s=0.25, liveness_s=5.0, silence_s=20.0, worker_wait_s=20.0, probe_s=0.1)

@@ -227,22 +227,26 @@ def test_the_batch_of_a_lost_worker_runs_elsewhere(
 
 
 def test_the_task_of_a_worker_that_hangs_is_run_again_and_its_late_answer_dropped(
-    executor: CommunicatorExecutor, start_component: StartComponent
+    executor: CommunicatorExecutor, start_component: StartComponent, tmp_path: Path
 ) -> None:
     start_component()
     start_component()
     executor.wait_for_workers(2, WAIT)
+    note = tmp_path / "frozen"
+    note.touch()
     pids: set[int] = set()
-    while len(pids) < 2:
-        futures: list[Future[Any]] = [executor.submit("contract.read_process") for _ in range(20)]
-        pids |= {future.result(WAIT)[0] for future in futures}
-    hung = pids.pop()
-    os.kill(hung, signal.SIGSTOP)  # its component speaks on: nothing else would notice
-    try:
-        futures = [executor.submit("contract.read_process") for _ in range(20)]
-        assert {future.result(WAIT)[0] for future in futures} == pids
-    finally:
-        os.kill(hung, signal.SIGCONT)
+    while len(pids) < 2:  # how long the task takes is known of both workers
+        futures: list[Future[Any]] = [
+            executor.submit("contract.freeze_first", str(note)) for _ in range(20)
+        ]
+        pids |= {future.result(WAIT) for future in futures}
+    note.unlink()
+    futures = [executor.submit("contract.freeze_first", str(note)) for _ in range(20)]
+    # Whoever begins first stops within its task. Its component speaks on: nothing else would notice.
+    done_by = {future.result(WAIT) for future in futures}
+    hung = int(note.read_text())
+    os.kill(hung, signal.SIGCONT)
+    assert done_by == pids - {hung}
     never = threading.Event()
     for _ in range(int(WAIT * 100)):
         if executor.statistics()["duplicates"]:
