@@ -36,9 +36,9 @@ _PADDING = 1.5
 _REACH = 1.5
 
 _NEIGHBOURS = 16  # of a sample, from which the surface that it stands for is told
-_SAME_SIDE = 0.6  # cos of the angle of two normals that may be of one sheet
-_STEEPEST = 0.35  # height of one over the plane of another, by their distance
-_LEAST_SAMPLES = 3  # in such a neighbourhood: what has less company may be an outlier
+_SAME_SIDE = 0.3  # cos of the angle of two normals that may be of one sheet
+_SAME_PLANE, _STEEPEST = 0.6, 0.35  # of that of neighbours; height of one over the other's plane,
+_LEAST_SAMPLES = 3  # by their distance: what has less company may be an outlier
 _LARGEST_AREA = 64.0  # cells that one may stand for
 _LEAST_LENGTH = 0.1  # of a normal that says where its disc lies
 _GOLDEN_TURN = complex(-0.7373688780783197, 0.6754902942615238)  # by the golden angle
@@ -201,10 +201,11 @@ def spread_samples(
     distances, rows = KDTree(centroids).query(centroids, _NEIGHBOURS)
     cosines = (axes[:, None] * axes[rows]).sum(axis=2)
     heights = ((centroids[rows] - centroids[:, None]) * axes[:, None]).sum(axis=2)
-    beside = np.abs(heights) <= _STEEPEST * np.maximum(distances, size)
-    company = ((cosines > _SAME_SIDE) & beside).sum(axis=1)
-    areas = np.pi * (distances[:, -1] / size) ** 2 / np.maximum(company - 0.5, 0.5)
+    sheet = (cosines > _SAME_SIDE).sum(axis=1)
+    areas = np.pi * (distances[:, -1] / size) ** 2 / np.maximum(sheet - 0.5, 0.5)
     areas = np.minimum(areas, _LARGEST_AREA)
+    beside = np.abs(heights) <= _STEEPEST * np.maximum(distances, size)
+    company = (beside & (cosines > _SAME_PLANE)).sum(axis=1)
     alone = (areas <= 1.0) | (company < _LEAST_SAMPLES) | (lengths < _LEAST_LENGTH)
     sparse = np.flatnonzero(~alone)
     counts = np.ceil(areas[sparse]).astype(np.int64)
