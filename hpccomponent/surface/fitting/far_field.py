@@ -36,6 +36,7 @@ FEWEST_NODES = 128
 """Along a side."""
 
 _MOST_NODES = 256
+_BLURRED = 4.0  # standard deviations of the noise: shape that is smaller is not told from it
 _PADDING = 1.5
 _REACH = 1.5
 
@@ -110,8 +111,8 @@ def restore_far_field(part: FarFieldPart) -> FarField:
     return FarField(values, part.origin, part.step)
 
 
-def choose_nodes(low: FloatArray, high: FloatArray, cell_size: float) -> int:
-    """Choose how fine a far field is: its step needs not be smaller than what cells resolve.
+def choose_nodes(low: FloatArray, high: FloatArray, cell_size: float, noise: float) -> int:
+    """Choose how fine a far field is: no finer than what the points resolve.
 
     Parameters
     ----------
@@ -119,14 +120,16 @@ def choose_nodes(low: FloatArray, high: FloatArray, cell_size: float) -> int:
         Of the box that it covers, in length units of the input.
     cell_size : float
         Edge of the finest cells, in the same units.
+    noise : float
+        Standard deviation of the positions along the normals, in the same units.
 
     Returns
     -------
     int
         A power of two.
     """
-    is_coarse = cell_size < far_step(low, high, FEWEST_NODES)
-    return _MOST_NODES if is_coarse else FEWEST_NODES
+    resolved = max(cell_size, _BLURRED * noise)
+    return _MOST_NODES if resolved < far_step(low, high, FEWEST_NODES) else FEWEST_NODES
 
 
 def far_step(low: FloatArray, high: FloatArray, nodes: int) -> float:

@@ -84,7 +84,7 @@ class Plan:
     @property
     def far_nodes(self) -> int:
         """How many nodes the far field has along a side."""
-        return choose_nodes(*self.grid.box, self.cell_size)
+        return choose_nodes(*self.grid.box, self.cell_size, self.noise)
 
     @property
     def weights(self) -> list[Weights]:

@@ -160,7 +160,8 @@ class HierarchicalMethod:
         grid = plan_grid(low, high, self.grid)
         scale = choose_scale(cloud.measure(), grid.step, self.smoothness, self.detail, self.threads)
         height = count_levels(float((high - low).max()), scale.cell_size)
-        nodes = choose_nodes(*grid.box, scale.cell_size)
+        noise = scale.noise * self.smoothness
+        nodes = choose_nodes(*grid.box, scale.cell_size, noise)
         far = far_level(grid, nodes, scale.cell_size, height)
         count = self._count_tiles(cloud, height, workforce)
         tolerance = scale.tolerance if height > _ROBUST_LEVELS else np.inf
@@ -170,7 +171,7 @@ class HierarchicalMethod:
         coarse = max(least, min(lowest, height - 1)) if count else height
         blocks = choose_arrangement(low, high)
         plan = Plan(
-            low, scale.cell_size, height, coarse, scale.noise * self.smoothness,
+            low, scale.cell_size, height, coarse, noise,
             grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far, tolerance,
         )  # fmt: skip
         if not count:
