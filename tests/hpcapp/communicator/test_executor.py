@@ -242,7 +242,7 @@ def test_the_task_of_a_worker_that_hangs_is_run_again_and_its_late_answer_droppe
         pids |= {future.result(WAIT) for future in futures}
     note.unlink()
     futures = [executor.submit("contract.freeze_first", str(note)) for _ in range(20)]
-    # Whoever begins first stops within its task. Its component speaks on: nothing else would notice.
+    # Whoever begins first stops within its task. Its component speaks on: only that shows nothing.
     done_by = {future.result(WAIT) for future in futures}
     hung = int(note.read_text())
     os.kill(hung, signal.SIGCONT)
