@@ -16,6 +16,28 @@ StartCommand = Callable[..., "subprocess.Popen[str]"]
 
 ZMQ = ("--backend", "zmq", "--workers", "3")
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+# A command that has said the words stops itself, so that it is at that moment when the test acts.
+STOPPING = """
+import os, signal, sys
+
+class Stopping:
+    def __init__(self, stream):
+        self._stream = stream
+
+    def __getattr__(self, name):
+        return getattr(self._stream, name)
+
+    def write(self, text):
+        written = self._stream.write(text)
+        if os.environ.get("STOP_AFTER", text + "!") in text:
+            del os.environ["STOP_AFTER"]
+            self._stream.flush()
+            os.kill(os.getpid(), signal.SIGSTOP)
+        return written
+
+if "hpcapp" in sys.orig_argv:
+    sys.stderr = Stopping(sys.stderr)
+"""
 
 
 def read_until(process: subprocess.Popen[str], words: str) -> None:
@@ -25,6 +47,36 @@ def read_until(process: subprocess.Popen[str], words: str) -> None:
         if words in line:
             return
     raise AssertionError(f"{words!r} was never said")
+
+
+@pytest.fixture
+def stop_after(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[str], None]:
+    """Have commands stop themselves once they have said some words."""
+    folder = tmp_path_factory.mktemp("stopping")
+    (folder / "sitecustomize.py").write_text(STOPPING)
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+
+    def set_words(words: str) -> None:
+        monkeypatch.setenv("STOP_AFTER", words)
+
+    return set_words
+
+
+def await_stop(process: subprocess.Popen[str], words: str) -> set[int]:
+    """Read until the words are said, and the command has stopped; return what it has started."""
+    read_until(process, words)
+    ended = os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
+    assert ended is not None
+    assert ended.si_code == os.CLD_STOPPED
+    return descendants(process.pid)
+
+
+def go_on(process: subprocess.Popen[str], signum: signal.Signals) -> None:
+    """Let a command that has stopped find a signal as it goes on."""
+    process.send_signal(signum)
+    process.send_signal(signal.SIGCONT)
 
 
 def check_end(process: subprocess.Popen[str], helpers: set[int], folder: Path) -> None:
@@ -52,28 +104,29 @@ def check_end(process: subprocess.Popen[str], helpers: set[int], folder: Path) -
 )
 def test_the_first_signal_ends_in_order(
     start_command: StartCommand,
+    stop_after: Callable[[str], None],
     sphere_file: Path,
     tmp_path: Path,
     moment: str,
     options: tuple[str, ...],
     signum: signal.Signals,
 ) -> None:
+    stop_after(moment)
     job = ("--debug", "reconstruct", "sphere.ply", "-o", "mesh.ply", "--grid", "256", *options)
     with start_command(*job) as process:
-        read_until(process, moment)
-        helpers = descendants(process.pid)
-        process.send_signal(signum)
+        helpers = await_stop(process, moment)
+        go_on(process, signum)
         check_end(process, helpers, tmp_path)
 
 
 @pytest.mark.parametrize("moment", ["build native chosen", "component"])
 def test_nothing_outlives_a_master_that_is_killed_while_workers_start(
-    start_command: StartCommand, sphere_file: Path, moment: str
+    start_command: StartCommand, stop_after: Callable[[str], None], sphere_file: Path, moment: str
 ) -> None:
+    stop_after(moment)
     job = ("--debug", "reconstruct", "sphere.ply", "-o", "mesh.ply", "--grid", "256", *ZMQ)
     with start_command(*job) as process:
-        read_until(process, moment)
-        helpers = descendants(process.pid)
+        helpers = await_stop(process, moment)
         process.kill()
         process.communicate()
     assert helpers
@@ -81,14 +134,17 @@ def test_nothing_outlives_a_master_that_is_killed_while_workers_start(
 
 
 def test_a_signal_that_comes_twice_at_once_is_one(
-    start_command: StartCommand, sphere_file: Path, tmp_path: Path
+    start_command: StartCommand,
+    stop_after: Callable[[str], None],
+    sphere_file: Path,
+    tmp_path: Path,
 ) -> None:
     """As `timeout` sends it: to the process, and to its group."""
+    stop_after("fit: done")
     job = ("reconstruct", "sphere.ply", "-o", "mesh.ply", "--grid", "256", *ZMQ)
     with start_command(*job) as process:
-        read_until(process, "fit: done")
-        helpers = descendants(process.pid)
-        process.send_signal(signal.SIGTERM)
+        helpers = await_stop(process, "fit: done")
+        go_on(process, signal.SIGTERM)
         os.killpg(process.pid, signal.SIGTERM)
         check_end(process, helpers, tmp_path)
 
@@ -96,16 +152,19 @@ def test_a_signal_that_comes_twice_at_once_is_one(
 @pytest.mark.slow
 @pytest.mark.parametrize("signum", SIGNALS)
 def test_the_second_signal_ends_at_once(
-    start_command: StartCommand, sphere_file: Path, signum: signal.Signals
+    start_command: StartCommand,
+    stop_after: Callable[[str], None],
+    sphere_file: Path,
+    signum: signal.Signals,
 ) -> None:
+    stop_after("fit: done")
     job = ("reconstruct", "sphere.ply", "-o", "mesh.ply", "--grid", "256", *ZMQ)
     with start_command(*job) as process:
-        read_until(process, "fit: done")
-        helpers = descendants(process.pid)
+        helpers = await_stop(process, "fit: done")
         for pid in helpers:
             os.kill(pid, signal.SIGSTOP)  # the end in order waits for them, and kills them
         try:
-            process.send_signal(signum)
+            go_on(process, signum)
             read_until(process, "a second signal (Ctrl-C) ends at once")
             process.send_signal(signal.SIGINT)
             stderr = process.communicate()[1]
