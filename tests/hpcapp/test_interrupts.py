@@ -10,73 +10,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from process_tree import are_gone, descendants
+from process_tree import are_gone
+from stopping import await_stop, go_on, read_until
 
 StartCommand = Callable[..., "subprocess.Popen[str]"]
+StopAfter = Callable[[str], None]
 
 ZMQ = ("--backend", "zmq", "--workers", "3")
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-# A command that has said the words stops itself, so that it is at that moment when the test acts.
-STOPPING = """
-import os, signal, sys
-
-class Stopping:
-    def __init__(self, stream):
-        self._stream = stream
-
-    def __getattr__(self, name):
-        return getattr(self._stream, name)
-
-    def write(self, text):
-        written = self._stream.write(text)
-        if os.environ.get("STOP_AFTER", text + "!") in text:
-            del os.environ["STOP_AFTER"]
-            self._stream.flush()
-            os.kill(os.getpid(), signal.SIGSTOP)
-        return written
-
-if "hpcapp" in sys.orig_argv:
-    sys.stderr = Stopping(sys.stderr)
-"""
-
-
-def read_until(process: subprocess.Popen[str], words: str) -> None:
-    """Read what is said until it holds some words."""
-    assert process.stderr is not None
-    for line in process.stderr:
-        if words in line:
-            return
-    raise AssertionError(f"{words!r} was never said")
-
-
-@pytest.fixture
-def stop_after(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> Callable[[str], None]:
-    """Have commands stop themselves once they have said some words."""
-    folder = tmp_path_factory.mktemp("stopping")
-    (folder / "sitecustomize.py").write_text(STOPPING)
-    monkeypatch.setenv("PYTHONPATH", str(folder))
-
-    def set_words(words: str) -> None:
-        monkeypatch.setenv("STOP_AFTER", words)
-
-    return set_words
-
-
-def await_stop(process: subprocess.Popen[str], words: str) -> set[int]:
-    """Read until the words are said, and the command has stopped; return what it has started."""
-    read_until(process, words)
-    ended = os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
-    assert ended is not None
-    assert ended.si_code == os.CLD_STOPPED
-    return descendants(process.pid)
-
-
-def go_on(process: subprocess.Popen[str], signum: signal.Signals) -> None:
-    """Let a command that has stopped find a signal as it goes on."""
-    process.send_signal(signum)
-    process.send_signal(signal.SIGCONT)
 
 
 def check_end(process: subprocess.Popen[str], helpers: set[int], folder: Path) -> None:
@@ -104,7 +45,7 @@ def check_end(process: subprocess.Popen[str], helpers: set[int], folder: Path) -
 )
 def test_the_first_signal_ends_in_order(
     start_command: StartCommand,
-    stop_after: Callable[[str], None],
+    stop_after: StopAfter,
     sphere_file: Path,
     tmp_path: Path,
     moment: str,
@@ -121,7 +62,7 @@ def test_the_first_signal_ends_in_order(
 
 @pytest.mark.parametrize("moment", ["build native chosen", "component"])
 def test_nothing_outlives_a_master_that_is_killed_while_workers_start(
-    start_command: StartCommand, stop_after: Callable[[str], None], sphere_file: Path, moment: str
+    start_command: StartCommand, stop_after: StopAfter, sphere_file: Path, moment: str
 ) -> None:
     stop_after(moment)
     job = ("--debug", "reconstruct", "sphere.ply", "-o", "mesh.ply", "--grid", "256", *ZMQ)
@@ -135,7 +76,7 @@ def test_nothing_outlives_a_master_that_is_killed_while_workers_start(
 
 def test_a_signal_that_comes_twice_at_once_is_one(
     start_command: StartCommand,
-    stop_after: Callable[[str], None],
+    stop_after: StopAfter,
     sphere_file: Path,
     tmp_path: Path,
 ) -> None:
@@ -153,7 +94,7 @@ def test_a_signal_that_comes_twice_at_once_is_one(
 @pytest.mark.parametrize("signum", SIGNALS)
 def test_the_second_signal_ends_at_once(
     start_command: StartCommand,
-    stop_after: Callable[[str], None],
+    stop_after: StopAfter,
     sphere_file: Path,
     signum: signal.Signals,
 ) -> None:
