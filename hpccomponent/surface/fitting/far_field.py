@@ -3,6 +3,10 @@
 The normals of the cells, spread on a coarse periodic grid, are the gradient of an indicator
 function; one Poisson equation, solved by FFT, gives it. Near the samples it is scaled to a signed
 distance, and it is cut off one and a half grid steps from the surface.
+
+A normal counts by the area that it stands for. Where most cells are empty, as in a deep bore that
+few rays have reached, those that are not stand for their neighbours too: their normals are spread
+over discs as large as their share of the surface.
 """
 
 from __future__ import annotations
@@ -10,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from hpccomponent.protocol.records import record
 from hpccomponent.surface.kernels import integrate_normals, sample_grid
@@ -23,11 +28,20 @@ __all__ = [
     "far_step",
     "restore_far_field",
     "solve_far_field",
+    "spread_samples",
 ]
 
 NODES = 128
 _PADDING = 1.5
 _REACH = 1.5
+
+_NEIGHBOURS = 16  # of a sample, from which the surface that it stands for is told
+_SAME_SIDE = 0.6  # cos of the angle of two normals that may be of one sheet
+_STEEPEST = 0.35  # height of one over the plane of another, by their distance
+_LEAST_SAMPLES = 3  # in such a neighbourhood: what has less company may be an outlier
+_LARGEST_AREA = 64.0  # cells that one may stand for
+_LEAST_LENGTH = 0.1  # of a normal that says where its disc lies
+_GOLDEN_TURN = complex(-0.7373688780783197, 0.6754902942615238)  # by the golden angle
 
 
 @record("surface.far_field_part")
@@ -111,22 +125,22 @@ def solve_far_field(
     centroids: FloatArray,
     normals: FloatArray,
     box: tuple[FloatArray, FloatArray],
-    smoothing: float,
+    size: float,
     threads: int = 1,
 ) -> FarField:
-    """Solve for the coarse field of some samples.
+    """Solve for the coarse field of some cells of points.
 
     Parameters
     ----------
     centroids : ndarray of float64, shape (c, 3)
         In length units of the input.
     normals : ndarray of float64, shape (c, 3)
-        Pointing out of the object, as long as the samples are to count.
+        Means, pointing out of the object.
     box : tuple of two ndarray of float64, shape (3,)
         Low and high corner of what the field must cover.
-    smoothing : float
-        Standard deviation of the Gaussian that the samples are smeared with, in length units of
-        the input; at least one grid step is taken.
+    size : float
+        Edge of the cells, in length units of the input. It is the standard deviation of the
+        Gaussian that the samples are smeared with, too; at least one grid step is taken.
     threads : int
         The field does not depend on it.
 
@@ -141,11 +155,13 @@ def solve_far_field(
     low, high = box
     step = far_step(low, high)
     origin = 0.5 * (low + high) - 0.5 * step * NODES
+    centroids, normals = spread_samples(centroids, normals, size)
+    centroids = np.clip(centroids, low, high)
     places = (centroids - origin) / step
     held = _held_rows((low - origin) / step, (high - origin) / step)
     chi = np.zeros((NODES,) * 3, np.float32)
     kept = chi[tuple(slice(*bounds) for bounds in held)]
-    kept[:] = integrate_normals(places, normals, max(1.0, smoothing / step), held, NODES, threads)
+    kept[:] = integrate_normals(places, normals, max(1.0, size / step), held, NODES, threads)
     unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     chi -= np.float32(sample_grid(chi, places).mean())
     rise = sample_grid(chi, places + unit) - sample_grid(chi, places - unit)
@@ -153,6 +169,69 @@ def solve_far_field(
     chi /= np.float32(slope)
     np.clip(chi, -_REACH * step, _REACH * step, out=chi)
     return FarField(chi, origin, step)
+
+
+def spread_samples(
+    centroids: FloatArray, normals: FloatArray, size: float
+) -> tuple[FloatArray, FloatArray]:
+    """Spread samples that stand for more than one cell over their share of the surface.
+
+    Parameters
+    ----------
+    centroids, normals, size
+        See `solve_far_field`.
+
+    Returns
+    -------
+    centroids : ndarray of float64, shape (s, 3)
+        Samples of about one cell each: first those that are as they were, then the discs.
+    normals : ndarray of float64, shape (s, 3)
+        As long as they count.
+
+    Notes
+    -----
+    With k of the 16 nearest samples on its sheet, the farthest at distance d, a sample stands for
+    pi d^2 / k: for about one cell where all are there. One whose neighbours point elsewhere stays
+    as it is, for outliers must not grow.
+    """
+    lengths = np.linalg.norm(normals, axis=1)
+    if len(centroids) < _NEIGHBOURS:
+        return centroids, normals
+    axes = normals / np.maximum(lengths, 1e-300)[:, None]
+    distances, rows = KDTree(centroids).query(centroids, _NEIGHBOURS)
+    cosines = (axes[:, None] * axes[rows]).sum(axis=2)
+    heights = ((centroids[rows] - centroids[:, None]) * axes[:, None]).sum(axis=2)
+    beside = np.abs(heights) <= _STEEPEST * np.maximum(distances, size)
+    company = ((cosines > _SAME_SIDE) & beside).sum(axis=1)
+    areas = np.pi * (distances[:, -1] / size) ** 2 / np.maximum(company - 0.5, 0.5)
+    areas = np.minimum(areas, _LARGEST_AREA)
+    alone = (areas <= 1.0) | (company < _LEAST_SAMPLES) | (lengths < _LEAST_LENGTH)
+    sparse = np.flatnonzero(~alone)
+    counts = np.ceil(areas[sparse]).astype(np.int64)
+    of = np.repeat(sparse, counts)
+    number = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)
+    share = (number + 0.5) / np.repeat(counts, counts)
+    turns = (size * np.sqrt(areas[of] * share / np.pi))[:, None] * _turn(int(_LARGEST_AREA))[number]
+    across = np.cross(axes[of], np.eye(3)[np.argmin(np.abs(axes[of]), axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    along = np.cross(axes[of], across)
+    discs = centroids[of] + turns[:, :1] * across + turns[:, 1:] * along
+    weights = areas[of] / np.repeat(counts, counts)
+    return (
+        np.concatenate([centroids[alone], discs]),
+        np.concatenate([normals[alone], normals[of] * weights[:, None]]),
+    )
+
+
+def _turn(count: int) -> FloatArray:
+    """Return points on the unit circle, each the golden angle on from the one before.
+
+    By products alone: a sine has other last digits on other processors.
+    """
+    turns = [complex(1.0, 0.0)]
+    while len(turns) < count:
+        turns.append(turns[-1] * _GOLDEN_TURN)
+    return np.array([(turn.real, turn.imag) for turn in turns])
 
 
 def _held_rows(low: FloatArray, high: FloatArray) -> IntArray:
