@@ -334,7 +334,8 @@ def test_an_end_in_mid_job_leaves_nothing(
     assert "Traceback" not in stderr
     if signum != signal.SIGKILL:
         assert process.returncode == 130
-        assert said(stderr) == "hpcapp: interrupted"
+        own = [line for line in stderr.splitlines() if line.startswith("hpcapp: ")]
+        assert own[-1] == "hpcapp: interrupted"  # before it: that the end takes its time
         assert left_in(tmp_path) == {"sphere.ply"}
 
 
