@@ -24,7 +24,7 @@ from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.input.load import Loaded
-    from hpcapp.applications.surface.steps import Outcome
+    from hpcapp.applications.surface.job.steps import Outcome
 
 __all__ = ["Shown", "build_job_page", "find_guesses", "show_files", "show_job", "write_job_page"]
 
