@@ -14,11 +14,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from hpccomponent.protocol.records import record
 from hpccomponent.surface.kernels import integrate_normals, sample_grid
 from hpccomponent.surface.types.field import FarField
+from hpccomponent.surface.types.lattice import (
+    OCTANTS,
+    ancestor_keys,
+    find_keys,
+    number_keys,
+    pack_places,
+)
 from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
 __all__ = [
@@ -40,10 +46,9 @@ _BLURRED = 4.0  # standard deviations of the noise: shape that is smaller is not
 _PADDING = 1.5
 _REACH = 1.5
 
-_NEIGHBOURS = 16  # of a sample, from which the surface that it stands for is told
-_SAME_SIDE = 0.3  # cos of the angle of two normals that may be of one sheet
-_SAME_PLANE, _STEEPEST = 0.6, 0.35  # of that of neighbours; height of one over the other's plane,
-_LEAST_SAMPLES = 3  # by their distance: what has less company may be an outlier
+_ENOUGH = 6.0  # samples on one sheet, from which the area of each is told
+_WIDEST = 5  # the level of cells up to which they are looked for
+_PER_SQUARE = 1.5  # samples of a whole sheet in a cube, by the square of its edge in cells
 _LARGEST_AREA = 64.0  # cells that one may stand for
 _LEAST_LENGTH = 0.1  # of a normal that says where its disc lies
 _GOLDEN_TURN = complex(-0.7373688780783197, 0.6754902942615238)  # by the golden angle
@@ -221,23 +226,15 @@ def spread_samples(
 
     Notes
     -----
-    With k of the 16 nearest samples on its sheet, the farthest at distance d, a sample stands for
-    pi d^2 / k: for about one cell where all are there. One whose neighbours point elsewhere stays
-    as it is, for outliers must not grow.
+    A whole sheet leaves about 1.5 a^2 samples in a cube of a cells along an edge. Where there are
+    k of them, in the smallest cube with 6 or more, each stands for 1.5 a^2 / k cells. Samples of
+    the same sheet count 1, those of one that faces the other way 0. Around an outlier the smallest
+    such cube reaches the dense samples of the surface: so it stands for few cells.
     """
     lengths = np.linalg.norm(normals, axis=1)
-    if len(centroids) < _NEIGHBOURS:
-        return centroids, normals
     axes = normals / np.maximum(lengths, 1e-300)[:, None]
-    distances, rows = KDTree(centroids).query(centroids, _NEIGHBOURS)
-    cosines = (axes[:, None] * axes[rows]).sum(axis=2)
-    heights = ((centroids[rows] - centroids[:, None]) * axes[:, None]).sum(axis=2)
-    sheet = (cosines > _SAME_SIDE).sum(axis=1)
-    areas = np.pi * (distances[:, -1] / size) ** 2 / np.maximum(sheet - 0.5, 0.5)
-    areas = np.minimum(areas, _LARGEST_AREA)
-    beside = np.abs(heights) <= _STEEPEST * np.maximum(distances, size)
-    company = (beside & (cosines > _SAME_PLANE)).sum(axis=1)
-    alone = (areas <= 1.0) | (company < _LEAST_SAMPLES) | (lengths < _LEAST_LENGTH)
+    areas = _find_areas(centroids / size, axes)
+    alone = (areas <= 1.0) | (lengths < _LEAST_LENGTH)
     sparse = np.flatnonzero(~alone)
     counts = np.ceil(areas[sparse]).astype(np.int64)
     of = np.repeat(sparse, counts)
@@ -253,6 +250,31 @@ def spread_samples(
         np.concatenate([centroids[alone], discs]),
         np.concatenate([normals[alone], normals[of] * weights[:, None]]),
     )
+
+
+def _find_areas(places: FloatArray, axes: FloatArray) -> FloatArray:
+    """Tell for how many cells each sample stands; `places` are in cells, `axes` unit normals.
+
+    The cubes are eight cells of a coarser level, which meet at its corner next to the sample.
+    """
+    shifted = places - np.floor(places.min(axis=0, initial=np.inf))
+    keys = pack_places(np.floor(shifted).astype(np.int64))
+    areas, left = np.ones(len(places)), np.arange(len(places))
+    for level in range(1, _WIDEST + 1):
+        cells, number = number_keys(ancestor_keys(keys, level))
+        sums = np.zeros((len(cells) + 1, 4))
+        sums[:-1, 0] = np.bincount(number)
+        for axis in range(3):
+            sums[:-1, 1 + axis] = np.bincount(number, axes[:, axis])
+        lower = np.floor(shifted[left] / 2.0**level - 0.5).astype(np.int64)
+        around = np.zeros((len(left), 4))
+        for octant in OCTANTS:
+            around += sums[find_keys(cells, pack_places(lower + octant))]
+        sheet = 0.5 * (around[:, 0] + (around[:, 1:] * axes[left]).sum(axis=1))
+        enough = sheet >= _ENOUGH
+        areas[left[enough]] = _PER_SQUARE * 4.0 ** (level + 1) / sheet[enough]
+        left = left[~enough]
+    return np.minimum(areas, _LARGEST_AREA)
 
 
 def _turn(count: int) -> FloatArray:
