@@ -147,7 +147,8 @@ def _load_there(
 def _guess_job(settings: JobSettings) -> Job:
     """Return what can be known of a job before its points are read: as much as it may be."""
     points = count_most_points(settings.points)
-    return Job(points, guess_grid(settings, points))
+    is_chosen = settings.depth is not None or settings.grid is not None
+    return Job(points, guess_grid(settings, points), is_read=False, is_chosen=is_chosen)
 
 
 def _write(
