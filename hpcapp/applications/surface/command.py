@@ -386,15 +386,13 @@ class Watching:
     dashboard: str | None
 
     @contextmanager
-    def open(self, timeline: Timeline, title: str) -> Iterator[Progress]:
+    def open(self, job: WatchedJob) -> Iterator[Progress]:
         """Open all of it, for one job.
 
         Parameters
         ----------
-        timeline : Timeline
-            That the job fills.
-        title : str
-            Of the page.
+        job : WatchedJob
+            Whose timeline the job fills.
 
         Yields
         ------
@@ -403,9 +401,8 @@ class Watching:
         from hpcapp.progress_display import open_events, open_progress
         from hpcapp.trace import open_trace
 
-        job = WatchedJob(timeline, title)
         with (
-            open_trace(self.trace, timeline),
+            open_trace(self.trace, job.timeline),
             open_dashboard(self.dashboard, job) if self.dashboard else nullcontext() as address,
             open_progress(sys.stderr) as display,
             open_events(self.events, display, address) as progress,
@@ -444,7 +441,9 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         files = find_paths(names)
         if options["resume"] and not files:
             raise UsageError("--resume needs a file to know again", "write the points to a file")
-        timeline, title = Timeline(), f"{Path(names[0]).name} \u2192 {options['output']}"
-        with gather_points(names, sample) as points, watching.open(timeline, title) as progress:
+        job = WatchedJob(Timeline(), f"{Path(names[0]).name} \u2192 {options['output']}")
+        with gather_points(names, sample) as points, watching.open(job) as progress:
             settings = JobSettings(method=method(**chosen), points=points, inputs=files, **options)
-            return run_job(settings, progress, machines, timeline)
+            report = run_job(settings, progress, machines, job.timeline)
+            job.say(f"{options['output']}: {report['summary']}")  # the terminal's comes last
+            return report

@@ -83,6 +83,7 @@ def run_job(
     with open_output(settings.output, settings.files) as target, open_room(settings) as room:
         run = _run_in_memory if room.folder is None else _run_in_folder
         report = run(settings, room, target, clock, machines)
+        progress.wait_for_viewers()  # what is kept goes with the room
     report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
     return report
 
