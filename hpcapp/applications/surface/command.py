@@ -167,6 +167,8 @@ def check_flags(ctx: click.Context) -> None:
         raise UsageError("the standard output is closed", "give -o a file and leave --json out")
     if ctx.params["output"] == "-" and ctx.params["as_json"]:
         raise UsageError("-o - and --json both want the standard output", "give one of them")
+    if ctx.params["details"] and not ctx.params["as_json"] and ctx.params["cluster"] is None:
+        raise UsageError("--details means nothing without --json", "give --json too")
     if ctx.params["cluster"] is not None:
         _only_without_cluster(ctx)
     if ctx.params["backend"] != "auto":
@@ -346,6 +348,12 @@ def _add_method_options(command: click.Command) -> click.Command:
     "is given.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+@click.option(
+    "--details",
+    is_flag=True,
+    help="With --json: also when each task ran and which tile and worker made each vertex, for "
+    "'hpcapp view --report'.",
+)
 @click.pass_context
 def reconstruct(ctx: click.Context, /, **options: Any) -> None:
     """Reconstruct a mesh, watertight where the points are of an object, from the files POINTS.

@@ -83,6 +83,8 @@ def run_job(
     with open_output(settings.output, settings.files) as target, open_room(settings) as room:
         run = _run_in_memory if room.folder is None else _run_in_folder
         report = run(settings, room, target, clock, machines)
+        if settings.details:
+            report["timeline"] = clock.timeline.to_json()
         progress.wait_for_viewers()  # what is kept goes with the room
     report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
     return report
@@ -181,6 +183,11 @@ def _write(
     report["normals"] = loaded.oriented.to_json()
     report["input"] = describe_input(settings)
     report["command"] = list(settings.command)
+    if settings.details:
+        from hpcapp.applications.surface.report_page import find_owners
+
+        owners = find_owners(outcome.result)
+        report |= {} if owners is None else {"owners": owners.to_json()}
     if settings.report is not None or settings.png is not None:
         with clock.stage("show"):
             _show(settings, loaded, outcome, carrying, clock, report)
