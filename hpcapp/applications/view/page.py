@@ -81,7 +81,7 @@ def make_page(
         `points` or `report` cannot be used.
     """
     told = {} if report is None else _read_report(report)
-    sections = describe_job(told, has_mesh=False) if told else []
+    sections = [] if report is None else _describe(told, report)
     if isinstance(shown, PointCloud):
         facts = _describe_box(shown.positions, shown.origin)
         names = {"points": len(shown), "colours": shown.colours is not None,
@@ -135,6 +135,16 @@ def _measure(mesh: Mesh, cloud: PointCloud) -> Field:
     finite = np.nan_to_num(mesh.vertices)
     distances, _ = cKDTree(cloud.positions).query(finite, workers=-1)
     return Field("distance", "Distance to the points", distances, low=0.0)
+
+
+def _describe(told: dict[str, Any], path: Path) -> list[Section]:
+    """Return what a report says; anybody may have written it."""
+    try:
+        return describe_job(told, has_mesh=False)
+    except (TypeError, ValueError, LookupError, AttributeError) as error:
+        raise InputError(
+            f"{path}: is no report of a job ({error})", "give what --json has printed"
+        ) from None
 
 
 def _read_report(path: Path) -> dict[str, Any]:
