@@ -18,7 +18,7 @@ from hpccomponent.surface.types.points import Float32Array, IntArray
 __all__ = ["find_features", "join_features"]
 
 _REACH = 3  # cells on each side of a vertex that the fits look at (see `fit_features`)
-_ROUND = 0.1  # misfit of a quadric (see `hermite.evaluate_misfits`), some 18 degrees
+_ROUND = 0.04  # misfit of a quadric (see `hermite.evaluate_misfits`), some 11 degrees
 _NONE = 255  # joints of a vertex where one quadric does
 
 

@@ -25,7 +25,6 @@ from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import PartSummary, summarize_part
 from hpccomponent.surface.fitting.ancestors import corners_at
 from hpccomponent.surface.fitting.far_field import (
-    NODES,
     FarFieldPart,
     crop_far_field,
     restore_far_field,
@@ -181,10 +180,13 @@ def find_far(plan: Plan, samples: Samples, threads: int) -> FarField:
     sums = samples.sums
     places = unpack_keys(samples.cells) + 0.5 + sums[:, 1:4] / sums[:, :1]
     centroids, normals = plan.origin + size * places, sums[:, 4:] / sums[:, :1]
-    return solve_far_field(centroids, normals, plan.grid.box, size, threads)
+    return solve_far_field(centroids, normals, plan.grid.box, size, plan.far_nodes, threads)
 
 
-@declare(result=far_field(NODES), limit=SMALL_BYTES + 4 * NODES**3)
+@declare(
+    result=lambda plan, *_: far_field(plan.far_nodes),
+    limit=lambda plan, *_: SMALL_BYTES + 4 * plan.far_nodes**3,
+)
 def solve_far(
     plan: Plan, samples: Sequence[Samples | tuple[str, str]], threads: int = 1
 ) -> FarFieldPart:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hpccomponent.protocol.records import record
 from hpccomponent.surface.cloud.arrangement import Arrangement
-from hpccomponent.surface.fitting.far_field import FarFieldPart
+from hpccomponent.surface.fitting.far_field import FarFieldPart, choose_nodes
 from hpccomponent.surface.fitting.pyramid import Parents
 from hpccomponent.surface.fitting.weights import Weights, weigh_levels
 from hpccomponent.surface.types.field import FieldLevel
@@ -80,6 +80,11 @@ class Plan:
         """
         steps = 2.0 if np.isinf(self.tolerance) else 6.0
         return self.coarse_size + steps * self.cell_size
+
+    @property
+    def far_nodes(self) -> int:
+        """How many nodes the far field has along a side."""
+        return choose_nodes(*self.grid.box, self.cell_size, self.noise)
 
     @property
     def weights(self) -> list[Weights]:

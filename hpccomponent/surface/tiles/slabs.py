@@ -20,10 +20,12 @@ import numpy as np
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.extraction.parts import MeshPart, cut_part, join_parts
+from hpccomponent.surface.extraction.sharpening import sharpen_vertices
 from hpccomponent.surface.fitting.levels import SlabFields
 from hpccomponent.surface.tiles.halo import cut_slab
 from hpccomponent.surface.types.grid import FOREIGN, OPEN, OWN, BrickKinds
 from hpccomponent.surface.types.lattice import unique_keys
+from hpccomponent.surface.types.mesh import BrickMesh
 from hpccomponent.surface.types.points import IntArray
 
 __all__ = ["SLAB_QUADRICS", "cut_slabs", "grow_slabs", "grow_tile"]
@@ -77,16 +79,28 @@ def grow_slabs(
             slab.mark(reached[slab.at(reached) == OPEN], OWN)
             if not (slab.kinds == OWN).any():
                 continue
-            mesh = kernels.grow_surface(fields.fit(first, end), fields.grid, slab, fields.threads)
-            balanced = kernels.balance_vertices(mesh.vertices, mesh.faces, fields.grid.step)
-            mesh = replace(mesh, vertices=balanced)
+            mesh = _grow_slab(fields, slab, first, end)
             part, exits = cut_part(mesh, kinds), mesh.exits
-            del mesh, balanced  # makes room for what is made of the part
+            del mesh  # makes room for what is made of the part
             left.mark(part.bricks, FOREIGN)
             goes_on = kinds.at(exits) == OPEN
             reached = np.concatenate([reached, exits[goes_on]])
             yield part, exits[~goes_on]
         reached = reached[left.at(reached) == OPEN]
+
+
+def _grow_slab(fields: SlabFields, slab: BrickKinds, first: int, end: int) -> BrickMesh:
+    """Extract the surface in a slab, its vertices in their final places."""
+    field, grid = fields.fit(first, end), fields.grid
+    mesh = kernels.grow_surface(field, grid, slab, fields.threads)
+    features, lattice = field.features, (field.origin, field.cell_size)
+    del field  # makes room for what is made of the mesh
+    of_mesh = mesh.vertices, mesh.faces
+    balanced = kernels.balance_vertices(*of_mesh, grid.step)
+    assert features is not None  # noqa: S101 - a field that was fitted here has them
+    return replace(
+        mesh, vertices=sharpen_vertices(*of_mesh, balanced, features, lattice, grid.step)
+    )
 
 
 def grow_tile(fields: SlabFields, kinds: BrickKinds) -> tuple[MeshPart, IntArray]:

@@ -99,8 +99,8 @@ class Coarse:
         return CoarseLevels(self.parents, trust, self.levels[1:], far)
 
 
-def far_level(grid: Grid, cell_size: float, height: int) -> int:
-    """Return the finest level whose cells the far field may sample.
+def far_level(grid: Grid, nodes: int, cell_size: float, height: int) -> int:
+    """Return the finest level whose cells a far field may sample.
 
     Each cell counts once: its area, not its points, is what a scan's uneven density leaves
     alone. So its cells must not be so small that most of them are empty where points are few.
@@ -108,6 +108,8 @@ def far_level(grid: Grid, cell_size: float, height: int) -> int:
     Parameters
     ----------
     grid : Grid
+    nodes : int
+        Of the far field, along a side.
     cell_size : float
         Edge of the finest cells, in length units of the input.
     height : int
@@ -119,7 +121,7 @@ def far_level(grid: Grid, cell_size: float, height: int) -> int:
         0 for the finest cells, `height` - 1 at most.
     """
     level = 0
-    least = _FAR_CELLS * far_step(*grid.box)
+    least = _FAR_CELLS * far_step(*grid.box, nodes)
     while level < height - 1 and cell_size * 2.0**level < least:
         level += 1
     return level

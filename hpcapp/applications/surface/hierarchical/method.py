@@ -40,6 +40,7 @@ from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.cloud.arranged import ArrangedCloud
 from hpccomponent.surface.cloud.arrangement import choose_arrangement
+from hpccomponent.surface.fitting.far_field import FEWEST_NODES, choose_nodes
 from hpccomponent.surface.fitting.pyramid import count_levels
 from hpccomponent.surface.tasks.tiles import sum_tile
 from hpccomponent.surface.tiles.plan import CoarseLattice, Plan, Samples
@@ -159,14 +160,18 @@ class HierarchicalMethod:
         grid = plan_grid(low, high, self.grid)
         scale = choose_scale(cloud.measure(), grid.step, self.smoothness, self.detail, self.threads)
         height = count_levels(float((high - low).max()), scale.cell_size)
-        far = far_level(grid, scale.cell_size, height)
+        noise = scale.noise * self.smoothness
+        nodes = choose_nodes(*grid.box, scale.cell_size, noise)
+        far = far_level(grid, nodes, scale.cell_size, height)
         count = self._count_tiles(cloud, height, workforce)
         tolerance = scale.tolerance if height > _ROBUST_LEVELS else np.inf
         least = 1 if np.isinf(tolerance) else _ROBUST_LEVELS
-        coarse = max(least, min(far, height - 1)) if count else height
+        # No lower for a finer far field: the master fits all from there up.
+        lowest = far_level(grid, FEWEST_NODES, scale.cell_size, height)
+        coarse = max(least, min(lowest, height - 1)) if count else height
         blocks = choose_arrangement(low, high)
         plan = Plan(
-            low, scale.cell_size, height, coarse, scale.noise * self.smoothness,
+            low, scale.cell_size, height, coarse, noise,
             grid.origin, grid.step, grid.bricks, blocks.origin, blocks.edge, far, tolerance,
         )  # fmt: skip
         if not count:

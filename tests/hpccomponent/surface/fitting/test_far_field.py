@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpccomponent.surface.fitting.far_field import solve_far_field
+from hpccomponent.surface.fitting.far_field import solve_far_field, spread_samples
 from hpccomponent.surface.kernels.portable.coarse_grid import sample_grid
 from hpccomponent.surface.types.field import FarField
 from hpccomponent.surface.types.points import FloatArray
@@ -71,3 +71,85 @@ def test_sampling_reproduces_linear_functions() -> None:
     x, y, z = np.indices((128, 128, 128), dtype=np.float64)
     places = np.random.default_rng(2).uniform(1, 126, (50, 3))
     np.testing.assert_allclose(sample_grid(x - 2 * y + 3 * z, places), places @ [1, -2, 3])
+
+
+def thin_out(directions: FloatArray, share: float) -> FloatArray:
+    """Leave few samples where x is above a third of the radius."""
+    kept = np.random.default_rng(5).random(len(directions)) < share
+    found: FloatArray = directions[(directions[:, 0] < 1.0 / 3.0) | kept]
+    return found
+
+
+@pytest.mark.parametrize("share", [1.0, 0.2, 0.03, 0.01])
+def test_few_samples_count_as_much_as_many_by_area(share: float) -> None:
+    # All cells of a sphere are occupied where x is small; elsewhere a share of them.
+    kept = thin_out(sphere(12_000), share)
+    far = solve_far_field(RADIUS * kept, kept, BOX, 0.1)
+    points = np.random.default_rng(1).uniform(-3.2, 3.2, (20_000, 3))
+    distances = np.linalg.norm(points, axis=1) - RADIUS
+    # Between samples that are so far apart nothing tells where the surface is.
+    apart = 0.1 / np.sqrt(share)
+    clear = np.abs(distances) > 2.0 * far.step + 0.3 * apart
+    assert (np.sign(distances_at(far, points)) == np.sign(distances))[clear].mean() > 0.999
+
+
+def test_samples_of_whole_cells_count_about_one_cell_each() -> None:
+    points, size = RADIUS * sphere(300_000), 0.1
+    _, cell, counts = np.unique(
+        np.floor(points / size).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+    )
+    means = [np.bincount(cell.reshape(-1), axis) / counts for axis in points.T]
+    centroids = np.stack(means, axis=1)
+    normals = centroids / np.linalg.norm(centroids, axis=1, keepdims=True)
+    places, spread = spread_samples(centroids, normals, size)
+    assert len(places) < 1.5 * len(centroids)
+    assert 0.9 < np.linalg.norm(spread, axis=1).sum() / len(centroids) < 1.2
+
+
+def test_what_samples_count_is_the_area_of_the_surface() -> None:
+    size = 0.1
+    area = 4.0 * np.pi * RADIUS**2
+    for count in (400, 2_000, 10_000):
+        directions = sphere(count)
+        _, normals = spread_samples(RADIUS * directions, directions, size)
+        counted = np.linalg.norm(normals, axis=1).sum() * size**2
+        assert 0.75 < counted / area < 1.35, count
+
+
+def test_discs_lie_in_the_tangent_plane_around_their_sample() -> None:
+    plane = np.random.default_rng(3).uniform(-1.0, 1.0, (300, 3)) * [1.0, 1.0, 0.0]
+    up = np.tile([0.0, 0.0, 1.0], (len(plane), 1))
+    places, normals = spread_samples(plane, up, 0.02)
+    assert len(places) > 5 * len(plane)
+    assert np.abs(places[:, 2]).max() < 1e-12
+    np.testing.assert_allclose(normals[:, :2], 0.0, atol=1e-12)
+    weights = normals[:, 2]
+    np.testing.assert_allclose(weights @ places / weights.sum(), 0.0, atol=0.1)
+
+
+def test_outliers_are_hardly_ever_spread() -> None:
+    directions = sphere(3_000)
+    outliers, of_outliers = 1.6 * RADIUS * sphere(100, seed=7), sphere(100, seed=8)
+    centroids = np.concatenate([RADIUS * directions, outliers])
+    normals = np.concatenate([directions, of_outliers])
+    places, _ = spread_samples(centroids, normals, 0.15)
+    left = {tuple(place) for place in places} & {tuple(place) for place in outliers}
+    assert len(left) > 0.9 * len(outliers)
+
+
+@pytest.mark.parametrize("count", [1, 2, 15, 16])
+def test_a_handful_of_samples_is_enough(count: int) -> None:
+    directions = sphere(count)
+    places, normals = spread_samples(RADIUS * directions, directions, 0.1)
+    assert np.isfinite(places).all()
+    assert np.isfinite(normals).all()
+    assert len(places) >= count
+
+
+def test_normals_that_cancel_are_no_direction() -> None:
+    directions = sphere(200)
+    normals = directions.copy()
+    normals[::2] = 0.0
+    places, spread = spread_samples(RADIUS * directions, normals, 0.05)
+    assert np.isfinite(places).all()
+    assert np.isfinite(spread).all()
