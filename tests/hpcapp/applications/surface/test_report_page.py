@@ -127,7 +127,17 @@ def test_the_report_of_a_job_elsewhere_tells_tiles_and_workers(
     suffix: str, capless: Path, tmp_path: Path
 ) -> None:
     mesh, page = tmp_path / f"m{suffix}", tmp_path / "r.html"
-    words = [capless, "-o", mesh, "--grid", "64", "--backend", "zmq", "--workers", "2"]
+    words: list[str | Path] = [
+        capless,
+        "-o",
+        mesh,
+        "--grid",
+        "64",
+        "--backend",
+        "zmq",
+        "--workers",
+        "2",
+    ]
     report = run(*words, "--report", page, "--details")
     assert {span["worker"] for span in report["timeline"]["spans"]} >= {"master", "machine-0"}
     assert sum(report["owners"]["vertices"]) == report["vertices"]

@@ -127,7 +127,13 @@ def test_a_cloud_without_a_place_is_refused(tmp_path: Path) -> None:
 def test_what_is_no_report_of_a_job_is_refused(tmp_path: Path, told: object) -> None:
     write_mesh(tmp_path / "m.ply", TETRAHEDRON)
     (tmp_path / "r.json").write_text(json.dumps(told))
-    words = [tmp_path / "m.ply", "--report", tmp_path / "r.json", "-o", tmp_path / "p.html"]
+    words: list[str | Path] = [
+        tmp_path / "m.ply",
+        "--report",
+        tmp_path / "r.json",
+        "-o",
+        tmp_path / "p.html",
+    ]
     with pytest.raises(InputError, match=r"r\.json: is no report of a job"):
         run(*words, "--no-open")
     assert not (tmp_path / "p.html").exists()
