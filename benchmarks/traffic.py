@@ -17,7 +17,7 @@ from typing import Any
 
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
 from hpcapp.applications.surface.input.load import load_memory
-from hpcapp.applications.surface.job import JobSettings
+from hpcapp.applications.surface.job.run import JobSettings
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.progress import SilentProgress, StageClock
 from hpcapp.workforce import Workforce

@@ -8,6 +8,10 @@
 
 The main thread may be deep in a call that returns to Python late, or never; the thread is not.
 What has been started ends by itself then, as after any death of its master.
+
+An import is not interrupted: the import system would keep its locks, and modules make other errors
+of what is raised in them, which their importers may expect. A finaliser swallows whatever is raised
+in it. In both cases the interruption comes a moment later.
 """
 
 from __future__ import annotations
@@ -17,9 +21,14 @@ import logging
 import os
 import select
 import signal
+import sys
 import threading
 import time
 from types import FrameType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
 
 __all__ = ["EXIT_INTERRUPTED", "obey_signals"]
 
@@ -30,6 +39,8 @@ SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 REPEAT_S = 0.3
 """`timeout` and terminals send a signal twice, to the process and to its group: that is one."""
 TOLD_AFTER_S = 2.0
+AGAIN_S = 0.01
+_IMPORT_SYSTEM = "<frozen importlib._bootstrap>"
 _is_told = threading.Lock()
 _SHOW_CURSOR = b"\x1b[?25h"  # bars hide it
 
@@ -42,6 +53,9 @@ def obey_signals() -> None:
     handler = _Handler()
     for number in numbers:
         signal.signal(number, handler)
+    if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, handler.unwind)
+        sys.unraisablehook = handler.notice
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     thread = threading.Thread(target=_count, args=(reader, numbers), name="signals", daemon=True)
     with contextlib.suppress(RuntimeError):  # no room for a thread: the handler counts alone
@@ -53,14 +67,34 @@ class _Handler:
 
     def __init__(self) -> None:
         self._first: float | None = None
+        self._notice = sys.unraisablehook
 
     def __call__(self, signum: int, frame: FrameType | None) -> None:
-        del signum, frame
         if self._first is None:
             self._first = time.monotonic()
-            raise KeyboardInterrupt
-        if time.monotonic() - self._first > REPEAT_S:  # if a library has taken the pipe away
+            self.unwind(signum, frame)
+        elif time.monotonic() - self._first > REPEAT_S:  # if a library has taken the pipe away
             _end_at_once()
+
+    def unwind(self, signum: int, frame: FrameType | None) -> None:
+        """Interrupt what the main thread does, now or a moment later."""
+        del signum
+        if not hasattr(signal, "setitimer") or not _is_importing(frame):
+            raise KeyboardInterrupt
+        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+
+    def notice(self, unraisable: UnraisableHookArgs) -> None:
+        """Have an interruption that was swallowed come once more."""
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+        else:
+            self._notice(unraisable)
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    while frame is not None and frame.f_code.co_filename != _IMPORT_SYSTEM:
+        frame = frame.f_back
+    return frame is not None
 
 
 def _count(reader: int, numbers: set[int]) -> None:

@@ -41,9 +41,7 @@ class BatchCutter:
         self._claim = claim
         self._forecast = forecast
 
-    def cut(
-        self, source: OrderedDict[int, Task], limit: int, worker: Worker
-    ) -> tuple[list[Task], list[Task]]:
+    def cut(self, source: OrderedDict[int, Task], limit: int, worker: Worker) -> list[Task]:
         """Take at most `limit` tasks off the front of `source`, for `worker`.
 
         Near the front those come first of whose blobs the worker lacks least: no worker waits
@@ -60,13 +58,10 @@ class BatchCutter:
 
         Returns
         -------
-        batch : list of Task
-            Claimed tasks, in order.
-        cancelled : list of Task
-            What turned out to be cancelled meanwhile.
+        list of Task
+            Claimed tasks, in order: those that turned out to be cancelled are left out.
         """
         batch: list[Task] = []
-        cancelled: list[Task] = []
         size, seconds = 0, 0.0
         added: dict[bytes, int] = {}
         while source and len(batch) < limit:
@@ -85,11 +80,10 @@ class BatchCutter:
                 break
             del source[number]
             if not task.is_claimed and not self._claim(number):
-                cancelled.append(task)
                 continue
             task.is_claimed = True
             batch.append(task)
-        return batch, cancelled
+        return batch
 
 
 def find_closest(

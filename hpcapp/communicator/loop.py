@@ -294,7 +294,7 @@ class Engine:
         """Take results once all of them are what they must be; of a liar, none."""
         worker, opened = self.scheduler.workers.get(identity), []
         if worker is not None:
-            limits = self.scheduler.assignments.most_bytes(
+            limits = self.scheduler.dispatcher.assignments.most_bytes(
                 worker,
                 message.batch,
                 [result.task for result in message.results],
@@ -331,7 +331,7 @@ class Engine:
         if not self._transport.take_disconnected() and now < self._probe_at:
             return
         self._probe_at = now + self._timing.probe_s
-        ping = Ping(self.session, self.scheduler.assignments.last)
+        ping = Ping(self.session, self.scheduler.dispatcher.assignments.last)
         broken = [identity for identity in self.scheduler.workers if not self._say(identity, ping)]
         if broken:
             self._carry_out(self.scheduler.disconnected(broken, _BROKEN))

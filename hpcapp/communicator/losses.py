@@ -174,6 +174,26 @@ class Losses:
         others = any(worker.machine not in task.losses for worker in workers)
         return not others and task.losses.total() >= LOSS_BUDGET
 
+    def can_ask_another(self, task: Task, worker: Worker, workers: Iterable[Worker]) -> bool:
+        """Tell whether another machine can say if it is the task that fails, or this machine.
+
+        Parameters
+        ----------
+        task : Task
+        worker : Worker
+            Where it failed.
+        workers : iterable of Worker
+            Those that may get tasks.
+
+        Returns
+        -------
+        bool
+        """
+        if task.has_failed:
+            return False
+        known = {worker.machine, *task.losses}
+        return len(known) < LOSS_BUDGET and any(other.machine not in known for other in workers)
+
     def describe(self, machines: Iterable[str] | None = None) -> str:
         """Say what some machines have lost, and why; by default all that have lost anything.
 

@@ -16,21 +16,17 @@ retired, as long as there are others; a worker that lies is turned away.
 
 from __future__ import annotations
 
-from collections import Counter, OrderedDict
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 
 from hpcapp.communicator.admission import Admission
-from hpcapp.communicator.assignments import Assignments
-from hpcapp.communicator.batching import MAX_TASKS, BatchCutter, find_holder
-from hpcapp.communicator.forecast import Forecast
-from hpcapp.communicator.losses import LOSS_BUDGET, Losses
+from hpcapp.communicator.dispatching import Dispatcher
+from hpcapp.communicator.losses import Losses
 from hpcapp.communicator.policy import Policy
 from hpcapp.communicator.recording import Recording
-from hpcapp.communicator.speculation import choose_to_run_again, choose_to_split
 from hpcapp.communicator.state import (
     Action,
     AskRegister,
-    Assign,
     Deliver,
     Dismiss,
     Fail,
@@ -48,8 +44,6 @@ from hpccomponent.protocol.frames import LARGEST_FRAME
 from hpccomponent.protocol.messages import Failure, Register, Result
 
 __all__ = ["Scheduler"]
-
-CREDIT = 2  # batches in flight per worker
 
 
 class Scheduler:
@@ -89,19 +83,17 @@ class Scheduler:
         self.workers: dict[bytes, Worker] = {}
         self.tasks: dict[int, Task] = {}
         self.counts: Counter[str] = Counter()
-        self.assignments = Assignments()
         self.recording = Recording()
-        self._policy = policy
         self._clock = clock
         self._admission = Admission(package, numerics)
+        self._claim = claim
         self._split = split
-        self._forecast = Forecast()
-        self._cutter = BatchCutter(claim, self._forecast)
         self._liveness_s = liveness_s
         self._worker_wait_s = worker_wait_s
-        self._queue: OrderedDict[int, Task] = OrderedDict()
-        self._lost: OrderedDict[int, Task] = OrderedDict()  # not for every worker: see `Losses`
         self._losses = Losses()
+        self.dispatcher = Dispatcher(
+            policy, clock, self._losses, self._claim_task, self._split_task
+        )
         self._alone_since: float | None = None
         self._gone: str | None = None
 
@@ -122,7 +114,7 @@ class Scheduler:
         if self._gone is not None and self._is_alone():
             self.tasks[number] = task
             return self._give_up(self._gone)
-        self.tasks[number] = self._queue[number] = task
+        self.tasks[number] = self.dispatcher.queue[number] = task
         if self._is_alone() and self._alone_since is None:
             self._alone_since = self._clock.now()
         return []
@@ -154,7 +146,7 @@ class Scheduler:
         if worker is None:
             return []
         worker.is_draining = True
-        self._requeue(worker.backlog.values())
+        self.dispatcher.requeue(worker.backlog.values())
         worker.backlog.clear()
         return [Dismiss(identity), *self.dispatch()]
 
@@ -207,12 +199,13 @@ class Scheduler:
             if answered is not None:
                 self.recording.answered(worker, flight, answered, result, later_s)
             if own is not None and result.failure is None:
-                self._forecast.learn(identity, own, result.seconds, way_s)
+                self.dispatcher.forecast.learn(identity, own, result.seconds, way_s)
             if task is None:
                 self.counts["dropped" if own is None else "duplicates"] += 1
                 continue
-            if result.failure is not None and self._can_ask_another(task, worker):
-                actions += self._ask_another(task, worker, result.failure)
+            failure = result.failure
+            if failure and self._losses.can_ask_another(task, worker, self._open_workers()):
+                actions += self._ask_another(task, worker, failure)
                 continue
             del self.tasks[task.number]
             self._withdraw(task)
@@ -316,101 +309,23 @@ class Scheduler:
             actions += self._give_up(f"none came within {self._worker_wait_s:g} s")
         return actions + self.dispatch()
 
-    # -- placing -------------------------------------------------------------------------------
-
     def dispatch(self) -> list[Action]:
         """Place what waits, and send what the credit windows allow."""
-        actions: list[Action] = []
-        workers = self._open_workers()
-        for task in list(self._lost.values()) if workers else ():
-            actions += self._place_lost(task, workers)
-        if self._policy.runs_again:
-            self._split_last(workers)
-        if self._queue:
-            self._estimate(workers)
-        while self._queue and workers:
-            placement = self._policy.place(len(self._queue), workers)
-            if placement is None:
-                break
-            worker = workers[placement.worker]
-            if not placement.is_fixed:
-                worker = find_holder(self._queue, workers, worker)
-            if placement.is_fixed:
-                number, task = self._queue.popitem(last=False)
-                task.places[worker.identity] = -1
-                worker.backlog[number] = task
-                worker.placed += 1
-            else:
-                batch = self._cut(self._queue, min(placement.tasks, MAX_TASKS), worker)
-                worker.placed += len(batch)
-                actions += self._send(worker, batch)
-                if self._queue:
-                    self._estimate([worker])
-        for worker in workers:
-            while worker.backlog and len(worker.batches) < CREDIT:
-                actions += self._send(worker, self._cut(worker.backlog, MAX_TASKS, worker))
-        if self._policy.runs_again and not self._queue and not self._lost:
-            actions += self._run_again(workers)
-        return actions
+        return [*self.dispatcher.dispatch(self.workers.values())]
 
-    def _place_lost(self, task: Task, workers: Sequence[Worker]) -> list[Action]:
-        """Send a lost task, alone, so that no other is blamed with it, to who is free first."""
-        now = self._clock.now()
-        places = self._losses.find_places(task, workers)
-        worker = min(places, key=lambda w: (self._forecast.remaining_s(w, now), len(w.batches)))
-        if len(worker.batches) >= CREDIT:
-            return []
-        del self._lost[task.number]
-        worker.placed += 1
-        return self._send(worker, [task])
+    def _claim_task(self, number: int) -> bool:
+        is_wanted = self._claim(number)
+        if not is_wanted:
+            del self.tasks[number]
+        return is_wanted
 
-    def _split_last(self, workers: Sequence[Worker]) -> None:
-        now = self._clock.now()
-        while task := choose_to_split(self._queue.values(), workers, self._forecast, now):
-            task.can_split = False  # asked once
-            parts = {part.number: part for part in self._split(task.number)}
-            if parts:
-                self.counts["splits"] += 1
-                del self.tasks[task.number], self._queue[task.number]
-                self.tasks.update(parts)
-                self._queue.update(parts)
-
-    def _estimate(self, workers: Sequence[Worker]) -> None:
-        name = next(iter(self._queue.values())).name
-        for worker in workers:
-            self._forecast.estimate(worker, name, self._clock.now())
-
-    def _run_again(self, workers: Sequence[Worker]) -> list[Action]:
-        idle = [worker for worker in workers if not worker.batches]
-        everyone, now = self.workers.values(), self._clock.now()
-        actions: list[Action] = []
-        for worker, task in choose_to_run_again(everyone, idle, self._forecast, now):
-            worker.placed += 1
-            actions += self._send(worker, [task])
-        return actions
-
-    def _cut(self, source: OrderedDict[int, Task], limit: int, worker: Worker) -> list[Task]:
-        batch, cancelled = self._cutter.cut(source, limit, worker)
-        for task in cancelled:
-            del self.tasks[task.number]
-        return batch
-
-    def _send(self, worker: Worker, batch: list[Task]) -> list[Action]:
-        if not batch:
-            return []
-        number = self.assignments.add(worker)
-        if not worker.batches:
-            worker.since = self._clock.now()
-        flight = worker.batches[number] = Flight({task.number: task for task in batch})
-        for task in batch:
-            task.places[worker.identity] = number
-        lacking = {
-            blob.key: blob for task in batch for blob in task.blobs if blob.key not in worker.blobs
-        }
-        worker.blobs.update(lacking)
-        flight.shared_bytes = sum([blob.size_bytes for blob in lacking.values()])
-        numbers = tuple([task.number for task in batch])
-        return [Assign(worker.identity, number, numbers, tuple(lacking.values()))]
+    def _split_task(self, number: int) -> list[Task]:
+        parts = self._split(number)
+        if parts:
+            self.counts["splits"] += 1
+            del self.tasks[number]
+            self.tasks.update({part.number: part for part in parts})
+        return parts
 
     def _open_workers(self) -> list[Worker]:
         return [worker for worker in self.workers.values() if worker.is_open]
@@ -422,9 +337,9 @@ class Scheduler:
 
     def _lose(self, worker: Worker, reason: str, is_blamed: bool) -> list[Action]:
         del self.workers[worker.identity]
-        self._forecast.forget(worker.identity)
+        self.dispatcher.forecast.forget(worker.identity)
         self.counts["losses"] += is_blamed
-        self._requeue(worker.backlog.values())
+        self.dispatcher.requeue(worker.backlog.values())
         actions: list[Action] = []
         # Batches run in order, so that only the first can have been at work.
         for index, batch in enumerate(list(worker.batches)):
@@ -451,7 +366,7 @@ class Scheduler:
         actions: list[Action] = [Retire(machine, self._losses.retire(machine, self.tasks.values()))]
         for worker in [worker for worker in self.workers.values() if worker.machine == machine]:
             worker.is_retired = True
-            self._requeue(worker.backlog.values())
+            self.dispatcher.requeue(worker.backlog.values())
             worker.backlog.clear()
             for batch in list(worker.batches):
                 actions += self._take_back(worker, batch, "it is retired", is_blamed=False)
@@ -466,7 +381,7 @@ class Scheduler:
             at_work_s, worker.since = self._clock.now() - worker.since, self._clock.now()
         flight = worker.batches.pop(batch, Flight({}))
         self.recording.taken_back(worker, flight, at_work_s)
-        self.assignments.take_back(batch, flight)
+        self.dispatcher.assignments.take_back(batch, flight)
         for task in flight.tasks.values():
             task.places.pop(worker.identity, None)
             if is_blamed:
@@ -478,18 +393,10 @@ class Scheduler:
                 continue
             del self.tasks[task.number]
             actions.append(Fail(task.number, self._losses.explain(task)))
-        self._requeue(again)
+        self.dispatcher.requeue(again)
         if is_blamed and self._losses.is_bad(worker):
             actions += self._retire(worker.machine)
         return actions
-
-    def _can_ask_another(self, task: Task, worker: Worker) -> bool:
-        """Tell whether another machine can say if it is the task that fails, or this machine."""
-        if task.has_failed:
-            return False
-        known = {worker.machine, *task.losses}
-        others = any(other.machine not in known for other in self._open_workers())
-        return others and len(known) < LOSS_BUDGET
 
     def _ask_another(self, task: Task, worker: Worker, failure: Failure) -> list[Action]:
         """Hold a failure against the machine, until another one has failed as well."""
@@ -498,23 +405,13 @@ class Scheduler:
         task.places.pop(worker.identity, None)
         self._losses.blame(task, worker, f"{task.name!r} failed there ({failure.problem})")
         if not task.places:
-            self._requeue([task])
+            self.dispatcher.requeue([task])
         return self._retire(worker.machine) if self._losses.is_bad(worker) else []
-
-    def _requeue(self, tasks: Iterable[Task]) -> None:
-        for task in reversed(list(tasks)):
-            task.places.clear()
-            if task.losses:
-                self._lost[task.number] = task
-                continue
-            self._queue[task.number] = task
-            self._queue.move_to_end(task.number, last=False)
 
     def _withdraw(self, task: Task) -> None:
         """Take a task that is over from wherever it waits; where it runs, its answer is late."""
         task.is_done = True
-        self._queue.pop(task.number, None)
-        self._lost.pop(task.number, None)
+        self.dispatcher.withdraw(task.number)
         for identity in task.places:
             worker = self.workers.get(identity)
             if worker is not None:
@@ -524,8 +421,7 @@ class Scheduler:
         error = self._losses.explain_absence(len(self.tasks), reason)
         actions: list[Action] = [Fail(number, error) for number in self.tasks]
         self.tasks.clear()
-        self._queue.clear()
-        self._lost.clear()
+        self.dispatcher.clear()
         self._alone_since = None
         return actions
 

@@ -116,7 +116,6 @@ def kill_below(bad: str) -> int:
     """End the process where it belongs to the component whose id a file holds; else return ours."""
     if os.getppid() == int(Path(bad).read_text(encoding="utf-8")):
         kill_worker()
-    time.sleep(0.01)
     return os.getppid()
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.stitching.plan import SMALL_SHARE, find_large
+from hpcapp.applications.surface.stitching.plan import find_large
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.kernels import label_components
 from hpccomponent.surface.kernels.portable.bricks import grow_bricks
@@ -16,8 +16,9 @@ from hpccomponent.surface.kernels.portable.marching_cubes import extract_surface
 from hpccomponent.surface.types.grid import BRICK, OWN, BrickKinds, Grid
 from hpccomponent.surface.types.lattice import pack_places, unpack_keys
 from hpccomponent.surface.types.mesh import Mesh
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
+SMALL, CRUMB = (0.75, 0.75, 0.75), (13 / 24, 12 / 24, 5 / 24)
 GRID = Grid(np.array([-1.0, -1.0, -1.0]), 1 / 24, (6, 6, 6))
 
 
@@ -55,12 +56,12 @@ def ball(points: FloatArray, center: tuple[float, float, float], radius: float) 
 
 def large_and_small(points: FloatArray) -> FloatArray:
     """Two spheres, of which the second is dropped."""
-    return np.minimum(ball(points, (0, 0, 0), 0.6), ball(points, (0.75, 0.75, 0.75), 0.03))
+    return np.minimum(ball(points, (0, 0, 0), 0.6), ball(points, SMALL, 0.03))
 
 
 def crumb_in_brick(points: FloatArray) -> FloatArray:
     """A large sphere, and a crumb, to be dropped, in a brick that the sphere passes through."""
-    crumb = ball(points, (13 / 24, 12 / 24, 5 / 24), 0.03)
+    crumb = ball(points, CRUMB, 0.03)
     return np.minimum(ball(points, (0.1, 0, 0), 0.62), crumb)
 
 
@@ -128,6 +129,7 @@ def _part(
         rows[faces].astype(np.int32),
         of_vertex[foreign],
         (foreign - first[foreign]).astype(np.int32),
+        is_supported(mesh.vertices[mine]),
     )
 
 
@@ -157,14 +159,18 @@ def cuts(
 __all__ = ["GRID", "SHAPES", "cut_mesh", "cuts", "extract_shape", "spread_mesh"]
 
 
-def drop_small_components(mesh: Mesh, share: float = SMALL_SHARE) -> Mesh:
-    """Drop components with fewer faces than a share of the largest one's.
+def is_supported(vertices: FloatArray) -> BoolArray:
+    """Tell which vertices have points: all but those of the small sphere and of the crumb."""
+    small = [ball(vertices, center, 0.05) < 0.0 for center in (SMALL, CRUMB)]
+    return ~np.logical_or(*small)
+
+
+def drop_small_components(mesh: Mesh) -> Mesh:
+    """Drop components with few faces and no points beside the largest one.
 
     Parameters
     ----------
     mesh : Mesh
-    share : float
-        Dimensionless, 0 to 1.
 
     Returns
     -------
@@ -177,7 +183,8 @@ def drop_small_components(mesh: Mesh, share: float = SMALL_SHARE) -> Mesh:
     pieces, component = label_components(mesh.faces, count)
     if pieces == 1:
         return mesh
-    kept = find_large(np.bincount(component[mesh.faces[:, 0]], minlength=pieces), share)
+    counts = np.bincount(component[mesh.faces[:, 0]], minlength=pieces)
+    kept = find_large(counts, np.bincount(component, is_supported(mesh.vertices), pieces))
     if kept.all():
         return mesh
     faces = mesh.faces[kept[component[mesh.faces[:, 0]]]]

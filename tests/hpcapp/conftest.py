@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zmq
+from stopping import SITECUSTOMIZE
 
 from hpcapp.io import write_points
 from hpccomponent.surface.types.points import FloatArray, PointCloud
@@ -168,6 +169,21 @@ def start_command(tmp_path: Path) -> StartCommand:
         return values
 
     return start
+
+
+@pytest.fixture
+def stop_after(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[str], None]:
+    """Have commands stop themselves once they have said some words."""
+    folder = tmp_path_factory.mktemp("stopping")
+    (folder / "sitecustomize.py").write_text(SITECUSTOMIZE)
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+
+    def set_words(words: str) -> None:
+        monkeypatch.setenv("STOP_AFTER", words)
+
+    return set_words
 
 
 @pytest.fixture

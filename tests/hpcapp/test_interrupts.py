@@ -10,30 +10,23 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from process_tree import are_gone, descendants
+from process_tree import are_gone
+from stopping import await_stop, go_on, read_until
 
 StartCommand = Callable[..., "subprocess.Popen[str]"]
+StopAfter = Callable[[str], None]
 
 ZMQ = ("--backend", "zmq", "--workers", "3")
+SECOND = "a second signal (Ctrl-C) ends at once"  # said when the end takes long
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-
-
-def read_until(process: subprocess.Popen[str], words: str) -> None:
-    """Read what is said until it holds some words."""
-    assert process.stderr is not None
-    for line in process.stderr:
-        if words in line:
-            return
-    raise AssertionError(f"{words!r} was never said")
 
 
 def check_end(process: subprocess.Popen[str], helpers: set[int], folder: Path) -> None:
     """See that the command has left in order, and left nothing."""
     stderr = process.communicate()[1]
     assert process.returncode == 130, stderr
-    assert [line for line in stderr.splitlines() if line.startswith("hpcapp: ")] == [
-        "hpcapp: interrupted"
-    ]
+    said = [line for line in stderr.splitlines() if line.startswith("hpcapp: ")]
+    assert [line for line in said if SECOND not in line] == ["hpcapp: interrupted"]
     assert "Traceback" not in stderr
     assert are_gone(helpers)
     assert {path.name for path in folder.iterdir()} == {"sphere.ply"}
@@ -52,28 +45,29 @@ def check_end(process: subprocess.Popen[str], helpers: set[int], folder: Path) -
 )
 def test_the_first_signal_ends_in_order(
     start_command: StartCommand,
+    stop_after: StopAfter,
     sphere_file: Path,
     tmp_path: Path,
     moment: str,
     options: tuple[str, ...],
     signum: signal.Signals,
 ) -> None:
+    stop_after(moment)
     job = ("--debug", "reconstruct", "sphere.ply", "-o", "mesh.ply", "--grid", "256", *options)
     with start_command(*job) as process:
-        read_until(process, moment)
-        helpers = descendants(process.pid)
-        process.send_signal(signum)
+        helpers = await_stop(process, moment)
+        go_on(process, signum)
         check_end(process, helpers, tmp_path)
 
 
 @pytest.mark.parametrize("moment", ["build native chosen", "component"])
 def test_nothing_outlives_a_master_that_is_killed_while_workers_start(
-    start_command: StartCommand, sphere_file: Path, moment: str
+    start_command: StartCommand, stop_after: StopAfter, sphere_file: Path, moment: str
 ) -> None:
+    stop_after(moment)
     job = ("--debug", "reconstruct", "sphere.ply", "-o", "mesh.ply", "--grid", "256", *ZMQ)
     with start_command(*job) as process:
-        read_until(process, moment)
-        helpers = descendants(process.pid)
+        helpers = await_stop(process, moment)
         process.kill()
         process.communicate()
     assert helpers
@@ -81,14 +75,17 @@ def test_nothing_outlives_a_master_that_is_killed_while_workers_start(
 
 
 def test_a_signal_that_comes_twice_at_once_is_one(
-    start_command: StartCommand, sphere_file: Path, tmp_path: Path
+    start_command: StartCommand,
+    stop_after: StopAfter,
+    sphere_file: Path,
+    tmp_path: Path,
 ) -> None:
     """As `timeout` sends it: to the process, and to its group."""
+    stop_after("fit: done")
     job = ("reconstruct", "sphere.ply", "-o", "mesh.ply", "--grid", "256", *ZMQ)
     with start_command(*job) as process:
-        read_until(process, "fit: done")
-        helpers = descendants(process.pid)
-        process.send_signal(signal.SIGTERM)
+        helpers = await_stop(process, "fit: done")
+        go_on(process, signal.SIGTERM)
         os.killpg(process.pid, signal.SIGTERM)
         check_end(process, helpers, tmp_path)
 
@@ -96,17 +93,20 @@ def test_a_signal_that_comes_twice_at_once_is_one(
 @pytest.mark.slow
 @pytest.mark.parametrize("signum", SIGNALS)
 def test_the_second_signal_ends_at_once(
-    start_command: StartCommand, sphere_file: Path, signum: signal.Signals
+    start_command: StartCommand,
+    stop_after: StopAfter,
+    sphere_file: Path,
+    signum: signal.Signals,
 ) -> None:
+    stop_after("fit: done")
     job = ("reconstruct", "sphere.ply", "-o", "mesh.ply", "--grid", "256", *ZMQ)
     with start_command(*job) as process:
-        read_until(process, "fit: done")
-        helpers = descendants(process.pid)
+        helpers = await_stop(process, "fit: done")
         for pid in helpers:
             os.kill(pid, signal.SIGSTOP)  # the end in order waits for them, and kills them
         try:
-            process.send_signal(signum)
-            read_until(process, "a second signal (Ctrl-C) ends at once")
+            go_on(process, signum)
+            read_until(process, SECOND)
             process.send_signal(signal.SIGINT)
             stderr = process.communicate()[1]
         finally:
@@ -147,7 +147,7 @@ def test_a_call_that_never_returns_does_not_hold_up_the_second_signal() -> None:
         while stat.read_text().rpartition(")")[2].split()[0] != "S":
             pass  # between the words and the lock a signal would still be obeyed
         process.send_signal(signal.SIGTERM)
-        read_until(process, "a second signal (Ctrl-C) ends at once")
+        read_until(process, SECOND)
         process.send_signal(signal.SIGTERM)
         stderr = process.communicate()[1]
     assert (process.returncode, stderr) == (130, "hpcapp: interrupted\n")
@@ -170,5 +170,48 @@ def test_a_signal_in_mid_import_ends_with_the_same_code(tmp_path: Path) -> None:
     """Modules execute strings as they are imported, and Python marks interrupts of these."""
     (tmp_path / "program.py").write_text(IN_A_STRING)
     command = [sys.executable, "-m", "program", "importing"]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr.strip()) == (130, "hpcapp: interrupted")
+
+
+AT_A_BAD_MOMENT = """
+import signal, threading
+import click
+from hpcapp import cli
+
+class Finalised:
+    def __del__(self):
+        signal.raise_signal(signal.SIGTERM)
+
+@click.command()
+def finalising():
+    Finalised()
+    threading.Event().wait()
+
+@click.command()
+def importing():
+    import interrupted
+    threading.Event().wait()
+
+for name in ("finalising", "importing"):
+    cli.SHIPPED[name] = f"__main__:{name}"
+cli.main()
+"""
+INTERRUPTED = """
+import signal
+try:
+    signal.raise_signal(signal.SIGTERM)
+except BaseException:
+    pass
+"""
+
+
+@pytest.mark.parametrize("moment", ["finalising", "importing"])
+def test_a_signal_at_a_moment_that_would_lose_it_comes_a_moment_later(
+    tmp_path: Path, moment: str
+) -> None:
+    (tmp_path / "program.py").write_text(AT_A_BAD_MOMENT)
+    (tmp_path / "interrupted.py").write_text(INTERRUPTED)
+    command = [sys.executable, "-m", "program", moment]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr.strip()) == (130, "hpcapp: interrupted")

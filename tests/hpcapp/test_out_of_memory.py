@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from process_tree import are_gone
 
 from hpcapp.io import write_points
 from hpccomponent.limits import control_groups, read_text
@@ -89,11 +89,9 @@ def memory_group() -> Iterator[Path]:
     try:
         yield group
     finally:
-        for _ in range(100):  # the last of its processes may be on its way out
-            with contextlib.suppress(OSError):
-                group.rmdir()
-                break
-            time.sleep(0.05)
+        # The last of its processes may be on their way out.
+        assert are_gone({int(pid) for pid in (group / "cgroup.procs").read_text().split()})
+        group.rmdir()
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.job import run_job
+from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import open_executor

@@ -19,21 +19,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpcapp.applications.surface.attributes.choice import parse_attributes
-from hpcapp.applications.surface.backend_choice import approach_workers
-from hpcapp.applications.surface.carry import carry_from_memory
 from hpcapp.applications.surface.input.load import (
     Loaded,
     arrange_usable,
     clean_points,
     orient_points,
 )
+from hpcapp.applications.surface.job.backend_choice import approach_workers
+from hpcapp.applications.surface.job.carry import carry_from_memory
+from hpcapp.applications.surface.job.steps import run_memory
 from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID, MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
 from hpcapp.applications.surface.options import option_names
 from hpcapp.applications.surface.settings import (
     Settings,
 )
-from hpcapp.applications.surface.steps import run_memory
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
 from hpcapp.io.points.usable import Dropped, refuse_too_few

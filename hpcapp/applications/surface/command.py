@@ -432,7 +432,7 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
     if options["resume"]:  # it may wait for another job, and machines would give up meanwhile
         name = "auto"
     with start_early(name, options["workers"]) as machines:
-        from hpcapp.applications.surface.job import run_job  # while the machines start
+        from hpcapp.applications.surface.job.run import run_job  # while the machines start
         from hpcapp.applications.surface.memory import parse_limit
         from hpcapp.applications.surface.settings import JobSettings
         from hpcapp.io.points.inputs import find_paths, gather_points

@@ -105,7 +105,7 @@ def _show(ctx: click.Context, report: dict[str, Any], mesh: Path, points: Path) 
     page, png = ctx.params["report"], ctx.params["png"]
     if page is None and png is None:
         return
-    from hpcapp.applications.surface.report_page import show_files, write_job_page
+    from hpcapp.applications.surface.job.report_page import show_files, write_job_page
     from hpcapp.pages.picture import write_picture
 
     shown = show_files(mesh, points, report)

@@ -149,6 +149,7 @@ def drop_copies(
         meaning[corners].reshape(-1, 3).astype(np.int32),
         bricks[order],
         numbers[order],
+        part.supported[own],
     )
     return cut, np.concatenate([places[named], part.vertices[outer]])[order]
 
@@ -442,4 +443,5 @@ def _assemble(
         faces.astype(np.int32).reshape(-1, 3),
         foreign_keys[pairs >> 32],
         (pairs & 0xFFFFFFFF).astype(np.int32),
+        np.ones(len(vertices), np.bool_),  # nothing else is left of it
     )

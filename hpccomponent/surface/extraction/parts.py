@@ -40,6 +40,8 @@ class MeshPart:
         The brick of each foreign vertex, none of them in `bricks`.
     foreign_numbers : ndarray of int32, shape (g,)
         Its number within its brick; (brick, number) are sorted and unique.
+    supported : ndarray of bool, shape (v,)
+        Vertices whose finest cell holds points.
 
     Notes
     -----
@@ -57,6 +59,7 @@ class MeshPart:
     faces: Int32Array
     foreign_bricks: IntArray
     foreign_numbers: Int32Array
+    supported: BoolArray
 
     @classmethod
     def empty(cls) -> MeshPart:
@@ -64,10 +67,13 @@ class MeshPart:
         none = np.empty(0, np.int32)
         keys = np.empty(0, np.int64)
         places, corners = np.empty((0, 3)), np.empty((0, 3), np.int32)
-        return cls(keys, np.empty(0, np.bool_), none, none, places, corners, keys, none)
+        no, nobody = np.empty(0, np.bool_), np.empty(0, np.bool_)
+        return cls(keys, no, none, none, places, corners, keys, none, nobody)
 
 
-def cut_part(mesh: BrickMesh, kinds: BrickKinds | None = None) -> MeshPart:
+def cut_part(
+    mesh: BrickMesh, kinds: BrickKinds | None = None, supported: BoolArray | None = None
+) -> MeshPart:
     """Cut the rim off the surface of a tile; what its faces use of it is named.
 
     Parameters
@@ -75,6 +81,8 @@ def cut_part(mesh: BrickMesh, kinds: BrickKinds | None = None) -> MeshPart:
     mesh : BrickMesh
     kinds : BrickKinds, optional
         All bricks that hold points are the tile's own where it is left out.
+    supported : ndarray of bool, shape (v,), optional
+        Of the mesh's vertices (see `MeshPart`); none where it is left out.
 
     Returns
     -------
@@ -91,6 +99,7 @@ def cut_part(mesh: BrickMesh, kinds: BrickKinds | None = None) -> MeshPart:
     outside = np.flatnonzero(corners < 0)
     outer, names = number_keys(faces.reshape(-1)[outside])
     corners.reshape(-1)[outside] = ~names
+    inner = np.flatnonzero(is_inner)
     starts = np.cumsum(mesh.vertex_counts, dtype=np.int64) - mesh.vertex_counts
     owners = np.searchsorted(starts + mesh.vertex_counts, outer, side="right")
     return MeshPart(
@@ -98,10 +107,11 @@ def cut_part(mesh: BrickMesh, kinds: BrickKinds | None = None) -> MeshPart:
         guests,
         mesh.vertex_counts[taken],
         mesh.face_counts[taken],
-        mesh.vertices.take(np.flatnonzero(is_inner), axis=0),
+        mesh.vertices.take(inner, axis=0),
         corners,
         mesh.bricks[owners],
         (outer - starts[owners]).astype(np.int32),
+        np.zeros(len(inner), np.bool_) if supported is None else supported[inner],
     )
 
 
@@ -149,6 +159,7 @@ def join_parts(parts: list[MeshPart]) -> MeshPart:
         faces,
         foreign_bricks,
         foreign_numbers,
+        np.concatenate([part.supported for part in parts]),
     )
     return joined if (bricks[1:] > bricks[:-1]).all() else _sort_bricks(joined, order)
 
@@ -160,6 +171,8 @@ def _sort_bricks(part: MeshPart, order: IntArray) -> MeshPart:
     )
     vertices, faces = np.empty_like(part.vertices), np.empty_like(part.faces)
     vertices[vertex_rows] = part.vertices
+    supported = np.empty_like(part.supported)
+    supported[vertex_rows] = part.supported
     names = np.arange(-len(part.foreign_bricks), 0, dtype=np.int32)  # they stay what they are
     faces[face_rows] = np.concatenate([vertex_rows, names])[part.faces]
     return replace(
@@ -170,6 +183,7 @@ def _sort_bricks(part: MeshPart, order: IntArray) -> MeshPart:
         face_counts=part.face_counts[order],
         vertices=vertices,
         faces=faces,
+        supported=supported,
     )
 
 

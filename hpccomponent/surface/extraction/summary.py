@@ -40,6 +40,8 @@ class PartSummary:
         The component of every vertex of bricks with vertices of more than one.
     bounds : ndarray of float64, shape (c, 6)
         Lowest and highest coordinates of the vertices of each component.
+    supports : ndarray of int32, shape (c,)
+        Supported vertices of each component in the part's own bricks.
     piece_vertices : ndarray of int32, shape (p,)
         The open vertex of each piece of corners (see `seams.Seams`).
     piece_units : ndarray of int32, shape (p,)
@@ -70,6 +72,7 @@ class PartSummary:
     entry_sums: FloatArray
     mixed_labels: Int32Array
     bounds: FloatArray
+    supports: Int32Array
     piece_vertices: Int32Array
     piece_units: Int32Array
     sides: Int32Array
@@ -111,6 +114,8 @@ def summarize_part(part: MeshPart) -> PartSummary:
     seams = kernels.find_seams(nodes.faces, all_vertices, nodes.vertex_of, nodes.is_open)
     counts = (part.vertex_counts, part.face_counts)
     sums = kernels.sum_bricks(part.vertices, part.faces, counts, seams.labels, seams.components)
+    counted = part.supported & ~np.repeat(part.guests, part.vertex_counts)
+    supports = np.bincount(seams.labels[:own][counted], minlength=seams.components)
     pieces, bare = nodes.vertex_of[seams.pieces], nodes.vertex_of[seams.bare]
     at_seam = unique_keys(np.flatnonzero(part.faces.reshape(-1) < 0) // 3)
     rim = unique_keys(np.concatenate([pieces, bare, part.faces[at_seam].reshape(-1)]))
@@ -129,6 +134,7 @@ def summarize_part(part: MeshPart) -> PartSummary:
         sums.sums,
         _mixed_labels(part.vertex_counts, sums.starts, sums.vertices, seams.labels),
         sums.bounds,
+        supports.astype(np.int32),
         _as_in_faces(pieces, own),
         nodes.unit_of[seams.pieces],
         seams.sides,

@@ -30,8 +30,14 @@ from hpccomponent.surface.kernels import BASIS
 from hpccomponent.surface.kernels.parallel import run_batches
 from hpccomponent.surface.types.field import FarField, Features, Field, FieldLevel
 from hpccomponent.surface.types.grid import BRICK, Grid
-from hpccomponent.surface.types.lattice import find_layers, unique_keys, unpack_keys
-from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
+from hpccomponent.surface.types.lattice import (
+    find_keys,
+    find_layers,
+    pack_places,
+    unique_keys,
+    unpack_keys,
+)
+from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
 
 __all__ = ["SlabFields", "find_trust", "fit_above"]
 
@@ -105,6 +111,25 @@ class SlabFields:
         """Take points and corners out of the pyramid, whoever else holds it: no more is fitted."""
         self.pyramid.levels.clear()
         self.pyramid.vertices.clear()
+
+    def mark_supported(self, places: FloatArray) -> BoolArray:
+        """Tell which places have points in their finest cell.
+
+        Parameters
+        ----------
+        places : ndarray of float64, shape (n, 3)
+            In length units of the input.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
+        if not self.pyramid.levels:
+            return np.zeros(len(places), np.bool_)
+        cells = self.pyramid.levels[0].cells
+        inside = np.floor((places - self.pyramid.origin) / self.pyramid.cell_size)
+        found: BoolArray = find_keys(cells, pack_places(inside.astype(np.int64))) < len(cells)
+        return found
 
     def cut(self, first: int, end: int, quadrics: int) -> list[int]:
         """Cut layers of bricks along x into slabs.

@@ -354,7 +354,13 @@ _BRICKS: dict[str, Declared] = {
     "foreign_numbers": _ints("g"),
 }
 _PART = Where(
-    Record(MeshPart, **_BRICKS, vertices=Array("<f8", "v", 3), faces=_ints("f", 3, low=None)),
+    Record(
+        MeshPart,
+        **_BRICKS,
+        vertices=Array("<f8", "v", 3),
+        faces=_ints("f", 3, low=None),
+        supported=Array("|b1", "v"),
+    ),
     _is_part,
     "bricks rise, and have as many vertices and faces as they count",
 )
@@ -370,6 +376,7 @@ _SUMMARY = Where(
         entry_sums=Array("<f8", "e", 4),
         mixed_labels=_ints("m"),
         bounds=Array("<f8", "c", 6, low=-np.inf, finite=False),  # infinite without vertices
+        supports=_ints("c"),
         piece_vertices=_ints("p", low=None),
         piece_units=_ints("p", low=-1),
         sides=_ints("q", 3),

@@ -80,7 +80,7 @@ def grow_slabs(
             if not (slab.kinds == OWN).any():
                 continue
             mesh = _grow_slab(fields, slab, first, end)
-            part, exits = cut_part(mesh, kinds), mesh.exits
+            part, exits = cut_part(mesh, kinds, fields.mark_supported(mesh.vertices)), mesh.exits
             del mesh  # makes room for what is made of the part
             left.mark(part.bricks, FOREIGN)
             goes_on = kinds.at(exits) == OPEN

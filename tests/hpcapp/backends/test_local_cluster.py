@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from contract_tasks import wait_for_file
 
 from hpcapp.backends import local_machines
 from hpcapp.backends.local_cluster import LocalCluster
@@ -28,24 +29,30 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="watches p
 
 PATIENCE_S = 10.0
 TASKS = """
-import os, time
+import os, pathlib, signal, time
+
+def wait_for(files):
+    while not files():
+        time.sleep(0.005)
 
 def add(a, b):
     return a + b
 
-def slow_add(a, b):
-    time.sleep(0.05)
+def add_later(folder, a, b):
+    pathlib.Path(folder, str(os.getpid())).touch()
+    wait_for(pathlib.Path(folder, "released").exists)
     return a + b
 
-def family(number):
-    time.sleep(0.2)  # long enough for each worker to get one
+def family(folder, count):  # each worker has one of these tasks, and waits for the others
+    pathlib.Path(folder, str(os.getpid())).touch()
+    wait_for(lambda: len(os.listdir(folder)) >= count)
     return [os.getpid(), os.getppid()]
 
 def hang(path):
     open(path, "w").close()
-    time.sleep(600)
+    signal.pause()
 """
-NAMES = [f"cluster.{name}=cluster_tasks:{name}" for name in ("add", "slow_add", "family", "hang")]
+NAMES = [f"cluster.{name}=cluster_tasks:{name}" for name in ("add", "add_later", "family", "hang")]
 
 
 @pytest.fixture(autouse=True)
@@ -84,41 +91,53 @@ def wait_gone(pids: list[int]) -> None:
             os.close(pidfd)
 
 
-def family(cluster: LocalCluster) -> list[tuple[int, int]]:
-    """Return (worker, component) of every machine."""
-    found: set[tuple[int, int]] = set()
-    while len(found) < cluster.workers:
-        futures: list[Future[Any]] = [
-            cluster.executor.submit("cluster.family", i) for i in range(cluster.workers)
-        ]
-        found |= {(pids[0], pids[1]) for pids in (future.result() for future in futures)}
+def family(cluster: LocalCluster, meeting: Path) -> list[tuple[int, int]]:
+    """Return (worker, component) of every machine; `meeting` is a folder to be made."""
+    meeting.mkdir()
+    futures: list[Future[Any]] = [
+        cluster.executor.submit("cluster.family", str(meeting), cluster.workers)
+        for _ in range(cluster.workers)
+    ]
+    found = {(pids[0], pids[1]) for pids in (future.result() for future in futures)}
+    assert len(found) == cluster.workers
     return sorted(found)
 
 
-def all_pids(cluster: LocalCluster) -> list[int]:
-    return [*cluster.loader_pids, *(pid for pair in family(cluster) for pid in pair)]
+def all_pids(cluster: LocalCluster, meeting: Path) -> list[int]:
+    return [*cluster.loader_pids, *(pid for pair in family(cluster, meeting) for pid in pair)]
 
 
-def submit_many(cluster: LocalCluster, count: int) -> list[Future[int]]:
-    return [cluster.executor.submit("cluster.slow_add", i, 1) for i in range(count)]
+def submit_many(cluster: LocalCluster, count: int, folder: Path) -> list[Future[int]]:
+    """Submit additions that wait until there is a file ``released``."""
+    folder.mkdir()
+    return [cluster.executor.submit("cluster.add_later", str(folder), i, 1) for i in range(count)]
 
 
 @pytest.mark.parametrize("policy", ["adaptive", "pull", "equal"])
-def test_work_is_done_and_nothing_is_left(policy: str) -> None:
+def test_work_is_done_and_nothing_is_left(policy: str, tmp_path: Path) -> None:
     with LocalCluster(2, policy=policy, extra_tasks=NAMES) as cluster:
         futures: list[Future[Any]] = [
             cluster.executor.submit("cluster.add", i, 1) for i in range(20)
         ]
         assert [future.result() for future in futures] == list(range(1, 21))
-        pids = all_pids(cluster)
+        pids = all_pids(cluster, tmp_path / "meeting")
         assert len(set(pids)) == 6
         assert all(map(is_alive, pids))
     assert not any(map(is_alive, pids))
 
 
-def test_submitted_work_is_finished_when_the_block_ends() -> None:
+def test_submitted_work_is_finished_when_the_block_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shut_down = CommunicatorExecutor.shutdown
+
+    def release_and_shut_down(executor: CommunicatorExecutor, *arguments: Any, **how: Any) -> None:
+        (tmp_path / "work" / "released").touch()
+        shut_down(executor, *arguments, **how)
+
+    monkeypatch.setattr(CommunicatorExecutor, "shutdown", release_and_shut_down)
     with LocalCluster(1, extra_tasks=NAMES) as cluster:
-        futures = submit_many(cluster, 10)
+        futures = submit_many(cluster, 10, tmp_path / "work")
     assert [future.result(0) for future in futures] == list(range(1, 11))
 
 
@@ -132,28 +151,30 @@ def test_secrets_are_readable_by_their_owner_only(folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("layer", ["worker", "component", "loader"])
-def test_the_job_outlives_the_loss_of_any_process(layer: str) -> None:
+def test_the_job_outlives_the_loss_of_any_process(layer: str, tmp_path: Path) -> None:
     with LocalCluster(2, extra_tasks=NAMES) as cluster:
-        worker, component = family(cluster)[0]
+        [(worker, component), (other, _)] = family(cluster, tmp_path / "meeting")
         victim = {"worker": worker, "component": component, "loader": cluster.loader_pids[0]}[layer]
-        futures = submit_many(cluster, 40)
-        futures[0].result()
+        futures = submit_many(cluster, 40, tmp_path / "work")
+        for pid in (worker, other):
+            wait_for_file(str(tmp_path / "work" / str(pid)))
         os.kill(victim, signal.SIGKILL)
+        (tmp_path / "work" / "released").touch()
         assert [future.result() for future in futures] == list(range(1, 41))
 
 
-def test_a_killed_loader_takes_its_component_and_worker_along() -> None:
+def test_a_killed_loader_takes_its_component_and_worker_along(tmp_path: Path) -> None:
     with LocalCluster(1, extra_tasks=NAMES) as cluster:
-        pids = all_pids(cluster)
+        pids = all_pids(cluster, tmp_path / "meeting")
         os.kill(cluster.loader_pids[0], signal.SIGKILL)
         wait_gone(pids)
 
 
-def test_a_killed_component_is_replaced() -> None:
+def test_a_killed_component_is_replaced(tmp_path: Path) -> None:
     with LocalCluster(1, extra_tasks=NAMES) as cluster:
-        [(worker, component)] = family(cluster)
+        [(worker, component)] = family(cluster, tmp_path / "first")
         os.kill(component, signal.SIGKILL)
-        [(other_worker, other_component)] = family(cluster)
+        [(other_worker, other_component)] = family(cluster, tmp_path / "second")
         assert {worker, component}.isdisjoint({other_worker, other_component})
         wait_gone([worker, component])
 
@@ -173,7 +194,7 @@ def test_the_job_ends_when_all_loaders_are_killed(tmp_path: Path) -> None:
 def fail_at_work(error: BaseException, path: Path, pids: list[int]) -> None:
     """Raise in the block while every worker is busy and more is waiting."""
     with LocalCluster(2, extra_tasks=NAMES) as cluster:
-        pids += all_pids(cluster)
+        pids += all_pids(cluster, path.with_name("meeting"))
         for _ in range(9):
             cluster.executor.submit("cluster.hang", str(path))
         raise error
@@ -203,7 +224,7 @@ def test_an_interrupt_while_it_starts_leaves_nothing(monkeypatch: pytest.MonkeyP
 def end_with_work_running(path: Path, pids: list[int]) -> None:
     """Leave the block by its end, and have an interrupt come while that waits for the work."""
     with LocalCluster(1, extra_tasks=NAMES) as cluster:
-        pids += all_pids(cluster)
+        pids += all_pids(cluster, path.with_name("meeting"))
         cluster.executor.submit("cluster.hang", str(path))
         signal.setitimer(signal.ITIMER_REAL, 0.3)
 
@@ -224,11 +245,11 @@ def test_an_interrupt_while_it_waits_for_work_to_end_leaves_nothing(tmp_path: Pa
 @pytest.mark.slow
 @pytest.mark.parametrize("layer", ["worker", "component", "loader"])
 def test_a_frozen_process_does_not_hold_up_the_end(
-    monkeypatch: pytest.MonkeyPatch, layer: str
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, layer: str
 ) -> None:
     monkeypatch.setattr(local_machines, "_LEAVE_S", 2.0)
     with LocalCluster(1, extra_tasks=NAMES) as cluster:
-        pids = all_pids(cluster)
+        pids = all_pids(cluster, tmp_path / "meeting")
         os.kill(pids[["loader", "worker", "component"].index(layer)], signal.SIGSTOP)
     assert not any(map(is_alive, pids))
 
@@ -274,10 +295,10 @@ def test_more_than_this_machine_carries_is_refused_before_anything_is_started() 
         LocalCluster(1_000_000)
 
 
-def test_machines_that_were_started_early_wait_and_end_with_the_cluster() -> None:
+def test_machines_that_were_started_early_wait_and_end_with_the_cluster(tmp_path: Path) -> None:
     with LocalMachines(2, NAMES) as machines:
         with LocalCluster(machines) as cluster:
-            pids = all_pids(cluster)
+            pids = all_pids(cluster, tmp_path / "meeting")
             assert cluster.loader_pids == machines.loader_pids
             assert len(set(pids)) == 6
         assert not any(map(is_alive, pids))
@@ -308,16 +329,16 @@ def test_impossible_wishes_are_refused(workers: int, policy: str) -> None:
 
 
 MASTER = """
-import signal, sys
+import pathlib, sys
 from hpcapp.backends.local_cluster import LocalCluster
 
-def pids(cluster):
-    futures: list[Future[Any]] = [cluster.executor.submit("cluster.family", i) for i in range(2)]
-    return [*cluster.loader_pids, *(pid for future in futures for pid in future.result())]
-
-with LocalCluster(2, extra_tasks=sys.argv[2:]) as cluster:
-    known = pids(cluster)
-    futures = [cluster.executor.submit("cluster.hang", sys.argv[1]) for _ in range(4)]
+folder, *names = sys.argv[1:]
+meeting = pathlib.Path(folder, "meeting")
+meeting.mkdir()
+with LocalCluster(2, extra_tasks=names) as cluster:
+    pairs = [cluster.executor.submit("cluster.family", str(meeting), 2) for _ in range(2)]
+    known = [*cluster.loader_pids, *(pid for pair in pairs for pid in pair.result())]
+    futures = [cluster.executor.submit("cluster.hang", f"{folder}/hangs") for _ in range(4)]
     print("ready", *known, flush=True)
     futures[0].result()
 """
@@ -328,7 +349,7 @@ def master(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """Start a master with a session of its own, as a terminal would."""
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     process = subprocess.Popen(
-        [sys.executable, "-P", "-c", MASTER, str(tmp_path / "hangs"), *NAMES],
+        [sys.executable, "-P", "-c", MASTER, str(tmp_path), *NAMES],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -344,7 +365,7 @@ def master(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
 def ready_pids(master: subprocess.Popen[str]) -> list[int]:
     assert master.stdout is not None
     line = master.stdout.readline()
-    assert re.fullmatch(r"ready( \d+)+\n", line), line
+    assert re.fullmatch(r"ready( \d+){6}\n", line), line
     return [int(word) for word in line.split()[1:]]
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from hpcapp.applications.surface.job import JobSettings, run_job
+from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.progress import SilentProgress
 
 RunMpi = Callable[..., "subprocess.CompletedProcess[str]"]

@@ -29,7 +29,7 @@ from hpccomponent.protocol.connection import Connection
 from hpccomponent.protocol.keys import make_key_pair
 from hpccomponent.protocol.messages import Heartbeat, encode_message
 
-WAIT = 30.0  # seconds, for what takes milliseconds: only a defect runs into it
+WAIT = 120.0  # seconds, for what takes milliseconds: only a defect runs into it
 
 
 def await_file(path: Path, timeout_s: float = WAIT) -> str:
@@ -40,6 +40,16 @@ def await_file(path: Path, timeout_s: float = WAIT) -> str:
             return path.read_text()
         never.wait(0.01)
     raise AssertionError(f"{path} did not appear")
+
+
+def await_count(executor: CommunicatorExecutor, name: str) -> None:
+    """Wait until the master has counted one of something; nobody is told of it."""
+    never = threading.Event()
+    for _ in range(int(WAIT * 100)):
+        if executor.statistics()[name]:
+            return
+        never.wait(0.01)
+    raise AssertionError(f"no {name} were counted")
 
 
 def is_alive(pid: int) -> bool:
@@ -242,18 +252,13 @@ def test_the_task_of_a_worker_that_hangs_is_run_again_and_its_late_answer_droppe
         pids |= {future.result(WAIT) for future in futures}
     note.unlink()
     futures = [executor.submit("contract.freeze_first", str(note)) for _ in range(20)]
-    # Whoever begins first stops within its task. Its component speaks on: nothing else would notice.
+    # Whoever begins first stops within its task; its component speaks on: nobody else would notice.
     done_by = {future.result(WAIT) for future in futures}
     hung = int(note.read_text())
     os.kill(hung, signal.SIGCONT)
     assert done_by == pids - {hung}
-    never = threading.Event()
-    for _ in range(int(WAIT * 100)):
-        if executor.statistics()["duplicates"]:
-            break
-        never.wait(0.01)
+    await_count(executor, "duplicates")
     counts = executor.statistics()
-    assert counts["duplicates"] >= 1
     assert counts["losses"] == counts["dropped"] == 0
 
 
@@ -273,14 +278,15 @@ def test_a_task_that_kills_every_worker_is_given_up(
 def test_what_one_machine_lacks_another_one_does(
     executor: CommunicatorExecutor, start_component: StartComponent, tmp_path: Path, lack: int
 ) -> None:
-    bad = start_component("bad")
+    bad, good = start_component("bad"), start_component("good")
     note = tmp_path / "bad"
     note.write_text(str(bad.pid))
-    executor.wait_for_workers(1, WAIT)
-    task: Future[Any] = executor.submit("contract.lack_below", str(note), lack)
-    await_loss(executor)
-    good = start_component("good")
-    assert task.result(WAIT) == good.pid
+    executor.wait_for_workers(2, WAIT)
+    while not executor.statistics()["losses"]:  # until "bad" has had one
+        futures: list[Future[Any]] = [
+            executor.submit("contract.lack_below", str(note), lack) for _ in range(2)
+        ]
+        assert {future.result(WAIT) for future in futures} == {good.pid}
 
 
 def test_what_every_machine_lacks_is_said(
@@ -292,16 +298,6 @@ def test_what_every_machine_lacks_is_said(
     lacked = r"alone failed .* it lacks what 'contract.lack_below' needs \(MemoryError: no room\)"
     with pytest.raises(WorkerLostError, match=lacked):
         task.result(WAIT)
-
-
-def await_loss(executor: CommunicatorExecutor) -> None:
-    """Wait until a worker has been lost."""
-    never = threading.Event()
-    for _ in range(int(WAIT * 100)):
-        if executor.statistics()["losses"]:
-            return
-        never.wait(0.01)
-    raise AssertionError("nobody was lost")
 
 
 def test_a_machine_that_loses_every_worker_is_retired_and_the_others_do_its_tasks(
@@ -316,16 +312,12 @@ def test_a_machine_that_loses_every_worker_is_retired_and_the_others_do_its_task
     start_component("good-1")
     start_component("good-2")
     executor.wait_for_workers(3, WAIT)
-    done: list[int] = []
-    for _ in range(100):
+    while executor.workers == 3:  # what "bad" loses, and when, is the scheduler's affair
         futures: list[Future[Any]] = [
             executor.submit("contract.kill_below", str(note)) for _ in range(12)
         ]
-        done += [future.result(WAIT) for future in futures]
-        if executor.workers == 2:
-            break
+        assert bad.pid not in {future.result(WAIT) for future in futures}
     assert executor.workers == 2
-    assert bad.pid not in done
     assert "bad gets no more of this job" in caplog.text
     assert "SIGKILL" in caplog.text
 
@@ -355,11 +347,10 @@ def test_a_wrong_server_key_is_told_in_words(
     wrong = replace(executor.invite("w"), server_key=make_key_pair().public)
     component = start_component(connection=wrong)
     assert component.stderr is not None
-    for _ in component.stderr:
-        break  # it complains too
+    assert component.stderr.readline()  # it complains too
+    await_count(executor, "refused")
     with pytest.raises(NoWorkersError, match="key"):
-        executor.wait_for_workers(1, 0.2)
-    assert executor.statistics()["refused"] >= 1
+        executor.wait_for_workers(1, 0.0)
 
 
 def test_a_key_that_is_not_on_the_list_is_told_in_words(
@@ -373,8 +364,9 @@ def test_a_key_that_is_not_on_the_list_is_told_in_words(
     )
     start_component("friend")
     executor.wait_for_workers(1, WAIT)
+    await_count(executor, "refused")
     with pytest.raises(NoWorkersError, match="not on the list"):
-        executor.wait_for_workers(2, 0.5)
+        executor.wait_for_workers(2, 0.0)
 
 
 def test_a_revoked_worker_leaves(
@@ -424,8 +416,8 @@ def test_bad_messages_do_not_take_the_master_down(
         start_component()
         assert executor.submit("contract.echo", 1).result(WAIT) == 1
         assert executor.submit("contract.echo", 2).result(WAIT) == 2
-    if len(frames[0]) < 1000:
-        assert executor.statistics()["dropped"] >= 1
+        if len(frames[0]) < 1000:
+            await_count(executor, "dropped")
 
 
 def test_a_peer_without_curve_gets_nowhere(

@@ -400,7 +400,9 @@ def test_workers_get_tasks_whose_blobs_they_have_and_never_wait_for_them(
         assign = pending.pop(0)
         transfers += len(assign.blobs)
         pending += [a for a in finish(scheduler, assign) if isinstance(a, Assign)]
-        assert not scheduler._queue or all(w.queued == 2 for w in scheduler.workers.values())
+        assert not scheduler.dispatcher.queue or all(
+            w.queued == 2 for w in scheduler.workers.values()
+        )
     assert transfers <= 9  # where 16 are possible
 
 

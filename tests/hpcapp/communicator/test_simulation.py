@@ -12,9 +12,10 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from hpcapp.communicator.dispatching import CREDIT
 from hpcapp.communicator.losses import LOSS_BUDGET
 from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, Policy, PullPolicy
-from hpcapp.communicator.scheduler import CREDIT, Scheduler
+from hpcapp.communicator.scheduler import Scheduler
 from hpcapp.communicator.state import (
     AskRegister,
     Assign,
@@ -212,7 +213,9 @@ class Cluster:
         numbers = [result.task for result in message.results]
         if worker is not None:
             try:
-                scheduler.assignments.most_bytes(worker, message.batch, numbers, scheduler.tasks)
+                scheduler.dispatcher.assignments.most_bytes(
+                    worker, message.batch, numbers, scheduler.tasks
+                )
                 if any(result.header for result in message.results):
                     raise ProtocolError("the value is not what it must be")
             except ProtocolError as error:
@@ -265,7 +268,7 @@ class Cluster:
                 component.carry_out(component.session.tick(self.clock.now()))
         self.carry_out(self.scheduler.tick())
         for identity in self.scheduler.workers:
-            self.send(identity, Ping(SESSION, self.scheduler.assignments.last))
+            self.send(identity, Ping(SESSION, self.scheduler.dispatcher.assignments.last))
 
     def settle(self) -> None:
         """End all faults, and work on until nothing moves."""
@@ -394,7 +397,7 @@ class FaultyCluster(RuleBasedStateMachine):
         cluster, scheduler = self.cluster, self.cluster.scheduler
         open_tasks = cluster.calls.keys() - cluster.ended.keys() - cluster.cancelled
         assert open_tasks == scheduler.tasks.keys()
-        places = Counter([*scheduler._queue, *scheduler._lost])
+        places = Counter([*scheduler.dispatcher.queue, *scheduler.dispatcher.lost])
         for worker in scheduler.workers.values():
             places.update(worker.backlog.keys())
             for flight in worker.batches.values():
@@ -466,7 +469,7 @@ class ClusterWithABadMachine(RuleBasedStateMachine):
         batch=st.integers(min_value=-1, max_value=3),
         has_value=st.booleans(),
     )
-    @precondition(lambda self: self.cluster.scheduler.assignments.last)
+    @precondition(lambda self: self.cluster.scheduler.dispatcher.assignments.last)
     def lie(self, number: int, batch: int, has_value: bool) -> None:
         """Answer what nobody asked for, or with a wrong value."""
         name = f"liar-{self.cluster.started}"
@@ -474,7 +477,7 @@ class ClusterWithABadMachine(RuleBasedStateMachine):
         liar = self.cluster.components.pop()
         scheduler = self.cluster.scheduler
         own = scheduler.workers[liar.identity].batches
-        held = min(own, default=scheduler.assignments.last) + batch
+        held = min(own, default=scheduler.dispatcher.assignments.last) + batch
         numbers = [*own[held].tasks] if held in own and number < 0 else [abs(number)]
         header = b"a lie" if has_value else b""
         is_true = held in own and not has_value and set(numbers) <= own[held].tasks.keys()

@@ -53,7 +53,7 @@ _STEPS = ("arranged", "distinct", "estimated", "oriented", "cleaned")
 # What a job needs once its points are there: half of what it imports.
 _LATER = (
     "hpcapp.applications.surface.input.clean_regions",
-    "hpcapp.applications.surface.steps",
+    "hpcapp.applications.surface.job.steps",
     "hpcapp.applications.surface.hierarchical.method",
 )
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,9 @@ from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["WeldPlan", "missing_bricks", "plan_weld"]
 
-SMALL_SHARE = 0.002
-"""A component with fewer faces than this share of the largest one's is dropped."""
+SMALL_SIZES = ((0.02, 0.0), (0.002, 0.5), (0.0005, 0.75))
+"""A component stays that has so many faces, by those of the largest one, and of whose vertices so
+many are supported, by the share of the largest one's that are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,7 +181,11 @@ def plan_weld(summaries: Sequence[PartSummary], crumb: int | None = None) -> Wel
     component = join_labels(summaries, bricks)
     entries = _collect_entries(summaries, bricks, component)
     faces = np.bincount(entries.component, entries.faces, int(component.max(initial=-1)) + 1)
-    large = find_large(faces.astype(np.int64)) if crumb is None else faces >= max(crumb, 1)
+    if crumb is None:
+        supports = np.concatenate([s.supports for s in summaries])
+        large = find_large(faces, np.bincount(component, supports, len(faces)))
+    else:
+        large = faces >= max(crumb, 1)
     kept = large[component]
     components = entries.only(large[entries.component])
     vertex_starts, face_starts = (
@@ -227,20 +233,31 @@ def _bound(bounds: FloatArray) -> FloatArray:
     return np.stack([bounds[:, :3].min(axis=0), bounds[:, 3:].max(axis=0)])
 
 
-def find_large(faces: IntArray, share: float = SMALL_SHARE) -> NDArray[np.bool_]:
+def find_large(faces: NDArray[Any], supports: NDArray[Any]) -> NDArray[np.bool_]:
     """Tell which components of a mesh are no mere crumbs of it.
 
     Parameters
     ----------
-    faces : ndarray of int64, shape (c,)
+    faces : ndarray of float or int, shape (c,)
         How many each component has; 0 for a vertex that no face uses.
-    share : float
-        Of the largest component's faces; dimensionless, 0 to 1.
+    supports : ndarray of float or int, shape (c,)
+        How many of its vertices points support (see `MeshPart`).
 
     Returns
     -------
     ndarray of bool, shape (c,)
         All, where no component with faces is small: what no face uses then stays, too.
+
+    Notes
+    -----
+    What grew around a few outliers has many faces and few points; the tip of a horn whose neck was
+    too thin has few faces, and points everywhere. So the smaller a component is, the more of it
+    must be supported, by what is supported of the largest one.
     """
-    is_large: NDArray[np.bool_] = faces >= max(share * float(faces.max(initial=0)), 1.0)
+    shares = supports / np.maximum(faces, 1.0)
+    largest = int(np.argmax(faces)) if len(faces) else 0
+    sizes = faces / max(float(faces.max(initial=0.0)), 1.0)
+    is_large = np.zeros(len(faces), np.bool_)
+    for size, support in SMALL_SIZES:
+        is_large |= (sizes >= size) & (shares >= support * shares[largest : largest + 1])
     return is_large | bool(is_large[faces > 0].all())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hpcapp
-from hpcapp.applications.surface.job import JobSettings, run_job
+from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.io import read_points, write_mesh
 from hpcapp.progress import SilentProgress
 from hpccomponent.errors import HpcError, InputError, UsageError

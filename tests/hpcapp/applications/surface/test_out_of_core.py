@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface import job, steps, surface
+from hpcapp.applications.surface import surface
 from hpcapp.applications.surface.api import reconstruct
 from hpcapp.applications.surface.hierarchical import growth as regions
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.input import folder, room
-from hpcapp.applications.surface.job import run_job
+from hpcapp.applications.surface.job import run, steps
+from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.memory import fitting_tile, parse_limit
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import read_mesh, read_points, write_mesh, write_points
@@ -76,7 +77,7 @@ def whole(scan: Path) -> bytes:
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let so many points be too many for memory, and tiles be small."""
     monkeypatch.setattr(room, "fits_memory", lambda *_: False)
-    for module in (job, steps):
+    for module in (run, steps):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 6_000)
 
 
@@ -174,7 +175,7 @@ def test_workers_read_a_cloud_that_memory_would_hold(
     scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(folder, "FOLDER_FROM_POINTS", 10_000)
-    monkeypatch.setattr(job, "load_memory", None)
+    monkeypatch.setattr(run, "load_memory", None)
     output = tmp_path / "mesh.ply"
     run_job(JobSettings(scan, str(output), grid=96, backend="zmq", workers=2), SILENT)
     assert output.read_bytes() == whole

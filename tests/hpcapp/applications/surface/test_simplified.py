@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hpcapp.applications.surface import job, steps
 from hpcapp.applications.surface.api import reconstruct
 from hpcapp.applications.surface.input import room
-from hpcapp.applications.surface.job import run_job
+from hpcapp.applications.surface.job import run, steps
+from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import read_mesh, write_points
 from hpcapp.progress import SilentProgress
@@ -44,7 +44,7 @@ def test_points_on_disk_and_tiles_give_the_same_light_mesh(
     assert 1000 < report["faces"] <= 1500
     assert "simplify" in report["stages"]
     monkeypatch.setattr(room, "fits_memory", lambda *_: False)
-    for module in (job, steps):
+    for module in (run, steps):
         monkeypatch.setattr(module, "choose_tile", lambda *_: 2000)
     settings = JobSettings(scan, str(outputs[1]), grid=48, faces=1500, backend="threads", workers=2)
     assert run_job(settings, SilentProgress())["tiles"] > 1

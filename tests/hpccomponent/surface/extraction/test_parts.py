@@ -22,6 +22,7 @@ def test_a_part_comes_off_the_wire_as_it_went_on() -> None:
         np.array([[0, 1, -1]], np.int32),
         np.array([7]),
         np.array([3], np.int32),
+        np.array([True, False]),
     )
     (back,) = decode_values(*encode_values((part,)))
     assert isinstance(back, MeshPart)
@@ -50,6 +51,7 @@ def part(
         np.array(faces, np.int32).reshape(-1, 3),
         names[:, 0],
         names[:, 1].astype(np.int32),
+        np.array(vertices) % 2 == 0,
     )
 
 

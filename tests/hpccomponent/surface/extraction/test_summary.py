@@ -10,6 +10,7 @@ from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import summarize_part
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+SUPPORTED = np.array([True, False, True, True])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], np.int32)
 
 
@@ -17,7 +18,7 @@ def tetrahedron() -> MeshPart:
     """One brick with a closed tetrahedron; six times its volume is 1."""
     counts = (np.array([4], np.int32), np.array([4], np.int32))
     none = (np.empty(0, np.int64), np.empty(0, np.int32))
-    return MeshPart(np.array([7]), np.array([False]), *counts, CORNERS, FACES, *none)
+    return MeshPart(np.array([7]), np.array([False]), *counts, CORNERS, FACES, *none, SUPPORTED)
 
 
 def cut_tetrahedron() -> MeshPart:
@@ -25,10 +26,18 @@ def cut_tetrahedron() -> MeshPart:
     part = replace(
         tetrahedron(),
         vertices=CORNERS[:3],
+        supported=SUPPORTED[:3],
         vertex_counts=np.array([3], np.int32),
         faces=np.where(FACES == 3, -1, FACES).astype(np.int32),
     )
     return replace(part, foreign_bricks=np.array([9]), foreign_numbers=np.array([5], np.int32))
+
+
+def test_supported_vertices_are_counted_in_bricks_with_points_alone() -> None:
+    part = tetrahedron()
+    assert summarize_part(part).supports.tolist() == [3]
+    guest = replace(part, guests=np.array([True]))
+    assert summarize_part(guest).supports.sum() == 0
 
 
 def test_nothing_is_open_in_a_closed_part() -> None:
@@ -86,11 +95,13 @@ def test_bricks_with_two_components_name_them_for_each_vertex() -> None:
     twice = replace(
         part,
         vertices=np.concatenate([CORNERS, CORNERS + 5.0]),
+        supported=np.concatenate([SUPPORTED, SUPPORTED]),
         faces=np.concatenate([FACES, FACES + 4]).astype(np.int32),
         vertex_counts=np.array([8], np.int32),
         face_counts=np.array([8], np.int32),
     )
     summary = summarize_part(twice)
     assert summary.mixed_labels.tolist() == [0] * 4 + [1] * 4
+    assert summary.supports.tolist() == [3, 3]
     assert summary.entry_labels.tolist() == [0, 1]
     assert summary.entry_faces.tolist() == [4, 4]

@@ -27,7 +27,7 @@ def part() -> MeshPart:
     none = np.empty(0, np.int32)
     return MeshPart(
         np.array([5, 9]), np.zeros(2, np.bool_), three, two,
-        np.arange(18.0).reshape(6, 3), faces, np.empty(0, np.int64), none,
+        np.arange(18.0).reshape(6, 3), faces, np.empty(0, np.int64), none, np.ones(6, np.bool_),
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ def _part(vertices: Any, faces: Any, foreign: int) -> MeshPart:
         np.array([7]), np.zeros(1, np.bool_), np.array([len(vertices)], np.int32),
         np.array([len(faces)], np.int32), np.array(vertices, np.float64).reshape(-1, 3),
         np.array(faces, np.int32).reshape(-1, 3), np.full(foreign, 9),
-        np.arange(foreign, dtype=np.int32),
+        np.arange(foreign, dtype=np.int32), np.ones(len(vertices), np.bool_),
     )  # fmt: skip
 
 

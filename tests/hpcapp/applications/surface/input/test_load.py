@@ -9,7 +9,7 @@ import pytest
 
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
 from hpcapp.applications.surface.input.load import Loaded, load_folder, load_memory
-from hpcapp.applications.surface.job import JobSettings, run_job
+from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.scans import Passes
 from hpcapp.backends.serial import SerialExecutor

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface import job, steps
 from hpcapp.applications.surface.hierarchical import growth as regions
 from hpcapp.applications.surface.input import room
-from hpcapp.applications.surface.job import run_job
+from hpcapp.applications.surface.job import run, steps
+from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress
@@ -297,7 +297,7 @@ def _settings(scan: Path, place: Path) -> JobSettings:
 
 def _let_tiles_be_small(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(room, "fits_memory", lambda *_: False)
-    for module in (job, steps):
+    for module in (run, steps):
         patch.setattr(module, "choose_tile", lambda *_: 5_000)
 
 

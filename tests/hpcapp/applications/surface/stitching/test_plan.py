@@ -12,7 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hpcapp.applications.surface.stitching.assemble import assemble_mesh
-from hpcapp.applications.surface.stitching.plan import WeldPlan, missing_bricks, plan_weld
+from hpcapp.applications.surface.stitching.plan import (
+    WeldPlan,
+    find_large,
+    missing_bricks,
+    plan_weld,
+)
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpccomponent.errors import JobError
 from hpccomponent.surface.extraction.parts import MeshPart
@@ -199,3 +204,29 @@ def test_a_summary_is_small_beside_its_part() -> None:
     part = cut_mesh(mesh, of_vertex, of_face, dict.fromkeys(bricks_of(of_vertex, of_face), 0))[0]
     sizes = [sum(a.nbytes for a in astuple(each)) for each in (summarize_part(part), part)]
     assert sizes[0] < 0.1 * sizes[1]
+
+
+@pytest.mark.parametrize(
+    ("size", "supported", "stays"),
+    [
+        (0.03, 0.0, True),  # too large to be a mere crumb
+        (0.01, 0.1, False),  # what grew around outliers
+        (0.01, 0.5, True),
+        (0.001, 0.5, False),
+        (0.001, 0.8, True),  # the tip of a horn
+        (0.0003, 1.0, False),
+    ],
+)
+def test_the_smaller_a_component_is_the_more_of_it_must_be_supported(
+    size: float, supported: float, stays: bool
+) -> None:
+    faces = np.array([200_000.0, 200_000.0 * size])
+    supports = 0.5 * faces * [0.85, supported]
+    assert find_large(faces, supports).tolist() == [True, stays]
+    assert find_large(faces[::-1], supports[::-1]).tolist() == [stays, True]
+
+
+def test_where_nothing_is_small_what_no_face_uses_stays() -> None:
+    assert find_large(np.array([10.0, 0.0]), np.zeros(2)).all()
+    assert not find_large(np.array([10_000.0, 1.0, 0.0]), np.zeros(3))[1:].any()
+    assert not len(find_large(np.empty(0), np.empty(0)))

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.diagnostics import (
+from hpcapp.applications.surface.job.diagnostics import (
     doubt_closure,
     doubt_normals,
     doubt_resolution,

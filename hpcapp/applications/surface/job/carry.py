@@ -24,7 +24,7 @@ from hpccomponent.surface.cloud.spacing import estimate_spacing
 from hpccomponent.surface.types.points import PointCloud
 
 if TYPE_CHECKING:
-    from hpcapp.applications.surface.steps import Outcome
+    from hpcapp.applications.surface.job.steps import Outcome
     from hpccomponent.surface.attributes.blocks import ColumnBlocks
 
 __all__ = ["carry_from_file", "carry_from_memory"]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.job import JobSettings, run_job
+from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.io import read_mesh, write_mesh

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpcapp.applications.surface.backend_choice import approach_workers
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.input.load import load_memory
+from hpcapp.applications.surface.job.backend_choice import approach_workers
+from hpcapp.applications.surface.job.steps import run_memory
 from hpcapp.applications.surface.settings import JobSettings
-from hpcapp.applications.surface.steps import run_memory
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress, StageClock
 from hpccomponent.surface.types.points import PointCloud

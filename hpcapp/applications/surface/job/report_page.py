@@ -25,8 +25,8 @@ from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.input.load import Loaded
+    from hpcapp.applications.surface.job.steps import Outcome
     from hpcapp.applications.surface.pipeline import Reconstruction
-    from hpcapp.applications.surface.steps import Outcome
 
 __all__ = [
     "Shown",

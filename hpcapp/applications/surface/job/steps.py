@@ -11,21 +11,21 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hpcapp.applications.surface.backend_choice import Choice, Job, Opener
 from hpcapp.applications.surface.checkpoint import Keeping
-from hpcapp.applications.surface.diagnostics import (
+from hpcapp.applications.surface.input.folder import all_see_folder, choose_tile
+from hpcapp.applications.surface.input.load import Loaded
+from hpcapp.applications.surface.job.backend_choice import Choice, Job, Opener
+from hpcapp.applications.surface.job.diagnostics import (
     SAMPLE,
     doubt_closure,
     doubt_normals,
     doubt_resolution,
     doubt_sides,
 )
-from hpcapp.applications.surface.input.folder import all_see_folder, choose_tile
-from hpcapp.applications.surface.input.load import Loaded
+from hpcapp.applications.surface.job.resolution import find_grid
 from hpcapp.applications.surface.method import Resources
 from hpcapp.applications.surface.pipeline import Reconstruction
 from hpcapp.applications.surface.pipeline import reconstruct as run_pipeline
-from hpcapp.applications.surface.resolution import find_grid
 from hpcapp.applications.surface.settings import (
     Settings,
     choose_steps,

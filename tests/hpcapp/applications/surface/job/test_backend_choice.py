@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hpcapp
-from hpcapp.applications.surface import backend_choice
-from hpcapp.applications.surface.backend_choice import Job, least_work
-from hpcapp.applications.surface.job import run_job
+from hpcapp.applications.surface.job import backend_choice
+from hpcapp.applications.surface.job.backend_choice import Job, least_work
+from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import open_executor

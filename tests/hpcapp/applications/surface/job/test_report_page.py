@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from hpcapp.applications.surface.command import reconstruct
-from hpcapp.applications.surface.report_page import build_job_page, find_guesses, show_files
+from hpcapp.applications.surface.job.report_page import build_job_page, find_guesses, show_files
 from hpcapp.applications.view.page import make_page
 from hpcapp.io import read_mesh, write_points
 from hpccomponent.errors import UsageError

@@ -13,19 +13,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpcapp.applications.surface.backend_choice import Job, approach_workers
-from hpcapp.applications.surface.carry import carry_from_file
 from hpcapp.applications.surface.checkpoint import Keeping
 from hpcapp.applications.surface.input.folder import choose_tile, plan_passes
 from hpcapp.applications.surface.input.load import Loaded, load_folder, load_memory
 from hpcapp.applications.surface.input.recognised import describe_input
 from hpcapp.applications.surface.input.room import Room, open_room
+from hpcapp.applications.surface.job.backend_choice import Job, approach_workers
+from hpcapp.applications.surface.job.carry import carry_from_file
+from hpcapp.applications.surface.job.resolution import find_grid, guess_grid
 from hpcapp.applications.surface.memory import count_most_points
 from hpcapp.applications.surface.method import TILE_POINTS
-from hpcapp.applications.surface.resolution import find_grid, guess_grid
-from hpcapp.applications.surface.settings import (
-    JobSettings,
-)
+from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import Backend
 from hpcapp.io import describe_losses
 from hpcapp.io.output import open_output
@@ -36,7 +34,7 @@ from hpccomponent.surface.freed_memory import keep_memory
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.attributes.carrying import Carrying
-    from hpcapp.applications.surface.steps import Outcome
+    from hpcapp.applications.surface.job.steps import Outcome
     from hpcapp.applications.surface.stitching.topology import Topology
     from hpcapp.backends.local_machines import LocalMachines
 
@@ -98,7 +96,7 @@ def _run_in_memory(
     machines: LocalMachines | None,
 ) -> dict[str, Any]:
     """Run a job whose points are in memory."""
-    from hpcapp.applications.surface.steps import run_memory  # see `loading.load_folder`
+    from hpcapp.applications.surface.job.steps import run_memory  # see `loading.load_folder`
 
     with approach_workers(settings, _guess_job(settings), machines) as opener:
         loaded = load_memory(settings, clock)
@@ -127,7 +125,9 @@ def _run_in_folder(
         else:
             loaded, keeping = _load_there(settings, room, backend, clock)
         loaded.report(settings.shown)
-        from hpcapp.applications.surface.steps import run_loaded  # imported by now: `load_folder`
+        from hpcapp.applications.surface.job.steps import (
+            run_loaded,  # imported by now: `load_folder`
+        )
 
         grid = find_grid(settings, loaded.cloud)
         outcome = run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
@@ -184,7 +184,7 @@ def _write(
     report["input"] = describe_input(settings)
     report["command"] = list(settings.command)
     if settings.details:
-        from hpcapp.applications.surface.report_page import find_owners
+        from hpcapp.applications.surface.job.report_page import find_owners
 
         owners = find_owners(outcome.result)
         report |= {} if owners is None else {"owners": owners.to_json()}
@@ -203,7 +203,7 @@ def _show(
     report: dict[str, Any],
 ) -> None:
     """Write the job's page and picture."""
-    from hpcapp.applications.surface.report_page import show_job, write_job_page
+    from hpcapp.applications.surface.job.report_page import show_job, write_job_page
     from hpcapp.pages.picture import write_picture
 
     shown = show_job(loaded, outcome, carrying)

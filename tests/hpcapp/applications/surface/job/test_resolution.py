@@ -7,8 +7,8 @@ import pytest
 
 from hpcapp.applications.surface import memory
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
+from hpcapp.applications.surface.job.resolution import find_grid, guess_grid
 from hpcapp.applications.surface.paper.settings import Paper
-from hpcapp.applications.surface.resolution import find_grid, guess_grid
 from hpcapp.applications.surface.settings import Settings
 from hpccomponent.errors import UsageError
 from hpccomponent.surface.cloud.arranged import MemoryCloud, arrange_cloud

@@ -1,0 +1,204 @@
+"""What waits for a worker, and who gets what of it next.
+
+::
+
+    queue ──policy──> backlog of a worker ──credit window──> batch in flight
+    lost, alone ─────────────────────────────────────────────────^
+
+A task that was lost with a worker goes alone, so that no other is blamed with it, and to who may
+have it (see `Losses`); it goes before what waits in the queue. When nothing waits, idle workers run
+again what lags elsewhere (see `speculation`), if the policy wants that.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Sequence
+
+from hpcapp.communicator.assignments import Assignments
+from hpcapp.communicator.batching import MAX_TASKS, BatchCutter, find_holder
+from hpcapp.communicator.forecast import Forecast
+from hpcapp.communicator.losses import Losses
+from hpcapp.communicator.policy import Policy
+from hpcapp.communicator.speculation import choose_to_run_again, choose_to_split
+from hpcapp.communicator.state import Assign, Flight, Task, Worker
+from hpccomponent.clock import Clock
+
+__all__ = ["CREDIT", "Dispatcher"]
+
+CREDIT = 2  # batches in flight per worker
+
+
+class Dispatcher:
+    """Holds the tasks that wait, and places them.
+
+    Parameters
+    ----------
+    policy : Policy
+        Which worker gets the next tasks.
+    clock : Clock
+        Monotonic time.
+    losses : Losses
+        Which worker may have a task that was lost.
+    claim : callable
+        Called with a task's number right before it first leaves; False if it was cancelled.
+    split : callable
+        Called with the number of a task that can be split; returns those that replace it, if any.
+
+    Attributes
+    ----------
+    queue : OrderedDict of int to Task
+        What any worker may have, in order.
+    lost : OrderedDict of int to Task
+        What was lost with a worker: not for every other one.
+    assignments : Assignments
+        Every batch that was sent.
+    forecast : Forecast
+        How long tasks take.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        clock: Clock,
+        losses: Losses,
+        claim: Callable[[int], bool],
+        split: Callable[[int], list[Task]],
+    ) -> None:
+        self.queue: OrderedDict[int, Task] = OrderedDict()
+        self.lost: OrderedDict[int, Task] = OrderedDict()
+        self.assignments = Assignments()
+        self.forecast = Forecast()
+        self._policy = policy
+        self._clock = clock
+        self._losses = losses
+        self._split = split
+        self._cutter = BatchCutter(claim, self.forecast)
+
+    def requeue(self, tasks: Iterable[Task]) -> None:
+        """Have tasks that had left wait again, before all others.
+
+        Parameters
+        ----------
+        tasks : iterable of Task
+            In order; no worker has them any more.
+        """
+        for task in reversed(list(tasks)):
+            task.places.clear()
+            if task.losses:
+                self.lost[task.number] = task
+                continue
+            self.queue[task.number] = task
+            self.queue.move_to_end(task.number, last=False)
+
+    def withdraw(self, number: int) -> None:
+        """Have a task not wait any more, if it does.
+
+        Parameters
+        ----------
+        number : int
+        """
+        self.queue.pop(number, None)
+        self.lost.pop(number, None)
+
+    def clear(self) -> None:
+        """Have nothing wait any more."""
+        self.queue.clear()
+        self.lost.clear()
+
+    def dispatch(self, everyone: Iterable[Worker]) -> list[Assign]:
+        """Place what waits, and send what the credit windows allow.
+
+        Parameters
+        ----------
+        everyone : iterable of Worker
+            All that are registered.
+
+        Returns
+        -------
+        list of Assign
+        """
+        actions: list[Assign] = []
+        everyone = list(everyone)
+        workers = [worker for worker in everyone if worker.is_open]
+        for task in list(self.lost.values()) if workers else ():
+            actions += self._place_lost(task, workers)
+        if self._policy.runs_again:
+            self._split_last(workers)
+        if self.queue:
+            self._estimate(workers)
+        while self.queue and workers:
+            placement = self._policy.place(len(self.queue), workers)
+            if placement is None:
+                break
+            worker = workers[placement.worker]
+            if not placement.is_fixed:
+                worker = find_holder(self.queue, workers, worker)
+            if placement.is_fixed:
+                number, task = self.queue.popitem(last=False)
+                task.places[worker.identity] = -1
+                worker.backlog[number] = task
+                worker.placed += 1
+            else:
+                batch = self._cutter.cut(self.queue, min(placement.tasks, MAX_TASKS), worker)
+                worker.placed += len(batch)
+                actions += self._send(worker, batch)
+                if self.queue:
+                    self._estimate([worker])
+        for worker in workers:
+            while worker.backlog and len(worker.batches) < CREDIT:
+                actions += self._send(worker, self._cutter.cut(worker.backlog, MAX_TASKS, worker))
+        if self._policy.runs_again and not self.queue and not self.lost:
+            actions += self._run_again(everyone, workers)
+        return actions
+
+    def _place_lost(self, task: Task, workers: Sequence[Worker]) -> list[Assign]:
+        """Send a lost task, alone, so that no other is blamed with it, to who is free first."""
+        now = self._clock.now()
+        places = self._losses.find_places(task, workers)
+        worker = min(places, key=lambda w: (self.forecast.remaining_s(w, now), len(w.batches)))
+        if len(worker.batches) >= CREDIT:
+            return []
+        del self.lost[task.number]
+        worker.placed += 1
+        return self._send(worker, [task])
+
+    def _split_last(self, workers: Sequence[Worker]) -> None:
+        now = self._clock.now()
+        while task := choose_to_split(self.queue.values(), workers, self.forecast, now):
+            task.can_split = False  # asked once
+            parts = {part.number: part for part in self._split(task.number)}
+            if parts:
+                del self.queue[task.number]
+                self.queue.update(parts)
+
+    def _estimate(self, workers: Sequence[Worker]) -> None:
+        name = next(iter(self.queue.values())).name
+        for worker in workers:
+            self.forecast.estimate(worker, name, self._clock.now())
+
+    def _run_again(self, everyone: Sequence[Worker], workers: Sequence[Worker]) -> list[Assign]:
+        idle = [worker for worker in workers if not worker.batches]
+        now = self._clock.now()
+        actions: list[Assign] = []
+        for worker, task in choose_to_run_again(everyone, idle, self.forecast, now):
+            worker.placed += 1
+            actions += self._send(worker, [task])
+        return actions
+
+    def _send(self, worker: Worker, batch: list[Task]) -> list[Assign]:
+        if not batch:
+            return []
+        number = self.assignments.add(worker)
+        if not worker.batches:
+            worker.since = self._clock.now()
+        flight = worker.batches[number] = Flight({task.number: task for task in batch})
+        for task in batch:
+            task.places[worker.identity] = number
+        lacking = {
+            blob.key: blob for task in batch for blob in task.blobs if blob.key not in worker.blobs
+        }
+        worker.blobs.update(lacking)
+        flight.shared_bytes = sum([blob.size_bytes for blob in lacking.values()])
+        numbers = tuple([task.number for task in batch])
+        return [Assign(worker.identity, number, numbers, tuple(lacking.values()))]
