@@ -53,6 +53,10 @@ class Progress(Protocol):
         """
         ...
 
+    def wait_for_viewers(self) -> None:
+        """Let who looks at parts fetch the last ones, for a bounded time: they go with the job."""
+        ...
+
 
 class SilentProgress:
     """A display that shows nothing."""
@@ -89,6 +93,9 @@ class SilentProgress:
         ----------
         load : callable
         """
+
+    def wait_for_viewers(self) -> None:
+        """Wait for nobody."""
 
 
 class StageClock:

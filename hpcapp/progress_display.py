@@ -93,6 +93,9 @@ class LineProgress:
         load : callable
         """
 
+    def wait_for_viewers(self) -> None:
+        """Wait for nobody."""
+
     def _write(self, line: str) -> None:
         with contextlib.suppress(OSError):  # a full or closed stderr must not end the job
             self._stream.write(line + "\n")
@@ -160,6 +163,9 @@ class BarProgress:
         load : callable
         """
 
+    def wait_for_viewers(self) -> None:
+        """Wait for nobody."""
+
 
 class EventProgress:
     """Writes each step as a line of JSON, and shows it on another display too.
@@ -223,6 +229,10 @@ class EventProgress:
         load : callable
         """
         self._display.show_part(load)
+
+    def wait_for_viewers(self) -> None:
+        """Let the other display wait."""
+        self._display.wait_for_viewers()
 
     def _write(self, event: dict[str, Any]) -> None:
         with contextlib.suppress(OSError):  # a full disk must not end the job here

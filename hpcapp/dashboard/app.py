@@ -132,6 +132,7 @@ class _Views:
         page = Template(_read("hpcapp.dashboard", "dashboard.html").decode()).substitute(
             title=escape(self._job.title),
             nonce=nonce,
+            page=self._job.viewers.arrive(),
             imports=json.dumps({"imports": imports}),
             program=self._address("dashboard.js"),
             styles="\n".join(
@@ -153,27 +154,38 @@ class _Views:
         package, kind = STATIC[name]
         return Response(_read(package, name), media_type=kind)
 
-    async def events(self, _request: Request) -> Response:
+    async def events(self, request: Request) -> Response:
         """Tell what is new, as long as the job runs; a page that reads slowly is told later."""
-        return StreamingResponse(self._tell(), media_type="text/event-stream")
+        return StreamingResponse(self._tell(_name(request)), media_type="text/event-stream")
 
-    async def _tell(self) -> AsyncIterator[str]:
-        reader = Reader(self._job)
-        while True:
-            is_over = self._job.state != "running"  # before the last look, which sees everything
-            news = reader.look()
-            yield f"data: {json.dumps(news)}\n\n"
-            if news["more"]:
-                continue
-            if is_over:
-                return
-            await anyio.sleep(LOOK_S)
+    async def _tell(self, page: str) -> AsyncIterator[str]:
+        viewers, reader = self._job.viewers, Reader(self._job)
+        viewers.attend(page)
+        try:
+            while True:
+                is_over = self._job.state != "running"  # before the last look, which sees all
+                news = reader.look()
+                yield f"data: {json.dumps(news)}\n\n"
+                if news["more"]:
+                    continue
+                if is_over:
+                    viewers.tell_end(page)
+                    return
+                await anyio.sleep(LOOK_S)
+        finally:
+            viewers.leave(page)
 
     async def part(self, request: Request) -> Response:
         """Return a part of the mesh, which is packed when the first page asks for it."""
         number = request.path_params["number"]
         if number >= len(self._job.loads):
             return PlainTextResponse("there is no such part\n", 404)
+        try:
+            return await self._send_part(number)
+        finally:
+            self._job.viewers.fetch(_name(request), number)
+
+    async def _send_part(self, number: int) -> Response:
         try:
             packed = await anyio.to_thread.run_sync(self._pack, number, limiter=self._packing)
         except Exception as error:  # kept parts go with the job; the job itself has no part in it
@@ -195,6 +207,11 @@ class _Views:
 
     def _address(self, name: str) -> str:
         return f"static/{name}?token={quote(self._token)}"
+
+
+def _name(request: Request) -> str:
+    """Return the name of the page that asks."""
+    return request.query_params.get("page", "")
 
 
 def _read(package: str, name: str) -> bytes:

@@ -64,7 +64,7 @@ def parse_address(text: str) -> tuple[str, int]:
 
 @contextmanager
 def open_dashboard(address: str, job: WatchedJob) -> Iterator[str]:
-    """Serve the page of a job while the block runs.
+    """Serve the page of a job while the block runs, and until open pages know how it has ended.
 
     Parameters
     ----------
@@ -92,6 +92,8 @@ def open_dashboard(address: str, job: WatchedJob) -> Iterator[str]:
     try:
         yield f"http://{shown}:{listener.getsockname()[1]}/?token={token}"
     finally:
+        if thread.is_alive():
+            job.viewers.wait(len(job.loads), is_over=True)
         server.should_exit = True
         thread.join(FAREWELL_S + LEAVE_S)
         listener.close()

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from hpcapp.dashboard.viewers import Viewers
 from hpcapp.progress import Progress
 from hpcapp.timeline import Timeline
 
@@ -60,6 +61,8 @@ class WatchedJob:
         negative corner is a vertex of another part.
     parts : int
         How many have come.
+    viewers : Viewers
+        The pages that are open.
     """
 
     def __init__(self, timeline: Timeline, title: str) -> None:
@@ -70,6 +73,7 @@ class WatchedJob:
         self.lines: deque[tuple[int, str]] = deque(maxlen=MOST_LINES)
         self.loads: list[Callable[[], Any]] = []
         self.parts = 0
+        self.viewers = Viewers()
         self._count = 0
 
     def say(self, line: str) -> None:
@@ -171,3 +175,8 @@ class WatchedProgress:
             self._job.loads.append(load)
         self._job.parts += 1
         self._display.show_part(load)
+
+    def wait_for_viewers(self) -> None:
+        """Wait, for a bounded time, until open pages have all parts."""
+        self._job.viewers.wait(len(self._job.loads))
+        self._display.wait_for_viewers()

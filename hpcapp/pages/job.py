@@ -16,7 +16,7 @@ _MESH = ("vertices", "faces", "watertight", "edge_manifold", "vertex_manifold", 
          "genus", "attributes")  # fmt: skip
 _WORK = ("backend", "workers", "policy", "kernels")
 _ELSEWHERE = (*_MESH, *_WORK, "summary", "input", "normals", "dropped", "warnings", "stages",
-              "timeline", "choice", "bytes_sent", "bytes_received", "command", "cost",
+              "timeline", "owners", "choice", "bytes_sent", "bytes_received", "command", "cost",
               "losses")  # fmt: skip
 _FAILED = ("lost", "failed", "refused", "repeated")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hpcapp.pages.png import write_png
 from hpcapp.pages.render import render_mesh
-from hpcapp.pages.thumbnail import write_thumbnail
+from hpcapp.pages.thumbnail import draw_points
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import PointCloud
 
@@ -31,11 +31,11 @@ def write_picture(
         Appears whole or not at all.
     shown : Mesh or PointCloud
     eye : tuple of float, optional
-        Azimuth and elevation, in degrees; `EYE` by default.
+        Azimuth and elevation, in degrees; for a mesh `EYE` by default.
     size : int
-        Pixels along a side of a mesh's picture.
+        Pixels along a side, for points along the longer one at most.
     up : {"x", "y", "z"}
-        The axis that points up in a mesh's picture.
+        The axis that points up.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def write_picture(
         The file cannot be written.
     """
     if isinstance(shown, PointCloud):
-        write_thumbnail(path, shown)
+        write_png(path, draw_points(shown, eye=eye, size=size, up=up))
         return
     azimuth, elevation = eye or EYE
     write_png(path, render_mesh(shown, azimuth, elevation, size, up))

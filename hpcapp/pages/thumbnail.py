@@ -39,7 +39,14 @@ def write_thumbnail(path: Path, cloud: PointCloud, scanner: FloatArray | None = 
     write_png(path, draw_points(cloud, scanner))
 
 
-def draw_points(cloud: PointCloud, scanner: FloatArray | None = None) -> NDArray[np.uint8]:
+def draw_points(
+    cloud: PointCloud,
+    scanner: FloatArray | None = None,
+    *,
+    eye: tuple[float, float] | None = None,
+    size: int = _SIDE,
+    up: str = "z",
+) -> NDArray[np.uint8]:
     """Draw a cloud, in its colours or by depth: what is near is dark.
 
     Parameters
@@ -48,36 +55,55 @@ def draw_points(cloud: PointCloud, scanner: FloatArray | None = None) -> NDArray
         Points that are not finite are not drawn.
     scanner : ndarray of float64, shape (3,), optional
         Where the scanner stood, in the input's coordinates; else it is seen from above and aside.
+    eye : tuple of float, optional
+        Azimuth and elevation to see it from, in degrees.
+    size : int
+        Pixels along the longer side at most.
+    up : {"x", "y", "z"}
+        The axis that points up.
 
     Returns
     -------
     ndarray of uint8, shape (h, w, 3)
-        White where nothing is; the longer side has at most 512 pixels.
+        White where nothing is.
     """
     finite = np.flatnonzero(np.isfinite(cloud.positions).all(axis=1))
     if not len(finite):
-        return np.full((_SIDE, _SIDE, 3), _BACKGROUND, np.uint8)
-    positions = cloud.positions[finite]
+        return np.full((size, size, 3), _BACKGROUND, np.uint8)
+    turns = 2 - "xyz".index(up)
+    positions = np.roll(cloud.positions[finite], turns, axis=1)
     middle = np.median(positions, axis=0)
-    eye = _OBLIQUE if scanner is None else scanner - cloud.origin - middle
-    across, up, depth = _look(positions - middle, eye if eye.any() else _OBLIQUE)
+    seen_from = _OBLIQUE
+    if eye is not None:
+        seen_from = _direction(*eye)
+    elif scanner is not None:
+        seen_from = np.roll(scanner - cloud.origin, turns) - middle
+    across, above, depth = _look(positions - middle, seen_from if seen_from.any() else _OBLIQUE)
     # A few points far away must not make all others one pixel.
-    low, high = (np.quantile([across, up], share, axis=1) for share in (0.002, 0.998))
+    low, high = (np.quantile([across, above], share, axis=1) for share in (0.002, 0.998))
     longest = float((high - low).max()) or 1.0
     low, high = low - 0.02 * longest, high + 0.02 * longest
-    cells = int(np.clip(np.sqrt(len(positions) / _POINTS_PER_CELL), _FEWEST_CELLS, _SIDE))
-    size = float((high - low).max()) / cells
-    width, height = np.maximum(np.ceil((high - low) / size).astype(int), 1).tolist()
-    column = ((across - low[0]) / size).astype(int)
-    row = ((high[1] - up) / size).astype(int)
-    inside = (across >= low[0]) & (column < width) & (up <= high[1]) & (row < height) & (row >= 0)
+    cells = int(np.clip(np.sqrt(len(positions) / _POINTS_PER_CELL), min(_FEWEST_CELLS, size), size))
+    cell = float((high - low).max()) / cells
+    width, height = np.maximum(np.ceil((high - low) / cell).astype(int), 1).tolist()
+    column = ((across - low[0]) / cell).astype(int)
+    row = ((high[1] - above) / cell).astype(int)
+    inside = (
+        (across >= low[0]) & (column < width) & (above <= high[1]) & (row < height) & (row >= 0)
+    )
     order = np.argsort(-depth)  # far ones first: what is drawn later covers what is there
     order = order[inside[order]]
     canvas = np.full((height, width, 3), _BACKGROUND, np.uint8)
     colours = _shade(depth) if cloud.colours is None else cloud.colours[finite]
     canvas[row[order], column[order]] = colours[order]
-    zoom = max(1, _SIDE // max(height, width))
+    zoom = max(1, size // max(height, width))
     return canvas.repeat(zoom, axis=0).repeat(zoom, axis=1)
+
+
+def _direction(azimuth: float, elevation: float) -> FloatArray:
+    """Return where an eye is, by two angles in degrees."""
+    az, el = np.radians([azimuth, elevation])
+    return np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
 
 
 def _look(arms: FloatArray, eye: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

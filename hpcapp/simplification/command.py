@@ -45,4 +45,6 @@ def simplify(mesh: Path, output: str, faces: int | None, tolerance: float | None
         whole = read_mesh(mesh)
         light = simplify_mesh(whole, target)
         write_mesh(path, light)
+    if tolerance is None and len(light.faces) > (faces or 0):
+        log.warning("warning: %d faces are left: fewer would break the mesh", len(light.faces))
     log.info("%s: %d of %d faces", output, len(light.faces), len(whole.faces))

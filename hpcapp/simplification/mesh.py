@@ -205,7 +205,8 @@ def _collapse(
     passes, first = _PASSES, _FIRST
     if target.tolerance is not None:
         passes = _TOLERANCE_PASSES
-        last = (target.tolerance / scale) ** 2
+        steps = target.tolerance / scale
+        last = steps * steps  # infinite at worst
         first = min(first, last / (passes - 1 + _OFFSET) ** _GROWTH)
     with _LIBRARY:
         library = pyfqmr.Simplify()

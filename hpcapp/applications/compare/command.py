@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import json
 import logging
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import click
 
 from hpcapp.applications.view.command import check_page
+from hpccomponent.errors import InputError, UsageError
 
 __all__ = ["compare"]
 
@@ -67,6 +69,8 @@ def compare(
     the diagonal of TRUTH's bounding box.
     """
     check_page(html, "--html")
+    if not all(map(isfinite, thresholds)):
+        raise UsageError("--threshold is no number", "give per cent of the diagonal, as 0.1")
     from hpcapp.applications.compare.metrics import as_json as to_json
     from hpcapp.applications.compare.metrics import measure_mesh
     from hpcapp.applications.compare.truth import check_usable, open_truth
@@ -75,6 +79,11 @@ def compare(
     found = read_mesh(mesh)
     check_usable(found, mesh)
     wanted = open_truth(truth, found.origin)
+    if wanted.diagonal == 0.0:
+        raise InputError(
+            f"{truth}: all of it is at one place, so that nothing can be measured by its size",
+            "give a truth with an extent",
+        )
     measures = measure_mesh(found, wanted, samples, seed, thresholds)
     facts = to_json(measures)
     if html is not None:

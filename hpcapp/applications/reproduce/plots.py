@@ -67,15 +67,25 @@ def make_figure_7(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO)
     axes.set(yscale="log", ylabel="time, s", title="Time (the paper's Figure 7)")
     _save(figure, axes, file)
     rows = [
-        (_name(fit), str(fit.fit_s), str(fit.job_s), str(tile.job_s))
+        (
+            _name(fit),
+            fit.start_s.cell() if fit.workers else "-",
+            fit.first_fit_s.cell(1e3, 0),
+            fit.fit_s.cell(1e3, 0),
+            fit.job_s.cell(),
+            tile.job_s.cell(),
+            f"{fit.bytes_sent / 1e6:.1f}",
+            f"{tile.bytes_sent / 1e6:.1f}",
+        )
         for fit, tile in zip(fits, ways["tiles"], strict=True)
     ]
     return Finding(
         f"Figure 7: time by workers, {subject}",
-        ("workers", "the paper's fits, s", "job with fits handed out, s",
-         "job with tiles handed out, s"),
+        ("workers", "start, s", "the paper's fits at first, ms", "the paper's fits, ms",
+         "job with fits handed out, s", "job with tiles handed out, s",
+         "MB sent with fits", "MB sent with tiles"),
         tuple(rows),
-        f"{_NO_NUMBERS}: {_share(fits):.0f} % of the paper's method is in its fits here, and "
+        f"{_NO_NUMBERS}: {_share(fits):.1f} % of the paper's method is in its fits here, and "
         f"{_compare_cores(cores, fits[-1].workers)}",
         "Time by the number of workers: medians, with bars from the fastest to the slowest run.",
     )  # fmt: skip
@@ -109,8 +119,8 @@ def make_figure_8(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO)
     axes.set_title("Speed-up (the paper's Figure 8)")
     _save(figure, axes, file)
     rows = [
-        (_name(fit), str(fit.fit_speedup), str(fit.job_speedup), f"{limit:.2f}",
-         str(tile.job_speedup))
+        (_name(fit), fit.fit_speedup.cell(), fit.job_speedup.cell(), f"{limit:.2f}",
+         tile.job_speedup.cell())
         for fit, tile, limit in zip(fits, ways["tiles"], limits, strict=True)
     ]  # fmt: skip
     return Finding(
@@ -119,7 +129,7 @@ def make_figure_8(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO)
          "job with tiles handed out"),
         tuple(rows),
         "The paper's speed-up is not met by handing out fits: they are "
-        f"{_share(fits):.0f} % of the job here, so Amdahl's law leaves "
+        f"{_share(fits):.1f} % of the job here, so Amdahl's law leaves "
         f"{limits[-1]:.2f} with {workers[-1]} workers; {_compare_cores(cores, workers[-1])}",
         "Speed-up by the number of workers: medians, with bars from the least to the most of "
         "any round.",

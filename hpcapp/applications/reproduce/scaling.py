@@ -7,7 +7,7 @@ that whatever else the machine does falls on all alike:
 ::
 
     open workers ─> each method once (cold) ─> each method: read, cut, fit, extract, write ─> close
-                                               job_s, of which fit_s
+      start_s         first_fit_s               job_s, of which fit_s
 
 Two ways of handing out: the paper's, fits of patches, and the default method's, whole tiles.
 """
@@ -52,15 +52,24 @@ class Run:
     workers : int
         0: the master does all by itself.
     round : int
+    start_s : float
+        Until all workers have registered, in seconds; 0 without workers.
+    first_fit_s : float
+        The stage ``fit`` of the first job of these workers: they still load the code. Seconds.
     fit_s, job_s : float
         The stage ``fit``, and everything from reading to writing, with warm workers; seconds.
+    bytes_sent : int
+        By the master for one job.
     """
 
     way: str
     workers: int
     round: int
+    start_s: float
+    first_fit_s: float
     fit_s: float
     job_s: float
+    bytes_sent: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +91,18 @@ class Spread:
         """
         return cls(median(values), min(values), max(values))
 
-    def __str__(self) -> str:
-        return f"{self.median:.2f} ({self.low:.2f} to {self.high:.2f})"
+    def cell(self, scale: float = 1.0, digits: int = 2) -> str:
+        """Return ``median (smallest to largest)``, of the values times `scale`.
+
+        Examples
+        --------
+        >>> Spread(0.095, 0.064, 0.113).cell(1e3, 0)
+        '95 (64 to 113)'
+        """
+        middle, low, high = (
+            f"{scale * value:.{digits}f}" for value in (self.median, self.low, self.high)
+        )
+        return f"{middle} ({low} to {high})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,17 +112,22 @@ class Summary:
     Parameters
     ----------
     workers : int
-    fit_s, job_s : Spread
+    start_s, first_fit_s, fit_s, job_s : Spread
         In seconds; see `Run`.
     fit_speedup, job_speedup : Spread
         Time of the master alone by time with workers, within each round; dimensionless.
+    bytes_sent : int
+        See `Run`.
     """
 
     workers: int
+    start_s: Spread
+    first_fit_s: Spread
     fit_s: Spread
     job_s: Spread
     fit_speedup: Spread
     job_speedup: Spread
+    bytes_sent: int
 
 
 def measure(
@@ -140,22 +164,28 @@ def measure(
         for workers in counts if number % 2 == 0 else reversed(counts):
             done(number, workers)
             name, count = (backend, workers) if workers else ("serial", None)
+            begin = perf_counter()
             with open_executor(name, workers=count, policy="equal") as opened:
-                for settings in WAYS.values():  # the workers load the code
-                    _run(cloud, settings, grid, opened)
+                start_s = perf_counter() - begin if workers else 0.0
+                first = {way: _run(cloud, settings, grid, opened) for way, settings in WAYS.items()}
                 for way, settings in WAYS.items():
-                    yield Run(way, workers, number, *_run(cloud, settings, grid, opened))
+                    fit_s, job_s, sent = _run(cloud, settings, grid, opened)
+                    yield Run(way, workers, number, start_s, first[way][0], fit_s, job_s, sent)
 
 
-def _run(cloud: Path, settings: MethodSettings, grid: int, opened: Backend) -> tuple[float, float]:
-    """Run a job from file to file; return the seconds of the fit and of the whole."""
+def _run(
+    cloud: Path, settings: MethodSettings, grid: int, opened: Backend
+) -> tuple[float, float, int]:
+    """Run a job from file to file; return the seconds of the fit, of the whole, and the bytes."""
+    sent = opened.traffic().bytes_sent
     clock = StageClock(SilentProgress())
     start = perf_counter()
     points, _ = drop_unusable(read_points(cloud), str(cloud))
     method = settings.open(grid, Resources())
     result = reconstruct(arrange_for(settings, points), method, opened.workforce, clock)
     result.surface.write(cloud.with_name("mesh.ply"), opened.workforce)
-    return clock.seconds["fit"], perf_counter() - start
+    seconds = perf_counter() - start
+    return clock.seconds["fit"], seconds, opened.traffic().bytes_sent - sent
 
 
 def summarise(runs: Sequence[Run]) -> list[Summary]:
@@ -187,10 +217,13 @@ def summarise(runs: Sequence[Run]) -> list[Summary]:
     return [
         Summary(
             workers=own[0].workers,
+            start_s=Spread.of([run.start_s for run in own]),
+            first_fit_s=Spread.of([run.first_fit_s for run in own]),
             fit_s=Spread.of([run.fit_s for run in own]),
             job_s=Spread.of([run.job_s for run in own]),
             fit_speedup=Spread.of([alone[run.round].fit_s / run.fit_s for run in own]),
             job_speedup=Spread.of([alone[run.round].job_s / run.job_s for run in own]),
+            bytes_sent=own[0].bytes_sent,
         )
         for own in by_workers
     ]

@@ -198,6 +198,9 @@ class _Calls(Progress):
     def show_part(self, load: Callable[[], Any]) -> None:
         """Report nothing: a part is none of the numbers."""
 
+    def wait_for_viewers(self) -> None:
+        """Wait for nobody."""
+
 
 def _choose_method(method: str | MethodSettings, options: dict[str, Any]) -> MethodSettings:
     """Return the method with the options that were given beside it."""

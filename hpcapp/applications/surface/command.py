@@ -167,6 +167,8 @@ def check_flags(ctx: click.Context) -> None:
         raise UsageError("the standard output is closed", "give -o a file and leave --json out")
     if ctx.params["output"] == "-" and ctx.params["as_json"]:
         raise UsageError("-o - and --json both want the standard output", "give one of them")
+    if ctx.params["details"] and not ctx.params["as_json"] and ctx.params["cluster"] is None:
+        raise UsageError("--details means nothing without --json", "give --json too")
     if ctx.params["cluster"] is not None:
         _only_without_cluster(ctx)
     if ctx.params["backend"] != "auto":
@@ -346,6 +348,12 @@ def _add_method_options(command: click.Command) -> click.Command:
     "is given.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
+@click.option(
+    "--details",
+    is_flag=True,
+    help="With --json: also when each task ran and which tile and worker made each vertex, for "
+    "'hpcapp view --report'.",
+)
 @click.pass_context
 def reconstruct(ctx: click.Context, /, **options: Any) -> None:
     """Reconstruct a mesh, watertight where the points are of an object, from the files POINTS.
@@ -386,15 +394,13 @@ class Watching:
     dashboard: str | None
 
     @contextmanager
-    def open(self, timeline: Timeline, title: str) -> Iterator[Progress]:
+    def open(self, job: WatchedJob) -> Iterator[Progress]:
         """Open all of it, for one job.
 
         Parameters
         ----------
-        timeline : Timeline
-            That the job fills.
-        title : str
-            Of the page.
+        job : WatchedJob
+            Whose timeline the job fills.
 
         Yields
         ------
@@ -403,9 +409,8 @@ class Watching:
         from hpcapp.progress_display import open_events, open_progress
         from hpcapp.trace import open_trace
 
-        job = WatchedJob(timeline, title)
         with (
-            open_trace(self.trace, timeline),
+            open_trace(self.trace, job.timeline),
             open_dashboard(self.dashboard, job) if self.dashboard else nullcontext() as address,
             open_progress(sys.stderr) as display,
             open_events(self.events, display, address) as progress,
@@ -444,7 +449,9 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         files = find_paths(names)
         if options["resume"] and not files:
             raise UsageError("--resume needs a file to know again", "write the points to a file")
-        timeline, title = Timeline(), f"{Path(names[0]).name} \u2192 {options['output']}"
-        with gather_points(names, sample) as points, watching.open(timeline, title) as progress:
+        job = WatchedJob(Timeline(), f"{Path(names[0]).name} \u2192 {options['output']}")
+        with gather_points(names, sample) as points, watching.open(job) as progress:
             settings = JobSettings(method=method(**chosen), points=points, inputs=files, **options)
-            return run_job(settings, progress, machines, timeline)
+            report = run_job(settings, progress, machines, job.timeline)
+            job.say(f"{options['output']}: {report['summary']}")  # the terminal's comes last
+            return report

@@ -225,7 +225,7 @@ def typed_command(ctx: click.Context) -> tuple[str, ...]:
     tuple of str
         Without what is written beside the mesh.
     """
-    words = typed_options(ctx, ("points", "report", "png", *WATCHED, "as_json"))
+    words = typed_options(ctx, ("points", "report", "png", *WATCHED, "as_json", "details"))
     return ("hpcapp", ctx.command.name or "", *ctx.params["points"], *words)
 
 

@@ -16,6 +16,9 @@ from hpccomponent.errors import UsageError
 
 __all__ = ["OF_THIS_MACHINE", "check_points", "run_on_cluster"]
 
+DETAILS = ("timeline", "owners")
+"""What a report has with --details."""
+
 OF_THIS_MACHINE = ("points", "sample", "output", "cluster", "events", "report", "png", "as_json")
 """What options name here; on the head they are the job's own."""
 
@@ -77,10 +80,13 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
     ):
         check_points(points)
         words = typed_options(ctx, OF_THIS_MACHINE)
+        is_detailed = ctx.params["details"]
+        if ctx.params["report"] is not None and not is_detailed:
+            words.append("--details")
         report: dict[str, Any] = run(cluster, "reconstruct", points, target, words)
         report["command"] = list(typed_command(ctx))  # the head has typed its own
         _show(ctx, report, target, points)
-    return report
+    return {name: told for name, told in report.items() if is_detailed or name not in DETAILS}
 
 
 def _check_shown(ctx: click.Context) -> None:
@@ -90,7 +96,7 @@ def _check_shown(ctx: click.Context) -> None:
         if ctx.params[name] is not None and suffix not in ("", *MESH_SUFFIXES):
             raise UsageError(
                 f"--{name} of a {suffix} that a cluster makes: it is not read here",
-                f"write {', '.join(MESH_SUFFIXES)}, or give --{name} to 'hpcapp submit' behind --",
+                f"write {', '.join(MESH_SUFFIXES)}, or leave --{name} out",
             )
 
 
@@ -102,7 +108,7 @@ def _show(ctx: click.Context, report: dict[str, Any], mesh: Path, points: Path) 
     from hpcapp.applications.surface.job.report_page import show_files, write_job_page
     from hpcapp.pages.picture import write_picture
 
-    shown = show_files(mesh, points)
+    shown = show_files(mesh, points, report)
     if png is not None:
         write_picture(png, shown.mesh)
     if page is not None:

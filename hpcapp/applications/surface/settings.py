@@ -108,6 +108,8 @@ class JobSettings(Settings):
         The page and the picture to write beside the mesh.
     command : tuple of str
         What the user typed, to be typed again.
+    details : bool
+        Whether the report tells when each task ran, and which tile each vertex is from.
     """
 
     points: Path
@@ -116,6 +118,7 @@ class JobSettings(Settings):
     report: Path | None = None
     png: Path | None = None
     command: tuple[str, ...] = ()
+    details: bool = False
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -6,6 +6,7 @@ This module is imported for every ``--help``: numpy and all that stands on it ar
 from __future__ import annotations
 
 import logging
+from math import isfinite, nan
 from pathlib import Path
 
 import click
@@ -75,7 +76,9 @@ def _parse_eye(
     try:
         azimuth, elevation = (float(part) for part in text.split(","))
     except ValueError:
-        raise click.BadParameter(f"{text!r} is not two angles, as 30,20", ctx, param) from None
+        azimuth = elevation = nan
+    if not (isfinite(azimuth) and isfinite(elevation)):
+        raise click.BadParameter(f"{text!r} is not two angles, as 30,20", ctx, param)
     return azimuth, elevation
 
 
@@ -105,10 +108,11 @@ def _parse_eye(
     "--eye",
     callback=_parse_eye,
     metavar="A,E",
-    help="From where --png looks: azimuth and elevation in degrees.  [default: 30,20]",
+    help="From where --png looks: azimuth and elevation in degrees.  [default: 30,20; points: "
+    "-122,25]",
 )
 @click.option("--size", type=click.IntRange(16, 8192), default=800, show_default=True,
-              help="Pixels along a side of the picture.")  # fmt: skip
+              help="Pixels along a side of the picture, of points the longer one.")  # fmt: skip
 @click.option("--up", type=click.Choice(["x", "y", "z"]), default="z", show_default=True,
               help="The axis that points up.")  # fmt: skip
 @click.option("--open/--no-open", "is_opened", default=True, show_default=True,
@@ -133,6 +137,9 @@ def view(
     check_picture(png, "--png")
     if png is None and eye is not None:
         raise UsageError("--eye means nothing without --png", "the page can be turned by hand")
+    for flag, beside in (("--points", points), ("--report", report)):
+        if beside is not None and png is not None and output is None:
+            raise UsageError(f"{flag} means nothing to a picture", "give -o for a page, too")
     from hpcapp.applications.view.page import make_page, read_shown
     from hpcapp.pages.page import write_page
     from hpcapp.pages.picture import write_picture

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from hpcapp.applications.surface.stitching.topology import check_mesh
 from hpcapp.io import holds_faces, read_mesh, read_points, take_finite
 from hpcapp.pages.job import describe_job
+from hpcapp.pages.owners import mark_tiles, take_labels
 from hpcapp.pages.page import Section, build_page, make_table
 from hpcapp.pages.scene import Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
@@ -79,7 +80,8 @@ def make_page(
     InputError
         `points` or `report` cannot be used.
     """
-    sections = [] if report is None else describe_job(_read_report(report), has_mesh=False)
+    told = {} if report is None else _read_report(report)
+    sections = [] if report is None else _describe(told, report)
     if isinstance(shown, PointCloud):
         facts = _describe_box(shown.positions, shown.origin)
         names = {"points": len(shown), "colours": shown.colours is not None,
@@ -88,7 +90,8 @@ def make_page(
         summary = f"{len(shown):,} points"
         sections.insert(0, Section("Points", make_table({**names, **facts})))
         return build_page(path.name, summary, Scene(None, points=shown, up=up), sections)
-    thin = thin_mesh(shown)
+    marked, workers = mark_tiles(shown, path, told, str(report))
+    thin, labels = take_labels(thin_mesh(marked), workers)
     topology = check_mesh(shown)
     found: dict[str, Any] = {
         "vertices": topology.vertices,
@@ -98,11 +101,12 @@ def make_page(
         "components": topology.components,
         **_describe_box(shown.vertices, shown.origin),
     }
-    if thin is not shown:
+    if len(thin.faces) < len(shown.faces):
         found["shown"] = f"a copy with {len(thin.faces):,} faces"
     sections.insert(0, Section("Mesh", make_table(found)))
     cloud = None if points is None else _read_beside(points, shown)
-    fields = [*fields_of(thin), *([] if cloud is None else [_measure(thin, cloud)])]
+    measured = [] if cloud is None else [_measure(thin, cloud)]
+    fields = [*fields_of(thin), *measured, *labels]
     closed = "watertight" if topology.watertight else "not watertight"
     summary = f"{topology.vertices:,} vertices, {topology.faces:,} faces, {closed}"
     return build_page(path.name, summary, Scene(thin, fields, cloud, up=up), sections)
@@ -131,6 +135,16 @@ def _measure(mesh: Mesh, cloud: PointCloud) -> Field:
     finite = np.nan_to_num(mesh.vertices)
     distances, _ = cKDTree(cloud.positions).query(finite, workers=-1)
     return Field("distance", "Distance to the points", distances, low=0.0)
+
+
+def _describe(told: dict[str, Any], path: Path) -> list[Section]:
+    """Return what a report says; anybody may have written it."""
+    try:
+        return describe_job(told, has_mesh=False)
+    except (TypeError, ValueError, LookupError, AttributeError) as error:
+        raise InputError(
+            f"{path}: is no report of a job ({error})", "give what --json has printed"
+        ) from None
 
 
 def _read_report(path: Path) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 // Shows a job while it runs: news come as server-sent events, parts of the mesh one at a time.
 const token = new URLSearchParams(location.search).get('token');
-const at = (path) => `${path}?token=${encodeURIComponent(token)}`;
+const at = (path) => `${path}?token=${encodeURIComponent(token)}&page=${document.body.dataset.page}`;
 const element = (id) => document.getElementById(id);
 const MASTER = 'master';
 const COLOURS = ['#4878cf', '#6acc65', '#b47cc7', '#c4ad66', '#77bedb', '#d5875c', '#8c8c8c'];
@@ -224,13 +224,13 @@ class Mesh {
     if (this.isBusy) return;
     this.isBusy = true;
     try {
-      while (this.asked < parts() && news.state === 'running') {
+      while (this.asked < parts()) {
         const answer = await fetch(at(`parts/${this.asked}`));
         this.asked += 1;
         if (answer.ok) this.add(await answer.arrayBuffer());
       }
     } catch {
-      // the job has ended, and its server with it: what is drawn stays
+      // the server has gone: what is drawn stays
     } finally {
       this.isBusy = false;
     }

@@ -29,6 +29,7 @@ async function readArray(id) {
 async function show(scene) {
   const viewer = new Viewer(find('view'));
   window.viewer = viewer;
+  viewer.pause();
   let mesh = null;
   if (scene.mesh) {
     const [positions, indices] = await Promise.all(
@@ -81,6 +82,7 @@ async function join(viewer, scene, mesh) {
     item.addEventListener('click', () => approach(Number(item.dataset.marker)));
   }
   if (mesh) await recolour(find('colouring').value);
+  viewer.resume();
 }
 
 try {

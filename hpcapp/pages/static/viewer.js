@@ -37,6 +37,22 @@ export function vertexNormals(positions, indices) {
   return normals;
 }
 
+/** The box of positions, as shares of 65535. */
+function bounds(positions) {
+  const low = [65535, 65535, 65535], high = [0, 0, 0];
+  for (let i = 0; i < positions.length; i += 3) {
+    for (let k = 0; k < 3; k++) {
+      const at = positions[i + k];
+      if (at < low[k]) low[k] = at;
+      if (at > high[k]) high[k] = at;
+    }
+  }
+  const box = new THREE.Box3();
+  if (positions.length) box.min.fromArray(low).divideScalar(65535);
+  if (positions.length) box.max.fromArray(high).divideScalar(65535);
+  return box;
+}
+
 /** An attribute of some numbers out of every `stride`. */
 function strided(array, stride, size) {
   return new THREE.InterleavedBufferAttribute(
@@ -107,8 +123,9 @@ export class Viewer {
     drawn.position.fromArray(low);
     drawn.frustumCulled = false;
     drawn.updateMatrixWorld();
-    const box = new THREE.Box3().setFromBufferAttribute(drawn.geometry.attributes.position);
+    const box = bounds(positions); // three would find them again and again, number by number
     drawn.geometry.boundingBox = box;
+    drawn.geometry.boundingSphere = box.getBoundingSphere(new THREE.Sphere());
     this.box.union(box.clone().applyMatrix4(drawn.matrixWorld));
     this.scene.add(drawn);
   }
@@ -232,15 +249,22 @@ export class Viewer {
     this.render();
   }
 
+  /** Draw nothing until `resume`: a frame of a large mesh takes its time. */
+  pause() { this.isPaused = true; }
+
+  resume() { this.isPaused = false; this.render(); }
+
   /** Draw before the next frame, once. */
   render() {
-    if (this.isAsked) return;
+    if (this.isAsked || this.isPaused) return;
     this.isAsked = true;
-    requestAnimationFrame(() => this.draw());
+    requestAnimationFrame(() => {
+      this.isAsked = false;
+      if (!this.isPaused) this.draw();
+    });
   }
 
   draw() {
-    this.isAsked = false;
     this.renderer.render(this.scene, this.camera);
     const { clientWidth: width, clientHeight: height } = this.element;
     for (const { label, place } of this.markers) {

@@ -84,6 +84,23 @@ def test_a_page_follows_its_job_to_the_end(page: Any) -> None:
     assert page.errors == []
 
 
+def test_a_job_of_a_moment_is_shown_whole(page: Any) -> None:
+    job = WatchedJob(Timeline(), "ball.ply → ball.glb")
+    progress = WatchedProgress(job, SilentProgress())
+    kept = {part: half_ball(1.0 - part / 4) for part in range(8)}
+    with open_dashboard("127.0.0.1:0", job) as address, job.running():
+        page.goto(address, wait_until="commit")  # it has asked for nothing but itself yet
+        for part in kept:
+            progress.show_part(lambda part=part: kept[part])  # type: ignore[misc]
+        progress.wait_for_viewers()
+        kept.clear()
+        job.say("ball.glb: watertight")
+    page.wait_for_selector("#state.done")
+    page.locator("#drawn", has_text="8 parts").wait_for()
+    assert "ball.glb: watertight" in page.inner_text("#log")
+    assert page.errors == []
+
+
 def test_without_its_token_the_page_is_not_there(page: Any) -> None:
     job = WatchedJob(Timeline(), "ball.ply → ball.glb")
     with open_dashboard("127.0.0.1:0", job) as address:

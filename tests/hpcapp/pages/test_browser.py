@@ -130,6 +130,11 @@ def test_a_mesh_is_drawn_in_the_middle(cube: Page) -> None:
     assert found["red"] == 0  # no back face is seen of a closed mesh
 
 
+def test_a_page_draws_its_first_frame_when_all_is_there(cube: Page) -> None:
+    cube.wait_for_function("viewer.renderer.info.render.frame > 0")
+    assert cube.evaluate("viewer.renderer.info.render.frame") == 1
+
+
 def test_what_is_drawn_is_where_it_was_put(cube: Page) -> None:
     box = cube.evaluate("[viewer.box.min.toArray(), viewer.box.max.toArray()]")
     assert np.abs(np.array(box) - [[-1.2] * 3, [1.2] * 3]).max() < 1e-3  # the points are outside

@@ -80,3 +80,19 @@ def test_a_point_far_away_does_not_shrink_the_others() -> None:
 def test_clouds_of_few_points_are_drawn() -> None:
     for positions in (np.zeros((0, 3)), np.zeros((1, 3)), np.full((2, 3), np.nan)):
         assert draw_points(PointCloud(positions)).shape[2] == 3
+
+
+def test_points_are_seen_from_where_the_user_says() -> None:
+    cloud = make_plates(np.zeros(3))  # red at y = -1, blue at y = 1
+    for azimuth, expected in ((-90.0, RED), (90.0, BLUE)):
+        pixels = draw_points(cloud, eye=(azimuth, 0.0), size=64)
+        assert max(pixels.shape[:2]) <= 64
+        assert tuple(pixels[pixels.shape[0] // 2, pixels.shape[1] // 2]) == expected
+    above = draw_points(cloud, eye=(0.0, 90.0), up="y", size=64)  # from where y is largest
+    assert tuple(above[above.shape[0] // 2, above.shape[1] // 2]) == BLUE
+
+
+def test_a_picture_of_one_point_has_it() -> None:
+    drawn = (draw_points(PointCloud(np.full((1, 3), 7.0)), size=16) < 255).any(axis=2)
+    assert drawn.any()
+    assert max(drawn.shape) <= 16

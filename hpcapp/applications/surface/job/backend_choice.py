@@ -55,16 +55,31 @@ class Job:
     points : int
         As many as there may be, where they are not read yet.
     grid : int
-        Cells along the longest side.
+        Cells along the longest side; as many as there may be, where they are not chosen yet.
+    is_read, is_chosen : bool
+        Whether the points are read, and whether the grid is chosen.
+
+    Examples
+    --------
+    >>> print(Job(20_000, 128))
+    20000 points at grid 128
+    >>> print(Job(20_000, 142, is_read=False, is_chosen=False))
+    at most 20000 points
     """
 
     points: int
     grid: int
+    is_read: bool = True
+    is_chosen: bool = True
 
     @property
     def work(self) -> int:
         """Points, and the area of the surface in points."""
         return self.points + SQUARE * self.grid**2
+
+    def __str__(self) -> str:
+        points = f"{self.points} points" if self.is_read else f"at most {self.points} points"
+        return f"{points} at grid {self.grid}" if self.is_chosen else points
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,10 +266,9 @@ class Opener:
             if carried < 2:
                 return self._local(job, f"no two workers fit here ({limit})")
             workers = min(workers, carried)
-        work = f"{job.points} points at grid {job.grid}"
         if job.work < least_work(workers, is_remote=kind == "cluster"):
-            return self._local(job, f"{work}: too little for {workers} workers to pay")
-        return Choice(kind, workers, f"{work}: enough for {workers} workers", settings.workers)
+            return self._local(job, f"{job}: too little for {workers} workers to pay")
+        return Choice(kind, workers, f"{job}: enough for {workers} workers", settings.workers)
 
     def _local(self, job: Job, reason: str) -> Choice:
         name, workers = choose_local(self._settings, job.points)

@@ -16,8 +16,9 @@ from hpcapp.applications.surface.attributes.carrying import SUPPORT, Carrying
 from hpcapp.io import read_mesh, read_points, take_finite
 from hpcapp.io.meshes.mesh_stream import MeshStream
 from hpcapp.pages.job import describe_job
+from hpcapp.pages.owners import TILE, Owners, mark_tiles, take_labels
 from hpcapp.pages.page import Section, build_page, make_table, write_page
-from hpcapp.pages.scene import MOST_POINTS, Field, Marker, Scene, fields_of, label_field
+from hpcapp.pages.scene import MOST_POINTS, Field, Marker, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
@@ -25,15 +26,23 @@ from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 if TYPE_CHECKING:
     from hpcapp.applications.surface.input.load import Loaded
     from hpcapp.applications.surface.job.steps import Outcome
+    from hpcapp.applications.surface.pipeline import Reconstruction
 
-__all__ = ["Shown", "build_job_page", "find_guesses", "show_files", "show_job", "write_job_page"]
+__all__ = [
+    "Shown",
+    "build_job_page",
+    "find_guesses",
+    "find_owners",
+    "show_files",
+    "show_job",
+    "write_job_page",
+]
 
 GUESSED = 6.0
 """Spacings from the nearest point, beyond which a vertex is guesswork."""
 _LEAST_SHARE = 0.002  # of the area, that a place must have to be marked
 _MOST_MARKERS = 8
 _WIDEST = 8.0  # spacings at the end of the scale of colours
-_TILE, _WORKER = "tile", "worker"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,22 +84,11 @@ def show_job(loaded: Loaded, outcome: Outcome, carrying: Carrying) -> Shown:
     -------
     Shown
     """
-    surface, tiles = outcome.result.surface, int(outcome.result.facts.get("tiles", 1))
-    stream = replace(carrying, has_normals=False).to_stream(surface.stream())
-    owners = surface.owners() if tiles > 1 else None
+    stream = replace(carrying, has_normals=False).to_stream(outcome.result.surface.stream())
+    owners = find_owners(outcome.result)
     if owners is not None:
-        stream = _with_column(stream, _TILE, owners)
-    mesh = thin_mesh(stream)
-    labels: list[Field] = []
-    if owners is not None:
-        owned, attributes = mesh.attributes[_TILE], dict(mesh.attributes)
-        del attributes[_TILE]
-        mesh = replace(mesh, attributes=attributes)
-        labels.append(label_field(_TILE, "Tile", owned, "tile"))
-        if makers := surface.makers():
-            names = sorted(set(makers), key=lambda name: (len(name), name))
-            numbers = np.array([names.index(name) for name in makers])
-            labels.append(Field(_WORKER, "Worker", numbers[owned], labels=names))
+        stream = _with_column(stream, TILE, owners.tiles)
+    mesh, labels = take_labels(thin_mesh(stream), () if owners is None else owners.workers)
     points = loaded.cloud.sample(MOST_POINTS)
     return Shown(
         mesh,
@@ -99,6 +97,21 @@ def show_job(loaded: Loaded, outcome: Outcome, carrying: Carrying) -> Shown:
         _measure(loaded, outcome, mesh.vertices),
         tuple(labels),
     )
+
+
+def find_owners(result: Reconstruction) -> Owners | None:
+    """Return which tile each vertex of a job's mesh is from; None where there is only one.
+
+    Parameters
+    ----------
+    result : Reconstruction
+
+    Returns
+    -------
+    Owners or None
+    """
+    tiles = result.surface.owners() if int(result.facts.get("tiles", 1)) > 1 else None
+    return None if tiles is None else Owners(tiles, result.surface.makers())
 
 
 def _with_column(stream: MeshStream, name: str, column: IntArray) -> MeshStream:
@@ -129,7 +142,7 @@ def _measure(loaded: Loaded, outcome: Outcome, places: FloatArray) -> FloatArray
     return evaluate_blocks(cloud, take, (), spacing, places).nearest
 
 
-def show_files(mesh: Path, points: Path) -> Shown:
+def show_files(mesh: Path, points: Path, report: Mapping[str, Any]) -> Shown:
     """Gather what the page of a job draws that has run elsewhere.
 
     Parameters
@@ -138,11 +151,12 @@ def show_files(mesh: Path, points: Path) -> Shown:
         What the job has made.
     points : Path
         What it was made of.
+    report : mapping
+        The job's report; with ``owners`` it tells which tiles the mesh is from.
 
     Returns
     -------
     Shown
-        Without tiles and workers.
 
     Raises
     ------
@@ -150,11 +164,12 @@ def show_files(mesh: Path, points: Path) -> Shown:
         One of them cannot be read.
     """
     whole = read_mesh(mesh)
-    thin = thin_mesh(whole)
+    marked, workers = mark_tiles(whole, mesh, report, "the head's report")
+    thin, labels = take_labels(thin_mesh(marked), workers)
     cloud = take_finite(read_points(points), str(points))
     cloud = replace(cloud, positions=cloud.positions + (cloud.origin - whole.origin))
     distances: FloatArray = cKDTree(cloud.positions).query(thin.vertices, workers=-1)[0]
-    return Shown(thin, len(whole.faces), cloud, distances)
+    return Shown(thin, len(whole.faces), cloud, distances, tuple(labels))
 
 
 def build_job_page(shown: Shown, report: Mapping[str, Any], title: str) -> str:

@@ -81,6 +81,9 @@ def run_job(
     with open_output(settings.output, settings.files) as target, open_room(settings) as room:
         run = _run_in_memory if room.folder is None else _run_in_folder
         report = run(settings, room, target, clock, machines)
+        if settings.details:
+            report["timeline"] = clock.timeline.to_json()
+        progress.wait_for_viewers()  # what is kept goes with the room
     report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
     return report
 
@@ -147,7 +150,8 @@ def _load_there(
 def _guess_job(settings: JobSettings) -> Job:
     """Return what can be known of a job before its points are read: as much as it may be."""
     points = count_most_points(settings.points)
-    return Job(points, guess_grid(settings, points))
+    is_chosen = settings.depth is not None or settings.grid is not None
+    return Job(points, guess_grid(settings, points), is_read=False, is_chosen=is_chosen)
 
 
 def _write(
@@ -179,6 +183,11 @@ def _write(
     report["normals"] = loaded.oriented.to_json()
     report["input"] = describe_input(settings)
     report["command"] = list(settings.command)
+    if settings.details:
+        from hpcapp.applications.surface.job.report_page import find_owners
+
+        owners = find_owners(outcome.result)
+        report |= {} if owners is None else {"owners": owners.to_json()}
     if settings.report is not None or settings.png is not None:
         with clock.stage("show"):
             _show(settings, loaded, outcome, carrying, clock, report)

@@ -112,3 +112,16 @@ def test_what_cannot_be_compared_is_said(cube: Path, tmp_path: Path) -> None:
     ):
         with pytest.raises(error):
             run(*words)
+
+
+@pytest.mark.parametrize("count", [1, 20])
+def test_a_truth_at_one_place_is_refused(cube: Path, tmp_path: Path, count: int) -> None:
+    write_points(tmp_path / "same.ply", PointCloud(np.ones((count, 3))))
+    with pytest.raises(InputError, match=r"same\.ply: all of it is at one place"):
+        run(cube, tmp_path / "same.ply")
+
+
+@pytest.mark.parametrize("threshold", ["nan", "inf"])
+def test_a_threshold_that_is_no_number_is_refused(cube: Path, threshold: str) -> None:
+    with pytest.raises(UsageError, match="--threshold"):
+        run(cube, cube, "--threshold", threshold)

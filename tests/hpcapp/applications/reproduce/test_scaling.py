@@ -15,7 +15,7 @@ from hpccomponent.surface.types.points import PointCloud
 
 def runs_of(slow_round: float) -> list[Run]:
     return [
-        Run("fits", workers, number, slow * fit_s, slow * job_s)
+        Run("fits", workers, number, 0.0, 0.0, slow * fit_s, slow * job_s, 0)
         for number, slow in enumerate((1.0, slow_round, 1.0))
         for workers, fit_s, job_s in ((0, 0.1, 1.0), (1, 0.2, 1.1), (2, 0.4, 1.3))
     ]
@@ -31,7 +31,21 @@ def test_rounds_go_forth_and_back(tmp_path: Path) -> None:
         (0, 0, "fits"), (0, 0, "tiles"), (0, 1, "fits"), (0, 1, "tiles"),
         (1, 1, "fits"), (1, 1, "tiles"), (1, 0, "fits"), (1, 0, "tiles"),
     ]  # fmt: skip
-    assert all(0.0 < run.fit_s < run.job_s for run in found)
+    assert all(0.0 < run.fit_s < run.job_s and run.first_fit_s > 0.0 for run in found)
+    assert all((run.start_s > 0.0) == (run.workers > 0) for run in found)
+
+
+@pytest.mark.slow
+def test_real_workers_get_every_point_once(tmp_path: Path) -> None:
+    normals = np.random.default_rng(5).normal(size=(3000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    write_points(tmp_path / "sphere.ply", PointCloud(2.0 * normals, normals))
+    sent = {
+        (run.way, run.workers): run.bytes_sent for run in measure(tmp_path / "sphere.ply", 16, 1, 1)
+    }
+    assert sent["fits", 0] == sent["tiles", 0] == 0
+    points = 3000 * 2 * 3 * 8  # a position and a normal of float64 each
+    assert points < sent["fits", 1] < 1.5 * points
 
 
 def test_a_slow_round_leaves_the_speedups_alone() -> None:

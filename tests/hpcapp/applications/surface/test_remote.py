@@ -132,6 +132,7 @@ def test_a_job_is_checked_with_its_options(
     packed.write_bytes(gzip.compress(sphere_file.read_bytes()))
     check(sphere_file, "--normals", "estimate", "--viewpoint", "0,0,9")
     check(packed)
+    check(sphere_file, "--details")
     check(mesh_file, "--sample", "500")
     with pytest.raises(UsageError, match="one file of points; join several"):
         check(sphere_file, str(packed))
@@ -153,7 +154,7 @@ def test_the_page_of_a_fetched_mesh_is_made_here(
     cluster.run = run  # type: ignore[method-assign]
     page, png = tmp_path / "r.html", tmp_path / "r.png"
     submit(tmp_path, sphere_file, "--grid", "32", "--report", page, "--png", png)
-    assert cluster.options == ["--grid", "32"]
+    assert cluster.options == ["--grid", "32", "--details"]
     shown = page.read_text()
     assert "a tetrahedron" in shown
     assert "0.125" in shown

@@ -110,3 +110,46 @@ def test_a_cloud_without_a_place_is_refused(tmp_path: Path) -> None:
     write_points(tmp_path / "c.npz", PointCloud(np.full((5, 3), np.nan)))
     with pytest.raises(InputError):
         run(tmp_path / "c.npz", "-o", tmp_path / "p.html", "--no-open")
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        {"warnings": 5},
+        {"stages": {"read": "x"}},
+        {"stages": 3},
+        {"timeline": {"spans": [1]}},
+        {"timeline": 4},
+        {"timeline": {"spans": [{"name": "read"}]}},
+        {"command": 7},
+    ],
+)
+def test_what_is_no_report_of_a_job_is_refused(tmp_path: Path, told: object) -> None:
+    write_mesh(tmp_path / "m.ply", TETRAHEDRON)
+    (tmp_path / "r.json").write_text(json.dumps(told))
+    words: list[str | Path] = [
+        tmp_path / "m.ply",
+        "--report",
+        tmp_path / "r.json",
+        "-o",
+        tmp_path / "p.html",
+    ]
+    with pytest.raises(InputError, match=r"r\.json: is no report of a job"):
+        run(*words, "--no-open")
+    assert not (tmp_path / "p.html").exists()
+
+
+@pytest.mark.parametrize("flag", ["--points", "--report"])
+def test_what_a_picture_does_not_show_is_refused(tmp_path: Path, flag: str) -> None:
+    write_mesh(tmp_path / "m.ply", TETRAHEDRON)
+    with pytest.raises(UsageError, match=f"{flag} means nothing to a picture"):
+        run(tmp_path / "m.ply", flag, tmp_path / "m.ply", "--png", tmp_path / "p.png")
+
+
+@pytest.mark.parametrize("eye", ["nan,inf", "a,b", "1", "1,2,3", ""])
+def test_an_eye_is_two_angles(tmp_path: Path, eye: str) -> None:
+    write_mesh(tmp_path / "m.ply", TETRAHEDRON)
+    done = run(tmp_path / "m.ply", "--png", tmp_path / "p.png", "--eye", eye)
+    assert done.exit_code == 2
+    assert "is not two angles" in done.output
+    assert not (tmp_path / "p.png").exists()

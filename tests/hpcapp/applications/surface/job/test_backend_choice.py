@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -33,6 +34,27 @@ def hopeful(monkeypatch: pytest.MonkeyPatch, two_cores: None) -> None:
     monkeypatch.setattr(backend_choice, "WORKERS_PAY", ((2, 1),))
     monkeypatch.setattr(backend_choice, "LEAST_REMOTE", 1)
     monkeypatch.setattr(backend_choice, "WAIT_S", 60.0)
+
+
+@pytest.mark.usefixtures("two_cores")
+@pytest.mark.parametrize(
+    ("grid", "known"), [(None, "at most {} points:"), (32, "at most {} points at grid 32:")]
+)
+def test_only_what_is_known_before_the_points_are_read_is_told(
+    grid: int | None,
+    known: str,
+    sphere_file: Path,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.INFO, "hpcapp")
+    report = run_job(
+        JobSettings(sphere_file, str(tmp_path / "mesh.ply"), grid=grid, max_memory=1e8),
+        SilentProgress(),
+    )
+    [told] = [line for line in caplog.messages if line.startswith("backend")]
+    assert told == f"backend {report['backend']}: {report['choice']['reason']}"
+    assert report["choice"]["reason"].startswith(known.format(len(read_points(sphere_file))))
 
 
 @given(st.integers(1, 2000), st.integers(1, 2000), st.booleans())

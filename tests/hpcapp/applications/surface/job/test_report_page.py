@@ -13,7 +13,9 @@ from click.testing import CliRunner
 
 from hpcapp.applications.surface.command import reconstruct
 from hpcapp.applications.surface.job.report_page import build_job_page, find_guesses, show_files
+from hpcapp.applications.view.page import make_page
 from hpcapp.io import read_mesh, write_points
+from hpccomponent.errors import UsageError
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import PointCloud
 
@@ -109,6 +111,56 @@ def test_tiles_and_workers_can_be_told_apart(capless: Path, tmp_path: Path) -> N
     assert "machine-0" in page.split("<svg")[1]
 
 
+def _labels(page: str) -> list[tuple[list[str], str]]:
+    """Return the labels of tiles and workers, and the packed number of each vertex."""
+    fields = {field["name"]: field for field in scene_of(page)["fields"]}
+    found = (fields["tile"], fields["worker"])
+    return [
+        (one["labels"], page.split(f'id="{one["array"]}"')[1].split("</script>")[0])
+        for one in found
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".glb", ".vtp"])
+def test_the_report_of_a_job_elsewhere_tells_tiles_and_workers(
+    suffix: str, capless: Path, tmp_path: Path
+) -> None:
+    mesh, page = tmp_path / f"m{suffix}", tmp_path / "r.html"
+    words: list[str | Path] = [
+        capless,
+        "-o",
+        mesh,
+        "--grid",
+        "64",
+        "--backend",
+        "zmq",
+        "--workers",
+        "2",
+    ]
+    report = run(*words, "--report", page, "--details")
+    assert {span["worker"] for span in report["timeline"]["spans"]} >= {"master", "machine-0"}
+    assert sum(report["owners"]["vertices"]) == report["vertices"]
+    here, there = page.read_text(), build_job_page(show_files(mesh, capless, report), report, "m")
+    assert _labels(there) == _labels(here)
+    (tmp_path / "r.json").write_text(json.dumps(report))
+    seen = make_page(mesh, read_mesh(mesh), report=tmp_path / "r.json")
+    assert _labels(seen) == _labels(here)
+
+
+def test_a_report_without_details_is_short(capless: Path, tmp_path: Path) -> None:
+    report = run(capless, "-o", tmp_path / "m.ply", "--grid", "32")
+    assert not {"timeline", "owners"} & set(report)
+    detailed = run(capless, "-o", tmp_path / "m.ply", "--grid", "32", "--details")
+    assert set(detailed) - set(report) == {"timeline"}  # one tile needs no owners
+    with pytest.raises(UsageError, match="without --json"):
+        CliRunner().invoke(
+            reconstruct,
+            [str(capless), "-o", str(tmp_path / "m.ply"), "--details"],
+            catch_exceptions=False,
+        )
+
+
 @pytest.mark.slow
 def test_points_that_lie_in_a_folder_are_near_too(tmp_path: Path) -> None:
     normals = np.random.default_rng(3).normal(size=(60_000, 3))
@@ -136,7 +188,7 @@ def test_points_that_lie_in_a_folder_are_near_too(tmp_path: Path) -> None:
 
 def test_a_mesh_that_a_cluster_has_made_has_a_page(capless: Path, tmp_path: Path) -> None:
     report = run(capless, "-o", tmp_path / "m.ply", "--grid", "32")
-    shown = show_files(tmp_path / "m.ply", capless)
+    shown = show_files(tmp_path / "m.ply", capless, {})
     assert len(shown.mesh.faces) == report["faces"]
     page = build_job_page(shown, report, "m.ply")
     assert scene_of(page)["markers"]
@@ -144,7 +196,7 @@ def test_a_mesh_that_a_cluster_has_made_has_a_page(capless: Path, tmp_path: Path
 
 def test_a_copy_is_called_one(capless: Path, tmp_path: Path) -> None:
     report = run(capless, "-o", tmp_path / "m.ply", "--grid", "32")
-    shown = show_files(tmp_path / "m.ply", capless)
+    shown = show_files(tmp_path / "m.ply", capless, {})
     page = build_job_page(replace(shown, faces=10 * shown.faces), report, "m.ply")
     assert "A copy with fewer faces is shown" in page
     assert len(read_mesh(tmp_path / "m.ply").faces) == shown.faces

@@ -1,0 +1,157 @@
+"""Pages that are open, and how much of a job each has been told: the job's end waits for them."""
+
+from __future__ import annotations
+
+import secrets
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from hpccomponent.clock import Clock, MonotonicClock
+
+__all__ = ["Viewers"]
+
+PATIENCE_S = 2.0  # with pages that ask for nothing
+MOST_S = 15.0  # with all pages together
+LOADING_S = 5.0  # from the page to its first request
+
+
+@dataclass(slots=True)
+class _Page:
+    """A page that was asked for.
+
+    Parameters
+    ----------
+    since : float
+        When, in seconds of the clock.
+    streams : int or None
+        How many times it is told news at present; None before the first time.
+    parts : int
+        How many it has fetched, one after the other.
+    is_told : bool
+        Whether it knows how the job has ended.
+    """
+
+    since: float
+    streams: int | None = None
+    parts: int = 0
+    is_told: bool = False
+
+
+class Viewers:
+    """The pages of a job that are open.
+
+    Methods may be called from any thread.
+
+    Parameters
+    ----------
+    clock : Clock, optional
+    patience_s : float
+        How long pages that are open may ask for nothing at the end, in seconds.
+    """
+
+    def __init__(self, clock: Clock | None = None, patience_s: float = PATIENCE_S) -> None:
+        self._clock = clock or MonotonicClock()
+        self._patience_s = patience_s
+        self._pages: dict[str, _Page] = {}
+        self._change = threading.Condition()
+
+    def arrive(self) -> str:
+        """Take in a page that is asked for, and return its name."""
+        name = secrets.token_urlsafe(8)
+        with self._changing():
+            self._pages = {key: page for key, page in self._pages.items() if self._is_open(page)}
+            self._pages[name] = _Page(self._clock.now())
+        return name
+
+    def attend(self, name: str) -> None:
+        """Note that a page is told news from now on.
+
+        Parameters
+        ----------
+        name : str
+            Of `arrive`; for who has none, nobody waits.
+        """
+        with self._changing():
+            if name:
+                page = self._pages.setdefault(name, _Page(self._clock.now()))
+                page.streams = (page.streams or 0) + 1
+
+    def leave(self, name: str) -> None:
+        """Note that a page is told no more.
+
+        Parameters
+        ----------
+        name : str
+        """
+        with self._changing():
+            if page := self._pages.get(name):
+                page.streams = (page.streams or 1) - 1
+
+    def fetch(self, name: str, part: int) -> None:
+        """Note that a page has a part, and all before it.
+
+        Parameters
+        ----------
+        name : str
+        part : int
+        """
+        with self._changing():
+            if page := self._pages.get(name):
+                page.parts = max(page.parts, part + 1)
+
+    def tell_end(self, name: str) -> None:
+        """Note that a page knows how the job has ended.
+
+        Parameters
+        ----------
+        name : str
+        """
+        with self._changing():
+            if page := self._pages.get(name):
+                page.is_told = True
+
+    def wait(self, parts: int, *, is_over: bool = False) -> bool:
+        """Wait until every open page has all parts, for a bounded time; at once where none is open.
+
+        Parameters
+        ----------
+        parts : int
+            So many there are.
+        is_over : bool
+            Wait until they know how the job has ended, too.
+
+        Returns
+        -------
+        bool
+            Whether they have. Else none of them has asked for anything for `patience_s`, or all
+            of them together have taken `MOST_S`.
+        """
+        end = self._clock.now() + MOST_S
+        with self._change:
+            while behind := self._count_behind(parts, is_over):
+                left = max(0.0, end - self._clock.now())
+                if not self._change.wait(min(self._patience_s, left)):
+                    break
+        return not behind
+
+    @contextmanager
+    def _changing(self) -> Iterator[None]:
+        """Change something in the block, and wake who waits for it."""
+        with self._change:
+            yield
+            self._change.notify_all()
+
+    def _count_behind(self, parts: int, is_over: bool) -> int:
+        """Return how many open pages lack something."""
+        return sum(
+            page.parts < parts or (is_over and not page.is_told)
+            for page in self._pages.values()
+            if self._is_open(page)
+        )
+
+    def _is_open(self, page: _Page) -> bool:
+        if page.streams is None:
+            return self._clock.now() < page.since + LOADING_S
+        return page.streams > 0

@@ -1,0 +1,132 @@
+"""Which tile each vertex of a mesh is from and which worker made it: for pages, and for reports."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hpcapp.pages.scene import Field, label_field
+from hpccomponent.errors import InputError
+from hpccomponent.surface.types.mesh import Mesh
+from hpccomponent.surface.types.points import IntArray
+
+__all__ = ["TILE", "Owners", "mark_tiles", "take_labels"]
+
+TILE = "hpcapp:tile"
+"""The attribute of a mesh that says which tile each vertex is from, until `take_labels`."""
+
+MOST_TILES = 1 << 16
+"""That a page tells apart."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Owners:
+    """Who made a mesh.
+
+    Parameters
+    ----------
+    tiles : ndarray of int32, shape (v,)
+        Of each vertex, in the order of the mesh's file.
+    workers : sequence of str
+        Of each tile; empty where it is not known of all.
+    """
+
+    tiles: IntArray
+    workers: Sequence[str] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it for a report: tiles by runs of vertices, of which there are few.
+
+        Examples
+        --------
+        >>> Owners(np.array([1, 1, 0, 2]), ("a", "b", "a")).to_json()
+        {'tiles': [1, 0, 2], 'vertices': [2, 1, 1], 'workers': ['a', 'b', 'a']}
+        """
+        starts = np.flatnonzero(np.diff(self.tiles, prepend=-1))
+        counts = np.diff(starts, append=len(self.tiles))
+        return {
+            "tiles": self.tiles[starts].tolist(),
+            "vertices": counts.tolist(),
+            "workers": list(self.workers),
+        }
+
+
+def mark_tiles(
+    mesh: Mesh, path: Path, report: Mapping[str, Any], source: str
+) -> tuple[Mesh, Sequence[str]]:
+    """Give a mesh that was read the attribute `TILE`, as the report of its job tells.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        In the order of its file.
+    path : Path
+        The file; an STL has no order of vertices.
+    report : mapping
+        JSON values, with `Owners.to_json` as ``owners``.
+    source : str
+        Of the report, for messages.
+
+    Returns
+    -------
+    mesh : Mesh
+        As it is where nothing is told of it, or of a mesh with other vertices.
+    workers : sequence of str
+        Of each tile; see `Owners`.
+
+    Raises
+    ------
+    InputError
+        What is told is nothing of the kind.
+    """
+    if "owners" not in report or path.suffix.lower() == ".stl":
+        return mesh, ()
+    try:
+        told = report["owners"]
+        tiles = np.array(told["tiles"], np.int32)
+        counts = [int(count) for count in told["vertices"]]
+        workers = [str(name) for name in told["workers"]]
+        if len(counts) != len(tiles) or min(counts, default=0) < 0 or (tiles < 0).any():
+            raise ValueError
+        if workers and int(tiles.max(initial=0)) >= len(workers):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise InputError(
+            f"{source}: 'owners' does not tell tiles", "give what --json --details has printed"
+        ) from None
+    if sum(counts) != len(mesh.vertices) or int(tiles.max(initial=0)) >= MOST_TILES:
+        return mesh, ()
+    return replace(mesh, attributes={**mesh.attributes, TILE: np.repeat(tiles, counts)}), workers
+
+
+def take_labels(mesh: Mesh, workers: Sequence[str]) -> tuple[Mesh, list[Field]]:
+    """Turn the attribute `TILE` of a mesh into what it can be coloured by.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    workers : sequence of str
+        Of each tile; empty where it is not known.
+
+    Returns
+    -------
+    mesh : Mesh
+        Without the attribute.
+    labels : list of Field
+        Tiles and workers; nothing where it has no such attribute.
+    """
+    attributes: Mapping[str, Any] = mesh.attributes
+    if TILE not in attributes:
+        return mesh, []
+    owned = attributes[TILE]
+    rest = {name: column for name, column in attributes.items() if name != TILE}
+    labels = [label_field("tile", "Tile", owned, "tile")]
+    if workers:
+        names = sorted(set(workers), key=lambda name: (len(name), name))
+        numbers = np.array([names.index(name) for name in workers])
+        labels.append(Field("worker", "Worker", numbers[owned], labels=names))
+    return replace(mesh, attributes=rest), labels

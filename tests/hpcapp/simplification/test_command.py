@@ -1,0 +1,62 @@
+"""The command ``simplify``: what it says, and what it refuses."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hpcapp.io import read_mesh, write_mesh
+from hpcapp.simplification.command import simplify
+from hpccomponent.errors import InputError, UsageError
+from hpccomponent.surface.types.mesh import Mesh
+
+pytest.importorskip("pyfqmr", reason="needs the light extra")
+
+
+def run(*words: str | Path) -> None:
+    done = CliRunner().invoke(simplify, list(map(str, words)), catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+
+
+@pytest.fixture
+def plane(tmp_path: Path) -> Path:
+    """A flat square of 200 triangles."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(11.0), np.arange(11.0)))
+    corners = np.array([[11 * i + j for j in range(10)] for i in range(10)]).ravel()
+    faces = np.concatenate([
+        np.stack([corners, corners + 1, corners + 12], axis=1),
+        np.stack([corners, corners + 12, corners + 11], axis=1),
+    ])  # fmt: skip
+    write_mesh(tmp_path / "plane.ply", Mesh(np.stack([x, y, 0.0 * x], axis=1), faces))
+    return tmp_path / "plane.ply"
+
+
+@pytest.mark.parametrize("tolerance", ["1", "1e300"])
+def test_a_tolerance_may_be_as_large_as_it_likes(
+    plane: Path, tmp_path: Path, tolerance: str
+) -> None:
+    run(plane, "-o", tmp_path / "light.ply", "--tolerance", tolerance)
+    assert 0 < len(read_mesh(tmp_path / "light.ply").faces) < 200
+
+
+def test_faces_that_cannot_go_are_told(
+    plane: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    mesh = read_mesh(plane)
+    apart = Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(600).reshape(-1, 3), mesh.origin)
+    write_mesh(tmp_path / "apart.ply", apart)
+    caplog.set_level(logging.INFO, "hpcapp")
+    run(tmp_path / "apart.ply", "-o", tmp_path / "light.ply", "--faces", "50")
+    assert "warning: 200 faces are left" in caplog.text
+
+
+def test_bad_input_leaves_nothing(plane: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="nothing to simplify to"):
+        run(plane, "-o", tmp_path / "light.ply")
+    with pytest.raises(InputError, match="nowhere"):
+        run("nowhere.ply", "-o", tmp_path / "light.ply", "--faces", "50")
+    assert not (tmp_path / "light.ply").exists()
