@@ -49,6 +49,8 @@ _REACH = 1.5
 _ENOUGH = 6.0  # samples on one sheet, from which the area of each is told
 _WIDEST = 5  # the level of cells up to which they are looked for
 _PER_SQUARE = 1.5  # samples of a whole sheet in a cube, by the square of its edge in cells
+_OF_TUBE, _OF_SHEET = 0.5, 0.8  # mean cos^2 of the angles of its normals to one of them
+_PAIRS, _TWICE = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)), (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
 _LARGEST_AREA = 64.0  # cells that one may stand for
 _LEAST_LENGTH = 0.1  # of a normal that says where its disc lies
 _GOLDEN_TURN = complex(-0.7373688780783197, 0.6754902942615238)  # by the golden angle
@@ -229,7 +231,9 @@ def spread_samples(
     A whole sheet leaves about 1.5 a^2 samples in a cube of a cells along an edge. Where there are
     k of them, in the smallest cube with 6 or more, each stands for 1.5 a^2 / k cells. Samples of
     the same sheet count 1, those of one that faces the other way 0. Around an outlier the smallest
-    such cube reaches the dense samples of the surface: so it stands for few cells.
+    such cube reaches the dense samples of the surface: so it stands for few cells. Where normals
+    turn all around, as of a tube thinner than the cube, there is no sheet: nothing is spread, or
+    it would go on beyond the tube's end.
     """
     lengths = np.linalg.norm(normals, axis=1)
     axes = normals / np.maximum(lengths, 1e-300)[:, None]
@@ -260,19 +264,24 @@ def _find_areas(places: FloatArray, axes: FloatArray) -> FloatArray:
     shifted = places - np.floor(places.min(axis=0, initial=np.inf))
     keys = pack_places(np.floor(shifted).astype(np.int64))
     areas, left = np.ones(len(places)), np.arange(len(places))
+    products = np.stack([axes[:, i] * axes[:, j] for i, j in _PAIRS], axis=1)
     for level in range(1, _WIDEST + 1):
         cells, number = number_keys(ancestor_keys(keys, level))
-        sums = np.zeros((len(cells) + 1, 4))
+        sums = np.zeros((len(cells) + 1, 10))
         sums[:-1, 0] = np.bincount(number)
-        for axis in range(3):
-            sums[:-1, 1 + axis] = np.bincount(number, axes[:, axis])
+        for column, values in enumerate((*axes.T, *products.T), start=1):
+            sums[:-1, column] = np.bincount(number, values)
         lower = np.floor(shifted[left] / 2.0**level - 0.5).astype(np.int64)
-        around = np.zeros((len(left), 4))
+        around = np.zeros((len(left), 10))
         for octant in OCTANTS:
             around += sums[find_keys(cells, pack_places(lower + octant))]
-        sheet = 0.5 * (around[:, 0] + (around[:, 1:] * axes[left]).sum(axis=1))
+        count = np.maximum(around[:, 0], 1.0)
+        sheet = 0.5 * (count + (around[:, 1:4] * axes[left]).sum(axis=1))
+        straight = (around[:, 4:] * products[left] * _TWICE).sum(axis=1) / count  # mean cos^2
+        is_sheet = np.clip((straight - _OF_TUBE) / (_OF_SHEET - _OF_TUBE), 0.0, 1.0)
         enough = sheet >= _ENOUGH
-        areas[left[enough]] = _PER_SQUARE * 4.0 ** (level + 1) / sheet[enough]
+        squares = _PER_SQUARE * 4.0 ** (level + 1) * is_sheet[enough]
+        areas[left[enough]] = squares / sheet[enough]
         left = left[~enough]
     return np.minimum(areas, _LARGEST_AREA)
 
