@@ -1,4 +1,4 @@
-"""One peer, one cloud, one mesh: peer_methods.py open3d:8|pymeshlab:8 IN.ply OUT.ply.
+"""One peer, one cloud, one mesh: peer_methods.py open3d:8|pymeshlab:8|pypoisson2:8 IN.ply OUT.ply.
 
 Runs in an interpreter that has the peer; it needs nothing of ours.
 """
@@ -28,7 +28,23 @@ def run_pymeshlab(depth: int, source: str, target: str) -> None:
     meshes.save_current_mesh(target, save_vertex_color=False, save_vertex_quality=False)
 
 
-PEERS = {"open3d": run_open3d, "pymeshlab": run_pymeshlab}
+def run_pypoisson2(depth: int, source: str, target: str) -> None:
+    """Reconstruct by PoissonRecon itself; Open3D reads and writes."""
+    import numpy as np
+    import open3d
+    from poisson import poisson_reconstruction
+
+    cloud = open3d.io.read_point_cloud(Path(source))
+    points, normals = np.asarray(cloud.points), np.asarray(cloud.normals)
+    vertices, faces, *_ = poisson_reconstruction(points, normals, depth=depth)
+    mesh = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(np.reshape(vertices, (-1, 3)).astype(float)),
+        open3d.utility.Vector3iVector(np.reshape(faces, (-1, 3)).astype(np.int32)),
+    )
+    open3d.io.write_triangle_mesh(Path(target), mesh)
+
+
+PEERS = {"open3d": run_open3d, "pymeshlab": run_pymeshlab, "pypoisson2": run_pypoisson2}
 
 
 def main() -> None:

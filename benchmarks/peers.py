@@ -199,7 +199,10 @@ def main() -> None:
     parser.add_argument("clouds", nargs="*", help="clouds or groups (clouds.py); all by default")
     parser.add_argument("--ours", default="hpcapp reconstruct {input} -o {output} --grid 256")
     parser.add_argument(
-        "--peers", nargs="*", default=list(DEFAULT_PEERS), help="open3d:DEPTH or pymeshlab:DEPTH"
+        "--peers",
+        nargs="*",
+        default=list(DEFAULT_PEERS),
+        help="open3d, pymeshlab or pypoisson2, as open3d:DEPTH",
     )
     parser.add_argument("--peer-python", default=sys.executable, help="the interpreter with them")
     parser.add_argument("--fresh", action="store_true", help="measure the peers anew")
