@@ -246,7 +246,7 @@ export class Viewer {
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    this.render();
+    if (this.renderer.info.render.frame) this.draw(); // at once: a canvas of a new size is empty
   }
 
   /** Draw nothing until `resume`: a frame of a large mesh takes its time. */

@@ -135,6 +135,17 @@ def test_a_page_draws_its_first_frame_when_all_is_there(cube: Page) -> None:
     assert cube.evaluate("viewer.renderer.info.render.frame") == 1
 
 
+def test_no_empty_frame_is_shown_when_the_page_gets_another_size(cube: Page) -> None:
+    resized = _PIXELS.replace(
+        "viewer.draw()", "viewer.element.style.height = '300px', viewer.resize()"
+    )
+    assert resized != _PIXELS
+    found: dict[str, Any] = cube.evaluate(resized)
+    assert cube.evaluate("viewer.renderer.domElement.clientHeight") == 300
+    all_pixels = cube.evaluate("viewer.element.clientWidth * 300")
+    assert 1000 < found["drawn"] < 0.9 * all_pixels, "an empty canvas is black"
+
+
 def test_what_is_drawn_is_where_it_was_put(cube: Page) -> None:
     box = cube.evaluate("[viewer.box.min.toArray(), viewer.box.max.toArray()]")
     assert np.abs(np.array(box) - [[-1.2] * 3, [1.2] * 3]).max() < 1e-3  # the points are outside
