@@ -184,7 +184,8 @@ def drop_small_components(mesh: Mesh) -> Mesh:
     if pieces == 1:
         return mesh
     counts = np.bincount(component[mesh.faces[:, 0]], minlength=pieces)
-    kept = find_large(counts, np.bincount(component, is_supported(mesh.vertices), pieces))
+    supported = component[is_supported(mesh.vertices)]
+    kept = find_large(counts, np.bincount(supported, minlength=pieces))
     if kept.all():
         return mesh
     faces = mesh.faces[kept[component[mesh.faces[:, 0]]]]

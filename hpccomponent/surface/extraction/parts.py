@@ -67,8 +67,8 @@ class MeshPart:
         none = np.empty(0, np.int32)
         keys = np.empty(0, np.int64)
         places, corners = np.empty((0, 3)), np.empty((0, 3), np.int32)
-        no, nobody = np.empty(0, np.bool_), np.empty(0, np.bool_)
-        return cls(keys, no, none, none, places, corners, keys, none, nobody)
+        no = np.empty(0, np.bool_)
+        return cls(keys, no, none, none, places, corners, keys, none, no)
 
 
 def cut_part(

@@ -13,7 +13,7 @@ import numpy as np
 from hpccomponent.protocol.records import record
 from hpccomponent.surface import kernels
 from hpccomponent.surface.extraction.parts import Int32Array, MeshPart
-from hpccomponent.surface.types.lattice import number_keys, unique_keys
+from hpccomponent.surface.types.lattice import find_keys, number_keys, unique_keys
 from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
 __all__ = ["PartSummary", "summarize_part"]
@@ -36,12 +36,12 @@ class PartSummary:
         Where the entries of each brick begin: the components that it has vertices or faces of.
     entry_labels, entry_vertices, entry_faces, entry_sums
         See `seams.BrickSums`.
+    entry_supports : ndarray of int32, shape (e,)
+        How many of the vertices of each entry are supported.
     mixed_labels : ndarray of int32
         The component of every vertex of bricks with vertices of more than one.
     bounds : ndarray of float64, shape (c, 6)
         Lowest and highest coordinates of the vertices of each component.
-    supports : ndarray of int32, shape (c,)
-        Supported vertices of each component in the part's own bricks.
     piece_vertices : ndarray of int32, shape (p,)
         The open vertex of each piece of corners (see `seams.Seams`).
     piece_units : ndarray of int32, shape (p,)
@@ -70,9 +70,9 @@ class PartSummary:
     entry_vertices: Int32Array
     entry_faces: Int32Array
     entry_sums: FloatArray
+    entry_supports: Int32Array
     mixed_labels: Int32Array
     bounds: FloatArray
-    supports: Int32Array
     piece_vertices: Int32Array
     piece_units: Int32Array
     sides: Int32Array
@@ -114,8 +114,6 @@ def summarize_part(part: MeshPart) -> PartSummary:
     seams = kernels.find_seams(nodes.faces, all_vertices, nodes.vertex_of, nodes.is_open)
     counts = (part.vertex_counts, part.face_counts)
     sums = kernels.sum_bricks(part.vertices, part.faces, counts, seams.labels, seams.components)
-    counted = part.supported & ~np.repeat(part.guests, part.vertex_counts)
-    supports = np.bincount(seams.labels[:own][counted], minlength=seams.components)
     pieces, bare = nodes.vertex_of[seams.pieces], nodes.vertex_of[seams.bare]
     at_seam = unique_keys(np.flatnonzero(part.faces.reshape(-1) < 0) // 3)
     rim = unique_keys(np.concatenate([pieces, bare, part.faces[at_seam].reshape(-1)]))
@@ -132,9 +130,9 @@ def summarize_part(part: MeshPart) -> PartSummary:
         sums.vertices,
         sums.faces,
         sums.sums,
+        _count_supported(part, sums.starts, sums.labels, seams.labels[:own]),
         _mixed_labels(part.vertex_counts, sums.starts, sums.vertices, seams.labels),
         sums.bounds,
-        supports.astype(np.int32),
         _as_in_faces(pieces, own),
         nodes.unit_of[seams.pieces],
         seams.sides,
@@ -178,6 +176,18 @@ def _name_nodes(part: MeshPart) -> _Nodes:
         np.concatenate([unit_of, unit.astype(np.int32)]),
         np.concatenate([is_open, ~is_own]),
     )
+
+
+def _count_supported(
+    part: MeshPart, starts: Int32Array, entry_labels: Int32Array, labels: Int32Array
+) -> Int32Array:
+    """Count the supported vertices of each entry; `labels` are those of the part's vertices."""
+    rows, bricks = np.flatnonzero(part.supported), np.arange(len(part.bricks))
+    entries = np.repeat(bricks, np.diff(starts)) << 32 | entry_labels
+    order = np.argsort(entries)
+    of_vertices = np.repeat(bricks, part.vertex_counts)[rows] << 32 | labels[rows]
+    found = order[find_keys(entries[order], of_vertices)]
+    return np.bincount(found, minlength=len(entries)).astype(np.int32)
 
 
 def _mixed_labels(

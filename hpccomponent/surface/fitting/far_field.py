@@ -161,7 +161,7 @@ def solve_far_field(
     normals: FloatArray,
     box: tuple[FloatArray, FloatArray],
     size: float,
-    nodes: int = FEWEST_NODES,
+    nodes: int,
     threads: int = 1,
 ) -> FarField:
     """Solve for the coarse field of some cells of points.

@@ -374,9 +374,9 @@ _SUMMARY = Where(
         entry_vertices=_ints("e"),
         entry_faces=_ints("e"),
         entry_sums=Array("<f8", "e", 4),
+        entry_supports=_ints("e"),
         mixed_labels=_ints("m"),
         bounds=Array("<f8", "c", 6, low=-np.inf, finite=False),  # infinite without vertices
-        supports=_ints("c"),
         piece_vertices=_ints("p", low=None),
         piece_units=_ints("p", low=-1),
         sides=_ints("q", 3),

@@ -102,8 +102,8 @@ class Coarse:
 def far_level(grid: Grid, nodes: int, cell_size: float, height: int) -> int:
     """Return the finest level whose cells a far field may sample.
 
-    Each cell counts once: its area, not its points, is what a scan's uneven density leaves
-    alone. So its cells must not be so small that most of them are empty where points are few.
+    Cells count, not points: so a scan's uneven density is left alone where all cells have some.
+    They must not be so small that most of them are empty.
 
     Parameters
     ----------

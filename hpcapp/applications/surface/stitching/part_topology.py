@@ -37,6 +37,8 @@ class Components:
         How many.
     sums : ndarray of float64, shape (e, 4)
         See `hpccomponent.surface.kernels.portable.seams.BrickSums`.
+    supports : ndarray of int32, shape (e,)
+        How many of the vertices are supported (see `MeshPart`).
     """
 
     place: IntArray
@@ -44,6 +46,7 @@ class Components:
     vertices: NDArray[np.int32]
     faces: NDArray[np.int32]
     sums: FloatArray
+    supports: NDArray[np.int32]
 
     def only(self, chosen: NDArray[np.bool_]) -> Components:
         """Return some of the entries.
@@ -59,12 +62,12 @@ class Components:
         return Components(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def count(self, values: NDArray[np.int32], components: int) -> IntArray:
-        """Sum vertices or faces over each component.
+        """Sum vertices, faces or supports over each component.
 
         Parameters
         ----------
         values : ndarray of int32, shape (e,)
-            `vertices` or `faces`.
+            `vertices`, `faces` or `supports`.
         components : int
             How many the mesh has.
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,10 +179,10 @@ def plan_weld(summaries: Sequence[PartSummary], crumb: int | None = None) -> Wel
     check_foreign(summaries, bricks)
     component = join_labels(summaries, bricks)
     entries = _collect_entries(summaries, bricks, component)
-    faces = np.bincount(entries.component, entries.faces, int(component.max(initial=-1)) + 1)
+    total = int(component.max(initial=-1)) + 1
+    faces = entries.count(entries.faces, total)
     if crumb is None:
-        supports = np.concatenate([s.supports for s in summaries])
-        large = find_large(faces, np.bincount(component, supports, len(faces)))
+        large = find_large(faces, entries.count(entries.supports, total))
     else:
         large = faces >= max(crumb, 1)
     kept = large[component]
@@ -223,6 +222,7 @@ def _collect_entries(
         np.concatenate([s.entry_vertices for s in summaries])[order],
         np.concatenate([s.entry_faces for s in summaries])[order],
         np.concatenate([s.entry_sums for s in summaries])[order],
+        np.concatenate([s.entry_supports for s in summaries])[order],
     )
 
 
@@ -233,14 +233,14 @@ def _bound(bounds: FloatArray) -> FloatArray:
     return np.stack([bounds[:, :3].min(axis=0), bounds[:, 3:].max(axis=0)])
 
 
-def find_large(faces: NDArray[Any], supports: NDArray[Any]) -> NDArray[np.bool_]:
+def find_large(faces: IntArray, supports: IntArray) -> NDArray[np.bool_]:
     """Tell which components of a mesh are no mere crumbs of it.
 
     Parameters
     ----------
-    faces : ndarray of float or int, shape (c,)
+    faces : ndarray of int64, shape (c,)
         How many each component has; 0 for a vertex that no face uses.
-    supports : ndarray of float or int, shape (c,)
+    supports : ndarray of int64, shape (c,)
         How many of its vertices points support (see `MeshPart`).
 
     Returns
@@ -256,7 +256,7 @@ def find_large(faces: NDArray[Any], supports: NDArray[Any]) -> NDArray[np.bool_]
     """
     shares = supports / np.maximum(faces, 1.0)
     largest = int(np.argmax(faces)) if len(faces) else 0
-    sizes = faces / max(float(faces.max(initial=0.0)), 1.0)
+    sizes = faces / max(int(faces.max(initial=0)), 1)
     is_large = np.zeros(len(faces), np.bool_)
     for size, support in SMALL_SIZES:
         is_large |= (sizes >= size) & (shares >= support * shares[largest : largest + 1])

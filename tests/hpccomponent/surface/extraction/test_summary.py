@@ -33,11 +33,10 @@ def cut_tetrahedron() -> MeshPart:
     return replace(part, foreign_bricks=np.array([9]), foreign_numbers=np.array([5], np.int32))
 
 
-def test_supported_vertices_are_counted_in_bricks_with_points_alone() -> None:
-    part = tetrahedron()
-    assert summarize_part(part).supports.tolist() == [3]
-    guest = replace(part, guests=np.array([True]))
-    assert summarize_part(guest).supports.sum() == 0
+def test_supported_vertices_are_counted() -> None:
+    assert summarize_part(tetrahedron()).entry_supports.tolist() == [3]
+    guest = replace(tetrahedron(), guests=np.array([True]))
+    assert summarize_part(guest).entry_supports.tolist() == [3]
 
 
 def test_nothing_is_open_in_a_closed_part() -> None:
@@ -102,6 +101,6 @@ def test_bricks_with_two_components_name_them_for_each_vertex() -> None:
     )
     summary = summarize_part(twice)
     assert summary.mixed_labels.tolist() == [0] * 4 + [1] * 4
-    assert summary.supports.tolist() == [3, 3]
+    assert summary.entry_supports.tolist() == [3, 3]
     assert summary.entry_labels.tolist() == [0, 1]
     assert summary.entry_faces.tolist() == [4, 4]

@@ -7,7 +7,15 @@ from functools import cache
 
 import numpy as np
 import pytest
-from cut_mesh import SHAPES, cut_mesh, cuts, drop_small_components, extract_shape, spread_mesh
+from cut_mesh import (
+    SHAPES,
+    cut_mesh,
+    cuts,
+    drop_small_components,
+    extract_shape,
+    is_supported,
+    spread_mesh,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -220,13 +228,23 @@ def test_a_summary_is_small_beside_its_part() -> None:
 def test_the_smaller_a_component_is_the_more_of_it_must_be_supported(
     size: float, supported: float, stays: bool
 ) -> None:
-    faces = np.array([200_000.0, 200_000.0 * size])
-    supports = 0.5 * faces * [0.85, supported]
+    faces = np.array([200_000, round(200_000 * size)])
+    supports = np.rint(0.5 * faces * [0.85, supported]).astype(np.int64)
     assert find_large(faces, supports).tolist() == [True, stays]
     assert find_large(faces[::-1], supports[::-1]).tolist() == [stays, True]
 
 
 def test_where_nothing_is_small_what_no_face_uses_stays() -> None:
-    assert find_large(np.array([10.0, 0.0]), np.zeros(2)).all()
-    assert not find_large(np.array([10_000.0, 1.0, 0.0]), np.zeros(3))[1:].any()
-    assert not len(find_large(np.empty(0), np.empty(0)))
+    none = np.zeros(3, np.int64)
+    assert find_large(np.array([10, 0]), none[:2]).all()
+    assert not find_large(np.array([10_000, 1, 0]), none)[1:].any()
+    assert not len(find_large(none[:0], none[:0]))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.data())
+def test_what_supports_a_mesh_is_counted_once_however_it_is_cut(data: st.DataObject) -> None:
+    mesh, of_vertex, of_face = extracted(SHAPES["torus"])
+    parts = cut_mesh(mesh, of_vertex, of_face, *data.draw(cuts(of_vertex, of_face)))
+    plan = plan_weld([summarize_part(part) for part in parts])
+    assert plan.entries.supports.sum() == is_supported(mesh.vertices).sum()
