@@ -15,6 +15,7 @@
         ├── TaskError                      the task's function raised
         ├── WorkerLostError                a batch outlived too many workers
         ├── NoWorkersError                 no worker is left, or none ever came
+        ├── DistrustError                  answers that were used came from a machine that lies
         └── ProtocolError                  a peer broke the wire protocol
 
 Every error takes positional fields only, so that it survives pickling between processes
@@ -29,6 +30,7 @@ __all__ = [
     "CapacityError",
     "CloudError",
     "ConfigError",
+    "DistrustError",
     "HpcError",
     "InputError",
     "JobError",
@@ -142,6 +144,10 @@ class WorkerLostError(JobError):
 
 class NoWorkersError(JobError):
     """A job without any worker, and none to be expected."""
+
+
+class DistrustError(JobError):
+    """A job that has used answers of a machine that lied since: it has to be begun anew."""
 
 
 class ProtocolError(JobError):

@@ -97,6 +97,8 @@ class StandingCluster:
     running : int
     before : mapping of str to sequence of str
         By a worker's name, what comes before the command of its loader.
+    tasks : mapping of str to sequence of str
+        By a worker's name, ``NAME=module:function`` of what it runs in place of installed tasks.
     """
 
     def __init__(
@@ -105,6 +107,7 @@ class StandingCluster:
         names: Sequence[str],
         running: int,
         before: Mapping[str, Sequence[str]],
+        tasks: Mapping[str, Sequence[str]],
     ) -> None:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
@@ -128,6 +131,7 @@ class StandingCluster:
                 "version": 1,
                 "name": name,
                 "connection": "connection.json",
+                "tasks": list(tasks.get(name, ())),
                 "restart": {"first_s": 0.05, "cap_s": 0.2},
             }
             (machine / "loader.yaml").write_text(json.dumps(settings))
@@ -168,9 +172,10 @@ def standing_cluster(tmp_path: Path) -> Iterator[Callable[..., StandingCluster]]
         names: Sequence[str] = ("head", "worker-1"),
         running: int | None = None,
         before: Mapping[str, Sequence[str]] | None = None,
+        tasks: Mapping[str, Sequence[str]] | None = None,
     ) -> StandingCluster:
         count = len(names) if running is None else running
-        started.append(StandingCluster(folder or tmp_path, names, count, before or {}))
+        started.append(StandingCluster(folder or tmp_path, names, count, before or {}, tasks or {}))
         return started[-1]
 
     yield start

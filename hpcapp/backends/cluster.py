@@ -22,6 +22,7 @@ from pathlib import Path
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpcapp.communicator.listener import Door
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
+from hpcapp.communicator.verification import CLUSTER_SHARE, Verification
 from hpccomponent.errors import ConfigError, NoWorkersError, UsageError
 from hpccomponent.inventory import Inventory, hold_cluster, read_inventory
 from hpccomponent.limits import raise_descriptor_limit
@@ -88,6 +89,7 @@ def open_inventory(
     path: Path,
     *,
     policy: str = DEFAULT_POLICY,
+    verification: Verification | None = None,
     extra_tasks: Sequence[str] = (),
     lead: Callable[[str], AbstractContextManager[None]] | None = None,
 ) -> Iterator[tuple[CommunicatorExecutor, int]]:
@@ -99,6 +101,8 @@ def open_inventory(
         The inventory.
     policy : str
         How batches are handed out: a name in `POLICIES` of ``communicator/policy.py``.
+    verification : Verification, optional
+        Which answers are asked for again on another machine; by default `CLUSTER_SHARE` of them.
     extra_tasks : sequence of str
         ``NAME=module:function`` of tasks that are not installed here.
     lead : callable, optional
@@ -118,7 +122,9 @@ def open_inventory(
     NoWorkersError
         No worker came.
     """
-    with listen_inventory(path, policy=policy, extra_tasks=extra_tasks, lead=lead) as cluster:
+    with listen_inventory(
+        path, policy=policy, verification=verification, extra_tasks=extra_tasks, lead=lead
+    ) as cluster:
         yield cluster.executor, cluster.gather()
 
 
@@ -127,6 +133,7 @@ def listen_inventory(
     path: Path,
     *,
     policy: str = DEFAULT_POLICY,
+    verification: Verification | None = None,
     extra_tasks: Sequence[str] = (),
     lead: Callable[[str], AbstractContextManager[None]] | None = None,
 ) -> Iterator[Listening]:
@@ -134,7 +141,7 @@ def listen_inventory(
 
     Parameters
     ----------
-    path, policy, extra_tasks, lead
+    path, policy, verification, extra_tasks, lead
         As for `open_inventory`.
 
     Yields
@@ -150,6 +157,9 @@ def listen_inventory(
     """
     if not read_inventory(path).workers:
         raise UsageError(f"{path} lists no worker", "give the cluster one with 'hpcapp scale'")
+    verification = verification or Verification()
+    if verification.share is None:
+        verification.share = CLUSTER_SHARE
     with hold_cluster(path, lambda: log.info("waiting for the cluster's present job to end")):
         inventory = read_inventory(path)  # machines may have changed while this waited
         with (
@@ -157,6 +167,7 @@ def listen_inventory(
             CommunicatorExecutor(
                 door,
                 policy=POLICIES[policy](),
+                verification=verification,
                 extra_tasks=extra_tasks,
                 numerics=numerics_id(),  # the master computes too
             ) as executor,

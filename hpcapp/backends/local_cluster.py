@@ -13,6 +13,7 @@ from types import TracebackType
 from hpcapp.backends.local_machines import LocalMachines
 from hpcapp.communicator.executor import CommunicatorExecutor
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
+from hpcapp.communicator.verification import Verification
 from hpccomponent.errors import NoWorkersError, UsageError
 from hpccomponent.runtime.numerics import numerics_id
 
@@ -31,6 +32,8 @@ class LocalCluster:
         have been started by now, which are stopped at the block's end.
     policy : str
         How batches are handed out: a name in `POLICIES` of ``communicator/policy.py``.
+    verification : Verification, optional
+        Which answers are asked for again on another machine; by default none.
     extra_tasks : sequence of str
         ``NAME=module:function`` of tasks beside the installed ones; the modules must be found
         through ``PYTHONPATH`` or be installed. Machines that run know their own.
@@ -60,6 +63,7 @@ class LocalCluster:
         workers: int | LocalMachines,
         *,
         policy: str = DEFAULT_POLICY,
+        verification: Verification | None = None,
         extra_tasks: Sequence[str] = (),
         start_timeout_s: float = 60.0,
     ) -> None:
@@ -70,7 +74,7 @@ class LocalCluster:
             self._own = workers = LocalMachines(workers, extra_tasks)
         self._machines = workers
         self.workers = self._machines.count
-        self._policy = policy
+        self._policy, self._verification = policy, verification
         self._start_timeout_s = start_timeout_s
         self._is_up = False
 
@@ -81,6 +85,7 @@ class LocalCluster:
             self.executor = CommunicatorExecutor(
                 self._machines.door,
                 policy=POLICIES[self._policy](),
+                verification=self._verification,
                 extra_tasks=self._machines.extra_tasks,
                 numerics=numerics_id(),  # the master computes too
             )

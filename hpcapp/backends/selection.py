@@ -21,10 +21,12 @@ module:func  the Executor that a function makes
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,6 +35,7 @@ from hpcapp.backends.capacity import check_address_space, check_workers
 from hpcapp.backends.recorded import RecordedExecutor
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
+from hpcapp.communicator.verification import LEAST_MACHINES, Verification
 from hpcapp.timeline import Timeline
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import UsageError
@@ -53,6 +56,8 @@ __all__ = [
     "start_early",
     "wrap_communicator",
 ]
+
+log = logging.getLogger("hpcapp")
 
 CLUSTER_FILES = (".json", ".yaml", ".yml")
 
@@ -143,6 +148,7 @@ def open_executor(
     *,
     workers: int | None = None,
     policy: str = DEFAULT_POLICY,
+    verification: Verification | None = None,
     extra_tasks: Sequence[str] = (),
     machines: LocalMachines | None = None,
 ) -> Iterator[Backend]:
@@ -161,6 +167,8 @@ def open_executor(
         one that lags again elsewhere (with other Executors than the communicator it is
         ``pull``); ``pull`` hands the next batch to whoever is free; ``equal`` hands every
         worker the same number of batches.
+    verification : Verification, optional
+        Which answers are asked for again on another machine, by `zmq` and clusters.
     extra_tasks : sequence of str
         Tasks beside the installed ones, each ``NAME=module:function``.
     machines : LocalMachines, optional
@@ -181,12 +189,18 @@ def open_executor(
     if policy not in POLICIES:
         raise UsageError(f"unknown policy {policy!r}", f"choose one of {', '.join(POLICIES)}")
     per_worker = POLICIES[policy].batches_per_worker
+    verification = verification or Verification()
+    if verification.share and name != "zmq" and not name.endswith(CLUSTER_FILES):
+        raise UsageError(
+            f"the backend {name} does not say which machine gives an answer: nothing is verified",
+            "leave --verify out, or use a cluster or the backend zmq",
+        )
     if name.endswith(CLUSTER_FILES):
         if workers is not None:
             raise UsageError(
                 f"the workers of {name} are those that there are", "leave --workers out"
             )
-        with _open_cluster(name, policy, extra_tasks) as (executor, count):
+        with _open_cluster(name, policy, verification, extra_tasks) as (executor, count):
             yield wrap_communicator("cluster", executor, count, policy)
         return
     if name not in BACKENDS:
@@ -205,7 +219,9 @@ def open_executor(
         from hpcapp.backends.local_cluster import LocalCluster
 
         here = machines or check_workers(name, workers, available_cores())
-        with LocalCluster(here, policy=policy, extra_tasks=extra_tasks) as cluster:
+        with LocalCluster(
+            here, policy=policy, verification=verification, extra_tasks=extra_tasks
+        ) as cluster:
             yield wrap_communicator(name, cluster.executor, cluster.workers, policy)
         return
     count = check_workers(name, workers, 1 if name == "serial" else available_cores())
@@ -268,6 +284,10 @@ def open_backend(
         return
     from hpcapp.backends.borrowed import borrow_executor
 
+    begin = getattr(executor, "start_over", None)
+    if begin is not None:
+        begin()
+
     per_worker = POLICIES[DEFAULT_POLICY].batches_per_worker
     in_process = isinstance(executor, SerialExecutor | ThreadPoolExecutor)
     with borrow_executor(executor, workers) as borrowed:
@@ -309,20 +329,23 @@ def _open_processes(count: int) -> Iterator[Executor]:
 
 @contextmanager
 def _open_cluster(
-    name: str, policy: str, extra_tasks: Sequence[str]
+    name: str, policy: str, verification: Verification, extra_tasks: Sequence[str]
 ) -> Iterator[tuple[CommunicatorExecutor, int]]:
     """Open a cluster by its inventory, or by the cluster file through the package that knows it."""
     from hpcapp.backends.cluster import open_inventory
     from hpcapp.backends.cluster_jobs import load_cluster_function
 
     path = Path(name)
+    open_listed = partial(
+        open_inventory, policy=policy, verification=verification, extra_tasks=extra_tasks
+    )
     if path.suffix == ".json":
-        with open_inventory(path, policy=policy, extra_tasks=extra_tasks) as opened:
+        with open_listed(path) as opened:
             yield opened
         return
     with (
         load_cluster_function("open")(path) as (inventory, lead),
-        open_inventory(inventory, policy=policy, extra_tasks=extra_tasks, lead=lead) as opened,
+        open_listed(inventory, lead=lead) as opened,
     ):
         yield opened
 
@@ -345,6 +368,10 @@ def wrap_communicator(
     -------
     Backend
     """
+    if executor.verification.share and workers < LEAST_MACHINES:
+        log.info(
+            "answers are verified from %d workers on, and there are %d", LEAST_MACHINES, workers
+        )
 
     def traffic() -> Traffic:
         counted = executor.statistics()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 from hpcapp.communicator.state import Worker
 from hpccomponent.protocol.frames import SMALLEST_FRAME
@@ -28,21 +28,8 @@ class Admission:
     """
 
     package: str
-    numerics: str | None = None
-    banned: dict[str, str] = field(default_factory=dict)
-
-    def ban(self, worker: Worker, reason: str) -> None:
-        """Keep a worker out from now on, under its key and under its name.
-
-        Parameters
-        ----------
-        worker : Worker
-        reason : str
-            Told to it when it comes again.
-        """
-        self.banned[worker.register.worker] = reason
-        if worker.key:
-            self.banned[worker.key] = reason
+    numerics: str | None
+    banned: Mapping[str, str]
 
     def objection(self, register: Register, key: str, workers: Iterable[Worker]) -> str | None:
         """Return why a component cannot join `workers`, or None if it can.

@@ -6,7 +6,8 @@
     lost, alone ─────────────────────────────────────────────────^
 
 A task that was lost with a worker goes alone, so that no other is blamed with it, and to who may
-have it (see `Losses`); it goes before what waits in the queue. When nothing waits, idle workers run
+have it (see `Losses`); it goes before what waits in the queue, as does one that another machine has
+answered and that is verified. When nothing waits, idle workers run
 again what lags elsewhere (see `speculation`), if the policy wants that.
 """
 
@@ -50,7 +51,7 @@ class Dispatcher:
     queue : OrderedDict of int to Task
         What any worker may have, in order.
     lost : OrderedDict of int to Task
-        What was lost with a worker: not for every other one.
+        What was lost with a worker, or is to be answered by another one: not for every one.
     assignments : Assignments
         Every batch that was sent.
     forecast : Forecast
@@ -85,7 +86,7 @@ class Dispatcher:
         """
         for task in reversed(list(tasks)):
             task.places.clear()
-            if task.losses:
+            if task.losses or task.answers:
                 self.lost[task.number] = task
                 continue
             self.queue[task.number] = task

@@ -29,6 +29,7 @@ from hpcapp.communicator.policy import AdaptivePolicy, Policy
 from hpcapp.communicator.recording import list_workers
 from hpcapp.communicator.scheduler import Scheduler
 from hpcapp.communicator.submission import each_traits, make_entry
+from hpcapp.communicator.verification import Verification
 from hpcapp.timeline import Timeline
 from hpccomponent.clock import Clock, MonotonicClock
 from hpccomponent.errors import NoWorkersError, UsageError
@@ -72,6 +73,8 @@ class CommunicatorExecutor(Executor):
         Where it listens; by default on loopback, with fresh keys, until it is shut down.
     policy : Policy, optional
         How tasks are spread; `AdaptivePolicy` by default.
+    verification : Verification, optional
+        Which answers are asked for again on another machine; by default none.
     extra_tasks : iterable of str
         ``NAME=module:function`` of tasks that are not installed as entry points.
     numerics : str, optional
@@ -92,6 +95,7 @@ class CommunicatorExecutor(Executor):
         door: Door | None = None,
         *,
         policy: Policy | None = None,
+        verification: Verification | None = None,
         extra_tasks: Iterable[str] = (),
         numerics: str | None = None,
         timing: Timing | None = None,
@@ -106,6 +110,7 @@ class CommunicatorExecutor(Executor):
         timing = timing or Timing()
         clock = clock or MonotonicClock()
         self._door = door or Door()
+        self.verification = verification or Verification()
 
         def make_scheduler(ledger: Ledger) -> Scheduler:
             return Scheduler(
@@ -117,6 +122,7 @@ class CommunicatorExecutor(Executor):
                 timing.liveness_s,
                 timing.worker_wait_s,
                 ledger.split,
+                self.verification,
             )
 
         self._transport = self._door.answer()
@@ -262,6 +268,10 @@ class CommunicatorExecutor(Executor):
             self._gone = reason
             self._engine.roster.notify_all()
         self._engine.post(lambda: self._engine.scheduler.workers_gone(reason))
+
+    def start_over(self) -> None:
+        """Begin anew after a `DistrustError`: machines that have lied stay out."""
+        self._engine.post(self._engine.scheduler.start_over)
 
     # -- tasks ---------------------------------------------------------------------------------
 

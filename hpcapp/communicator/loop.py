@@ -292,7 +292,7 @@ class Engine:
 
     def _take_results(self, identity: bytes, message: Results) -> None:
         """Take results once all of them are what they must be; of a liar, none."""
-        worker, opened = self.scheduler.workers.get(identity), []
+        worker, answers = self.scheduler.workers.get(identity), []
         if worker is not None:
             limits = self.scheduler.dispatcher.assignments.most_bytes(
                 worker,
@@ -301,11 +301,15 @@ class Engine:
                 self.scheduler.tasks,
             )
             largest = min(LARGEST_FRAME, worker.register.largest_frame)
-            opened = open_results(
+            answers = open_results(
                 message.results, limits, largest, self._transport.take_frames, self.ledger.find
             )
         actions = self.scheduler.results(
-            identity, message.batch, message.results, message.is_finished
+            identity,
+            message.batch,
+            message.results,
+            message.is_finished,
+            lambda index: answers[index].digest(),
         )
         maker = self.scheduler.workers.get(identity)
         # The next batch leaves first: whoever waits for a result may take its time with it.
@@ -313,7 +317,7 @@ class Engine:
         for action in actions:
             if isinstance(action, Deliver):
                 name = None if maker is None else maker.machine
-                self.ledger.deliver(action.task, action.result, opened[action.index], name)
+                self.ledger.deliver(action.task, action.result, answers[action.index].value, name)
 
     def _take_need(self, worker: bytes, message: Need) -> None:
         # A value that was changed after it was shared is refused by every worker, for ever.

@@ -138,8 +138,8 @@ class Losses:
     def find_places(self, task: Task, workers: Sequence[Worker]) -> list[Worker]:
         """Return the workers that may have a task that was lost: of the best kind that is there.
 
-        First those on machines that have not lost it, nor another one just now; then those on
-        machines that have not lost it; then all.
+        First those on machines that have neither lost nor answered it, nor lost another one just
+        now; then those on machines that have neither; then all.
 
         Parameters
         ----------
@@ -152,7 +152,8 @@ class Losses:
         list of Worker
             Empty only where there are none.
         """
-        others = [worker for worker in workers if worker.machine not in task.losses]
+        known = {*task.losses, *task.answers}
+        others = [worker for worker in workers if worker.machine not in known]
         steady = [worker for worker in others if not self._record(worker).is_shaken]
         return steady or others or list(workers)
 

@@ -11,16 +11,31 @@ this one is not to be trusted with anything.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from hpcapp.communicator.submission import Entry
+from hpcapp.communicator.verification import digest_answer
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.codec import decode_values
 from hpccomponent.protocol.declared import check_result
 from hpccomponent.protocol.frames import Buffer, join_frames
 from hpccomponent.protocol.messages import Result
 
-__all__ = ["open_results"]
+__all__ = ["Answer", "open_results"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """A result that has been checked, with its value, and the buffers that it came in."""
+
+    result: Result
+    value: Any = None
+    buffers: Sequence[Buffer] = ()
+
+    def digest(self) -> bytes:
+        """Return what tells it from another answer; see `verification.digest_answer`."""
+        return digest_answer(self.result, self.buffers)
 
 
 def open_results(
@@ -29,7 +44,7 @@ def open_results(
     largest_frame: int,
     take_frames: Callable[[int, int], Sequence[Buffer]],
     find: Callable[[int], Entry | None],
-) -> list[Any]:
+) -> list[Answer]:
     """Return the values of results that came together.
 
     Parameters
@@ -46,8 +61,8 @@ def open_results(
 
     Returns
     -------
-    list
-        A value for each; None where the task has failed, or nobody waits.
+    list of Answer
+        One for each; its value is None where the task has failed, or nobody waits.
 
     Raises
     ------
@@ -55,7 +70,7 @@ def open_results(
         If one of them is not what its task declares, or larger than it may be.
     """
     if not any(limits):
-        return [None] * len(results)
+        return [Answer(result) for result in results]
     for result, limit in zip(results, limits, strict=True):
         size = len(result.header) + sum(result.sizes)
         if size > limit:
@@ -67,7 +82,7 @@ def open_results(
     supply = iter(join_frames(frames, sizes))
     groups = [[next(supply) for _ in result.sizes] for result in results]
     return [
-        _open(result, buffers, find(result.task))
+        Answer(result, _open(result, buffers, find(result.task)), buffers)
         for result, buffers in zip(results, groups, strict=True)
     ]
 

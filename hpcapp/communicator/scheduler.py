@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 from hpcapp.communicator.admission import Admission
 from hpcapp.communicator.dispatching import Dispatcher
@@ -38,7 +39,9 @@ from hpcapp.communicator.state import (
     Welcome,
     Worker,
 )
+from hpcapp.communicator.verification import Verdict, Verification
 from hpccomponent.clock import Clock
+from hpccomponent.errors import DistrustError, JobError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.frames import LARGEST_FRAME
 from hpccomponent.protocol.messages import Failure, Register, Result
@@ -61,6 +64,8 @@ class Scheduler:
         Called with a task's number right before it first leaves; False if it was cancelled.
     split : callable, optional
         Called with the number of a task that can be split; returns those that replace it, if any.
+    verification : Verification, optional
+        What the job knows of the honesty of machines; by default nothing is asked for again.
     numerics : str, optional
         Numerics id that components must have; by default that of the first one.
     liveness_s : float
@@ -79,18 +84,22 @@ class Scheduler:
         liveness_s: float = 15.0,
         worker_wait_s: float = 60.0,
         split: Callable[[int], list[Task]] = lambda _: [],
+        verification: Verification | None = None,
     ) -> None:
+        self.verification = verification or Verification()
+        self.verification.begin()
         self.workers: dict[bytes, Worker] = {}
         self.tasks: dict[int, Task] = {}
         self.counts: Counter[str] = Counter()
         self.recording = Recording()
         self._clock = clock
-        self._admission = Admission(package, numerics)
+        self._admission = Admission(package, numerics, self.verification.liars)
         self._claim = claim
         self._split = split
         self._liveness_s = liveness_s
         self._worker_wait_s = worker_wait_s
         self._losses = Losses()
+        self._keys: dict[str, str] = {}  # of every machine that has come, by its name
         self.dispatcher = Dispatcher(
             policy, clock, self._losses, self._claim_task, self._split_task
         )
@@ -111,6 +120,9 @@ class Scheduler:
     ) -> list[Action]:
         """Take a new task; call `dispatch` after the last of several."""
         task = Task(number, name, size_bytes, blobs, work, can_split, limit_bytes)
+        if self.verification.distrust:
+            self.tasks[number] = task
+            return self._distrust()
         if self._gone is not None and self._is_alone():
             self.tasks[number] = task
             return self._give_up(self._gone)
@@ -140,6 +152,11 @@ class Scheduler:
         self._gone = reason
         return self._give_up(reason) if self._is_alone() else []
 
+    def start_over(self) -> list[Action]:
+        """Begin anew after a `DistrustError`: what comes from now on is of another attempt."""
+        self.verification.begin()
+        return []
+
     def drain(self, identity: bytes) -> list[Action]:
         """Let a worker finish what it has and leave; what it has not been sent goes elsewhere."""
         worker = self.workers.get(identity)
@@ -165,6 +182,7 @@ class Scheduler:
             self.recording.turned_away(register)
             return [Refuse(identity, reason)]
         self._admission.numerics = register.numerics
+        self._keys[register.worker] = key
         level = min((worker.placed for worker in self._open_workers()), default=0)
         worker = Worker(identity, register, key, self._clock.now(), placed=level)
         worker.is_retired = worker.machine in self._losses.retired
@@ -180,14 +198,23 @@ class Scheduler:
         return [*actions, Welcome(identity, largest), *self.dispatch()]
 
     def results(
-        self, identity: bytes, batch: int, results: Sequence[Result], is_finished: bool
+        self,
+        identity: bytes,
+        batch: int,
+        results: Sequence[Result],
+        is_finished: bool,
+        digest: Callable[[int], bytes] = lambda _: b"",
     ) -> list[Action]:
-        """Take results of tasks that it was given (see `Assignments`); of those done, drop them."""
+        """Take results of tasks that it was given (see `Assignments`); of those done, drop them.
+
+        `digest` returns what tells one of them, by its index, from another answer.
+        """
         worker = self.workers.get(identity)
         if worker is None:
             return self._stranger(identity)
         worker.seen = self._clock.now()
         actions: list[Action] = []
+        liars: dict[str, str] = {}
         flight = worker.batches.get(batch)
         later_s = sum([result.seconds for result in results])
         way_s = max(0.0, worker.seen - worker.since - later_s) / max(1, len(results))
@@ -207,6 +234,11 @@ class Scheduler:
             if failure and self._losses.can_ask_another(task, worker, self._open_workers()):
                 actions += self._ask_another(task, worker, failure)
                 continue
+            if failure is None:
+                told = self._hear(task, worker, result, partial(digest, index), liars)
+                if told is not None:
+                    actions += told
+                    continue
             del self.tasks[task.number]
             self._withdraw(task)
             actions.append(Deliver(task.number, index, result))
@@ -215,6 +247,8 @@ class Scheduler:
         worker.since = worker.seen
         if is_finished:
             actions += self._take_back(worker, batch, "it left out a result", is_blamed=True)
+        for machine, reason in liars.items():
+            actions += self._turn_liar_away(machine, self._keys[machine], reason)
         return actions + self.dispatch()
 
     def expose(self, identity: bytes, reason: str) -> list[Action]:
@@ -222,12 +256,8 @@ class Scheduler:
         liar = self.workers.get(identity)
         if liar is None:
             return []
-        self.counts["lies"] += 1
         self._losses.accuse(liar, reason)
-        why = f"{liar.machine} works for this job no more: {reason}"
-        self._admission.ban(liar, why)
-        same = [w for w in self.workers.values() if w is liar or (liar.key and w.key == liar.key)]
-        return self._turn_away(same, why) + self.dispatch()
+        return self._turn_liar_away(liar.machine, liar.key, reason) + self.dispatch()
 
     def heartbeat(
         self, identity: bytes, progress: int, last_batch: int, held: Iterable[int]
@@ -332,6 +362,59 @@ class Scheduler:
 
     def _is_alone(self) -> bool:
         return all(worker.is_retired for worker in self.workers.values())
+
+    # -- lies ----------------------------------------------------------------------------------
+
+    def _hear(
+        self,
+        task: Task,
+        worker: Worker,
+        result: Result,
+        digest: Callable[[], bytes],
+        liars: dict[str, str],
+    ) -> list[Action] | None:
+        """Judge an answer; None where it is believed, else what is to be done about it."""
+        machine = worker.machine
+        others = {other.machine for other in self._open_workers()} - {machine, *task.answers}
+        self.verification.seconds += result.seconds if task.answers else 0.0
+        verdict, lying = self.verification.hear(task, machine, others, digest)
+        if lying and result.written:  # what a liar has written may be what others read
+            self.verification.answers.update(lying)
+        for name in lying:
+            liars[name] = f"its answer to {task.name!r} is not that of the other machines"
+        if verdict is Verdict.BELIEVED:
+            return None
+        task.places.pop(worker.identity, None)
+        if verdict is Verdict.UNDECIDED:
+            del self.tasks[task.number]
+            self._withdraw(task)
+            names = " and ".join(sorted(task.answers))
+            problem = f"{names} gave different answers to {task.name!r}, and no machine can decide"
+            return [Fail(task.number, JobError(problem, "give the job another machine"))]
+        if not task.places:
+            self.dispatcher.requeue([task])
+        return []
+
+    def _turn_liar_away(self, machine: str, key: str, reason: str) -> list[Action]:
+        """Ban a machine and all that came under its key, and with it what its answers led to."""
+        self.counts["lies"] += 1
+        why = f"{machine} works for this job no more: {reason}"
+        self.verification.accuse((machine, key), machine, why)
+        for task in self.tasks.values():
+            task.answers.pop(machine, None)
+        same = [w for w in self.workers.values() if w.machine == machine or (key and w.key == key)]
+        actions = self._turn_away(same, why)
+        return actions + self._distrust() if self.verification.distrust else actions
+
+    def _distrust(self) -> list[Action]:
+        """Give up all tasks, because answers that have been used may be lies."""
+        error = DistrustError(self.verification.distrust, "begin the work anew")
+        actions: list[Action] = []
+        for task in list(self.tasks.values()):
+            self._withdraw(task)
+            actions.append(Fail(task.number, error))
+        self.tasks.clear()
+        return actions
 
     # -- losing --------------------------------------------------------------------------------
 

@@ -80,8 +80,9 @@ def choose_to_run_again(
             name = task.name
             if name not in least_s:
                 least_s[name] = min(forecast.unit_s(w.identity, name) for w in idle)
-            # A task that was lost with a worker may be what kills them: one at a time.
-            is_apart = task.is_done or task.losses or len(task.places) > 1
+            # A task that was lost with a worker may be what kills them: one at a time. One that is
+            # verified must not go to who has answered it.
+            is_apart = task.is_done or task.losses or task.answers or len(task.places) > 1
             if not is_apart and lags(task, left_s, least_s[name]):
                 lagging.append((left_s, task))
     lagging.sort(key=lambda pair: -pair[0])

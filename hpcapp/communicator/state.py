@@ -35,7 +35,8 @@ class Task:
     lost while it was (or may have been) running, or on which it failed, which one may before it is
     believed (`has_failed`); a task is claimed once, right before it first
     leaves. `places` are the workers that hold it, with the batch: two where it is run again because
-    the first lags; the first answer counts, and then it is done.
+    the first lags; the first answer counts, and then it is done. `answers` are the digests of those
+    that wait for another machine to give the same, by machine (see `verification`).
     """
 
     number: int
@@ -50,6 +51,7 @@ class Task:
     is_claimed: bool = False
     is_done: bool = False
     places: dict[bytes, int] = field(default_factory=dict)
+    answers: dict[str, bytes] = field(default_factory=dict)
 
     def lacking_bytes(self, worker: Worker) -> int:
         """Return the size of those of its blobs that are not known to be on `worker`.

@@ -17,7 +17,7 @@ _MESH = ("vertices", "faces", "watertight", "edge_manifold", "vertex_manifold", 
 _WORK = ("backend", "workers", "policy", "kernels")
 _ELSEWHERE = (*_MESH, *_WORK, "summary", "input", "normals", "dropped", "warnings", "stages",
               "timeline", "owners", "choice", "bytes_sent", "bytes_received", "command", "cost",
-              "losses")  # fmt: skip
+              "losses", "verification")  # fmt: skip
 _FAILED = ("lost", "failed", "refused", "repeated")
 
 
@@ -133,7 +133,7 @@ def _work(report: Mapping[str, Any]) -> dict[str, Any]:
     for outcome in _FAILED:
         if spans:
             rows[f"tasks {outcome}"] = sum(span.get("outcome") == outcome for span in spans)
-    for name in ("losses", "cost"):
+    for name in ("verification", "losses", "cost"):
         if name in report:
             rows[name] = _readable(report[name])
     return rows

@@ -7,6 +7,7 @@ import secrets
 from collections.abc import Iterable
 from pathlib import Path
 
+from hpccomponent.files.checksum import note_written
 from hpccomponent.files.private_files import create_private
 
 __all__ = ["write_whole"]
@@ -34,7 +35,9 @@ def write_whole(path: Path, buffers: Iterable[bytes | bytearray | memoryview]) -
     beside = path.with_name(f".{secrets.token_hex(8)}.tmp")
     try:
         with create_private(beside, _BUFFER) as file:
-            file.writelines(buffers)
+            for buffer in buffers:
+                file.write(buffer)
+                note_written(buffer)
         os.replace(beside, path)
     finally:
         beside.unlink(missing_ok=True)

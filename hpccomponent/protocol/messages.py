@@ -58,7 +58,7 @@ __all__ = [
     "encode_message",
 ]
 
-PROTOCOL_VERSION = 4
+PROTOCOL_VERSION = 5
 
 MAX_TRACEBACK = 20_000  # characters
 
@@ -182,13 +182,17 @@ class Failure(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 class Result(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """What became of one task, and how many seconds its function took."""
+    """What became of one task, and how many seconds its function took.
+
+    `written` is the checksum of what it has written to files and stores.
+    """
 
     task: Count
     seconds: Seconds
     header: bytes
     sizes: list[Count]
     failure: Failure | None = None
+    written: Count = 0
 
 
 class Results(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):

@@ -18,6 +18,7 @@ from time import perf_counter
 from typing import Any
 
 from hpccomponent import errors
+from hpccomponent.files.checksum import take_written
 from hpccomponent.limits import is_shortage
 from hpccomponent.protocol.codec import NO_BLOBS, decode_values, encode_values
 from hpccomponent.protocol.declared import check_result
@@ -92,6 +93,7 @@ def run_call(
         If this machine has run out of memory, disk or open files over it.
     """
     start = perf_counter()
+    take_written()
     try:
         task = tasks.resolve(call.name)
         arguments = decode_values(call.header, buffers, blobs)
@@ -106,7 +108,8 @@ def run_call(
             reason = f"it lacks what {call.name!r} needs ({failure.problem})"
             raise ShortageError(reason) from error
         return Result(call.task, perf_counter() - start, b"", [], failure), []
-    return Result(call.task, seconds, header, [len(buffer) for buffer in output]), output
+    sizes = [len(buffer) for buffer in output]
+    return Result(call.task, seconds, header, sizes, written=take_written()), output
 
 
 def _check(

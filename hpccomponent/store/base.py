@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from hpccomponent.errors import JobError, OutputError, UsageError
+from hpccomponent.files.checksum import note_written
 from hpccomponent.files.private_files import make_private_folder, open_at_once, remove_path
 from hpccomponent.files.whole_files import write_whole
 from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
@@ -30,13 +31,15 @@ class Store(Protocol):
     of which begins with a dot.
     """
 
-    def put(self, name: str, value: Any) -> None:
-        """Store a value, in place of what has that name.
+    def put(self, name: str, value: Any, *, replaces: bool = True) -> None:
+        """Store a value.
 
         Parameters
         ----------
         name : str
         value : ndarray, int, float, bool, str, bytes, None, or tuple, list, dict of these
+        replaces : bool
+            Whether it takes the place of what has that name; else that stays.
 
         Raises
         ------
@@ -164,11 +167,14 @@ class FolderStore:
             with self._translated(folder):
                 make_private_folder(folder)
 
-    def put(self, name: str, value: Any) -> None:
+    def put(self, name: str, value: Any, *, replaces: bool = True) -> None:
         """See `Store.put`; a value appears when all of it is written."""
         check_name(name)
         path = self._folder / name
         buffers = to_buffers(value, name)
+        if not replaces and self.has(name):
+            note_written(*buffers)
+            return
         with self._translated(path):
             if self._makes_folders:
                 make_private_folder(path.parent)

@@ -16,6 +16,7 @@ from botocore.config import Config
 from botocore.exceptions import BotoCoreError, ClientError, NoCredentialsError
 
 from hpccomponent.errors import CloudError, JobError, UsageError
+from hpccomponent.files.checksum import note_written
 from hpccomponent.store.base import check_name
 from hpccomponent.store.value import DamagedError, from_bytes, to_buffers
 
@@ -41,12 +42,14 @@ class S3Store:
         self._bucket = bucket
         self._prefix = f"{prefix}/" if prefix else ""
 
-    def put(self, name: str, value: Any) -> None:
+    def put(self, name: str, value: Any, *, replaces: bool = True) -> None:
         """See `Store.put`."""
         where = self._where(name)
-        body = b"".join(to_buffers(value, name))
-        with self._translated():
-            self._client.put_object(**where, Body=body)
+        buffers = to_buffers(value, name)
+        note_written(*buffers)
+        if replaces or not self.has(name):
+            with self._translated():
+                self._client.put_object(**where, Body=b"".join(buffers))
 
     def get(self, name: str) -> Any:
         """See `Store.get`."""

@@ -15,22 +15,20 @@ all bytes takes eight times as long, SHA-256 eighteen times. Used by the stores.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from hpccomponent.errors import HpcError
+from hpccomponent.files.checksum import checksum
 from hpccomponent.protocol.codec import NO_BLOBS, decode_values, encode_values
 from hpccomponent.protocol.frames import Buffer
 
-__all__ = ["PAGE", "DamagedError", "checksum", "from_bytes", "to_buffers"]
+__all__ = ["DamagedError", "from_bytes", "to_buffers"]
 
 _MAGIC = b"hpcvalue3"
 _CHECK_BYTES = 4
 _ALIGNMENT = 64
-PAGE = 4096
-"""Bytes of which the checksum knows the sum."""
 _MOST_BUFFERS = 1 << 16
 
 
@@ -127,31 +125,3 @@ def _split(content: memoryview, at: int) -> list[memoryview]:
     if at != len(content):
         raise DamagedError("is cut or changed: its length is wrong")
     return pieces
-
-
-def checksum(pieces: Iterable[Buffer], check: int = 0) -> int:
-    """Return the checksum of some bytes, which depends on how they are cut into pieces.
-
-    Parameters
-    ----------
-    pieces : iterable of bytes-like
-        Cut between pages they give what they give as one.
-    check : int
-        Of the pieces before these.
-
-    Returns
-    -------
-    int
-        Of 32 bits.
-
-    Notes
-    -----
-    Of a page what matters is the sum of its words, in whatever order.
-    """
-    for piece in pieces:
-        view = memoryview(piece).cast("B")
-        whole = len(view) - len(view) % PAGE
-        words = np.frombuffer(view[:whole], "<u8").reshape(-1, PAGE // 8)
-        check = zlib.crc32(np.add.reduce(words, axis=1).data, check)
-        check = zlib.crc32(view[whole:], check)
-    return check

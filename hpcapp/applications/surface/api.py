@@ -31,9 +31,9 @@ from hpcapp.applications.surface.job.steps import run_memory
 from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID, MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
 from hpcapp.applications.surface.options import option_names
-from hpcapp.applications.surface.settings import (
-    Settings,
-)
+from hpcapp.applications.surface.settings import Settings
+from hpcapp.communicator.attempts import attempt, repeat_until_trusted
+from hpcapp.communicator.verification import Verification
 from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
 from hpcapp.io.points.usable import Dropped, refuse_too_few
@@ -41,6 +41,7 @@ from hpcapp.pages.shown_mesh import Mesh
 from hpcapp.progress import Progress, SilentProgress, StageClock
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.attributes.labels import find_labels
+from hpccomponent.surface.types.mesh import Mesh as TriangleMesh
 from hpccomponent.surface.types.points import ByteArray, FloatArray, PointCloud
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ def reconstruct(
     tolerance: float | None = None,
     executor: str | Executor | Client | None = None,
     workers: int | None = None,
+    verify: float | None = None,
     progress: Report | None = None,
 ) -> Mesh:
     """Turn points into a mesh, the one that ``hpcapp reconstruct`` writes.
@@ -103,6 +105,9 @@ def reconstruct(
         open already and stays so; by default what pays for so many points.
     workers : int, optional
         How many tasks run at once, where the executor leaves that open.
+    verify : float, optional
+        The share of the tasks that run again on another machine, from 0 to 1; by default 0.02 on
+        a cluster with three workers or more.
     progress : callable, optional
         Told (stage, parts done, parts in all) as the work proceeds, in the calling thread; what it
         raises ends the job.
@@ -145,6 +150,7 @@ def reconstruct(
         voxel_size=voxel_size,
         backend=executor if isinstance(executor, str) else "auto",
         workers=workers,
+        verify=verify,
         attributes=parse_attributes(attributes),
         faces=faces,
         tolerance=tolerance,
@@ -154,7 +160,8 @@ def reconstruct(
     labels = find_labels(checked.attributes)
     clock = StageClock(SilentProgress() if progress is None else _Calls(progress))
     given = None if isinstance(executor, str) else executor
-    with approach_workers(settings) as opener:
+    verification = getattr(given, "verification", None) or Verification(verify)
+    with approach_workers(settings, verification=verification) as opener:
         cloud, cleaned = arrange_usable(settings, checked, clock)
         del checked  # makes room
         refuse_too_few(len(cloud), Dropped(0, 0), "points")
@@ -166,9 +173,16 @@ def reconstruct(
         loaded = Loaded(
             cloud, Dropped(0, 0), cleaned, oriented=oriented, columns=columns, labels=labels
         )
-        with run_memory(settings, loaded, opener, clock, executor=given) as outcome:
-            carrying = carry_from_memory(settings, loaded, outcome, clock)
-            mesh = outcome.result.surface.mesh(carrying)
+
+        def run(_is_first: bool) -> TriangleMesh:
+            with (
+                attempt(verification),
+                run_memory(settings, loaded, opener, clock, executor=given) as outcome,
+            ):
+                carrying = carry_from_memory(settings, loaded, outcome, clock)
+                return outcome.result.surface.mesh(carrying)
+
+        mesh = repeat_until_trusted(verification, run)
     return Mesh.of(replace(mesh, vertices=mesh.vertices + mesh.origin, origin=np.zeros(3)))
 
 
@@ -221,6 +235,7 @@ def _choose_method(method: str | MethodSettings, options: dict[str, Any]) -> Met
 def _check_settings(settings: Settings) -> None:
     """Refuse what the command would refuse."""
     settings.target.check()
+    _check_range("verify", settings.verify or 0.0, 0.0, 1.0)
     if settings.grid is not None:
         if not isinstance(settings.grid, int | np.integer):
             raise UsageError(f"grid is {settings.grid!r}", "give a whole number of cells")

@@ -245,6 +245,13 @@ def _add_method_options(command: click.Command) -> click.Command:
     help="Batches by each worker's speed, to whoever is free, or the paper's equal batches.",
 )
 @click.option(
+    "--verify",
+    type=click.FloatRange(0.0, 1.0),
+    metavar="SHARE",
+    help="Have this share of the tasks run again on another machine, and turn away who gives wrong "
+    "answers.  [default: 0.02 with --cluster and three workers or more, else 0]",
+)
+@click.option(
     "--cluster",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",

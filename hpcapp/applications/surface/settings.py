@@ -43,6 +43,8 @@ class Settings:
         `voxel_size` in length units of the input.
     backend, workers, policy : str, int or None, str
         Where batches run; with the backend ``auto``, the most workers that may be used.
+    verify : float or None
+        The share of the answers that another machine gives too; None for the backend's default.
     cluster : Path or None
         The inventory of a cluster, whose workers may be used; with the backend ``zmq`` they are.
     max_memory : float or None
@@ -73,6 +75,7 @@ class Settings:
     backend: str = "auto"
     workers: int | None = None
     policy: str = DEFAULT_POLICY
+    verify: float | None = None
     cluster: Path | None = None
     max_memory: float | None = None
     temp_dir: str | None = None

@@ -12,8 +12,9 @@ import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from hpccomponent.files.checksum import checksum
 from hpccomponent.files.private_files import open_at_once
-from hpccomponent.store.value import DamagedError, checksum
+from hpccomponent.store.value import DamagedError
 
 __all__ = ["check_part", "with_check"]
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import OutputError
+from hpccomponent.files.checksum import note_written
 from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store
@@ -286,6 +287,7 @@ def _write_runs(file: int, rows: NDArray[Any], runs: Runs, start: int) -> None:
     raw = rows.view(np.uint8).reshape(-1).data
     for first, last, number in runs:
         run, at = raw[first * size : last * size], start + number * size
+        note_written(run)
         while run:
             done = os.pwrite(file, run, at)
             run, at = run[done:], at + done

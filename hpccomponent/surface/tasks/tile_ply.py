@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hpccomponent.errors import OutputError
+from hpccomponent.files.checksum import note_written
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.store.places import hold_store
 from hpccomponent.surface.extraction.part_places import PartPlaces, place_faces
@@ -108,9 +109,13 @@ def write_kept_tile(
     try:
         # Not cut to nothing first: who is late must not damage what is done.
         with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT, 0o666), "wb") as file:
-            file.write(mesh_header(len(vertices), len(faces), is_double))
-            file.write(vertex_rows(vertices, origin, is_double).data)
-            file.write(face_rows(faces).data)
+            for piece in (
+                mesh_header(len(vertices), len(faces), is_double),
+                vertex_rows(vertices, origin, is_double).data,
+                face_rows(faces).data,
+            ):
+                file.write(piece)
+                note_written(piece)
     except OSError as error:
         raise OutputError(
             f"{target}: cannot be written: {error.strerror or error}",

@@ -138,8 +138,7 @@ def sum_tile(
     place, name = keep
     beside, store = f"{name}-far", hold_store(place)
     for one, value in ((name, lattice), (beside, samples)):
-        if not store.has(one):
-            store.put(one, value)
+        store.put(one, value, replaces=False)
     return None, (place, beside), len(own)
 
 

@@ -5,12 +5,19 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from random import Random
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+)
 
 from hpcapp.communicator.dispatching import CREDIT
 from hpcapp.communicator.losses import LOSS_BUDGET
@@ -26,8 +33,9 @@ from hpcapp.communicator.state import (
     Refuse,
     Welcome,
 )
+from hpcapp.communicator.verification import Verification, digest_answer
 from hpccomponent.clock import ManualClock
-from hpccomponent.errors import NoWorkersError, ProtocolError, WorkerLostError
+from hpccomponent.errors import DistrustError, NoWorkersError, ProtocolError, WorkerLostError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.messages import (
     PROTOCOL_VERSION,
@@ -78,6 +86,7 @@ class Component:
     is_frozen: bool = False
     is_bad: bool = False
     is_sick: bool = False
+    lie: int = 0
 
     def carry_out(self, actions: Sequence[Any]) -> None:
         for action in actions:
@@ -101,10 +110,10 @@ class Component:
 class Cluster:
     """A master's scheduler, components, and the network between them."""
 
-    def __init__(self, policy: Policy) -> None:
+    def __init__(self, policy: Policy, verification: Verification | None = None) -> None:
         self.clock = ManualClock()
         self.cancelled: set[int] = set()
-        self.scheduler = Scheduler(policy, self.clock, "1", self.claim)
+        self.scheduler = Scheduler(policy, self.clock, "1", self.claim, verification=verification)
         self.components: list[Component] = []
         self.calls: dict[int, Call] = {}
         self.ended: dict[int, Any] = {}
@@ -222,7 +231,13 @@ class Cluster:
                 self.carry_out(scheduler.expose(identity, error.problem))
                 return
         self.carry_out(
-            scheduler.results(identity, message.batch, message.results, message.is_finished)
+            scheduler.results(
+                identity,
+                message.batch,
+                message.results,
+                message.is_finished,
+                lambda index: digest_answer(message.results[index], ()),
+            )
         )
 
     def work(self, component: Component) -> None:
@@ -242,7 +257,7 @@ class Cluster:
         failure = (
             Failure("ImportError", "a library is broken", "", "") if component.is_sick else None
         )
-        results = [Result(call.task, 0.001, b"", [], failure)]
+        results = [Result(call.task, 0.001, b"", [], failure, call.task + component.lie)]
         message = Results(batch.session, batch.batch, results, is_last)
         component.carry_out(component.session.worker_results(message, (), self.clock.now()))
 
@@ -509,6 +524,113 @@ class ClusterWithABadMachine(RuleBasedStateMachine):
         assert all(name.startswith(("bad", "sick")) for name in cluster.scheduler._losses.retired)
 
 
+class ClusterWithALiar(RuleBasedStateMachine):
+    """Of four machines one gives wrong answers that look right, whenever it likes.
+
+    Work begins anew where answers of a liar have been used, as `repeat_until_trusted` has it.
+    """
+
+    policy: Policy = AdaptivePolicy()
+    which = st.integers(min_value=0, max_value=1000)
+
+    @initialize(share=st.sampled_from([0.1, 0.5, 1.0]), seed=st.integers())
+    def start(self, share: float, seed: int) -> None:
+        self.verification = Verification(share, Random(seed).random)  # noqa: S311 - a test
+        self.cluster = Cluster(self.policy, self.verification)
+        self.liar = self.add("liar")
+        for name in ("good-1", "good-2", "good-3"):
+            self.add(name)
+        self.has_lied = False
+        self.begun = 0
+        self.attempts = 1
+
+    def add(self, name: str) -> Component:
+        component = self.cluster.start_component(name)
+        self.cluster.pump(component, 10)
+        return component
+
+    def pick(self, which: int) -> Component:
+        return self.cluster.components[which % len(self.cluster.components)]
+
+    @rule(count=st.integers(min_value=1, max_value=30))
+    def submit(self, count: int) -> None:
+        self.cluster.submit(count)
+
+    @rule(lie=st.integers(min_value=0, max_value=3))
+    def change_mind(self, lie: int) -> None:
+        self.liar.lie = lie
+
+    @rule(which=which, count=st.integers(min_value=1, max_value=10))
+    def work(self, which: int, count: int) -> None:
+        component = self.pick(which)
+        self.cluster.pump(component, 100)
+        for _ in range(count):
+            self.has_lied |= bool(component.work and component.lie)
+            self.cluster.work(component)
+        self.cluster.pump(component, 100)
+
+    @rule(which=which)
+    def lose_one_message(self, which: int) -> None:
+        component = self.pick(which)
+        if component.down:
+            component.down.popleft()
+
+    @rule(which=which)
+    def repeat_message(self, which: int) -> None:
+        component = self.pick(which)
+        if component.up:
+            component.up.appendleft(component.up[0])
+
+    @rule(seconds=st.sampled_from([0.1, 1.0]))
+    def pass_time(self, seconds: float) -> None:
+        self.cluster.pass_time(seconds)
+
+    @rule()
+    def begin_anew(self) -> None:
+        if self.verification.distrust:
+            self.cluster.carry_out(self.cluster.scheduler.start_over())
+            self.begun = len(self.cluster.calls)
+            self.attempts += 1
+
+    @invariant()
+    def nobody_is_accused_who_has_not_lied(self) -> None:
+        assert not self.verification.liars or self.has_lied
+        assert self.verification.liars.keys() <= {"liar", "key of liar"}
+
+    @invariant()
+    def with_every_answer_verified_no_lie_is_used(self) -> None:
+        if self.verification.share == 1.0:
+            assert all(
+                isinstance(outcome, DistrustError) or outcome.written == number
+                for number, outcome in self.cluster.ended.items()
+            )
+
+    def teardown(self) -> None:
+        if not hasattr(self, "cluster"):
+            return
+        cluster = self.cluster
+        self.begin_anew()
+        cluster.submit(5)
+        for _ in range(200):
+            for component in list(cluster.components):
+                cluster.pump(component, 1000)
+                while component.work:
+                    self.has_lied |= bool(component.lie)
+                    cluster.work(component)
+                cluster.pump(component, 1000)
+            cluster.pass_time(1.0)
+            if not cluster.scheduler.tasks:
+                break
+        assert not cluster.scheduler.tasks, "tasks are stuck"
+        assert self.attempts <= 2, "there is one liar"
+        ended = {n: end for n, end in cluster.ended.items() if n >= self.begun}
+        if self.verification.distrust:
+            return
+        assert all(isinstance(outcome, Result) for outcome in ended.values())
+        if self.verification.liars:  # then all that is left is the truth
+            assert all(outcome.written == number for number, outcome in ended.items())
+
+
 class AdaptiveClusterWithABadMachine(ClusterWithABadMachine):
     """The same with tasks that are run a second time where a worker lags."""
 
@@ -550,6 +672,8 @@ def schedules(count: int) -> settings:
 FAULTS = schedules(60)
 TestManySchedules = pytest.mark.slow(pytest.mark.timeout(900)(ManySchedules.TestCase))
 TestManySchedules.settings = schedules(1000)
+TestClusterWithALiar = ClusterWithALiar.TestCase
+TestClusterWithALiar.settings = schedules(300)
 TestClusterWithABadMachine = ClusterWithABadMachine.TestCase
 TestClusterWithABadMachine.settings = FAULTS
 TestAdaptiveClusterWithABadMachine = AdaptiveClusterWithABadMachine.TestCase

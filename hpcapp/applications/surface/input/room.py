@@ -28,7 +28,7 @@ from hpcapp.applications.surface.input.folder import may_pay_in_folder
 from hpcapp.applications.surface.memory import fits_memory
 from hpcapp.applications.surface.settings import JobSettings, name_backend
 from hpcapp.backends import BACKENDS
-from hpccomponent.errors import HpcError, InputError, OutputError, UsageError
+from hpccomponent.errors import DistrustError, HpcError, InputError, OutputError, UsageError
 from hpccomponent.files.held_folders import (
     HeldFolder,
     create_held,
@@ -159,6 +159,8 @@ def _taken_away(keeping: Keeping, held: HeldFolder | None = None) -> Iterator[No
     is_left = False
     try:
         yield
+    except DistrustError:  # nothing of it is to be believed
+        raise
     except BaseException:
         is_left = _leave_work(keeping)
         raise

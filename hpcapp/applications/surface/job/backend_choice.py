@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from hpcapp.applications.surface.settings import Settings, choose_local, name_backend
 from hpcapp.backends.capacity import count_carried
 from hpcapp.backends.selection import Backend, open_backend, open_executor, wrap_communicator
+from hpcapp.communicator.verification import Verification
 from hpccomponent.errors import NoWorkersError
 from hpccomponent.limits import available_cores
 
@@ -135,7 +136,10 @@ def least_work(workers: int, is_remote: bool = False) -> float:
 
 @contextmanager
 def approach_workers(
-    settings: Settings, guess: Job | None = None, machines: LocalMachines | None = None
+    settings: Settings,
+    guess: Job | None = None,
+    machines: LocalMachines | None = None,
+    verification: Verification | None = None,
 ) -> Iterator[Opener]:
     """Begin to listen for the workers of a cluster, where they may pay.
 
@@ -146,12 +150,14 @@ def approach_workers(
         What is known before the points are read: as much as it may be.
     machines : LocalMachines, optional
         What `backends.selection.start_early` has started.
+    verification : Verification, optional
+        What is known of the honesty of machines from earlier attempts.
 
     Yields
     ------
     Opener
     """
-    opener = Opener(settings, machines)
+    opener = Opener(settings, machines, verification)
     with opener.standing:
         if guess is not None and settings.cluster is not None and name_backend(settings) is None:
             opener.approach(guess)
@@ -166,6 +172,8 @@ class Opener:
     settings : Settings
     machines : LocalMachines, optional
         What `backends.selection.start_early` has started for the backend that was asked for.
+    verification : Verification, optional
+        See `approach_workers`.
 
     Attributes
     ----------
@@ -173,10 +181,16 @@ class Opener:
         Leaves the cluster.
     """
 
-    def __init__(self, settings: Settings, machines: LocalMachines | None = None) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        machines: LocalMachines | None = None,
+        verification: Verification | None = None,
+    ) -> None:
         self.standing = ExitStack()
         self._settings = settings
         self._machines = machines
+        self._verification = verification or Verification(settings.verify)
         self._cluster: Listening | None = None
 
     @contextmanager
@@ -207,7 +221,11 @@ class Opener:
         else:
             assert name is not None  # noqa: S101 - or it would be chosen
             opened = open_executor(
-                name, workers=asked, policy=settings.policy, machines=self._machines
+                name,
+                workers=asked,
+                policy=settings.policy,
+                verification=self._verification,
+                machines=self._machines,
             )
             reason = "it was asked for"
         with opened as backend:
@@ -237,7 +255,10 @@ class Opener:
                 self.standing.close()
                 backend = stack.enter_context(
                     open_executor(
-                        choice.backend, workers=choice.workers, policy=self._settings.policy
+                        choice.backend,
+                        workers=choice.workers,
+                        policy=self._settings.policy,
+                        verification=self._verification if choice.backend == "zmq" else None,
                     )
                 )
         except NoWorkersError as error:
@@ -280,11 +301,14 @@ class Opener:
         path, policy = self._settings.cluster, self._settings.policy
         assert path is not None  # noqa: S101 - or there would be no cluster
         if self._cluster is None:
-            self._cluster = self.standing.enter_context(listen_inventory(path, policy=policy))
+            self._cluster = self.standing.enter_context(
+                listen_inventory(path, policy=policy, verification=self._verification)
+            )
         return self._cluster
 
     def _gather(self) -> Backend:
         """Wait for the cluster's workers."""
         cluster = self._listen()
         workers = cluster.gather(WAIT_S, WAIT_S)
+        cluster.executor.start_over()
         return wrap_communicator("cluster", cluster.executor, workers, self._settings.policy)

@@ -25,6 +25,8 @@ from hpcapp.applications.surface.memory import count_most_points
 from hpcapp.applications.surface.method import TILE_POINTS
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import Backend
+from hpcapp.communicator.attempts import attempt, repeat_until_trusted
+from hpcapp.communicator.verification import Verification
 from hpcapp.io import describe_losses
 from hpcapp.io.output import open_output
 from hpcapp.progress import Progress, StageClock
@@ -75,15 +77,39 @@ def run_job(
     HpcError
         Whatever went wrong; no output is left half written.
     """
-    clock = StageClock(progress, timeline)
+    verification = Verification(settings.verify)
+
+    def run(is_first: bool) -> dict[str, Any]:
+        again = settings if is_first else replace(settings, resume=False)
+        ready = machines if is_first else None
+        return _run_once(again, StageClock(progress, timeline), ready, verification)
+
+    report = repeat_until_trusted(verification, run)
+    if verification.share:
+        report["verification"] = verification.to_json()
+        log.info("%s", verification.describe())
+    return report
+
+
+def _run_once(
+    settings: JobSettings,
+    clock: StageClock,
+    machines: LocalMachines | None,
+    verification: Verification,
+) -> dict[str, Any]:
+    """Run a job, or one more attempt at it without those who have lied."""
     if count_most_points(settings.points) >= LARGE_CLOUD:
         keep_memory()
-    with open_output(settings.output, settings.files) as target, open_room(settings) as room:
+    with (
+        open_output(settings.output, settings.files) as target,
+        open_room(settings) as room,
+        attempt(verification),
+    ):
         run = _run_in_memory if room.folder is None else _run_in_folder
-        report = run(settings, room, target, clock, machines)
+        report = run(settings, room, target, clock, machines, verification)
         if settings.details:
             report["timeline"] = clock.timeline.to_json()
-        progress.wait_for_viewers()  # what is kept goes with the room
+        clock.progress.wait_for_viewers()  # what is kept goes with the room
     report["stages"] = {name: round(seconds, 6) for name, seconds in clock.seconds.items()}
     return report
 
@@ -94,11 +120,12 @@ def _run_in_memory(
     target: Path,
     clock: StageClock,
     machines: LocalMachines | None,
+    verification: Verification,
 ) -> dict[str, Any]:
     """Run a job whose points are in memory."""
     from hpcapp.applications.surface.job.steps import run_memory  # see `loading.load_folder`
 
-    with approach_workers(settings, _guess_job(settings), machines) as opener:
+    with approach_workers(settings, _guess_job(settings), machines, verification) as opener:
         loaded = load_memory(settings, clock)
         loaded.report(settings.shown)
         with run_memory(settings, loaded, opener, clock, room.keeping) as outcome:
@@ -111,11 +138,12 @@ def _run_in_folder(
     target: Path,
     clock: StageClock,
     machines: LocalMachines | None,
+    verification: Verification,
 ) -> dict[str, Any]:
     """Run a job whose points are in a folder, if memory asks for it or other processes do."""
     guess = _guess_job(settings)
     with (
-        approach_workers(settings, machines=machines) as opener,
+        approach_workers(settings, machines=machines, verification=verification) as opener,
         opener.open(guess) as (opened, choice),
     ):
         backend = opened.record(clock.timeline)

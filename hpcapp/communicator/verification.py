@@ -1,0 +1,230 @@
+"""Whose answers are believed: a share of them is asked for again, on another machine.
+
+::
+
+    answer ── drawn? ── no ──────────────────────────────────> believed
+                 │ yes
+                 └─> another machine: the same bytes? ── yes ─> believed
+                                          │ no
+                                          └─> a third decides: who stands alone is a liar
+
+Tasks are deterministic within one numerics id, so that honest machines give the same bytes. What is
+drawn is chosen after the answer has come: no machine can know which of its answers matter. Until
+two machines agree the task is not done, so that what it reads is still there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from random import SystemRandom
+from typing import TYPE_CHECKING, Any
+
+from hpccomponent.errors import (
+    CloudError,
+    DistrustError,
+    NoWorkersError,
+    UsageError,
+    WorkerLostError,
+)
+
+if TYPE_CHECKING:  # a job in one process does not wait for what speaks to others
+    from hpcapp.communicator.state import Task
+    from hpccomponent.protocol.frames import Buffer
+    from hpccomponent.protocol.messages import Result
+
+__all__ = ["CLUSTER_SHARE", "LEAST_MACHINES", "Verdict", "Verification", "digest_answer"]
+
+CLUSTER_SHARE = 0.02
+"""Of the answers of a cluster's workers, where nothing else is asked for."""
+LEAST_MACHINES = 3
+"""With fewer nobody could decide between two answers."""
+
+
+_NO_LIES = (UsageError, CloudError, NoWorkersError, WorkerLostError, OSError)
+
+
+class Verdict(Enum):
+    """What becomes of an answer."""
+
+    BELIEVED = "believed"
+    ASK_ANOTHER = "ask another"
+    UNDECIDED = "undecided"
+
+
+@dataclass(slots=True, eq=False)
+class Verification:
+    """What one job knows of the honesty of machines, over all its attempts.
+
+    Parameters
+    ----------
+    share : float or None
+        Of the answers, that are asked for again: from 0 to 1. None where nothing was asked for:
+        then a cluster's workers are held to `CLUSTER_SHARE`, and others to nothing.
+    draw : callable
+        Returns a random number from 0 to 1 that nobody can foresee.
+
+    Attributes
+    ----------
+    liars : dict of str to str
+        Names and keys of machines that have lied, and what they did.
+    answers : Counter of str
+        How many answers of each machine have been used in this attempt without a second one.
+    machines : int
+        How many could answer at once, at most.
+    distrust : str
+        Why nothing of this attempt can be used; empty while all can.
+    verified, unverified, disagreements : int
+        Tasks that two machines agreed on; that nobody else was there for; that they disagreed on.
+    seconds : float
+        What the further runs took on workers.
+    repeats : list of str
+        Why the job was begun anew, each time.
+    """
+
+    share: float | None = None
+    draw: Callable[[], float] = SystemRandom().random
+    liars: dict[str, str] = field(default_factory=dict)
+    answers: Counter[str] = field(default_factory=Counter)
+    machines: int = 0
+    distrust: str = ""
+    verified: int = 0
+    unverified: int = 0
+    disagreements: int = 0
+    seconds: float = 0.0
+    repeats: list[str] = field(default_factory=list)
+
+    def begin(self) -> None:
+        """Begin an attempt: no answer has been used yet."""
+        self.answers.clear()
+        self.distrust = ""
+
+    def hear(
+        self, task: Task, machine: str, others: Collection[str], digest: Callable[[], bytes]
+    ) -> tuple[Verdict, list[str]]:
+        """Judge an answer.
+
+        Parameters
+        ----------
+        task : Task
+            Holds the answers before this one.
+        machine : str
+            Who gives it.
+        others : collection of str
+            Machines that have not answered the task and could.
+        digest : callable
+            Returns what tells this answer from another one: see `digest_answer`.
+
+        Returns
+        -------
+        verdict : Verdict
+        liars : list of str
+            Machines that have given another answer than two others, or than themselves before.
+        """
+        is_first = not task.answers
+        self.machines = max(self.machines, len(others) + is_first)
+        if is_first and (len(others) < LEAST_MACHINES - 1 or self.draw() >= (self.share or 0.0)):
+            self.answers[machine] += 1
+            return Verdict.BELIEVED, []
+        own, known = digest(), task.answers.get(machine)
+        if known is not None and known != own:
+            return Verdict.ASK_ANOTHER, [machine]
+        task.answers[machine] = own
+        agreeing = [name for name, told in task.answers.items() if told == own]
+        lying = [name for name, told in task.answers.items() if told != own]
+        if len(agreeing) > 1:
+            self.verified += 1
+            return Verdict.BELIEVED, lying
+        if others:
+            self.disagreements += bool(lying)
+            return Verdict.ASK_ANOTHER, []
+        if lying:
+            return Verdict.UNDECIDED, []
+        self.unverified += 1
+        self.answers[machine] += 1
+        return Verdict.BELIEVED, []
+
+    def accuse(self, names: Sequence[str], machine: str, reason: str) -> None:
+        """Note that a machine has lied.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Its name and its key.
+        machine : str
+            Its name.
+        reason : str
+            What it did.
+        """
+        self.liars.update(dict.fromkeys(filter(None, names), reason))
+        if count := self.answers[machine]:
+            self.distrust = f"{reason}; {count} answers of {machine} had been used before"
+
+    def suspect(self, error: Exception) -> str:
+        """Return why an attempt that ends with an error is to be made again; empty where not.
+
+        What a task or this process found impossible may come of a lie that looked right: once,
+        everything is verified.
+
+        Parameters
+        ----------
+        error : Exception
+
+        Returns
+        -------
+        str
+        """
+        if self.distrust or isinstance(error, DistrustError):
+            return self.distrust or str(error)
+        is_own = isinstance(
+            error, UsageError | CloudError | NoWorkersError | WorkerLostError | OSError
+        )
+        can_tell = (
+            self.machines >= LEAST_MACHINES and self.answers and 0.0 < (self.share or 0.0) < 1
+        )
+        if is_own or not can_tell:
+            return ""
+        self.share = 1.0
+        return f"every answer is verified, because this may come of a wrong one: {error}"
+
+    def describe(self) -> str:
+        """Say in one line what was found."""
+        found = f"{self.verified} answers were verified on other machines, {self.seconds:.1f} s"
+        liars = sorted(set(self.liars.values()))
+        return "; ".join([found, *liars] if liars else [found, "all agreed"])
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what the report says of it."""
+        return {
+            "share": self.share,
+            "verified": self.verified,
+            "unverified": self.unverified,
+            "disagreements": self.disagreements,
+            "seconds": round(self.seconds, 6),
+            "liars": sorted(set(self.liars.values())),
+            "repeats": self.repeats,
+        }
+
+
+def digest_answer(result: Result, buffers: Sequence[Buffer]) -> bytes:
+    """Return what tells one answer to a task from another one.
+
+    Parameters
+    ----------
+    result : Result
+    buffers : sequence of bytes-like
+        Those that it announces.
+
+    Returns
+    -------
+    bytes
+        BLAKE2b of all that was sent, and of the checksum of what the task has written.
+    """
+    found = hashlib.blake2b(result.header, digest_size=16)
+    for buffer in buffers:
+        found.update(buffer)
+    found.update(result.written.to_bytes(8, "little"))
+    return found.digest()

@@ -1,0 +1,136 @@
+"""Whose answers are believed, and what becomes of work that has used those of a liar."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import cycle
+
+import pytest
+
+from hpcapp.communicator.attempts import attempt, repeat_until_trusted
+from hpcapp.communicator.state import Task
+from hpcapp.communicator.verification import Verdict, Verification, digest_answer
+from hpccomponent.errors import DistrustError, NoWorkersError, TaskError
+from hpccomponent.protocol.messages import Result
+
+
+def hear(
+    verification: Verification, task: Task, machine: str, told: bytes, names: str = "abc"
+) -> tuple[Verdict, list[str]]:
+    others = set(names) - {machine, *task.answers}
+    return verification.hear(task, machine, others, lambda: told)
+
+
+def test_two_equal_answers_are_believed() -> None:
+    verification, task = Verification(1.0), Task(1, "t", 1)
+    assert hear(verification, task, "a", b"x") == (Verdict.ASK_ANOTHER, [])
+    assert hear(verification, task, "b", b"x") == (Verdict.BELIEVED, [])
+    assert verification.verified == 1
+    assert not verification.answers
+
+
+@pytest.mark.parametrize("liar", ["a", "b"])
+def test_a_third_machine_decides_between_two_answers(liar: str) -> None:
+    verification, task = Verification(1.0), Task(1, "t", 1)
+    told = {"a": b"x", "b": b"x", "c": b"x", liar: b"y"}
+    assert hear(verification, task, "a", told["a"]) == (Verdict.ASK_ANOTHER, [])
+    assert hear(verification, task, "b", told["b"]) == (Verdict.ASK_ANOTHER, [])
+    assert hear(verification, task, "c", told["c"]) == (Verdict.BELIEVED, [liar])
+    assert verification.disagreements == 1
+
+
+def test_three_different_answers_decide_nothing() -> None:
+    verification, task = Verification(1.0), Task(1, "t", 1)
+    for machine, told in zip("ab", (b"x", b"y"), strict=True):
+        assert hear(verification, task, machine, told)[0] is Verdict.ASK_ANOTHER
+    assert hear(verification, task, "c", b"z") == (Verdict.UNDECIDED, [])
+
+
+def test_a_machine_that_contradicts_itself_is_a_liar() -> None:
+    verification, task = Verification(1.0), Task(1, "t", 1)
+    hear(verification, task, "a", b"x")
+    assert hear(verification, task, "a", b"y", "a") == (Verdict.ASK_ANOTHER, ["a"])
+
+
+def test_where_nobody_else_is_left_the_same_answer_again_is_taken_and_counted() -> None:
+    verification, task = Verification(1.0), Task(1, "t", 1)
+    hear(verification, task, "a", b"x")
+    assert hear(verification, task, "a", b"x", "a") == (Verdict.BELIEVED, [])
+    assert (verification.verified, verification.unverified) == (0, 1)
+    assert verification.answers["a"] == 1
+
+
+@pytest.mark.parametrize(("share", "names"), [(0.0, "abc"), (None, "abc"), (1.0, "ab")])
+def test_no_answer_is_asked_for_again_without_a_share_or_a_third_machine(
+    share: float | None, names: str
+) -> None:
+    verification = Verification(share)
+    assert hear(verification, Task(1, "t", 1), "a", b"x", names) == (Verdict.BELIEVED, [])
+
+
+def test_the_share_is_that_of_the_answers() -> None:
+    numbers: Iterator[float] = cycle([0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95])
+    verification = Verification(0.2, lambda: next(numbers))
+    asked = [hear(verification, Task(n, "t", 1), "a", b"x")[0] for n in range(100)]
+    assert asked.count(Verdict.ASK_ANOTHER) == 20
+
+
+def test_what_a_task_has_written_is_part_of_its_answer() -> None:
+    plain = Result(1, 0.1, b"h", [3])
+    assert digest_answer(plain, [b"abc"]) == digest_answer(Result(9, 7.0, b"h", [3]), [b"abc"])
+    assert digest_answer(plain, [b"abc"]) != digest_answer(plain, [b"abd"])
+    written = Result(1, 0.1, b"h", [3], written=1)
+    assert digest_answer(plain, [b"abc"]) != digest_answer(written, [b"abc"])
+
+
+def test_work_that_has_used_a_liars_answer_begins_anew() -> None:
+    verification, runs = Verification(0.5), []
+
+    def run(is_first: bool) -> str:
+        runs.append(is_first)
+        verification.begin()
+        with attempt(verification):
+            verification.answers["a"] += is_first
+            verification.accuse(("a", "key"), "a", "it lied")
+        return "true"
+
+    assert repeat_until_trusted(verification, run) == "true"
+    assert runs == [True, False]
+    assert verification.liars == {"a": "it lied", "key": "it lied"}
+    assert "1 answers of a had been used" in verification.repeats[0]
+
+
+def test_what_a_task_finds_impossible_is_made_again_once_with_every_answer_verified() -> None:
+    verification = Verification(0.02)
+    shares = []
+
+    def run(is_first: bool) -> None:
+        del is_first
+        verification.begin()
+        shares.append(verification.share)
+        hear(verification, Task(1, "t", 1), "a", b"x")
+        verification.answers["a"] += 1
+        with attempt(verification):
+            raise TaskError("no such block")
+
+    with pytest.raises(TaskError, match="no such block"):
+        repeat_until_trusted(verification, run)
+    assert shares == [0.02, 1.0]
+
+
+@pytest.mark.parametrize("error", [NoWorkersError("none"), OSError("full"), KeyboardInterrupt()])
+def test_what_no_lie_can_cause_is_not_made_again(error: BaseException) -> None:
+    verification = Verification(0.02)
+    hear(verification, Task(1, "t", 1), "a", b"x")
+    verification.answers["a"] += 1
+    with pytest.raises(type(error)) as raised, attempt(verification):
+        raise error
+    assert raised.value is error
+
+
+def test_an_error_after_a_lie_came_out_is_laid_to_the_lie() -> None:
+    verification = Verification()
+    verification.answers["a"] += 1
+    verification.accuse(("a",), "a", "it lied")
+    with pytest.raises(DistrustError, match="it lied"), attempt(verification):
+        raise IndexError(7)
