@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from hpccomponent.files.whole_files import write_whole
 from hpccomponent.protocol.records import record
 from hpccomponent.runtime.background import worker_background
 
@@ -24,6 +25,11 @@ class Pair:
 
     word: str
     count: int
+
+
+def write(path: str, content: bytes) -> None:
+    """Write a file, as tasks do."""
+    write_whole(Path(path), [content])
 
 
 def echo(*values: Any) -> Any:

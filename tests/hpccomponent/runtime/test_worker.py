@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ TASKS = TaskRegistry(
         "ones=numpy:ones",
         "leave=sys:exit",
         "compile=re:compile",
+        "write=contract_tasks:write",
     ]
 )
 Ends = tuple[Channel, Channel]
@@ -44,6 +46,17 @@ def hear(channel: Channel) -> tuple[Results, list[memoryview]]:
     results = decode_component_message(control)
     assert isinstance(results, Results)
     return results, cut_payload(payload, [n for r in results.results for n in r.sizes])
+
+
+def test_what_a_task_writes_is_told_beside_its_result(tmp_path: Path) -> None:
+    def written(content: bytes) -> int:
+        name = str(tmp_path / "file")
+        done, _ = run_call(call(1, "write", name, content), [], TASKS)
+        assert done.failure is None
+        return done.written
+
+    assert written(b"abc") == written(b"abc") != written(b"abd")
+    assert run_call(call(1, "root", 16.0), [], TASKS)[0].written == 0
 
 
 def test_a_call_gives_its_value() -> None:

@@ -1,0 +1,47 @@
+"""The tasks of a reconstruction as a machine runs them that gives wrong answers.
+
+``LIE`` in the environment names the lie (see `lies`), ``LIE_ABOUT`` the task, or ``all``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any
+
+from lies import LIES
+
+from hpccomponent.errors import InputError
+
+__all__ = ["TASKS"]
+
+_PREFIX = "surface."
+_REAL = {
+    entry.name.removeprefix(_PREFIX): entry.value
+    for entry in entry_points(group="hpc.tasks")
+    if entry.name.startswith(_PREFIX)
+}
+TASKS = [f"{_PREFIX}{name}=lying_tasks:{name}" for name in _REAL]
+"""For ``python -m hpccomponent --task``."""
+
+
+def fail(*arguments: Any) -> Any:
+    """Fail, as a task does that was given what it cannot use."""
+    raise InputError(f"there is no use for these {len(arguments)} values")
+
+
+def __getattr__(name: str) -> Callable[..., Any]:
+    if name not in _REAL:
+        raise AttributeError(name)
+    module, _, function = _REAL[name].partition(":")
+    # And with it the records that it takes.
+    real: Callable[..., Any] = getattr(import_module(module), function)
+    if os.environ.get("LIE_ABOUT", "all") not in ("all", name):
+        return real
+
+    def run(*arguments: Any) -> Any:
+        return LIES[os.environ["LIE"]](real(*arguments))
+
+    return run
