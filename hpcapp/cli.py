@@ -16,8 +16,9 @@ from typing import NoReturn
 import click
 
 from hpcapp.interrupts import EXIT_INTERRUPTED, obey_signals
-from hpccomponent.errors import ConfigError, HpcError, write_block
+from hpccomponent.errors import ConfigError, HpcError
 from hpccomponent.runtime.collecting import rare_collections
+from hpccomponent.terminal import VisibleFormatter, echo, visible_line, visible_text, write_block
 
 __all__ = ["hpcapp", "main"]
 
@@ -90,8 +91,11 @@ class _Lines(logging.Formatter):
     """Writes a record without the traceback that it may carry."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return its message."""
-        return record.getMessage()
+        """Return its message; what was put into it, which may be others' words, breaks no line."""
+        if not isinstance(record.args, tuple) or not record.args:
+            return visible_text(record.getMessage())
+        words = (a if isinstance(a, int | float) else visible_line(str(a)) for a in record.args)
+        return visible_text(str(record.msg) % tuple(words))
 
 
 class _LogLines(logging.Handler):
@@ -113,7 +117,7 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
 
         from hpccomponent.runtime.numerics import numerics_id  # it imports the kernels
 
-        click.echo(f"hpcapp {version('hpcapp')} (kernels {numerics_id()})")
+        echo(f"hpcapp {version('hpcapp')} (kernels {numerics_id()})")
         ctx.exit()
 
 
@@ -124,7 +128,7 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
 def hpcapp(debug: bool) -> None:
     """Turn point clouds into watertight meshes, on one machine or on many."""
     lines = _LogLines()
-    lines.setFormatter(logging.Formatter("%(name)s: %(message)s") if debug else _Lines())
+    lines.setFormatter(VisibleFormatter("%(name)s: %(message)s") if debug else _Lines())
     logging.basicConfig(
         level=logging.INFO if debug else logging.WARNING,  # of the libraries that we use
         handlers=[lines],
@@ -160,7 +164,7 @@ def _report_error(error: HpcError) -> None:
 
 def _write(text: str) -> None:
     with contextlib.suppress(OSError):  # nobody can be told that stderr is full or closed
-        click.echo(text, err=True)
+        echo(text, err=True)
 
 
 def _fill_closed_descriptors() -> None:
@@ -221,7 +225,7 @@ def _run(arguments: list[str], debug: bool) -> int:
         code = hpcapp.main(arguments, prog_name="hpcapp", standalone_mode=False)
         return code or 0  # what a verb has left with; click catches that itself
     except click.exceptions.NoArgsIsHelpError as error:
-        click.echo(error.format_message(), err=True)
+        echo(error.format_message(), err=True)
         return EXIT_USAGE
     except click.ClickException as error:
         _report(error.format_message().replace("\n", " "))
@@ -249,7 +253,7 @@ def _run(arguments: list[str], debug: bool) -> int:
             _report("no further thread can be started; raise 'ulimit -u', or use fewer --workers")
             return EXIT_FAILED
         if debug:
-            raise
+            logging.getLogger("hpcapp").exception("the error's way:")
         _report(f"internal error: {type(error).__name__}: {error}; "
                 "please report it with the output of 'hpcapp --debug ...'")  # fmt: skip
         return EXIT_FAILED

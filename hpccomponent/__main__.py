@@ -14,6 +14,7 @@ from hpccomponent.runtime.collecting import rare_collections
 from hpccomponent.runtime.component import ComponentOptions, run_component
 from hpccomponent.runtime.lifetime import die_with_parent
 from hpccomponent.runtime.tasks import TaskRegistry
+from hpccomponent.terminal import VisibleFormatter, visible_text
 
 __all__ = ["main"]
 
@@ -32,9 +33,9 @@ def main(arguments: list[str] | None = None) -> int:
         The exit code; see `ExitCode`.
     """
     options = _parse(arguments)
-    logging.basicConfig(
-        stream=sys.stderr, format=f"hpccomponent[{os.getpid()}] %(levelname)s %(message)s"
-    )
+    lines = logging.StreamHandler(sys.stderr)
+    lines.setFormatter(VisibleFormatter(f"hpccomponent[{os.getpid()}] %(levelname)s %(message)s"))
+    logging.basicConfig(handlers=[lines])
     if options.lifeline_fd is not None:
         die_with_parent(os.getppid(), signal.SIGTERM)
     try:
@@ -45,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
             ComponentOptions(options.build, options.task, options.lifeline_fd, options.silence),
         )
     except HpcError as error:
-        sys.stderr.write(f"hpccomponent: {error}\n")
+        sys.stderr.write(visible_text(f"hpccomponent: {error}\n"))
         return error.exit_code
 
 

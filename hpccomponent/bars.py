@@ -40,7 +40,7 @@ def make_bars(stream: TextIO, *, is_transient: bool = False) -> Progress:
         A task with the field ``is_bytes`` counts bytes, others count parts.
     """
     columns = (
-        TextColumn("{task.description:<12}"),
+        TextColumn("{task.description:<12}", markup=False),
         BarColumn(bar_width=24),
         TimeElapsedColumn(),
         _Amount(),

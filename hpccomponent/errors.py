@@ -41,7 +41,6 @@ __all__ = [
     "TaskError",
     "UsageError",
     "WorkerLostError",
-    "write_block",
 ]
 
 
@@ -69,31 +68,6 @@ class HpcError(Exception):
 
     def __str__(self) -> str:
         return f"{self.problem}; {self.advice}" if self.advice else self.problem
-
-
-def write_block(excerpt: str) -> str:
-    r"""Write an excerpt as a block: indented, without what a terminal would take for orders.
-
-    Parameters
-    ----------
-    excerpt : str
-
-    Returns
-    -------
-    str
-        Its lines, without those that are blank.
-
-    Examples
-    --------
-    >>> print(write_block("Kernel panic\n\n\x1b[2Jnot syncing"))
-        Kernel panic
-         [2Jnot syncing
-    """
-    return "\n".join(
-        "    " + "".join(c if c.isprintable() else " " for c in line)
-        for line in excerpt.splitlines()
-        if line.strip()
-    )
 
 
 class UsageError(HpcError):

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from hpccomponent.errors import ConfigError, HpcError
 from hpccomponent.runtime.collecting import rare_collections
+from hpccomponent.terminal import VisibleFormatter, visible_text
 from hpcloader.builds import BUILD_VARIABLE, BUILDS, Choice, choose_build
 from hpcloader.daemon import Daemon
 from hpcloader.machine import Machine, read_machine
@@ -49,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return int(arguments.verb(arguments))
     except HpcError as error:
-        sys.stderr.write(f"hpcloader: {error}\n")
+        sys.stderr.write(visible_text(f"hpcloader: {error}\n"))
         return error.exit_code
 
 
@@ -78,11 +79,11 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     settings = _settings(arguments)
-    logging.basicConfig(
-        level=logging.INFO,
-        stream=sys.stderr,
-        format=f"%(asctime)s %(levelname)s loader {settings.name}: %(message)s",
+    lines = logging.StreamHandler(sys.stderr)
+    lines.setFormatter(
+        VisibleFormatter(f"%(asctime)s %(levelname)s loader {settings.name}: %(message)s")
     )
+    logging.basicConfig(level=logging.INFO, handlers=[lines])
     choice = choose_build(settings.builds, read_machine(), os.environ.get(BUILD_VARIABLE, ""))
     for name, reason in choice.passed_over:
         logger.info("build %s passed over: %s", name, reason)

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from process_tree import are_gone
@@ -19,7 +20,9 @@ from stopping import await_stop, go_on
 from hpcapp import cli
 from hpcapp.cli import _run, main
 from hpcapp.io import read_mesh
+from hpccomponent.errors import CloudError, ConfigError, TaskError
 from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.terminal import echo
 
 StartCommand = Callable[..., "subprocess.Popen[str]"]
 WriteCloud = Callable[..., Path]
@@ -301,6 +304,65 @@ def test_file_names_are_bytes(start_command: StartCommand, sphere_file: Path) ->
         p.communicate()
     assert p.returncode == 0
     assert left_in(sphere_file.parent) == {odd, os.fsdecode(b"\xfe.ply")}
+
+
+ORDERS = "\x1b]0;title\x07 \x9b2J \u202e \x7f"  # set the title, clear the screen, turn the line
+
+
+@click.command()
+@click.argument("way")
+def speak(way: str) -> None:
+    """Say somebody else's words in one of the ways in which a verb says them."""
+    words = f"{ORDERS}\nhpcapp: all is well"
+    match way:
+        case "log":
+            logging.getLogger("hpcapp").warning("worker %s has failed", words)
+        case "error":
+            raise TaskError(f"worker-1: {words}", words)
+        case "excerpt":
+            raise CloudError("it does not start", "", words)
+        case "usage":
+            raise click.UsageError(words)
+        case "config":
+            raise ConfigError(f"a.yaml:1:1: {ORDERS}")
+        case "system":
+            raise OSError(2, words, words)
+        case "bug":
+            raise LookupError(words)
+        case "output":
+            echo(words)
+
+
+@pytest.mark.parametrize("debug", [False, True])
+@pytest.mark.parametrize(
+    "way", ["log", "error", "excerpt", "usage", "config", "system", "bug", "output"]
+)
+def test_no_escape_code_of_others_reaches_the_terminal(
+    way: str, debug: bool, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(cli.SHIPPED, "speak", f"{__name__}:speak")
+    monkeypatch.setitem(sys.modules, __name__, sys.modules[speak.callback.__module__])
+    _, out, err = run(*["--debug"][: int(debug)], "speak", way)
+    assert r"\x1b]0;title\x07 \x9b2J \u202e \x7f" in out + err
+    assert not set(ORDERS) - set(" ]0;title2J") & set(out + err)
+    if not debug and way != "output":  # nor does a line look like one of ours
+        assert "hpcapp: all is well" not in err.splitlines()
+
+
+def test_columns_of_a_file_are_shown_visibly(run: Run, tmp_path: Path) -> None:
+    rows = "\n".join(" ".join(map(str, row)) for row in np.random.default_rng(1).random((50, 4)))
+    (tmp_path / "a\x1b]0;t\x07.ply").write_text(
+        "ply\nformat ascii 1.0\ncomment crs \x9bm\u202e\nelement vertex 50\nproperty float x\n"
+        f"property float y\nproperty float z\nproperty float q\x1b]0;t\x07\nend_header\n{rows}\n"
+    )
+    code, out, err = run("info", "a\x1b]0;t\x07.ply")
+    assert code == 0
+    assert not set("\x1b\x07\x9b\u202e") & set(out + err)
+    assert r"q\x1b]0;t\x07 attribute" in out
+    assert r"\x9bm\u202e" in out
+    code, out, err = run("info", "nowhere\x1b]0;t\x07.ply")
+    assert (code, out) == (3, "")
+    assert r"nowhere\x1b]0;t\x07.ply" in said(err)
 
 
 BACKENDS = (

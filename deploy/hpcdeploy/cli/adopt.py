@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from hpccomponent.terminal import echo
+
 __all__ = ["adopt"]
 
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -23,7 +25,7 @@ def adopt(file: Path, key: Path | None, yes: bool) -> None:
     from hpcdeploy.reconcile.cluster import open_cluster
 
     def say(line: str) -> None:
-        click.echo(line, err=True)
+        echo(line, err=True)
 
     with open_cluster(file) as cluster:
         name = cluster.spec.cluster

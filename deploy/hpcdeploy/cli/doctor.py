@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hpccomponent.errors import CloudError
+from hpccomponent.terminal import echo
 
 if TYPE_CHECKING:
     from hpcdeploy.machine.provider import Problem
@@ -25,11 +26,11 @@ def doctor(file: Path) -> None:
     from hpcdeploy.reconcile.examination import examine
 
     with open_cluster(file) as cluster:
-        problems = list(examine(cluster, lambda line: click.echo(line)))
+        problems = list(examine(cluster, echo))
     fatal = [problem for problem in problems if problem.is_fatal]
     if fatal:
         raise CloudError(f"{len(fatal)} of {len(problems)} findings would make 'up' fail")
-    click.echo(f"cluster {cluster.spec.cluster}: {_verdict(problems)}")
+    echo(f"cluster {cluster.spec.cluster}: {_verdict(problems)}")
 
 
 def _verdict(problems: list[Problem]) -> str:

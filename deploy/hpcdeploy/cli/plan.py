@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from hpccomponent.terminal import echo, echo_json
 
 if TYPE_CHECKING:
     from hpcdeploy.machine.provider import Problem
@@ -26,7 +27,7 @@ def validate(file: Path) -> None:
     from hpcdeploy.spec.cluster import read_spec
 
     spec = read_spec(file)
-    click.echo(
+    echo(
         f"{file}: valid: cluster {spec.cluster}, {spec.provider.type}, "
         f"a head and {spec.worker_count} workers"
     )
@@ -51,9 +52,9 @@ def plan(file: Path, as_json: bool) -> None:
     missing = check_wheels(cluster.spec, file.absolute().parent)
     cost = estimate_cost(cluster.spec)
     if as_json:
-        click.echo(json.dumps(_as_json(cluster.spec.cluster, ahead, cost, missing, decided)))
+        echo_json(_as_json(cluster.spec.cluster, ahead, cost, missing, decided))
     else:
-        click.echo("\n".join(_lines(cluster.spec.cluster, ahead, cost, missing, decided)))
+        echo("\n".join(_lines(cluster.spec.cluster, ahead, cost, missing, decided)))
     check_limits(cluster.spec, cost)
 
 

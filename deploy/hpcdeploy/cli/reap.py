@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from hpccomponent.terminal import echo
+
 __all__ = ["reap"]
 
 
@@ -24,12 +26,12 @@ def reap(files: tuple[Path, ...], dry_run: bool) -> None:
     from hpcdeploy.spec.polling import utc_now
 
     def say(line: str) -> None:
-        click.echo(line, err=True)
+        echo(line, err=True)
 
     for where, provider in open_clouds(files):
         if dry_run:
             found = describe(overdue(provider.observe(None), utc_now()))
-            click.echo(f"{where}: {f'would remove {found}' if found else 'nothing to remove'}")
+            echo(f"{where}: {f'would remove {found}' if found else 'nothing to remove'}")
         else:
             remove_overdue(provider, say)
-            click.echo(f"{where}: nothing expired or orphaned is left")
+            echo(f"{where}: nothing expired or orphaned is left")

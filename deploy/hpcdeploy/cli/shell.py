@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ import click
 
 from hpccomponent.errors import CloudError, HpcError, UsageError
 from hpccomponent.files.paths import check_regular
+from hpccomponent.terminal import echo, visible_line
 
 if TYPE_CHECKING:
     from hpcdeploy.machine.access import Access
@@ -48,7 +50,8 @@ def exec_(file: Path, nodes: tuple[str, ...], is_all: bool, command: tuple[str, 
     """Run a COMMAND on the head of the cluster file FILE, on some nodes, or on all at once.
 
     Every line of output has its node's name before it; leaves with the largest exit code. Where
-    the command has options of the names above, put -- before it.
+    the command has options of the names above, put -- before it. Escape codes are written out on
+    a terminal, and kept for a file or a pipe.
     """
     from concurrent.futures import ThreadPoolExecutor
 
@@ -88,7 +91,7 @@ def put(file: Path, source: Path, target: str, nodes: tuple[str, ...], is_all: b
         for machine in _choose(cluster, nodes, is_all=is_all):
             with cluster.access.open(machine, WAIT_S) as shell:
                 shell.put(source, target)
-                click.echo(f"{shell.node}: {target}", err=True)
+                echo(f"{shell.node}: {target}", err=True)
 
 
 @click.command()
@@ -139,13 +142,14 @@ def _run(access: Access, machine: MachineSeen, command: str) -> int:
 
     def show(line: str) -> None:
         with _writing:
-            click.echo(f"{node}: {line}")
+            text = f"{node}: {line}"
+            click.echo(visible_line(text) if sys.stdout.isatty() else text, color=True)
 
     try:
         with access.open(machine, WAIT_S) as shell:
             return shell.follow(command, show)
     except HpcError as error:
-        click.echo(str(error), err=True)
+        echo(str(error), err=True)
         return error.exit_code
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
+
+from hpccomponent.terminal import echo, echo_json
 
 __all__ = ["ls", "status"]
 
@@ -24,7 +25,10 @@ def status(file: Path, as_json: bool, offline: bool) -> None:
 
     with open_cluster(file) as cluster:
         found = describe_cluster(cluster, ask_machines=not offline)
-    click.echo(json.dumps(found) if as_json else write_table(found))
+    if as_json:
+        echo_json(found)
+    else:
+        echo(write_table(found))
 
 
 @click.command()
@@ -53,8 +57,11 @@ def ls(files: tuple[Path, ...], is_all: bool, as_json: bool) -> None:
             continue
         rows += [row for row in found if names is None or row["cluster"] in names]
     if rows or not silent:
-        click.echo(json.dumps(rows) if as_json else write_list(rows))
+        if as_json:
+            echo_json(rows)
+        else:
+            echo(write_list(rows))
     for other in silent[1:]:
-        click.echo(f"hpcapp: {other}", err=True)
+        echo(f"hpcapp: {other}", err=True)
     if silent:
         raise silent[0]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hpccomponent.errors import UsageError
+from hpccomponent.terminal import echo
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
@@ -168,4 +169,4 @@ def _ask(cluster: Cluster) -> None:
 
 
 def _say(line: str) -> None:
-    click.echo(line, err=True)
+    echo(line, err=True)

@@ -11,7 +11,8 @@ from dataclasses import replace
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
-from hpccomponent.errors import CapacityError, CloudError, write_block
+from hpccomponent.errors import CapacityError, CloudError
+from hpccomponent.terminal import write_block
 from hpcdeploy.machine.journal import Journal
 from hpcdeploy.machine.ownership import ours
 from hpcdeploy.machine.provider import GroupSeen, MachineSeen, Observed, State

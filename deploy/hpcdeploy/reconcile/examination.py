@@ -7,8 +7,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from hpccomponent.errors import CloudError, write_block
+from hpccomponent.errors import CloudError
 from hpccomponent.runtime.numerics import package_version
+from hpccomponent.terminal import write_block
 from hpcdeploy.machine.bootstrap import MIN_FREE, check_wheels
 from hpcdeploy.machine.parallel import connections_at_once, run_parallel
 from hpcdeploy.machine.probe import Probed, no_python, probe

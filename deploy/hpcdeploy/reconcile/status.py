@@ -8,6 +8,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from hpccomponent.errors import CloudError, HpcError
+from hpccomponent.terminal import visible_line
 from hpcdeploy.machine.loader_service import is_running_command
 from hpcdeploy.machine.parallel import connections_at_once, run_parallel
 from hpcdeploy.machine.provider import MachineSeen, Observed, State
@@ -234,7 +235,8 @@ def _duration(seconds: float | None) -> str:
 
 
 def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Pad columns to their widest cell."""
+    """Pad columns to their widest cell; what a machine has said stays in its own."""
+    rows = [tuple(map(visible_line, row)) for row in rows]
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()

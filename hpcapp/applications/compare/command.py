@@ -5,7 +5,6 @@ This module is imported for every ``--help``: numpy and all that stands on it ar
 
 from __future__ import annotations
 
-import json
 import logging
 from math import isfinite
 from pathlib import Path
@@ -15,6 +14,7 @@ import click
 
 from hpcapp.applications.view.command import check_page
 from hpccomponent.errors import InputError, UsageError
+from hpccomponent.terminal import echo, echo_json
 
 __all__ = ["compare"]
 
@@ -92,9 +92,9 @@ def compare(
 
         write_page(html, make_comparison(mesh, truth, found, wanted, facts))
     if as_json:
-        click.echo(json.dumps(facts))
+        echo_json(facts)
     else:
-        click.echo(_tabulate(facts))
+        echo(_tabulate(facts))
     if html is not None:
         log.info("%s: the mesh, coloured by its distance", html)
 

@@ -5,12 +5,13 @@ This module is imported for every ``--help``: numpy and all that stands on it ar
 
 from __future__ import annotations
 
-import json
 import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from hpccomponent.terminal import echo, echo_json, visible_line
 
 if TYPE_CHECKING:
     from hpcapp.io import PointSource
@@ -57,11 +58,11 @@ def info(points: tuple[str, ...], sample: int | None, as_json: bool, png: Path |
         scanner = source.scans[0].scanner if len(source.scans) == 1 else None
         write_thumbnail(png, cloud, scanner)
     if as_json:
-        click.echo(json.dumps(facts))
+        echo_json(facts)
         return
     width = max(map(len, facts))
     for name, value in facts.items():
-        click.echo(f"{name.replace('_', ' '):<{width}}  {_readable(value)}")
+        echo(f"{name.replace('_', ' '):<{width}}  {visible_line(_readable(value))}")
 
 
 def _readable(value: Any) -> str:

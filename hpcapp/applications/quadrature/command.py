@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import click
 
+from hpccomponent.terminal import echo
+
 __all__ = ["quadrature"]
 
 
@@ -31,4 +33,4 @@ def quadrature(
 
     with open_executor(backend, workers=workers) as opened:
         result = integrate(integrand, left, right, tolerance, opened.workforce)
-    click.echo(f"{result.value:.12g} ± {result.error:.1g} from {result.intervals} intervals")
+    echo(f"{result.value:.12g} ± {result.error:.1g} from {result.intervals} intervals")

@@ -13,6 +13,7 @@ import click
 from click.core import ParameterSource
 
 from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.terminal import echo
 
 if TYPE_CHECKING:
     import numpy as np
@@ -128,7 +129,7 @@ def reproduce(
             finding = _draw(picture, made)
     page = finding.to_markdown(picture.name)
     _write_page(out / f"{figure}.md", page)
-    click.echo(page.rpartition("\n![")[0])
+    echo(page.rpartition("\n![")[0])
     log.info("%s: the picture; %s.md: the table", picture, out / figure)
 
 

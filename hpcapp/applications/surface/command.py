@@ -5,7 +5,6 @@ This module is imported for every ``--help``: numpy and all that stands on it ar
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 from collections.abc import Iterator
@@ -35,6 +34,7 @@ from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
 from hpcapp.progress import Progress
 from hpcapp.timeline import Timeline
 from hpccomponent.errors import UsageError
+from hpccomponent.terminal import echo_json
 
 __all__ = ["check_flags", "reconstruct"]
 
@@ -379,7 +379,7 @@ def reconstruct(ctx: click.Context, /, **options: Any) -> None:
         options["command"] = typed_command(ctx)
         report = _run_here(options, watching)
     if as_json:
-        click.echo(json.dumps(report))
+        echo_json(report)
     else:
         log.info("%s: %s", options["output"], report["summary"])
 

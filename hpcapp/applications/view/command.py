@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 
 from hpccomponent.errors import UsageError
+from hpccomponent.terminal import echo_path
 
 __all__ = ["check_page", "check_picture", "view"]
 
@@ -154,7 +155,7 @@ def view(
     page = make_page(file, shown, points, report, up)
     path = _temporary_page(file) if output is None else output
     write_page(path, page)
-    click.echo(path)
+    echo_path(path)
     show_page(path, is_opened=is_opened)
 
 

@@ -27,8 +27,8 @@ from hpcdeploy.spec.cluster import ClusterSpec
 BOOKWORM = Kind("x86_64", "glibc", (2, 36), (3, 11))
 ALPINE = Kind("x86_64", "musl", (1, 2), (3, 11))
 # Imported inside functions only: by the numpy oracle of what the master does, for a bucket, and for
-# bars on a terminal, which no worker has.
-OPTIONAL = {"scipy", "boto3", "botocore", "rich"}
+# bars and lines on a terminal, which no worker has.
+OPTIONAL = {"scipy", "boto3", "botocore", "click", "rich"}
 OURS = {"hpccomponent", "hpcloader"}
 
 

@@ -1,0 +1,92 @@
+"""JSON that somebody else wrote: one decoder, with types, for all of it.
+
+A head, a bucket, a host, a report or a journal may say anything. Here it becomes a value of the
+type that its reader names, or a `ValueError` of one line; what is to be one of some words, a name
+without a slash or a number in a range is said by the type, with `msgspec.Meta`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any, NoReturn, TypeVar
+
+import msgspec
+
+__all__ = ["convert", "decode"]
+
+T = TypeVar("T")
+_PATTERN = re.compile(r"Expected `str` matching regex '.*'(?= - at|$)")  # says nothing to a user
+
+
+def decode(text: str | bytes, kind: type[T]) -> T:
+    """Return what JSON says, as a value of a type.
+
+    Parameters
+    ----------
+    text : str or bytes
+        UTF-8.
+    kind : type
+        As `msgspec.convert` takes it; keys that it does not name are left out.
+
+    Returns
+    -------
+    T
+
+    Raises
+    ------
+    ValueError
+        It is no JSON, nests too deeply, or says something else; one line.
+
+    Examples
+    --------
+    >>> decode('{"job": 1}', dict[str, int])
+    {'job': 1}
+    >>> decode('{"job": NaN}', dict[str, float])
+    Traceback (most recent call last):
+    ValueError: it is no JSON (NaN is no number of it)
+    """
+    try:
+        # Not msgspec's own: names that are not UTF-8 travel as halves of characters.
+        told = json.loads(text, parse_constant=_refuse)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    except ValueError as error:
+        raise ValueError(f"it is no JSON ({error})") from None
+    return convert(told, kind)
+
+
+def convert(told: Any, kind: type[T]) -> T:
+    """Return a JSON value as one of a type.
+
+    Parameters
+    ----------
+    told : object
+        Dicts, lists, texts and numbers.
+    kind : type
+
+    Returns
+    -------
+    T
+
+    Raises
+    ------
+    ValueError
+        It is something else; one line.
+
+    Examples
+    --------
+    >>> convert([1, "2"], list[int])
+    Traceback (most recent call last):
+    ValueError: Expected `int`, got `str` - at `$[1]`
+    """
+    try:
+        return msgspec.convert(told, kind)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    except msgspec.ValidationError as error:
+        raise ValueError(_PATTERN.sub("a text that does not fit", str(error))) from None
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"{constant} is no number of it")

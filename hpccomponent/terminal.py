@@ -1,0 +1,148 @@
+"""What others have written, as a terminal may be shown it: visible, and never an order.
+
+A job's log, a worker's failure, a column's name or a machine's answer may hold escape codes that
+move the cursor, set the title or answer for the user, and marks that turn the reading direction
+round. Whatever is shown passes through here: the log's handler and each line of an error, and by
+`echo` what goes to the standard output.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+__all__ = [
+    "VisibleFormatter",
+    "echo",
+    "echo_json",
+    "echo_path",
+    "visible_line",
+    "visible_text",
+    "write_block",
+]
+
+_ORDERS = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f"  # control characters but tab and newline
+    "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"  # the reading direction
+    "\u2028\u2029"  # ends of lines and paragraphs
+    "\ud800-\udfff]"  # bytes of a file's name that are not UTF-8, and halves of characters
+)
+
+
+def visible_text(text: str) -> str:
+    r"""Return text with all that a terminal would obey written out; tabs and newlines stay.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> print(visible_text("a\x1b[2Jb\n\u202ec \udcff"))
+    a\x1b[2Jb
+    \u202ec \xff
+    """
+    return _ORDERS.sub(_write_out, text)
+
+
+def visible_line(text: str) -> str:
+    r"""Return text as one line: newlines are written out too.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> print(visible_line("a\nhpcapp: done"))
+    a\nhpcapp: done
+    """
+    return visible_text(text).replace("\n", r"\n")
+
+
+def _write_out(found: re.Match[str]) -> str:
+    code = ord(found[0])
+    if 0xDC80 <= code <= 0xDCFF:  # how Python keeps a byte that is not UTF-8
+        code -= 0xDC00
+    return rf"\x{code:02x}" if code < 0x100 else rf"\u{code:04x}"
+
+
+class VisibleFormatter(logging.Formatter):
+    """Formats records of a log as usual, and writes out what a terminal would obey."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return a record's text, with its traceback if it has one."""
+        return visible_text(super().format(record))
+
+
+def write_block(excerpt: str) -> str:
+    r"""Write an excerpt of somebody else's words as a block: indented and visible.
+
+    Parameters
+    ----------
+    excerpt : str
+
+    Returns
+    -------
+    str
+        Its lines, without those that are blank.
+
+    Examples
+    --------
+    >>> print(write_block("Kernel panic\n\n\x1b[2Jnot syncing"))
+        Kernel panic
+        \x1b[2Jnot syncing
+    """
+    return "\n".join(f"    {visible_line(line)}" for line in excerpt.splitlines() if line.strip())
+
+
+def echo(text: str, *, err: bool = False) -> None:
+    """Print text with a newline behind it, visible.
+
+    Parameters
+    ----------
+    text : str
+        Cells of a table have passed `visible_line` before.
+    err : bool
+        To the standard error in place of the standard output.
+    """
+    import click  # no worker needs it
+
+    click.echo(visible_text(text), err=err)
+
+
+def echo_json(value: Any) -> None:
+    """Print a JSON value on the standard output, in one line of printable ASCII.
+
+    Parameters
+    ----------
+    value : object
+    """
+    import click
+
+    click.echo(json.dumps(value).replace("\x7f", r"\u007f"))  # the one that JSON does not write out
+
+
+def echo_path(path: Path) -> None:
+    """Print a path on the standard output: visible on a terminal, as it is for another program.
+
+    Parameters
+    ----------
+    path : Path
+    """
+    import click
+
+    click.echo(visible_line(str(path)) if sys.stdout.isatty() else os.fsencode(path))
