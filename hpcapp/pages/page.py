@@ -103,7 +103,7 @@ def write_page(path: Path, page: str) -> None:
         The file cannot be written.
     """
     with replacing(path) as file:
-        file.write(page.encode())
+        file.write(page.encode(errors="backslashreplace"))  # a name that is not UTF-8
 
 
 def make_table(rows: Mapping[str, Any]) -> str:

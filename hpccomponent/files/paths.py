@@ -7,9 +7,17 @@ import os
 import stat
 from pathlib import Path
 
-from hpccomponent.errors import UsageError
+from hpccomponent.errors import OutputError, UsageError
+from hpccomponent.terminal import visible_line
 
-__all__ = ["check_regular", "expand_home", "home_folder", "read_regular", "refuse_special"]
+__all__ = [
+    "check_regular",
+    "expand_home",
+    "home_folder",
+    "new_file_here",
+    "read_regular",
+    "refuse_special",
+]
 
 _KINDS = (
     (stat.S_ISFIFO, "it is a pipe, not a regular file"),
@@ -77,6 +85,40 @@ def expand_home(path: str | Path) -> Path:
             f"write the whole path, or ./{text} for a file of that name",
         ) from None
     return Path(home) / rest if slash else Path(home)
+
+
+def new_file_here(name: str, flag: str) -> Path:
+    """Return the place in the present folder for a file whose name a machine has told.
+
+    Parameters
+    ----------
+    name : str
+        As it was told.
+    flag : str
+        The option by which the user says where it goes.
+
+    Returns
+    -------
+    Path
+        Nothing is there yet.
+
+    Raises
+    ------
+    OutputError
+        The name leads elsewhere, hides the file, is an option to other commands or holds what a
+        terminal would obey; or something is there.
+
+    Examples
+    --------
+    >>> new_file_here("../../.bashrc", "-o")
+    Traceback (most recent call last):
+    hpccomponent.errors.OutputError: '../../.bashrc' is no name for a new file here; name one by -o
+    """
+    if not name or "/" in name or name[0] in ".-~" or visible_line(name) != name:
+        raise OutputError(f"{name!r} is no name for a new file here", f"name one by {flag}")
+    if os.path.lexists(name):
+        raise OutputError(f"{name} is there already", f"give {flag} {name} to replace it")
+    return Path(name)
 
 
 def check_regular(path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -10,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from hpccomponent.terminal import echo, echo_json, visible_line
 
 if TYPE_CHECKING:
     from hpcdeploy.spec.job_folder import JobStatus
@@ -72,12 +73,14 @@ def submit(
 @FILE
 @AS_JSON
 def jobs(file: Path, as_json: bool) -> None:
-    """List the jobs of the cluster of FILE."""
-    from hpcdeploy.jobs.queries import open_jobs
+    """List the jobs of the cluster of FILE; exit code 4 where one of them cannot be read."""
+    from hpcdeploy.jobs.queries import open_jobs, raise_damage
     from hpcdeploy.reconcile.cluster import open_cluster
 
     with open_cluster(file) as cluster:
-        _tell(open_jobs(cluster).all(), as_json)
+        listed = open_jobs(cluster).all()
+    _tell(listed, as_json)
+    raise_damage(listed)
 
 
 @click.command()
@@ -92,7 +95,7 @@ def logs(file: Path, job: str | None, follow: bool) -> None:
 
     class Printed(JobDisplay):
         def show_log(self, line: str) -> None:
-            click.echo(line)
+            echo(line)
 
     with open_cluster(file) as cluster:
         opened = open_jobs(cluster)
@@ -101,7 +104,7 @@ def logs(file: Path, job: str | None, follow: bool) -> None:
             opened.follow(number, Printed())
             return
         for line in opened.log(number):
-            click.echo(line)
+            echo(line)
 
 
 @click.command()
@@ -127,12 +130,13 @@ def attach(file: Path, job: str | None, dashboard: bool) -> None:
 @JOB
 def cancel(file: Path, job: str | None) -> None:
     """End JOB, by default the last one."""
-    from hpcdeploy.jobs.queries import open_jobs
+    from hpcdeploy.jobs.queries import open_jobs, raise_damage
     from hpcdeploy.reconcile.cluster import open_cluster
 
     with open_cluster(file) as cluster:
         opened = open_jobs(cluster)
         status = opened.cancel(opened.find(job).job)
+        raise_damage([status])
         log.info("job %s is %s", status.job, status.state)
 
 
@@ -140,34 +144,40 @@ def cancel(file: Path, job: str | None) -> None:
 @FILE
 @JOB
 @click.option("-o", "--output", type=PATH, metavar="MESH",
-              help="Mesh to write; by default as it was submitted, in this folder.")  # fmt: skip
+              help="Mesh to write; by default a new file in this folder, called as it was "
+              "submitted.")  # fmt: skip
 @AS_JSON
 def fetch(file: Path, job: str | None, output: Path | None, as_json: bool) -> None:
     """Fetch the mesh of JOB, by default of the last one."""
     from hpcdeploy.jobs import cluster_job
-    from hpcdeploy.jobs.queries import open_jobs
+    from hpcdeploy.jobs.queries import open_jobs, raise_failure
     from hpcdeploy.reconcile.cluster import open_cluster
 
     with open_cluster(file) as cluster:
         opened = open_jobs(cluster)
         status = opened.find(job)
-        target = output or Path(status.mesh)
+        raise_failure(status)
+        target = output or cluster_job.new_mesh_here(status)
         _tell_report(target, cluster_job.fetch(opened, status, target), as_json)
 
 
 def _tell_report(mesh: Path, report: dict[str, Any], as_json: bool) -> None:
     if as_json:
-        click.echo(json.dumps(report))
+        echo_json(report)
     else:
         log.info("%s: %s", mesh, report["summary"])
 
 
 def _tell(statuses: Sequence[JobStatus], as_json: bool) -> None:
     """Print jobs, one a line."""
+    from hpcdeploy.spec.job_folder import JobState
+
     for status in statuses:
         if as_json:
-            click.echo(json.dumps(asdict(status)))
+            echo_json(asdict(status))
             continue
         when = status.ended or status.started or status.submitted
         line = f"{status.job:>4}  {status.state:<9}  {when}  {status.title} -> {status.mesh}"
-        click.echo(f"{line}  {status.reason}".rstrip())
+        if status.state is JobState.DAMAGED:
+            line = f"{status.job:>4}  {status.state:<9}"
+        echo(visible_line(f"{line}  {status.reason}".rstrip()))

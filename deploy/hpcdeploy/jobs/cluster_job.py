@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpccomponent.errors import CloudError, HpcError, OutputError
+from hpccomponent.files.paths import new_file_here
 from hpcdeploy.jobs.display import ForwardingDisplay, open_display
 from hpcdeploy.jobs.queries import Jobs, open_jobs
 from hpcdeploy.machine.provider import State
@@ -30,7 +31,7 @@ from hpcdeploy.spec.layout import machine_folder
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
 
-__all__ = ["check_job", "fetch", "run_on_cluster", "submit", "watch"]
+__all__ = ["check_job", "fetch", "new_mesh_here", "run_on_cluster", "submit", "watch"]
 
 log = logging.getLogger("hpcapp")
 
@@ -207,6 +208,29 @@ def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, Any]:
         raise OutputError(f"{target}: its folder cannot be written", "choose or make another one")
     with open_display(sys.stderr) as display:
         return jobs.fetch(status, target, partial(display.show_bytes, "fetch"))
+
+
+def new_mesh_here(status: JobStatus) -> Path:
+    """Return the place in the present folder for a job's mesh, by the name that its head tells.
+
+    Parameters
+    ----------
+    status : JobStatus
+
+    Returns
+    -------
+    pathlib.Path
+        Of a new file, or a new folder, with the suffix of a mesh.
+
+    Raises
+    ------
+    OutputError
+        The name is not that of one, or something is there.
+    """
+    target = new_file_here(status.mesh, "-o")
+    for entry in entry_points(group="hpc.checks", name="mesh"):
+        entry.load()(target)
+    return target
 
 
 def watch(cluster: Cluster, jobs: Jobs, status: JobStatus, *, has_page: bool = False) -> JobStatus:

@@ -5,15 +5,47 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TextIO
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, TextIO
 from urllib.parse import urlsplit
+
+from msgspec import Meta
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-__all__ = ["ForwardingDisplay", "JobDisplay", "open_display"]
+__all__ = ["ForwardingDisplay", "JobDisplay", "JobEvent", "open_display"]
 
 log = logging.getLogger("hpcapp")
+
+_Amount = Annotated[int, Meta(ge=0, le=1 << 60)]
+_Address = Annotated[
+    str,
+    Meta(pattern=r"^http://[0-9A-Za-z.:\[\]-]{1,260}:[0-9]{1,5}/\?token=[0-9A-Za-z_-]{1,200}\Z"),
+]
+
+
+@dataclass(frozen=True, slots=True)
+class JobEvent:
+    """How far a job has come, or where its page is.
+
+    Parameters
+    ----------
+    stage : str
+        Printable ASCII.
+    done, total : int, optional
+        How much of the stage is done, of how much; `total` is 0 where that is not known.
+    is_bytes : bool
+        Whether that is bytes.
+    dashboard : str, optional
+        The address of the job's page on the head.
+    """
+
+    stage: Annotated[str, Meta(pattern=r"^[ -~]{0,80}\Z")] = ""
+    done: _Amount | None = None
+    total: _Amount = 0
+    is_bytes: bool = False
+    dashboard: _Address | None = None
 
 
 class JobDisplay:
@@ -28,14 +60,12 @@ class JobDisplay:
         """
         log.info("%s", line)
 
-    def show_event(self, event: dict[str, Any]) -> None:
+    def show_event(self, event: JobEvent) -> None:
         """Show how far a stage has come.
 
         Parameters
         ----------
-        event : dict
-            ``stage``, and how much of it is ``done`` of ``total``; ``is_bytes`` where that is
-            bytes; or ``dashboard``, the address of the job's page on the head.
+        event : JobEvent
         """
 
     def show_bytes(self, stage: str, done: int, total: int) -> None:
@@ -48,7 +78,7 @@ class JobDisplay:
         done, total : int
             In bytes.
         """
-        self.show_event({"stage": stage, "done": done, "total": total, "is_bytes": True})
+        self.show_event(JobEvent(stage, done, total, is_bytes=True))
 
 
 class BarDisplay(JobDisplay):
@@ -59,23 +89,22 @@ class BarDisplay(JobDisplay):
         self._task: TaskID | None = None
         self._stage = ""
 
-    def show_event(self, event: dict[str, Any]) -> None:
+    def show_event(self, event: JobEvent) -> None:
         """Move the bar; the next stage takes the place of the one that has ended.
 
         Parameters
         ----------
-        event : dict
-            As `JobDisplay.show_event` takes it; without ``done`` the bar stays as it is.
+        event : JobEvent
+            Without `done` the bar stays as it is.
         """
-        if "done" not in event:
+        if event.done is None:
             return
-        if self._task is None or self._stage != event["stage"]:
+        if self._task is None or self._stage != event.stage:
             if self._task is not None:
                 self._bars.remove_task(self._task)
-            self._stage = event["stage"]
-            is_bytes = event.get("is_bytes", False)
-            self._task = self._bars.add_task(self._stage, total=None, is_bytes=is_bytes)
-        self._bars.update(self._task, completed=event["done"], total=event["total"] or None)
+            self._stage = event.stage
+            self._task = self._bars.add_task(self._stage, total=None, is_bytes=event.is_bytes)
+        self._bars.update(self._task, completed=event.done, total=event.total or None)
 
 
 class ForwardingDisplay(JobDisplay):
@@ -103,18 +132,17 @@ class ForwardingDisplay(JobDisplay):
         """
         self._display.show_log(line)
 
-    def show_event(self, event: dict[str, Any]) -> None:
+    def show_event(self, event: JobEvent) -> None:
         """Show how far a stage has come, or where the page is.
 
         Parameters
         ----------
-        event : dict
-            As `JobDisplay.show_event` takes it.
+        event : JobEvent
         """
-        if "dashboard" not in event:
+        if event.dashboard is None:
             self._display.show_event(event)
             return
-        parts = urlsplit(str(event["dashboard"]))
+        parts = urlsplit(event.dashboard)
         port = self._forward(parts.port or 0)
         log.info("dashboard: http://127.0.0.1:%d/?%s", port, parts.query)
         self.has_page = True

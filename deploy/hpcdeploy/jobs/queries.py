@@ -8,8 +8,9 @@ from __future__ import annotations
 import hashlib
 import json
 import shlex
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,20 +21,41 @@ from hpccomponent.errors import (
     JobError,
     UsageError,
 )
-from hpcdeploy.jobs.display import JobDisplay
+from hpccomponent.foreign_json import convert, decode
+from hpcdeploy.jobs.display import JobDisplay, JobEvent
 from hpcdeploy.machine.shell import Shell
 from hpcdeploy.providers.bucket import Bucket, open_bucket
-from hpcdeploy.spec.job_folder import JobOrder, JobState, JobStatus
+from hpcdeploy.spec.job_folder import JobOrder, JobState, JobStatus, Number, Words
 from hpcdeploy.spec.layout import machine_folder
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
 
-__all__ = ["Jobs", "open_jobs", "raise_failure"]
+__all__ = ["Jobs", "open_jobs", "raise_damage", "raise_failure"]
 
 _ERRORS: dict[int, type[HpcError]] = {2: UsageError, 3: InputError, 4: CloudError}
 PATIENCE_S = 60.0
 EXCERPT = 5
+_MOST_EXCERPT = 500  # characters
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """A line of `runner` while a job is followed: one of these."""
+
+    log: Words | None = None
+    event: JobEvent | None = None
+    status: JobStatus | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Numbered:
+    job: Number
+
+
+@dataclass(frozen=True, slots=True)
+class _Summary:
+    summary: Words
 
 
 class Jobs:
@@ -102,12 +124,11 @@ class Jobs:
         else:
             self._run(f"umask 077; mkdir -p {shlex.quote(self._folder)}/points")
             self._head.put(points, f"{self._folder}/{name}", on_progress=on_progress)
-        [answer] = self._ask("start", stdin=json.dumps(asdict(order)).encode())
-        return JobStatus.from_json(answer)
+        return self._ask_status("start", stdin=json.dumps(asdict(order)).encode())
 
     def all(self) -> list[JobStatus]:
-        """Return all jobs in their order."""
-        return [JobStatus.from_json(line) for line in self._ask("list")]
+        """Return all jobs in their order, with those of which the head says nothing of use."""
+        return [_read_row(line) for line in self._ask("list")]
 
     def find(self, number: str | None) -> JobStatus:
         """Return one job; the last where there is no number.
@@ -172,31 +193,31 @@ class Jobs:
         CloudError
             The head stops answering before the job has ended.
         """
-        ended: list[JobStatus] = []
-        rest: list[str] = []
+        ended: JobStatus | None = None
+        rest: deque[str] = deque(maxlen=EXCERPT)
 
         def show(line: str) -> None:
+            nonlocal ended
             try:
-                entries = json.loads(line)
+                told = decode(line, _Told)
             except ValueError:
                 rest.append(line)  # no line of ours: an error of the machine
                 return
-            if "log" in entries:
-                display.show_log(entries["log"])
-            elif "event" in entries:
-                display.show_event(entries["event"])
-            else:
-                ended.append(JobStatus.from_json(json.dumps(entries["status"])))
+            if told.log is not None:
+                display.show_log(told.log)
+            if told.event is not None:
+                display.show_event(told.event)
+            ended = told.status or ended
 
         code = self._head.follow(f"{self._command('follow', number)} 2>&1", show)
-        if not ended:
+        if ended is None:
             said, excerpt = _said(rest, code)
             raise CloudError(
                 f"{self._head.node}: job {number} cannot be followed ({said})",
                 "look at hpcapp logs and hpcapp doctor",
                 excerpt,
             )
-        return ended[-1]
+        return ended
 
     def forward(self, port: int) -> int:
         """Return a port of this machine that leads to one of the head's loopback.
@@ -225,8 +246,7 @@ class Jobs:
         -------
         JobStatus
         """
-        [answer] = self._ask("cancel", number)
-        return JobStatus.from_json(answer)
+        return self._ask_status("cancel", number)
 
     def report(self, status: JobStatus) -> dict[str, Any]:
         """Return what the verb of a finished job reported; its `summary` is for people.
@@ -239,9 +259,22 @@ class Jobs:
         Returns
         -------
         dict
+
+        Raises
+        ------
+        CloudError
+            The head has none of use.
         """
-        [answer] = self._run(f"cat {shlex.quote(self._folder)}/jobs/{status.job}/report.json")
-        report: dict[str, Any] = json.loads(answer)
+        place = f"{self._folder}/jobs/{status.job}"
+        lines = self._run(f"cat {shlex.quote(place)}/report.json")
+        try:
+            report: dict[str, Any] = decode("\n".join(lines), dict[str, Any])
+            convert(report, _Summary)
+        except ValueError as error:
+            raise CloudError(
+                f"{self._head.node}: job {status.job}: its report is damaged ({error})",
+                f"the mesh comes by 'hpcapp get FILE {place}/{status.mesh}'",
+            ) from None
         return report
 
     def fetch(
@@ -290,6 +323,18 @@ class Jobs:
     def _ask(self, *words: str, stdin: bytes = b"") -> list[str]:
         return self._run(self._command(*words), stdin=stdin)
 
+    def _ask_status(self, *words: str, stdin: bytes = b"") -> JobStatus:
+        """Ask what is answered with one status."""
+        answer = "\n".join(self._ask(*words, stdin=stdin))
+        try:
+            return JobStatus.from_json(answer)
+        except ValueError as error:
+            raise CloudError(
+                f"{self._head.node}: its answer is no status of a job ({error})",
+                "run 'hpcapp doctor'",
+                answer[-_MOST_EXCERPT:],
+            ) from None
+
     def _run(self, command: str, *, stdin: bytes = b"") -> list[str]:
         """Run a command on the head; return its lines."""
         done = self._head.run(command, stdin=stdin, timeout_s=PATIENCE_S)
@@ -300,11 +345,25 @@ class Jobs:
         return done.output.splitlines()
 
 
-def _said(lines: Sequence[str], code: int) -> tuple[str, str]:
+def _read_row(line: str) -> JobStatus:
+    """Return the job of a line of the head's list, whatever it says."""
+    try:
+        return JobStatus.from_json(line)
+    except ValueError as error:
+        reason = f"the head says no status of it ({error})"
+    try:
+        number = decode(line, _Numbered).job
+    except ValueError:
+        number = "?"
+    return JobStatus(number, JobState.DAMAGED, reason=reason)
+
+
+def _said(lines: Iterable[str], code: int) -> tuple[str, str]:
     """Return the last line that a command has said, and where it said more, its last lines."""
-    if not lines:
+    last = [line.strip() for line in lines][-EXCERPT:]
+    if not last:
         return f"exit code {code}", ""
-    return lines[-1].strip(), "\n".join(lines[-EXCERPT:]) if len(lines) > 1 else ""
+    return last[-1], "\n".join(last) if len(last) > 1 else ""
 
 
 def open_jobs(cluster: Cluster) -> Jobs:
@@ -328,6 +387,27 @@ def open_jobs(cluster: Cluster) -> Jobs:
     return Jobs(head, cluster.spec.cluster, bucket)
 
 
+def raise_damage(statuses: Sequence[JobStatus]) -> None:
+    """Raise CloudError where the status of a job cannot be read.
+
+    Parameters
+    ----------
+    statuses : sequence of JobStatus
+
+    Raises
+    ------
+    CloudError
+        With the first reason.
+    """
+    damaged = [status for status in statuses if status.state is JobState.DAMAGED]
+    if damaged:
+        numbers = ", ".join(status.job for status in damaged)
+        raise CloudError(
+            f"job {numbers}: {damaged[0].reason}",
+            "'hpcapp logs' tells what it has said, and 'hpcapp get' brings files of its folder",
+        )
+
+
 def raise_failure(status: JobStatus) -> None:
     """Raise what ended a job, as the verb itself would have; nothing where it is done.
 
@@ -340,10 +420,11 @@ def raise_failure(status: JobStatus) -> None:
     JobError
         The job has not ended, was cancelled, or failed with a code of no other class.
     UsageError, InputError, CloudError
-        By the exit code of its verb.
+        By the exit code of its verb; CloudError also where its status cannot be read.
     """
     if status.state is JobState.DONE:
         return
+    raise_damage([status])
     if not status.state.is_over:
         raise JobError(f"job {status.job} is {status.state}", "wait for it with 'hpcapp attach'")
     if status.state is JobState.CANCELLED:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
 import signal
 import subprocess
@@ -28,7 +27,7 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-from hpccomponent.errors import HpcError, UsageError
+from hpccomponent.errors import HpcError, JobError, UsageError
 from hpccomponent.runtime.lifetime import die_with_parent
 from hpcdeploy.jobs.tail import follow, print_line
 from hpcdeploy.spec.job_folder import (
@@ -272,20 +271,27 @@ def main(words: Sequence[str] | None = None) -> int:
     return 0
 
 
+def _read_order(text: bytes) -> JobOrder:
+    try:
+        return JobOrder.from_json(text)
+    except ValueError as error:
+        raise UsageError(f"no order of a job ({error})", "run hpcapp up again") from None
+
+
 def _answer(arguments: argparse.Namespace) -> Iterator[str]:
     """Carry out a command; yield the lines of its answer."""
     folder: Path = arguments.folder.absolute()
     match arguments.command:
         case "start":
-            entries = json.load(sys.stdin)
-            order = JobOrder(**entries | {"options": tuple(entries["options"])})
-            yield start(folder, order).to_json()
+            yield start(folder, _read_order(sys.stdin.buffer.read())).to_json()
         case "list":
             yield from (job.read_status().to_json() for job in all_jobs(folder))
         case "end":  # the last first, so that none has its turn meanwhile
-            for job in reversed(all_jobs(folder)):
-                if job.is_alive():
-                    yield cancel(job).to_json()
+            jobs = [job for job in reversed(all_jobs(folder)) if job.is_alive()]
+            for job in jobs:
+                yield cancel(job).to_json()
+            if left := [job.path.name for job in jobs if job.is_alive()]:
+                raise JobError(f"job {', '.join(left)} does not end")
         case "follow":
             follow(_find_job(folder, arguments.job))
         case "log":

@@ -1,4 +1,4 @@
-"""A job that is watched: what it says, line by line as it comes; only the standard library.
+"""A job that is watched: what it says, line by line as it comes.
 
 Runs on the head for `runner`; each line is one JSON object with the key ``log``, ``event`` or
 ``status``.
@@ -11,7 +11,7 @@ import json
 import select
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from hpcdeploy.spec.job_folder import EXIT_CANCELLED, JobFolder, JobState, JobStatus, now
@@ -39,7 +39,7 @@ def follow(job: JobFolder) -> None:
         status = _look(job, status)
         if is_alive and listener.poll(LOOK_S * 1000.0):
             return
-    print_line(json.dumps({"status": json.loads(status.to_json())}))
+    print_line(json.dumps({"status": asdict(status)}))
 
 
 def _look(job: JobFolder, before: JobStatus) -> JobStatus:

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.shell import Completed
+from hpcdeploy.machine.shell import Completed, part_of
 
 __all__ = ["LocalShell"]
 
@@ -134,7 +134,7 @@ class LocalShell:
     ) -> None:
         """Copy a file, whole or not at all; without a mode as the user's own new files are."""
         fresh = 0o666 if mode is None else 0o600
-        beside = target.with_name(target.name + ".part")
+        beside = part_of(target)
         try:
             total = source.stat().st_size
             target.parent.mkdir(parents=True, exist_ok=True)

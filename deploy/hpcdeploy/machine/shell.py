@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-__all__ = ["Completed", "Shell"]
+__all__ = ["Completed", "Shell", "part_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,3 +150,17 @@ class Shell(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None: ...
+
+
+def part_of(target: Path) -> Path:
+    """Return where a file lies here until all of it has come: a name that no user's file has.
+
+    Parameters
+    ----------
+    target : Path
+
+    Returns
+    -------
+    Path
+    """
+    return target.with_name(f".{target.name}.hpcapp-part")

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import expand_home
 from hpcdeploy.machine.bucket_client import sha256_of
+from hpcdeploy.machine.shell import part_of
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.job_folder import JobOrder, JobStatus
 
@@ -104,9 +105,11 @@ class Bucket:
         Raises
         ------
         CloudError
-            The bucket does not give it, or gives another.
+            The bucket does not give it, or gives another; or the head names an object that is no
+            mesh of this name.
         """
-        part = target.with_name(f".{target.name}.{os.getpid()}")
+        self._check_key(status)
+        part = part_of(target)
         try:
             with self._translated():
                 self._client.download_file(self._bucket, status.mesh_key, str(part))
@@ -120,6 +123,16 @@ class Bucket:
             part.unlink(missing_ok=True)
         with self._translated():
             self._client.delete_object(Bucket=self._bucket, Key=status.mesh_key)
+
+    def _check_key(self, status: JobStatus) -> None:
+        """Refuse a key that the head has not from us: we read and remove the object."""
+        ours = rf"/meshes/[0-9a-f]{{16}}-{re.escape(status.mesh)}"
+        if not re.fullmatch(re.escape(self._prefix) + ours, status.mesh_key):
+            raise CloudError(
+                f"job {status.job}: the head names {status.mesh_key!r} in the bucket, "
+                f"which is no {status.mesh} that a job has put there",
+                "look at the head: it does not say what was written there",
+            )
 
     def clear(self) -> None:
         """Take away all that the cluster's jobs have put there, and uploads that were cut short.

@@ -1,4 +1,4 @@
-"""What a job leaves on the head, and what can be read from it; only the standard library.
+"""What a job leaves on the head, and what can be read from it.
 
 ::
 
@@ -12,6 +12,9 @@
         log, events.jsonl    what it says, for people and for programs
         report.json, mesh.*  what came out; beside it a link to the points
 
+What is read here, on the head or as the head's answer, is not trusted: `JobStatus` and `JobOrder`
+say by their types what each entry may be.
+
 The lock is the system's own word on whether a job lives: whoever holds it may be killed, and it
 is free. So a job that says "running" while its lock is free has lost its runner.
 """
@@ -21,13 +24,19 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+from msgspec import Meta
+
+from hpccomponent.errors import JobError
+from hpccomponent.foreign_json import decode
 
 __all__ = [
     "EXIT_CANCELLED",
@@ -42,6 +51,16 @@ __all__ = [
 
 EXIT_FAILED = 1
 EXIT_CANCELLED = 130
+_NUMBER = re.compile(r"[1-9][0-9]{0,8}")
+
+Number = Annotated[str, Meta(pattern=rf"^{_NUMBER.pattern}\Z")]
+"""Of a job: part of paths and of commands."""
+FileName = Annotated[str, Meta(pattern=r"^(?!\.{1,2}\Z)[^/\x00]{0,255}\Z")]
+"""Of a file in the job's folder, or nothing."""
+Moment = Annotated[str, Meta(pattern=r"^([0-9]{4}(-[0-9]{2}){2}T[0-9]{2}(:[0-9]{2}){2}\+00:00)?\Z")]
+"""UTC, ISO 8601, in whole seconds, or nothing."""
+Words = Annotated[str, Meta(max_length=1 << 16)]
+"""For people."""
 
 
 class JobState(StrEnum):
@@ -52,6 +71,8 @@ class JobState(StrEnum):
     DONE = "done"
     FAILED = "failed"
     CANCELLED = "cancelled"
+    DAMAGED = "damaged"
+    """What was written of it cannot be read; what it is to do may go on."""
 
     @property
     def is_over(self) -> bool:
@@ -85,13 +106,27 @@ class JobOrder:
 
     verb: str
     points: str
-    mesh: str
+    mesh: FileName
     options: tuple[str, ...] = ()
-    title: str = ""
+    title: FileName = ""
     points_url: str = ""
     mesh_url: str = ""
     mesh_key: str = ""
     ca_bundle: str = ""
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> JobOrder:
+        """Read an order; ValueError, of one line, where it is none.
+
+        Parameters
+        ----------
+        text : str or bytes
+
+        Returns
+        -------
+        JobOrder
+        """
+        return decode(text, cls)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,38 +152,41 @@ class JobStatus:
         Of a mesh that lies in the bucket as well.
     """
 
-    job: str
+    job: Number
     state: JobState
-    title: str = ""
-    mesh: str = ""
-    submitted: str = ""
-    started: str = ""
-    ended: str = ""
-    exit_code: int | None = None
-    reason: str = ""
-    runner: int = 0
-    mesh_key: str = ""
-    mesh_sha256: str = ""
+    title: Words = ""
+    mesh: FileName = ""
+    submitted: Moment = ""
+    started: Moment = ""
+    ended: Moment = ""
+    exit_code: Annotated[int, Meta(ge=0, le=255)] | None = None
+    reason: Words = ""
+    runner: Annotated[int, Meta(ge=0, le=1 << 30)] = 0
+    mesh_key: Annotated[str, Meta(max_length=1024)] = ""
+    mesh_sha256: Annotated[str, Meta(pattern=r"^([0-9a-f]{64})?\Z")] = ""
 
     def to_json(self) -> str:
         """Return the status as one line."""
         return json.dumps(asdict(self))
 
     @classmethod
-    def from_json(cls, text: str) -> JobStatus:
+    def from_json(cls, text: str | bytes) -> JobStatus:
         """Read what `to_json` wrote; what a later release added is left out.
 
         Parameters
         ----------
-        text : str
+        text : str or bytes
 
         Returns
         -------
         JobStatus
+
+        Raises
+        ------
+        ValueError
+            It is no status; one line.
         """
-        known = {item.name for item in fields(cls)}
-        entries = {key: value for key, value in json.loads(text).items() if key in known}
-        return cls(**entries | {"state": JobState(entries["state"])})
+        return decode(text, cls)
 
 
 def now() -> str:
@@ -175,8 +213,10 @@ class JobFolder:
 
     def read_order(self) -> JobOrder:
         """Return what the job is to do."""
-        entries: dict[str, Any] = json.loads(self._order.read_text(encoding="utf-8"))
-        return JobOrder(**entries | {"options": tuple(entries["options"])})
+        try:
+            return JobOrder.from_json(self._order.read_bytes())
+        except ValueError as error:
+            raise JobError(f"{self._order}: is damaged ({error})", "submit the job again") from None
 
     def write_order(self, order: JobOrder) -> None:
         """Write what the job is to do, for its owner only.
@@ -217,7 +257,13 @@ class JobFolder:
     def read_status(self) -> JobStatus:
         """Return where the job stands; one whose runner was lost has failed."""
         was_alive = self.is_alive()  # first: it may end between the two looks
-        status = JobStatus.from_json(self._status.read_text(encoding="utf-8"))
+        try:
+            status = JobStatus.from_json(self._status.read_bytes())
+        except FileNotFoundError:
+            raise
+        except (OSError, ValueError) as error:
+            reason = f"its status.json is damaged ({error})"
+            return JobStatus(self.path.name, JobState.DAMAGED, reason=reason)
         if was_alive or status.state.is_over:
             return status
         return replace(
@@ -277,8 +323,12 @@ def all_jobs(folder: Path) -> list[JobFolder]:
     -------
     list of JobFolder
     """
-    found = [path for path in (folder / "jobs").glob("[0-9]*") if (path / "status.json").exists()]
+    found = [path for path in _numbered(folder / "jobs") if (path / "status.json").exists()]
     return [JobFolder(path) for path in sorted(found, key=lambda path: int(path.name))]
+
+
+def _numbered(jobs: Path) -> Iterator[Path]:
+    return (path for path in jobs.glob("[1-9]*") if _NUMBER.fullmatch(path.name))
 
 
 def create_job(folder: Path, order: JobOrder) -> tuple[JobFolder, int]:
@@ -301,7 +351,7 @@ def create_job(folder: Path, order: JobOrder) -> tuple[JobFolder, int]:
     queue = os.open(jobs / "queue.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
         fcntl.flock(queue, fcntl.LOCK_EX)
-        number = 1 + max((int(path.name) for path in jobs.glob("[0-9]*")), default=0)
+        number = 1 + max((int(path.name) for path in _numbered(jobs)), default=0)
         path = jobs / str(number)
         path.mkdir(mode=0o700)
         job = JobFolder(path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import posixpath
+import re
 import shlex
 from collections.abc import Callable
 from pathlib import Path
@@ -13,14 +14,16 @@ from typing import BinaryIO, Protocol
 import paramiko
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.shell import Shell
+from hpcdeploy.machine.shell import Shell, part_of
 
 __all__ = ["fetch_file", "send_file"]
 
 Progress = Callable[[int, int], None] | None
 
 _CHUNK = 1 << 15  # what an SFTP server surely takes in one request
+WINDOW = 1 << 28  # bytes that are asked for at once: the size is what the machine says it is
 _DIGEST_S = 600.0
+_DIGITS = 64  # of a SHA-256
 _DIGEST = """f={file}; sha256sum -- "$f" 2>/dev/null || python3 -c '
 import hashlib, sys
 with open(sys.argv[1], "rb") as stream:
@@ -100,7 +103,7 @@ def fetch_file(
     CloudError
         The file cannot be read or written, or does not arrive as it was sent.
     """
-    part = target.with_name(target.name + ".part")
+    part = part_of(target)
     try:
         size = sftp.stat(source).st_size or 0
         digest = _remote_digest(shell, source)
@@ -136,7 +139,7 @@ def _send_from(
     with sftp.open(part, "ab" if start else "wb") as remote:
         sftp.chmod(part, 0o600)
         remote.set_pipelined(True)
-        _copy(stream, remote, start, size, on_progress)
+        _copy(stream, remote, start, size, size, on_progress)
     return _remote_digest(shell, part)
 
 
@@ -148,11 +151,18 @@ def _fetch_from(
     size: int,
     on_progress: Progress,
 ) -> str:
-    with sftp.open(source, "rb") as remote:
+    with (
+        sftp.open(source, "rb") as remote,
+        open(part, "ab" if start else "wb", opener=_open_own) as stream,
+    ):
         remote.seek(start)
-        remote.prefetch(size)
-        with part.open("ab" if start else "wb") as stream:
-            _copy(remote, stream, start, size, on_progress)
+        done = start
+        while done < size:
+            end = min(size, done + WINDOW)
+            remote.prefetch(end)
+            done = _copy(remote, stream, done, end, size, on_progress)
+            if done < end:
+                break  # the file is shorter than was said
     with part.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -165,13 +175,22 @@ class _Writer(Protocol):
     def write(self, content: bytes, /) -> object: ...
 
 
-def _copy(source: _Reader, target: _Writer, start: int, size: int, on_progress: Progress) -> None:
+def _copy(
+    source: _Reader, target: _Writer, start: int, end: int, size: int, on_progress: Progress
+) -> int:
+    """Copy what lies from `start` to `end`, of a file of `size` bytes; return where it stops."""
     done = start
-    while chunk := source.read(_CHUNK):
+    while chunk := source.read(min(_CHUNK, end - done)):
         target.write(chunk)
         done += len(chunk)
         if on_progress is not None:
             on_progress(done, size)
+    return done
+
+
+def _open_own(path: str, flags: int) -> int:
+    """Open a file that is none yet, or was made so before: no link that somebody has put there."""
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
 
 
 def _size(sftp: paramiko.SFTPClient, path: str) -> int | None:
@@ -186,7 +205,10 @@ def _remote_digest(shell: Shell, path: str) -> str:
     if done.exit_code:
         last = (done.errors.strip().splitlines() or ["no sha256sum and no python3"])[-1]
         raise CloudError(f"{shell.node}: {path}: its checksum cannot be had ({last})")
-    return done.output.split()[0].lstrip("\\")
+    told = done.output.strip().lstrip("\\")[:_DIGITS]
+    if not re.fullmatch(rf"[0-9a-f]{{{_DIGITS}}}", told):
+        raise CloudError(f"{shell.node}: {path}: its checksum cannot be had (it says {told!r})")
+    return told
 
 
 def _make_folder(shell: Shell, folder: str) -> None:

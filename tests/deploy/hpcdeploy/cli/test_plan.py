@@ -133,5 +133,5 @@ def test_what_a_machine_has_said_stands_in_a_block_of_its_own(
     assert capsys.readouterr().err.splitlines() == [
         "hpcapp: head (i-1): no answer; see the image; its console ends so",
         "    Kernel panic - not syncing",
-        "     [2JVFS: no root",
+        r"    \x1b[2JVFS: no root",
     ]

@@ -163,6 +163,65 @@ def test_a_job_is_submitted_listed_attached_to_and_fetched(cluster: Place) -> No
     assert cluster.same("direct.ply")
 
 
+@pytest.mark.slow
+def test_a_head_chooses_no_place_on_this_machine(cluster: Place) -> None:
+    """The head's word is a name for a new mesh in this folder, or nothing is written at all."""
+    cluster.run(*SUBMIT, "named.ply", "--", *OPTIONS)
+    place = max((cluster.head / "jobs").glob("[0-9]*"), key=lambda path: int(path.name))
+    told = json.loads((place / "status.json").read_text())
+    (cluster.folder / "mine.ply").write_text("mine")
+    there = sorted(path for path in cluster.folder.rglob("*") if cluster.state not in path.parents)
+    for name, code, said in (
+        ("../../.bashrc", 4, "status.json is damaged"),
+        (f"{cluster.folder}/x.ply", 4, "status.json is damaged"),
+        ("mine.ply", 2, "mine.ply is there already; give -o mine.ply to replace it"),
+        ("cluster.yaml", 2, "is there already"),
+        (".x.ply", 2, "no name for a new file"),
+        ("-rf.ply", 2, "no name for a new file"),
+        ("~.ply", 2, "no name for a new file"),
+        ("a\x1b[2J.ply", 2, "no name for a new file"),
+        ("a\u202eb.ply", 2, "no name for a new file"),
+        ("", 2, "no name for a new file"),
+        ("sitecustomize.py", 2, "a mesh is written to"),
+        ("Makefile", 2, "a mesh is written to"),
+    ):
+        (place / "status.json").write_text(json.dumps(told | {"mesh": name}))
+        (place / (Path(name).name or "x")).write_text("the head's")
+        _, errors = cluster.run("fetch", "cluster.yaml", place.name, code=code)
+        [line] = errors.splitlines()
+        assert said in line
+        assert "\x1b" not in line
+    now = sorted(path for path in cluster.folder.rglob("*") if cluster.state not in path.parents)
+    assert now == there
+    assert (cluster.folder / "mine.ply").read_text() == "mine"
+    (place / "status.json").write_text(json.dumps(told))
+    cluster.run("fetch", "cluster.yaml", place.name, "-o", "mine.ply")
+    assert cluster.same("mine.ply")
+
+
+@pytest.mark.slow
+def test_what_a_head_says_reaches_the_terminal_visibly(cluster: Place) -> None:
+    cluster.run(*SUBMIT, "said.ply", "--", *OPTIONS)
+    place = max((cluster.head / "jobs").glob("[0-9]*"), key=lambda path: int(path.name))
+    told = json.loads((place / "status.json").read_text())
+    lie = {"title": "\x1b[2J\na \u202eb", "state": "failed", "exit_code": 1, "reason": "\x9b0m"}
+    (place / "status.json").write_text(json.dumps(told | lie))
+    (place / "log").write_text("\x1b]0;title\x07line\n")
+    for verb, code in (("jobs", 0), ("logs", 0), ("attach", 1), ("fetch", 1)):
+        words = [verb, "cluster.yaml", *([] if verb == "jobs" else [place.name])]
+        said = "".join(cluster.run(*words, code=code))
+        assert not set("\x1b\x07\x9b\u202e") & set(said)
+        assert r"\x9b0m" in said or r"\x1b]0;title\x07line" in said
+    listed = cluster.run("jobs", "cluster.yaml")[0].splitlines()
+    assert r"\x1b[2J\na \u202eb" in listed[-1]
+    (place / "status.json").write_text("{")
+    output, errors = cluster.run("jobs", "cluster.yaml", code=4)
+    assert len(output.splitlines()) > 1
+    assert "damaged" in output.splitlines()[-1]
+    assert errors.startswith(f"hpcapp: job {place.name}: its status.json is damaged")
+    (place / "status.json").write_text(json.dumps(told))
+
+
 def test_a_cluster_that_was_up_stays_up(cluster: Place) -> None:
     cluster.run("reconstruct", "sphere.xyz", "-o", "m.ply", *OPTIONS, "--cluster", "cluster.yaml")
     assert cluster.same("m.ply")

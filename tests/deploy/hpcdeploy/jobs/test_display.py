@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from hpcdeploy.jobs.display import ForwardingDisplay, JobDisplay
+from hpcdeploy.jobs.display import ForwardingDisplay, JobDisplay, JobEvent
 
 
 class Shown(JobDisplay):
@@ -17,7 +17,7 @@ class Shown(JobDisplay):
     def show_log(self, line: str) -> None:
         self.said.append(line)
 
-    def show_event(self, event: dict[str, Any]) -> None:
+    def show_event(self, event: JobEvent) -> None:
         self.said.append(event)
 
 
@@ -31,9 +31,9 @@ def test_the_port_changes_and_the_token_stays(caplog: pytest.LogCaptureFixture) 
 
     display = ForwardingDisplay(shown, forward)
     assert not display.has_page
-    stage = {"stage": "fit", "done": 1, "total": 2}
+    stage = JobEvent("fit", 1, 2)
     with caplog.at_level(logging.INFO, "hpcapp"):
-        display.show_event({"dashboard": "http://127.0.0.1:1234/?token=a-b_c"})
+        display.show_event(JobEvent(dashboard="http://127.0.0.1:1234/?token=a-b_c"))
     display.show_event(stage)
     display.show_log("a line")
     assert asked == [1234]

@@ -18,7 +18,7 @@ from simulated import SetUp, make_cluster, make_spec
 
 from hpccomponent.errors import CloudError, InputError, JobError, UsageError
 from hpcdeploy.jobs import cluster_job
-from hpcdeploy.jobs.display import JobDisplay
+from hpcdeploy.jobs.display import JobDisplay, JobEvent
 from hpcdeploy.jobs.queries import Jobs
 from hpcdeploy.machine.local_shell import LocalShell
 from hpcdeploy.providers.memory import MemoryProvider
@@ -36,7 +36,7 @@ class Seen(JobDisplay):
 
     def __init__(self, word: str = "", on_word: Callable[[], object] = lambda: None) -> None:
         self.lines: list[str] = []
-        self.events: list[dict[str, Any]] = []
+        self.events: list[JobEvent] = []
         self._word, self._on_word = word, on_word
 
     def show_log(self, line: str) -> None:
@@ -45,7 +45,7 @@ class Seen(JobDisplay):
             self._word = ""
             self._on_word()
 
-    def show_event(self, event: dict[str, Any]) -> None:
+    def show_event(self, event: JobEvent) -> None:
         self.events.append(event)
 
 
@@ -112,7 +112,7 @@ def test_a_job_gives_the_bytes_of_a_local_run(
     status = jobs.follow("1", seen)
     assert (status.state, status.exit_code) == (JobState.DONE, 0), seen.lines
     assert any("2 of 2 workers" in line for line in seen.lines)
-    assert {"stage": "write", "done": 0, "total": 0} in seen.events
+    assert JobEvent("write", 0, 0) in seen.events
     report = jobs.fetch(status, tmp_path / "mesh.ply")
     assert report["watertight"] is True
     subprocess.run(
@@ -267,6 +267,127 @@ def test_a_head_that_was_not_set_up_is_named(tmp_path: Path) -> None:
 def test_a_status_of_a_later_release_is_read() -> None:
     status = JobStatus("1", JobState.DONE, mesh="mesh.ply")
     assert JobStatus.from_json(json.dumps(json.loads(status.to_json()) | {"new": 1})) == status
+
+
+LIES: list[dict[str, Any]] = [
+    {"mesh": "../../.bashrc"},
+    {"mesh": "/etc/cron.d/mine"},
+    {"mesh": ".."},
+    {"mesh": "a\0b"},
+    {"mesh": 7},
+    {"mesh": None},
+    {"job": "../../1"},
+    {"job": "1; rm -rf ~"},
+    {"job": 1},
+    {"state": "finished"},
+    {"state": []},
+    {"runner": -1},
+    {"runner": 1.5},
+    {"runner": 10**400},
+    {"exit_code": "0"},
+    {"exit_code": -9},
+    {"ended": "\x1b[2J"},
+    {"ended": "2026-01-01"},
+    {"mesh_sha256": "0" * 63 + "/"},
+    {"title": "a" * 100_000},
+]
+NO_STATUS = ["", "{", "[]", "7", "null", '{"job": "1"}', '{"job": NaN}', "[" * 100_000, "\udcff"]
+
+
+def honest(number: str = "1") -> dict[str, Any]:
+    return json.loads(JobStatus(number, JobState.DONE, "sphere.xyz", "mesh.ply").to_json())  # type: ignore[no-any-return]
+
+
+def written(folder: Path, number: str, text: str) -> None:
+    """Leave a job on the head, as if it had been there before."""
+    place = folder / "jobs" / number
+    place.mkdir(parents=True)
+    (place / "status.json").write_bytes(text.encode(errors="surrogateescape"))
+    (place / "report.json").write_text('{"summary": "a mesh"}')
+    (place / "log").write_text("what it has said\n")
+
+
+@pytest.mark.parametrize("text", [*NO_STATUS, *(json.dumps(honest() | lie) for lie in LIES)])
+def test_a_damaged_status_hides_no_other_job(jobs: Jobs, folder: Path, text: str) -> None:
+    for number in ("1", "2", "3"):
+        written(folder, number, text if number == "2" else json.dumps(honest(number)))
+    (folder / "jobs/2nd").mkdir()  # nor does what somebody has put beside them
+    first, damaged, last = jobs.all()
+    assert (first.state, last.state) == (JobState.DONE, JobState.DONE)
+    assert (damaged.job, damaged.state) == ("2", JobState.DAMAGED)
+    assert "status.json is damaged" in damaged.reason
+    assert "\n" not in damaged.reason
+    assert jobs.log("2") == ["what it has said"]
+    with pytest.raises(CloudError, match=r"job 2: its status\.json is damaged"):
+        jobs.fetch(jobs.find("2"), folder / "mesh.ply")
+
+
+@pytest.fixture
+def answers(folder: Path) -> Callable[[str], None]:
+    """Put a head in place of ours that answers every question with the same."""
+
+    def answer(text: str) -> None:
+        (folder / "answer").write_text(text)
+        (folder / "venv/bin/python").write_text(f"#!/bin/sh\nexec cat {folder}/answer\n")
+
+    return answer
+
+
+@pytest.mark.parametrize(
+    "line", [*NO_STATUS[1:-1], *(json.dumps(honest() | lie) for lie in LIES if "title" not in lie)]
+)
+def test_a_head_that_lies_is_one_row_or_one_error(
+    folder: Path, tmp_path: Path, line: str, answers: Callable[[str], None]
+) -> None:
+    jobs = Jobs(LocalShell("head", tmp_path / "home"), "standing")
+    answers(f"{line}\n{json.dumps(honest('2'))}\n")
+    lie, true = jobs.all()
+    assert lie.state is JobState.DAMAGED
+    assert lie.job in ("1", "?")
+    assert true.state is JobState.DONE
+    answers(line)
+    with pytest.raises(CloudError, match="head: its answer is no status of a job"):
+        jobs.cancel("1")
+
+
+def test_what_a_head_says_of_a_job_that_is_followed_is_not_trusted(
+    folder: Path, tmp_path: Path, answers: Callable[[str], None]
+) -> None:
+    jobs = Jobs(LocalShell("head", tmp_path / "home"), "standing")
+    lies: list[Any] = [
+        {"log": 7},
+        {"log": ["a"]},
+        {"event": {"stage": "fit", "done": -1, "total": 2}},
+        {"event": {"stage": "fit", "done": 1e400, "total": 2}},
+        {"event": {"stage": "fit", "done": 10**30, "total": 2}},
+        {"event": {"stage": ["fit"], "done": 1, "total": 2}},
+        {"event": {"stage": "\x1b]0;mine\x07", "done": 1, "total": 2}},
+        {"event": {"dashboard": "http://127.0.0.1:99999999/?token=a"}},
+        {"event": {"dashboard": "javascript:alert(1)"}},
+        {"event": {"dashboard": "http://127.0.0.1:80/?token=a\x1b[2J"}},
+        {"event": 3},
+        {"status": honest() | {"mesh": "../x"}},
+        [1],
+        None,
+    ]
+    true = [{"log": "a line"}, {"event": {"stage": "fit", "done": 1, "total": 2}}]
+    answers("\n".join(map(json.dumps, [*lies, *true, {"status": honest()}])))
+    seen = Seen()
+    assert jobs.follow("1", seen).state is JobState.DONE
+    assert (seen.lines, seen.events) == (["a line"], [JobEvent("fit", 1, 2)])
+    answers("\n".join(map(json.dumps, [*true, *lies])))
+    with pytest.raises(CloudError, match="head: job 1 cannot be followed"):
+        jobs.follow("1", Seen())
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"summary": 7}', "{}", "[" * 100_000])
+def test_a_damaged_report_is_named_with_the_way_to_the_mesh(
+    jobs: Jobs, folder: Path, tmp_path: Path, text: str
+) -> None:
+    written(folder, "1", json.dumps(honest()))
+    (folder / "jobs/1/report.json").write_text(text)
+    with pytest.raises(CloudError, match=r"job 1: its report is damaged .*jobs/1/mesh\.ply"):
+        jobs.fetch(jobs.find("1"), tmp_path / "mesh.ply")
 
 
 def test_an_unfinished_job_cannot_be_fetched(

@@ -90,7 +90,9 @@ def test_points_go_up_and_the_mesh_comes_down(bucket: Bucket, client: Any, tmp_p
     assert sha256_of(tmp_path / f"head/{digest}.ply") == digest
     mesh = write(tmp_path / "mesh.ply", 5000)
     assert send_mesh(order, tmp_path / "mesh.ply", said.append) == mesh
-    status = JobStatus("1", JobState.DONE, mesh_key=order.mesh_key, mesh_sha256=mesh)
+    status = JobStatus(
+        "1", JobState.DONE, mesh="mesh.ply", mesh_key=order.mesh_key, mesh_sha256=mesh
+    )
     bucket.fetch(status, tmp_path / "fetched.ply")
     assert sha256_of(tmp_path / "fetched.ply") == mesh
     assert order.mesh_key not in keys(client)
@@ -156,11 +158,39 @@ def test_other_points_are_refused(bucket: Bucket, client: Any, tmp_path: Path) -
 
 
 def test_a_mesh_that_was_changed_is_refused(bucket: Bucket, client: Any, tmp_path: Path) -> None:
-    client.put_object(Bucket="lab", Key="m", Body=b"others")
-    status = JobStatus("1", JobState.DONE, mesh_key="m", mesh_sha256=hashlib.sha256().hexdigest())
+    key = f"scans/bunny/meshes/{'0' * 16}-mesh.ply"
+    client.put_object(Bucket="lab", Key=key, Body=b"others")
+    status = JobStatus(
+        "1", JobState.DONE, mesh="mesh.ply", mesh_key=key, mesh_sha256=hashlib.sha256().hexdigest()
+    )
     with pytest.raises(CloudError, match="not the mesh that was sent"):
         bucket.fetch(status, tmp_path / "mesh.ply")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "thesis.pdf",
+        "scans/bunny/points/" + "0" * 64 + ".ply",
+        "scans/other/meshes/" + "0" * 16 + "-mesh.ply",
+        "scans/bunny/meshes/" + "0" * 16 + "-mesh.ply/../../../thesis.pdf",
+        "scans/bunny/meshes/" + "0" * 16 + "-another.ply",
+        "",
+    ],
+)
+def test_a_head_has_nothing_read_or_removed_but_its_job_s_mesh(
+    bucket: Bucket, client: Any, tmp_path: Path, key: str
+) -> None:
+    content = b"what the head knows"
+    if key:
+        client.put_object(Bucket="lab", Key=key, Body=content)
+    digest = hashlib.sha256(content).hexdigest()
+    status = JobStatus("1", JobState.DONE, mesh="mesh.ply", mesh_key=key, mesh_sha256=digest)
+    with pytest.raises(CloudError, match=r"is no mesh\.ply that a job has put there"):
+        bucket.fetch(status, tmp_path / "mesh.ply")
+    assert list(tmp_path.iterdir()) == []
+    assert keys(client) == [key] * bool(key)
 
 
 def test_a_bucket_that_is_gone_is_one_line(

@@ -30,7 +30,7 @@ from hpcapp.dashboard.watched_job import WatchedJob
 from hpcapp.timeline import Timeline
 from hpccomponent.errors import CloudError
 from hpccomponent.inventory import hold_cluster
-from hpcdeploy.jobs.display import ForwardingDisplay, JobDisplay
+from hpcdeploy.jobs.display import ForwardingDisplay, JobDisplay, JobEvent
 from hpcdeploy.jobs.queries import Jobs
 from hpcdeploy.machine.local_shell import LocalShell
 from hpcdeploy.machine.ssh.connect import connect
@@ -209,7 +209,7 @@ def test_a_page_on_the_head_is_reached_through_ssh(
     job = WatchedJob(Timeline(), "far away")
     display = ForwardingDisplay(JobDisplay(), Jobs(shell, "standing").forward)
     with caplog.at_level(logging.INFO, "hpcapp"), open_dashboard("127.0.0.1:0", job) as there:
-        display.show_event({"dashboard": there})
+        display.show_event(JobEvent(dashboard=there))
         here = caplog.messages[-1].removeprefix("dashboard: ")
         assert urlsplit(here).port != urlsplit(there).port
         assert urlsplit(here).query == urlsplit(there).query

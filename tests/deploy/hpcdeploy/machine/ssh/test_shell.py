@@ -16,6 +16,8 @@ import pytest
 from machines.servers import USER, Machines, Server
 
 from hpccomponent.errors import CloudError
+from hpcdeploy.machine.shell import part_of
+from hpcdeploy.machine.ssh import transfer
 from hpcdeploy.machine.ssh.connect import connect
 from hpcdeploy.machine.ssh.shell import SshShell
 from hpcdeploy.machine.ssh.target import Target
@@ -157,11 +159,70 @@ def test_fetching_goes_on_where_it_was_cut_short(
 ) -> None:
     (server.home / "source").write_bytes(CONTENT)
     if held is not None:
-        (tmp_path / "target.part").write_bytes(held)
+        part_of(tmp_path / "target").write_bytes(held)
+    (tmp_path / "target.part").write_bytes(b"the user's")
     shell.get("source", tmp_path / "target")
     fetched = (tmp_path / "target").read_bytes()
     assert hashlib.sha256(fetched).digest() == hashlib.sha256(CONTENT).digest()
-    assert not (tmp_path / "target.part").exists()
+    assert not part_of(tmp_path / "target").exists()
+    assert (tmp_path / "target.part").read_bytes() == b"the user's"
+
+
+def test_a_file_comes_in_pieces_that_are_asked_for_one_by_one(
+    shell: SshShell, server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(transfer, "WINDOW", 100_001)
+    (server.home / "source").write_bytes(CONTENT)
+    steps: list[tuple[int, int]] = []
+    shell.get("source", tmp_path / "target", on_progress=lambda *step: steps.append(step))
+    assert (tmp_path / "target").read_bytes() == CONTENT
+    assert steps[-1] == (len(CONTENT), len(CONTENT))
+
+
+@pytest.mark.parametrize("size", [2**62, len(CONTENT) + 1])
+def test_a_size_that_is_far_too_large_costs_nothing(
+    shell: SshShell, server: Server, tmp_path: Path, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(transfer, "WINDOW", 1 << 20)  # the server answers what is asked for
+    (server.home / "source").write_bytes(CONTENT)
+    server.sizes["source"] = size
+    shell.get("source", tmp_path / "target")
+    assert (tmp_path / "target").read_bytes() == CONTENT
+
+
+@pytest.mark.parametrize("size", [len(CONTENT) - 1, 0])
+def test_no_more_comes_than_was_said(
+    shell: SshShell, server: Server, tmp_path: Path, size: int
+) -> None:
+    (server.home / "source").write_bytes(CONTENT)
+    server.sizes["source"] = size
+    with pytest.raises(CloudError, match="source: arrived damaged, twice"):
+        shell.get("source", tmp_path / "target")
+    assert not (tmp_path / "target").exists()
+    assert part_of(tmp_path / "target").stat().st_size == size
+
+
+def test_nothing_is_written_through_a_link(shell: SshShell, server: Server, tmp_path: Path) -> None:
+    (server.home / "source").write_bytes(CONTENT)
+    (tmp_path / "precious").write_bytes(b"stays")
+    part_of(tmp_path / "target").symlink_to(tmp_path / "precious")
+    with pytest.raises(CloudError, match="target: Too many levels of symbolic links"):
+        shell.get("source", tmp_path / "target")
+    assert (tmp_path / "precious").read_bytes() == b"stays"
+
+
+@pytest.mark.parametrize("said", ["", "no checksum", "../../x  source", "0" * 63])
+def test_a_checksum_that_is_none_is_one_line(
+    shell: SshShell, server: Server, tmp_path: Path, said: str
+) -> None:
+    tool = server.home / "bin/sha256sum"
+    tool.parent.mkdir()
+    tool.write_text(f"#!/bin/sh\necho '{said}'\n")
+    tool.chmod(0o755)
+    server.path = f"{tool.parent}:{server.path}"
+    (server.home / "source").write_bytes(CONTENT)
+    with pytest.raises(CloudError, match="source: its checksum cannot be had"):
+        shell.get("source", tmp_path / "target")
 
 
 def test_a_file_that_is_not_there_is_named(shell: SshShell, tmp_path: Path) -> None:
