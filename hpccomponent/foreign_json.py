@@ -44,7 +44,7 @@ def decode(text: str | bytes, kind: type[T]) -> T:
     {'job': 1}
     >>> decode('{"job": NaN}', dict[str, float])
     Traceback (most recent call last):
-    ValueError: it is no JSON (NaN is no number of it)
+    ValueError: it is no JSON: NaN is no number of it
     """
     try:
         # Not msgspec's own: names that are not UTF-8 travel as halves of characters.
@@ -52,7 +52,7 @@ def decode(text: str | bytes, kind: type[T]) -> T:
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     except ValueError as error:
-        raise ValueError(f"it is no JSON ({error})") from None
+        raise ValueError(f"it is no JSON: {error}") from None
     return convert(told, kind)
 
 

@@ -204,6 +204,8 @@ def read_owner(path: Path) -> Owner | None:
     Owner or None
         None where nobody has.
     """
+    from hpccomponent.foreign_json import decode  # most commands ask nobody
+
     with _opened(path) as folder:
         if folder is None:
             return None
@@ -211,11 +213,8 @@ def read_owner(path: Path) -> Owner | None:
         if file is None:
             return None
         try:
-            told = json.loads(os.read(file, _MOST_BYTES))
-            return Owner(
-                str(told["user"]), str(told["host"]), int(told["pid"]), str(told["command"])
-            )
-        except (OSError, ValueError, KeyError, TypeError):
+            return decode(os.read(file, _MOST_BYTES), Owner)
+        except (OSError, ValueError):
             return None
         finally:
             os.close(file)

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import zmq
+from msgspec import Meta
 
 from hpccomponent.errors import OutputError
 
-__all__ = ["KeyPair", "is_key", "make_key_pair", "write_secret"]
+__all__ = ["Key", "KeyPair", "is_key", "make_key_pair", "write_secret"]
 
 Z85 = frozenset(
     "0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ.-:+=^!/*?&<>()[]{}@%$#"
 )
 KEY_LENGTH = 40
+Key = Annotated[str, Meta(pattern=rf"^[{re.escape(''.join(sorted(Z85)))}]{{{KEY_LENGTH}}}\Z")]
+"""A CURVE key in Z85 text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +35,8 @@ class KeyPair:
         40 characters, to be kept; left out of the representation.
     """
 
-    public: str
-    secret: str = field(repr=False)
+    public: Key
+    secret: Key = field(repr=False)
 
 
 def make_key_pair() -> KeyPair:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import stat
 from collections.abc import Collection
@@ -12,6 +11,7 @@ from typing import Any
 from hpccomponent.errors import ConfigError
 from hpccomponent.files.paths import refuse_special
 from hpccomponent.files.private_files import open_at_once
+from hpccomponent.foreign_json import decode
 
 __all__ = ["check_keys", "read_private_json"]
 
@@ -39,11 +39,9 @@ def read_private_json(path: Path, version: int, keys: Collection[str]) -> dict[s
         If the file is missing, is readable by group or others, or is not such an object.
     """
     try:
-        entries = json.loads(_read_private(path))
+        entries = decode(_read_private(path), dict[str, Any])
     except ValueError as error:
-        raise ConfigError(f"{path}: not JSON ({error})", ADVICE) from error
-    if not isinstance(entries, dict):
-        raise ConfigError(f"{path}: not a JSON object", ADVICE)
+        raise ConfigError(f"{path}: not a JSON object ({error})", ADVICE) from None
     if entries.get("version") != version:
         raise ConfigError(
             f"{path}: version: {entries.get('version')!r} is not {version}",

@@ -18,9 +18,12 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Annotated, TypedDict, cast
+
+from msgspec import Meta
 
 from hpccomponent.errors import CapacityError, CloudError, OutputError
+from hpccomponent.foreign_json import convert, decode
 from hpcdeploy.machine.provider import LaunchChoice
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import NodeName
@@ -33,6 +36,45 @@ Launched = tuple[str, NodeName]
 
 Step = Callable[[str], AbstractContextManager[object]]
 """Writes an intent, lets it be carried out, writes how it went; see `Journal.step`."""
+
+
+Text = Annotated[str, Meta(max_length=1 << 16)]
+Entry = TypedDict(
+    "Entry",
+    {
+        "intent": Text,
+        "done": Text,
+        "refused": Text,
+        "failed": Text,
+        "why": Text,
+        "is_command": bool,
+        "bad": Text,
+        "set up": list[Text],
+        "setting up": list[Text],
+        "place": Text,
+        "cleared": Text,
+        "incarnation": Text,
+        "node": Text,
+        "generation": Annotated[int, Meta(ge=1, le=1 << 30)],
+        "key": Text,
+        "instance_type": Text,
+        "market": Text,
+        "zone": Text,
+        "lease_until": Text,
+    },
+    total=False,
+)
+"""A line of the journal: what is read of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Launch:
+    """What an entry says of a launch; an older release wrote no zone."""
+
+    instance_type: Text
+    market: Text
+    lease_until: Annotated[datetime, Meta(tz=True)]
+    zone: Text = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +95,7 @@ class Attempt:
 class Journal:
     """An open journal; see `open_journal`."""
 
-    def __init__(self, file: IO[bytes], entries: list[dict[str, Any]]) -> None:
+    def __init__(self, file: IO[bytes], entries: list[Entry]) -> None:
         self._file = file
         self._entries = entries
         self._opened = len(entries)
@@ -92,16 +134,17 @@ class Journal:
         None
             While it is carried out.
         """
-        self._write({"intent": what, **details})
+        about = cast(Entry, details)
+        self._write({"intent": what, **about})
         try:
             yield
         except CapacityError as error:
-            self._write({"refused": what, "why": str(error), **details})
+            self._write({"refused": what, "why": str(error), **about})
             raise
         except Exception as error:
-            self._write({"failed": what, "why": str(error), **details})
+            self._write({"failed": what, "why": str(error), **about})
             raise
-        self._write({"done": what, **details})
+        self._write({"done": what, **about})
 
     def note_bad(self, machine_id: str, reason: str) -> None:
         """Remember that a machine is of no use, so that the next `up` replaces it at once.
@@ -128,16 +171,18 @@ class Journal:
         is_done : bool
             Whether they are set up, or it only begins.
         """
-        about = "set up" if is_done else "setting up"
-        known = {i for entry in self._entries for i in entry.get(about, ())}
+        known = self.set_up if is_done else self._setting_up
         if new := sorted(set(machine_ids) - known):
-            self._write({about: new})
+            self._write({"set up": new} if is_done else {"setting up": new})
 
     @property
     def used(self) -> frozenset[str]:
         """The ids of machines that are set up, or may be: whoever set them up told no end."""
-        begun = frozenset(i for entry in self._entries for i in entry.get("setting up", ()))
-        return self.set_up | (begun - self.known_bad)
+        return self.set_up | (self._setting_up - self.known_bad)
+
+    @property
+    def _setting_up(self) -> frozenset[str]:
+        return frozenset(i for entry in self._entries for i in entry.get("setting up", ()))
 
     @property
     def set_up(self) -> frozenset[str]:
@@ -162,7 +207,7 @@ class Journal:
         return frozenset(
             (entry["incarnation"], NodeName(entry["node"], entry["generation"]))
             for entry in self._entries[self._opened if since_opened else 0 :]
-            if "intent" in entry and "key" in entry
+            if {"intent", "key", "incarnation", "node", "generation"} <= entry.keys()
         )
 
     @property
@@ -198,7 +243,7 @@ class Journal:
             match entry:
                 case {"place": place}:
                     found.append(place)
-                case {"cleared": place}:
+                case {"cleared": place} if place in found:
                     found.remove(place)
         return tuple(found)
 
@@ -237,13 +282,13 @@ class Journal:
             if of_node.items() <= entry.items():
                 if "refused" in entry:
                     return None
-                until = datetime.fromisoformat(entry["lease_until"])
-                zone = entry.get("zone", "")  # an older release wrote none
-                choice = LaunchChoice(entry["instance_type"], entry["market"], zone)
-                return Attempt(choice, until)
+                with suppress(ValueError):  # not of a launch
+                    launch = convert(entry, _Launch)
+                    choice = LaunchChoice(launch.instance_type, launch.market, launch.zone)
+                    return Attempt(choice, launch.lease_until)
         return None
 
-    def _write(self, entry: dict[str, Any]) -> None:
+    def _write(self, entry: Entry) -> None:
         line = json.dumps({"at": utc_now().isoformat(timespec="milliseconds"), **entry})
         with self._lock:
             self._entries.append(entry)
@@ -306,11 +351,11 @@ def begun_lives(cluster: str) -> frozenset[str]:
     entries = []
     for line in lines:
         with suppress(ValueError):  # the last one may be half written
-            entries.append(json.loads(line))
+            entries.append(decode(line, Entry))
     return _lives(entries)
 
 
-def _lives(entries: Iterable[dict[str, Any]]) -> frozenset[str]:
+def _lives(entries: Iterable[Entry]) -> frozenset[str]:
     return frozenset(entry["incarnation"] for entry in entries if "incarnation" in entry)
 
 
@@ -323,7 +368,7 @@ def _is_ours(file: IO[bytes]) -> bool:
     return os.fstat(file.fileno()).st_nlink > 0
 
 
-def _read(file: IO[bytes], path: Path) -> list[dict[str, Any]]:
+def _read(file: IO[bytes], path: Path) -> list[Entry]:
     """Read all entries, and cut off a last line that is torn."""
     file.seek(0)
     text = file.read()
@@ -333,7 +378,7 @@ def _read(file: IO[bytes], path: Path) -> list[dict[str, Any]]:
     entries = []
     for number, line in enumerate(whole.splitlines(), start=1):
         try:
-            entries.append(json.loads(line))
+            entries.append(decode(line, Entry))
         except ValueError:
             raise CloudError(
                 f"{path}:{number}: not a line of the journal",

@@ -12,6 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from hpccomponent.errors import CloudError
+from hpccomponent.foreign_json import decode
 from hpccomponent.protocol.keys import KeyPair, make_key_pair, write_secret
 
 __all__ = ["NodeKeys"]
@@ -96,10 +97,10 @@ class NodeKeys:
 
 def _read(path: Path) -> dict[str, KeyPair]:
     try:
-        return {name: KeyPair(**pair) for name, pair in json.loads(path.read_text()).items()}
+        return decode(path.read_bytes(), dict[str, KeyPair])
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError, TypeError, AttributeError) as error:
+    except (OSError, ValueError) as error:
         raise CloudError(
             f"{path}: the cluster's keys cannot be read ({error})",
             "delete the file and run hpcapp up again",

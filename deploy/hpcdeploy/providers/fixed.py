@@ -1,14 +1,72 @@
-"""What providers of machines that are there anyway have in common: nothing to make."""
+"""What providers of machines that are there anyway have in common: a claim, and nothing to make."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
-from datetime import datetime
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import Annotated
 
-from hpcdeploy.machine.provider import GroupSeen, KeyPairSeen, MachineSeen
-from hpcdeploy.spec.names import Owner
+import msgspec
+from msgspec import Meta
 
-__all__ = ["StandingMachines"]
+from hpccomponent.foreign_json import decode
+from hpcdeploy.machine.provider import GroupSeen, KeyPairSeen, Launch, MachineSeen
+from hpcdeploy.spec.names import NAME_PATTERN, NodeName, Owner, read_owner
+
+__all__ = ["CLAIM", "Claim", "StandingMachines"]
+
+CLAIM = "machine.json"
+"""The file on a machine that says which of a cluster it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """What lies on a machine while it is one of a cluster; anybody there may have written it.
+
+    Parameters
+    ----------
+    cluster, node, generation, incarnation
+        Of the machine.
+    launched : datetime
+        With its time zone.
+    owner : str
+        See `Owner`.
+    """
+
+    cluster: Annotated[str, Meta(pattern=NAME_PATTERN, max_length=40)]
+    generation: Annotated[int, Meta(ge=1, le=1 << 30)]
+    incarnation: Annotated[str, Meta(pattern=r"^[0-9a-z-]{0,40}\Z")]
+    launched: Annotated[datetime, Meta(tz=True)]
+    owner: Annotated[str, Meta(max_length=1000)] = ""
+    node: Annotated[str, Meta(pattern=r"^(head|worker-[1-9][0-9]{0,5})?\Z")] = ""
+
+    @classmethod
+    def of(cls, launch: Launch) -> Claim:
+        """Return the claim of a machine that is launched now."""
+        name = launch.name
+        return cls(launch.cluster, name.generation, launch.incarnation, datetime.now(UTC),
+                   str(launch.owner), name.node)  # fmt: skip
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Claim:
+        """Read what `to_json` wrote; ValueError, of one line, where it is no claim."""
+        return decode(text, cls)
+
+    def to_json(self) -> str:
+        """Return the claim as one line."""
+        return json.dumps(msgspec.to_builtins(self))
+
+    def mark(self, machine: MachineSeen) -> MachineSeen:
+        """Return a machine as the one that is claimed; it may have had another node's name."""
+        return replace(
+            machine,
+            name=NodeName(self.node or machine.name.node, self.generation),
+            incarnation=self.incarnation,
+            launched=self.launched,
+            owner=read_owner(self.owner),
+        )
 
 
 class StandingMachines:

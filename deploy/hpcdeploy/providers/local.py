@@ -6,10 +6,8 @@ that a foreign process is never met.
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
 from hpccomponent.errors import CloudError
@@ -23,15 +21,14 @@ from hpcdeploy.machine.provider import (
     Problem,
     State,
 )
-from hpcdeploy.providers.fixed import StandingMachines
+from hpcdeploy.providers.fixed import CLAIM, Claim, StandingMachines
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import clusters_folder, machine_folder, state_folder
-from hpcdeploy.spec.names import NodeName, read_owner
+from hpcdeploy.spec.names import NodeName
 
 __all__ = ["LocalProvider", "open_local"]
 
 LOOPBACK = "127.0.0.1"
-_CLAIM = "machine.json"
 _NODES = "nodes"
 
 
@@ -66,21 +63,11 @@ class LocalProvider(StandingMachines):
     def launch(self, launch: Launch) -> MachineSeen:
         """Make the folder of a node."""
         home = state_folder(launch.cluster) / _NODES / launch.name.node
-        claim = home / _CLAIM
+        claim = home / CLAIM
         if not claim.exists():
             home.mkdir(mode=0o700, parents=True, exist_ok=True)
             beside = claim.with_suffix(".new")
-            beside.write_text(
-                json.dumps(
-                    {
-                        "cluster": launch.cluster,
-                        "incarnation": launch.incarnation,
-                        "generation": launch.name.generation,
-                        "launched": datetime.now(UTC).isoformat(),
-                        "owner": str(launch.owner),
-                    }
-                )
-            )
+            beside.write_text(Claim.of(launch).to_json())
             beside.replace(claim)
         return _node(claim)
 
@@ -110,22 +97,20 @@ class LocalProvider(StandingMachines):
 
 
 def _nodes(folder: Path) -> Iterator[MachineSeen]:
-    yield from map(_node, sorted((folder / _NODES).glob(f"*/{_CLAIM}")))
+    yield from map(_node, sorted((folder / _NODES).glob(f"*/{CLAIM}")))
 
 
 def _node(claim: Path) -> MachineSeen:
+    machine = MachineSeen(
+        id=str(claim.parent),
+        cluster=claim.parent.parent.parent.name,
+        name=NodeName(claim.parent.name),
+        incarnation="",
+        state=State.RUNNING,
+        public_address=LOOPBACK,
+        private_address=LOOPBACK,
+    )
     try:
-        said = json.loads(claim.read_text())
-        return MachineSeen(
-            id=str(claim.parent),
-            cluster=said["cluster"],
-            name=NodeName(claim.parent.name, said["generation"]),
-            incarnation=said["incarnation"],
-            state=State.RUNNING,
-            public_address=LOOPBACK,
-            private_address=LOOPBACK,
-            launched=datetime.fromisoformat(said["launched"]),
-            owner=read_owner(said.get("owner", "")),
-        )
-    except (OSError, ValueError, KeyError) as error:
-        raise CloudError(f"{claim}: cannot be read ({error})", "remove its folder") from error
+        return Claim.from_json(claim.read_bytes()).mark(machine)
+    except (OSError, ValueError) as error:
+        raise CloudError(f"{claim}: cannot be read ({error})", "remove its folder") from None

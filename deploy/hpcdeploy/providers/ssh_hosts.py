@@ -6,13 +6,10 @@ loader and to remove that folder; nothing else on a host is touched.
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.machine.access import Access, make_access
@@ -30,17 +27,16 @@ from hpcdeploy.machine.provider import (
 )
 from hpcdeploy.machine.ssh.reach import Reach, ReachError
 from hpcdeploy.machine.ssh.target import host_address, host_id
-from hpcdeploy.providers.fixed import StandingMachines
+from hpcdeploy.providers.fixed import CLAIM, Claim, StandingMachines
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import machine_folder
-from hpcdeploy.spec.names import HEAD, NodeName, Owner, read_owner
+from hpcdeploy.spec.names import HEAD, NodeName, Owner
 from hpcdeploy.spec.provider import Host
 
 __all__ = ["SshHosts", "open_ssh_hosts"]
 
 LOOK_S = 8.0
 """For the login, and again for the one command: so long a look at a host may take."""
-_CLAIM = "machine.json"
 
 
 def open_ssh_hosts(spec: ClusterSpec, base: Path) -> SshHosts:
@@ -108,18 +104,10 @@ class SshHosts(StandingMachines):
         CloudError
             It does not answer.
         """
-        machine = self._machine(launch.name.node)
-        claim = {
-            "cluster": launch.cluster,
-            "node": launch.name.node,
-            "generation": launch.name.generation,
-            "incarnation": launch.incarnation,
-            "launched": datetime.now(UTC).isoformat(),
-            "owner": str(launch.owner),
-        }
+        machine, claim = self._machine(launch.name.node), Claim.of(launch)
         with self._access.open(machine) as shell:
-            write_text(shell, f"{self._folder}/{_CLAIM}", json.dumps(claim))
-        return self._claimed(launch.name.node, claim)
+            write_text(shell, f"{self._folder}/{CLAIM}", claim.to_json())
+        return claim.mark(machine)
 
     def mark(
         self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
@@ -127,10 +115,10 @@ class SshHosts(StandingMachines):
         """Write down in the claims whose some hosts are."""
         del groups
         for machine in machines:
-            path = f"{self._folder}/{_CLAIM}"
+            path = f"{self._folder}/{CLAIM}"
             with self._access.open(machine) as shell:
-                claim = json.loads(shell.run(f"cat {shlex.quote(path)}").output)
-                write_text(shell, path, json.dumps(claim | {"owner": str(owner)}))
+                claim = self._read_claim(machine, shell.run(f"cat {shlex.quote(path)}").output)
+                write_text(shell, path, replace(claim, owner=str(owner)).to_json())
 
     def terminate(self, machines: Sequence[MachineSeen]) -> None:
         """Stop the loaders and remove our folders; hosts that do not answer stay as they are."""
@@ -179,28 +167,21 @@ class SshHosts(StandingMachines):
         machine = self._machine(node)
         try:
             with self._access.open(machine, LOOK_S) as shell:
-                done = shell.run(f"cat {shlex.quote(self._folder)}/{_CLAIM}", timeout_s=LOOK_S)
+                done = shell.run(f"cat {shlex.quote(self._folder)}/{CLAIM}", timeout_s=LOOK_S)
         except ReachError as error:
             return error
         if done.exit_code:
             return None
-        try:
-            return self._claimed(node, json.loads(done.output))
-        except (ValueError, KeyError, TypeError) as error:
-            raise CloudError(
-                f"{machine.id}: {self._folder}/{_CLAIM} cannot be read ({error})",
-                f"remove ~/{self._folder} there",
-            ) from error
+        return self._read_claim(machine, done.output).mark(machine)
 
-    def _claimed(self, node: str, claim: dict[str, Any]) -> MachineSeen:
-        """Return the machine of a claim; a host may have had another node's name before."""
-        return replace(
-            self._machine(node),
-            name=NodeName(claim["node"], claim["generation"]),
-            incarnation=claim["incarnation"],
-            launched=datetime.fromisoformat(claim["launched"]),
-            owner=read_owner(claim.get("owner", "")),
-        )
+    def _read_claim(self, machine: MachineSeen, text: str) -> Claim:
+        try:
+            return Claim.from_json(text)
+        except ValueError as error:
+            raise CloudError(
+                f"{machine.id}: {self._folder}/{CLAIM} cannot be read ({error})",
+                f"remove ~/{self._folder} there",
+            ) from None
 
     def _end(self, machine: MachineSeen) -> None:
         stop = stop_command(self._spec.cluster, self._folder)

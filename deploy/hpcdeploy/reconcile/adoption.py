@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from hpccomponent.errors import CloudError, UsageError
-from hpccomponent.protocol.keys import KeyPair, write_secret
+from hpccomponent.foreign_json import decode
+from hpccomponent.protocol.keys import Key, KeyPair, write_secret
 from hpcdeploy.machine.journal import open_journal
 from hpcdeploy.machine.node_keys import NodeKeys
 from hpcdeploy.machine.ownership import fingerprint
@@ -27,7 +28,24 @@ __all__ = ["check_way_in", "take_over"]
 
 AT_ONCE = 16
 WAIT_S = 30.0  # these machines have answered their owner before
+Told = TypeVar("Told")
 _ONLY_DOWN = "without its owner's key only 'hpcapp down' remains"
+
+
+@dataclass(frozen=True, slots=True)
+class _OfWorker:
+    """What a worker's connection file says of its keys."""
+
+    public_key: Key
+    secret_key: Key
+
+
+@dataclass(frozen=True, slots=True)
+class _OfMaster:
+    """What the head's inventory says of the master's keys."""
+
+    server_public_key: Key
+    server_secret_key: Key
 
 
 def check_way_in(cluster: Cluster, key: Path | None) -> tuple[Observed, dict[str, KeyPair]]:
@@ -107,22 +125,24 @@ def _read_keys(cluster: Cluster, machine: MachineSeen) -> dict[str, KeyPair]:
     with cluster.access.open(machine, WAIT_S) as shell:
         folder = machine_folder(cluster.spec.cluster)
         keys: dict[str, KeyPair] = {}
-        said = _read_json(shell, f"{folder}/connection.json")
+        said = _read_json(shell, f"{folder}/connection.json", _OfWorker)
         if said:
-            keys[machine.id] = KeyPair(said["public_key"], said["secret_key"])
-        inventory = _read_json(shell, f"{folder}/inventory.json")
+            keys[machine.id] = KeyPair(said.public_key, said.secret_key)
+        inventory = _read_json(shell, f"{folder}/inventory.json", _OfMaster)
         if machine.name.node == HEAD and inventory:
-            server = KeyPair(inventory["server_public_key"], inventory["server_secret_key"])
+            server = KeyPair(inventory.server_public_key, inventory.server_secret_key)
             keys[NodeKeys.SERVER] = server
     return keys
 
 
-def _read_json(shell: Shell, path: str) -> dict[str, str]:
+def _read_json(shell: Shell, path: str, kind: type[Told]) -> Told | None:
     done = shell.run(f"cat {path} 2>/dev/null")
+    if done.exit_code:
+        return None
     try:
-        return dict(json.loads(done.output)) if done.exit_code == 0 else {}
+        return decode(done.output, kind)
     except ValueError as error:
-        raise CloudError(f"{shell.node}: {path} is damaged ({error})") from error
+        raise CloudError(f"{shell.node}: {path} is damaged ({error})") from None
 
 
 def take_over(

@@ -8,14 +8,20 @@ import logging
 import queue
 import shlex
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta
 
 from hpccomponent.errors import CloudError
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.files.paths import home_folder
+from hpccomponent.foreign_json import decode
 from hpcdeploy.machine.shell import Shell
 from hpcdeploy.reconcile.cluster import open_cluster
 from hpcdeploy.spec.layout import machine_folder
@@ -26,6 +32,15 @@ __all__ = ["Lead", "lead_workers", "open_remote_inventory"]
 log = logging.getLogger("hpcapp")
 
 Lead = Callable[[str], AbstractContextManager[None]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """A line of the relay: one of these."""
+
+    port: Annotated[int, Meta(ge=1, le=65535)] | None = None
+    error: str | None = None
+    waiting: str | None = None
 
 
 @contextmanager
@@ -124,20 +139,22 @@ def _follow_relay(shell: Shell, folder: str, put: Callable[[str], None]) -> None
 
 def _wait_for_port(lines: queue.SimpleQueue[str]) -> int:
     """Read what the relay says up to its port."""
-    said: list[str] = []
+    said: deque[str] = deque(maxlen=5)
     while True:
         line = lines.get()
         try:
-            entries = json.loads(line)
-            if "port" in entries:
-                return int(entries["port"])
-            if "error" in entries:
-                last = f": {said[-1]}" if said else ""
-                excerpt = "\n".join(said[-5:]) if len(said) > 1 else ""
-                raise CloudError(f"{entries['error']}{last}", "run 'hpcapp doctor'", excerpt)
-            log.info("the cluster is in use by another program; waiting for it to end")
-        except (ValueError, TypeError):
+            told = decode(line, _Told)
+        except ValueError:
             said.append(line)
+            continue
+        if told.port is not None:
+            return told.port
+        if told.error is not None:
+            last = f": {said[-1]}" if said else ""
+            excerpt = "\n".join(said) if len(said) > 1 else ""
+            raise CloudError(f"{told.error}{last}", "run 'hpcapp doctor'", excerpt)
+        if told.waiting is not None:
+            log.info("the cluster is in use by another program; waiting for it to end")
 
 
 def _run(loop: asyncio.AbstractEventLoop, tunnel: asyncio.Task[None]) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from hpccomponent.errors import CapacityError, CloudError, OutputError
-from hpcdeploy.machine.journal import Attempt, Journal, open_journal
+from hpcdeploy.machine.journal import Attempt, Journal, begun_lives, open_journal
 from hpcdeploy.machine.provider import LaunchChoice
 from hpcdeploy.spec.layout import clusters_folder, forget_cluster, state_folder
 from hpcdeploy.spec.names import NodeName
@@ -185,3 +185,52 @@ def test_an_empty_home_is_none_and_a_relative_state_folder_is_ignored(
     monkeypatch.setenv("HOME", home)
     own = pwd.getpwuid(os.getuid()).pw_dir
     assert clusters_folder() == Path(own) / ".local/state/hpcapp/clusters"
+
+
+LIES: list[Any] = [
+    7,
+    None,
+    [],
+    {"bad": ["i-1"]},
+    {"set up": "i-1"},
+    {"set up": [1]},
+    {"place": {}},
+    {"incarnation": 1},
+    {"generation": "1"},
+    {"generation": -1},
+    {"is_command": 1},
+    {"intent": None},
+]
+
+
+@pytest.mark.parametrize("lie", [*map(json.dumps, LIES), '{"bad": NaN}', "[" * 100_000, "\udcff"])
+def test_a_line_that_is_none_is_named_once(lie: str) -> None:
+    path = state_folder("bunny") / "journal.jsonl"
+    path.parent.mkdir(parents=True)
+    text = f'{{"incarnation": "life"}}\n{lie}\n'.encode(errors="surrogateescape")
+    path.write_bytes(text)
+    assert begun_lives("bunny") == {"life"}
+    with (
+        pytest.raises(CloudError, match=r"journal\.jsonl:2: not a line of the journal") as caught,
+        open_journal("bunny"),
+    ):
+        pass
+    assert "\n" not in str(caught.value)
+    assert path.read_bytes() == text
+
+
+def test_lines_that_are_incomplete_say_nothing() -> None:
+    path = state_folder("bunny") / "journal.jsonl"
+    path.parent.mkdir(parents=True)
+    entries: list[dict[str, Any]] = [
+        {"cleared": "a place that was never made"},
+        {"intent": "launch", "key": "abc"},
+        {"incarnation": "life", "node": "worker-1", "generation": 1},
+        {**LAUNCH, "lease_until": "2026-99-99"},
+        {**LAUNCH, "lease_until": "2026-11-01"},
+    ]
+    path.write_text("".join(json.dumps(entry) + "\n" for entry in entries))
+    with open_journal("bunny") as journal:
+        assert journal.places == ()
+        assert journal.launched() == frozenset()
+        assert journal.attempt("life", NodeName("worker-1")) is None
