@@ -9,6 +9,7 @@ from typing import Any
 
 from hpcapp.pages.page import Section, make_list, make_table
 from hpcapp.pages.timeline import draw_timeline
+from hpccomponent.terminal import visible_text
 
 __all__ = ["describe_job"]
 
@@ -50,7 +51,7 @@ def describe_job(
     ]
     if command := report.get("command"):
         words = command if isinstance(command, str) else shlex.join(command)
-        sections.append(Section("To do it again", f"<pre>{escape(words)}</pre>"))
+        sections.append(Section("To do it again", f"<pre>{escape(visible_text(words))}</pre>"))
     return [section for section in sections if section.body]
 
 
@@ -103,7 +104,7 @@ def _describe_input(report: Mapping[str, Any]) -> list[Section]:
 
 def _describe_warnings(report: Mapping[str, Any], marked: Sequence[str]) -> Section:
     """Return the warnings, those that are marked on the mesh first."""
-    others = list(map(str, report.get("warnings", [])))
+    others = list(map(str, report.get("warnings") or []))
     body = make_list(marked, "warning", 0) if marked else ""
     body += make_list(others, "warning") if others else ""
     return Section("Warnings", body or "<p>none</p>")
@@ -111,14 +112,18 @@ def _describe_warnings(report: Mapping[str, Any], marked: Sequence[str]) -> Sect
 
 def _describe_time(report: Mapping[str, Any]) -> str:
     """Draw the spans of the job; its stages one after the other where there are none."""
-    spans = report.get("timeline", {}).get("spans") or []
+    spans = _spans(report)
     if not spans:
         begin = 0.0
-        for name, seconds in report.get("stages", {}).items():
+        for name, seconds in (report.get("stages") or {}).items():
             end = begin + float(seconds)
             spans.append({"name": name, "worker": "master", "begin": begin, "end": end})
             begin = end
     return draw_timeline(spans)
+
+
+def _spans(report: Mapping[str, Any]) -> list[dict[str, Any]]:
+    return list((report.get("timeline") or {}).get("spans") or [])
 
 
 def _work(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -129,7 +134,7 @@ def _work(report: Mapping[str, Any]) -> dict[str, Any]:
     for name in ("bytes_sent", "bytes_received"):
         if name in report:
             rows[_words(name)] = report[name]
-    spans = report.get("timeline", {}).get("spans") or []
+    spans = _spans(report)
     for outcome in _FAILED:
         if spans:
             rows[f"tasks {outcome}"] = sum(span.get("outcome") == outcome for span in spans)

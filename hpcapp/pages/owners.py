@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
 from hpcapp.pages.scene import Field, label_field
 from hpccomponent.errors import InputError
+from hpccomponent.foreign_json import convert
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import IntArray
 
@@ -55,6 +57,15 @@ class Owners:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """What `Owners.to_json` writes."""
+
+    tiles: list[Annotated[int, Meta(ge=0, lt=1 << 31)]]
+    vertices: list[Annotated[int, Meta(ge=0, lt=1 << 62)]]
+    workers: list[str]
+
+
 def mark_tiles(
     mesh: Mesh, path: Path, report: Mapping[str, Any], source: str
 ) -> tuple[Mesh, Sequence[str]]:
@@ -86,15 +97,13 @@ def mark_tiles(
     if "owners" not in report or path.suffix.lower() == ".stl":
         return mesh, ()
     try:
-        told = report["owners"]
-        tiles = np.array(told["tiles"], np.int32)
-        counts = [int(count) for count in told["vertices"]]
-        workers = [str(name) for name in told["workers"]]
-        if len(counts) != len(tiles) or min(counts, default=0) < 0 or (tiles < 0).any():
+        told = convert(report["owners"], _Told)
+        tiles, counts, workers = np.array(told.tiles, np.int32), told.vertices, told.workers
+        if len(counts) != len(tiles):
             raise ValueError
         if workers and int(tiles.max(initial=0)) >= len(workers):
             raise ValueError
-    except (KeyError, TypeError, ValueError, OverflowError):
+    except ValueError:
         raise InputError(
             f"{source}: 'owners' does not tell tiles", "give what --json --details has printed"
         ) from None
@@ -127,6 +136,7 @@ def take_labels(mesh: Mesh, workers: Sequence[str]) -> tuple[Mesh, list[Field]]:
     labels = [label_field("tile", "Tile", owned, "tile")]
     if workers:
         names = sorted(set(workers), key=lambda name: (len(name), name))
-        numbers = np.array([names.index(name) for name in workers])
+        places = {name: number for number, name in enumerate(names)}
+        numbers = np.array([places[name] for name in workers])
         labels.append(Field("worker", "Worker", numbers[owned], labels=names))
     return replace(mesh, attributes=rest), labels

@@ -51,7 +51,9 @@ def draw_timeline(spans: Sequence[Mapping[str, Any]]) -> str:
         return ""
     end = max(float(span["end"]) for span in spans) or 1e-9
     workers = sorted({str(span["worker"]) for span in spans}, key=_order)
-    names = list(dict.fromkeys(str(span["name"]) for span in spans))
+    names: dict[str, int] = {}
+    for span in spans:
+        names.setdefault(str(span["name"]), len(names))
     rows = {worker: number for number, worker in enumerate(workers[:_MOST_ROWS])}
     height = _ROW * len(rows) + 18
     drawn = sorted(spans, key=lambda span: span["begin"] - span["end"])[:_MOST_BARS]
@@ -90,11 +92,13 @@ def _tick(end: float, number: int, height: int) -> str:
     )
 
 
-def _colour(name: str, names: Sequence[str], outcome: str) -> str:
-    return _FAILED.get(outcome) or _COLOURS[names.index(name) % len(_COLOURS)]
+def _colour(name: str, names: Mapping[str, int], outcome: str) -> str:
+    return _FAILED.get(outcome) or _COLOURS[names[name] % len(_COLOURS)]
 
 
-def _bar(span: Mapping[str, Any], rows: Mapping[str, int], names: Sequence[str], end: float) -> str:
+def _bar(
+    span: Mapping[str, Any], rows: Mapping[str, int], names: Mapping[str, int], end: float
+) -> str:
     begin, stop = float(span["begin"]), float(span["end"])
     outcome = str(span.get("outcome", "done"))
     said = "" if outcome == "done" else f", {outcome}"
@@ -107,7 +111,7 @@ def _bar(span: Mapping[str, Any], rows: Mapping[str, int], names: Sequence[str],
     )
 
 
-def _legend(names: Sequence[str], spans: Sequence[Mapping[str, Any]]) -> str:
+def _legend(names: Mapping[str, int], spans: Sequence[Mapping[str, Any]]) -> str:
     """Name the bars, the longest first, and what has failed."""
     seconds = dict.fromkeys(names, 0.0)
     for span in spans:
@@ -116,6 +120,6 @@ def _legend(names: Sequence[str], spans: Sequence[Mapping[str, Any]]) -> str:
         f'<tr><th><svg width="10" height="10"><rect width="10" height="10" '
         f'fill="{_colour(name, names, "done")}"/></svg> {escape(name)}</th>'
         f'<td class="number">{total:.2f} s</td></tr>'
-        for name, total in sorted(seconds.items(), key=lambda item: -item[1])
+        for name, total in sorted(seconds.items(), key=lambda item: -item[1])[:_MOST_ROWS]
     ]
     return "\n<table>\n" + "\n".join(rows) + "\n</table>"

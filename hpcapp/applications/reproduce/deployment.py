@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from hpcapp.applications.reproduce.finding import Finding
@@ -14,6 +16,8 @@ from hpcapp.backends.cluster_jobs import load_cluster_function
 from hpcapp.io import read_mesh
 from hpcapp.io.staging import replacing
 from hpcapp.pages.render import render_mesh
+from hpccomponent.errors import JobError
+from hpccomponent.foreign_json import convert
 
 __all__ = ["LOCAL_CLUSTER", "make_table_1", "write_local_cluster"]
 
@@ -27,6 +31,18 @@ head: {component: true}       # VM 1: the HPC App and an HPC Component
 workers: {count: 3}           # VM 2, 3 and 4: an HPC Component each
 """
 _MACHINES = 4
+_Count = Annotated[int, Meta(ge=0, lt=1 << 62)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Figures:
+    """What a head's report is asked for."""
+
+    workers: _Count
+    patches: _Count
+    bytes_sent: _Count
+    bytes_received: _Count
+    stages: dict[str, Annotated[float, Meta(ge=0.0, le=1e12)]]
 
 
 def write_local_cluster(path: Path) -> None:
@@ -76,26 +92,29 @@ def make_table_1(
     run = load_cluster_function("run")
     target = subject.path.with_name("mesh.ply")
     words = ["--method", "paper", "--grid", str(grid), "--backend", "zmq", "--policy", "equal"]
-    report: dict[str, Any] = run(cluster, "reconstruct", subject.path, target, words)
+    try:
+        report = convert(run(cluster, "reconstruct", subject.path, target, words), _Figures)
+    except ValueError as error:
+        raise JobError(f"the head's report lacks a figure ({error})", "run it again") from None
     finding = Finding(
         f"Table 1: {subject.name} on the machines of {cluster.name}",
         ("", "in the paper", "here"),
         _tabulate(report),
-        _compare(report["workers"], cluster, is_emulated=is_emulated),
+        _compare(report.workers, cluster, is_emulated=is_emulated),
         "The mesh that came back, by the paper's method.",
     )
     return finding, render_mesh(read_mesh(target), size=800, up=up)
 
 
-def _tabulate(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
-    stages = "; ".join(f"{name} {seconds:.2f}" for name, seconds in report["stages"].items())
+def _tabulate(report: _Figures) -> tuple[tuple[str, ...], ...]:
+    stages = "; ".join(f"{name} {seconds:.2f}" for name, seconds in report.stages.items())
     return (
         ("VM 1", "HPC App and HPC Component", "head, which runs the job and a component"),
         ("VM 2 to VM 4", "an HPC Component each", "a worker with a component each"),
-        ("components at work", str(_MACHINES), str(report["workers"])),
-        ("patches", "-", str(report["patches"])),
+        ("components at work", str(_MACHINES), str(report.workers)),
+        ("patches", "-", str(report.patches)),
         ("sent, received by the head, MB", "-",
-         f"{report['bytes_sent'] / 1e6:.2f}, {report['bytes_received'] / 1e6:.2f}"),
+         f"{report.bytes_sent / 1e6:.2f}, {report.bytes_received / 1e6:.2f}"),
         ("stages, s", "-", stages),
     )  # fmt: skip
 

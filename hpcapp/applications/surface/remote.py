@@ -107,7 +107,9 @@ def _show(ctx: click.Context, report: dict[str, Any], mesh: Path, points: Path) 
         return
     from hpcapp.applications.surface.job.report_page import show_files, write_job_page
     from hpcapp.pages.picture import write_picture
+    from hpcapp.pages.report import check_report
 
+    check_report(report, "the head's report")
     shown = show_files(mesh, points, report)
     if png is not None:
         write_picture(png, shown.mesh)

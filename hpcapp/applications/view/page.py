@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,9 @@ from hpcapp.io import holds_faces, read_mesh, read_points, take_finite
 from hpcapp.pages.job import describe_job
 from hpcapp.pages.owners import mark_tiles, take_labels
 from hpcapp.pages.page import Section, build_page, make_table
+from hpcapp.pages.report import read_report
 from hpcapp.pages.scene import Field, Scene, fields_of
 from hpcapp.pages.thin import thin_mesh
-from hpccomponent.errors import InputError
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray, PointCloud
@@ -80,8 +79,8 @@ def make_page(
     InputError
         `points` or `report` cannot be used.
     """
-    told = {} if report is None else _read_report(report)
-    sections = [] if report is None else _describe(told, report)
+    told = {} if report is None else read_report(report)
+    sections = [] if report is None else describe_job(told, has_mesh=False)
     if isinstance(shown, PointCloud):
         facts = _describe_box(shown.positions, shown.origin)
         names = {"points": len(shown), "colours": shown.colours is not None,
@@ -135,25 +134,3 @@ def _measure(mesh: Mesh, cloud: PointCloud) -> Field:
     finite = np.nan_to_num(mesh.vertices)
     distances, _ = cKDTree(cloud.positions).query(finite, workers=-1)
     return Field("distance", "Distance to the points", distances, low=0.0)
-
-
-def _describe(told: dict[str, Any], path: Path) -> list[Section]:
-    """Return what a report says; anybody may have written it."""
-    try:
-        return describe_job(told, has_mesh=False)
-    except (TypeError, ValueError, LookupError, AttributeError) as error:
-        raise InputError(
-            f"{path}: is no report of a job ({error})", "give what --json has printed"
-        ) from None
-
-
-def _read_report(path: Path) -> dict[str, Any]:
-    try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}", "give what --json has printed") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no JSON ({error})", "give what --json has printed") from None
-    if not isinstance(report, dict):
-        raise InputError(f"{path}: is no report", "give what --json has printed")
-    return report

@@ -5,7 +5,6 @@ https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
+from hpccomponent.foreign_json import decode
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import ByteArray, FloatArray
 
@@ -25,7 +25,7 @@ _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _HEAD, _CHUNK = 12, 8  # bytes
 _TRIANGLES = 4
-_DEEPEST = 64  # of nodes in nodes: deeper ones are a circle
+_DEEPEST = 64  # of nodes in nodes
 
 
 def read_glb(path: Path) -> Mesh:
@@ -52,11 +52,14 @@ def read_glb(path: Path) -> Mesh:
     """
     try:
         file = _open(path)
-        parts = [part for root in file.roots for part in _read_node(file, root, np.eye(4), 0)]
+        known: set[int] = set()
+        parts = [
+            part for root in file.roots for part in _read_node(file, root, np.eye(4), known, 0)
+        ]
         if not parts:
             raise InputError(f"{path}: holds no triangles", "give a mesh")
         return _join(parts)
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(
             f"{path}: is no whole GLB: {type(error).__name__}: {error}", "export it again"
         ) from None
@@ -75,7 +78,9 @@ class _File:
         scenes = self.told.get("scenes")
         if scenes:
             return list(scenes[self.told.get("scene", 0)].get("nodes", []))
-        return list(range(len(self.told.get("nodes", []))))
+        nodes = self.told.get("nodes", [])
+        inner = {child for node in nodes for child in node.get("children", [])}
+        return [number for number in range(len(nodes)) if number not in inner]
 
     def array(self, number: int) -> NDArray[Any]:
         """Return the rows of an accessor."""
@@ -104,7 +109,7 @@ def _open(path: Path) -> _File:
         length = int.from_bytes(raw[at : at + 4], "little")
         chunks.setdefault(raw[at + 4 : at + 8], raw[at + _CHUNK : at + _CHUNK + length])
         at += _CHUNK + length
-    told = json.loads(chunks[b"JSON"])
+    told = decode(chunks[b"JSON"], dict[str, Any])
     if needed := told.get("extensionsRequired"):
         raise InputError(
             f"{path}: needs the extension {needed[0]}", "export it without compression"
@@ -112,10 +117,17 @@ def _open(path: Path) -> _File:
     return _File(path, told, chunks.get(b"BIN\0", b""))
 
 
-def _read_node(file: _File, number: int, outer: FloatArray, depth: int) -> Iterator[Mesh]:
-    """Yield the primitives of a node and of those in it."""
+def _read_node(
+    file: _File, number: int, outer: FloatArray, known: set[int], depth: int
+) -> Iterator[Mesh]:
+    """Yield the primitives of a node and of those in it; a node is in one other at most."""
+    if number < 0:
+        raise IndexError(f"there is no node {number}")
+    if number in known:
+        raise ValueError(f"node {number} is in two others, or in itself")
     if depth > _DEEPEST:
         raise ValueError("nodes are nested too deep")
+    known.add(number)
     node = file.told["nodes"][number]
     matrix = outer @ _matrix(node)
     if "mesh" in node:
@@ -126,7 +138,7 @@ def _read_node(file: _File, number: int, outer: FloatArray, depth: int) -> Itera
                 names = mesh.get("extras", {}).get("attributes", {}) if is_single else {}
                 yield _read_primitive(file, primitive, matrix, names)
     for child in node.get("children", []):
-        yield from _read_node(file, child, matrix, depth + 1)
+        yield from _read_node(file, child, matrix, known, depth + 1)
 
 
 def _matrix(node: dict[str, Any]) -> FloatArray:

@@ -84,7 +84,21 @@ def test_nodes_put_triangles_where_their_matrices_say(tmp_path: Path) -> None:
     ("nodes", "indices", "said"),
     [
         ([{"mesh": 0}], [0, 1, 7], "vertex 7 of 3"),
-        ([{"children": [0]}], [0, 1, 2], "too deep"),
+        ([{"children": [0]}], [0, 1, 2], "in itself"),
+        ([{"children": [1]}, {"children": [1]}], [0, 1, 2], "in two others, or in itself"),
+        (
+            [{"children": [n + 1, n + 1]} for n in range(60)] + [{"mesh": 0}],
+            [0, 1, 2],
+            "two others",
+        ),
+        (
+            [{"children": [n + 1, n - 60]} for n in range(60)] + [{"mesh": 0}],
+            [0, 1, 2],
+            "no node -1",
+        ),
+        ([{"children": [n + 1]} for n in range(90)] + [{"mesh": 0}], [0, 1, 2], "too deep"),
+        ([{"mesh": 0, "scale": [1e400, 1, 1]}], [0, 1, 2], "GLB|not finite"),
+        ([{"mesh": 10**30}], [0, 1, 2], "IndexError"),
         ([{"mesh": 3}], [0, 1, 2], "IndexError"),
         ([{}], [0, 1, 2], "no triangles"),
     ],
@@ -96,6 +110,44 @@ def test_a_damaged_glb_is_said(
     (tmp_path / "m.glb").write_bytes(content)
     with pytest.raises(InputError, match=said):
         read_mesh(tmp_path / "m.glb")
+
+
+@pytest.mark.parametrize("key", ["asset", "nodes", "extras"])
+@pytest.mark.parametrize("half", ["[", '{"a":'])
+def test_a_glb_that_nests_without_end_is_one_line(tmp_path: Path, key: str, half: str) -> None:
+    text = f'{{"{key}": {half * 200_000}'.encode()
+    text += b" " * (-len(text) % 4)
+    head = np.array([2, 20 + len(text), len(text)], "<u4").tobytes()
+    (tmp_path / "m.glb").write_bytes(b"glTF" + head + b"JSON" + text)
+    with pytest.raises(
+        InputError, match=r"m\.glb: is no whole GLB: .* nested too deeply"
+    ) as caught:
+        read_mesh(tmp_path / "m.glb")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("count", 10**30), ("count", -1), ("count", 2**40), ("byteOffset", 10**30), ("count", "3")],
+)
+def test_numbers_of_a_glb_that_cannot_be_are_said(tmp_path: Path, name: str, value: Any) -> None:
+    content = make_glb([{"mesh": 0}], np.array([0, 1, 2], "u1").tobytes(), 5121, 3)
+    length = int.from_bytes(content[12:16], "little")
+    told, body = json.loads(content[20 : 20 + length]), content[20 + length :]
+    told["accessors"][0][name] = value
+    text = json.dumps(told).encode()
+    text += b" " * (-len(text) % 4)
+    head = np.array([2, 20 + len(text) + len(body), len(text)], "<u4").tobytes()
+    (tmp_path / "m.glb").write_bytes(b"glTF" + head + b"JSON" + text + body)
+    with pytest.raises(InputError, match=r"m\.glb: is no whole GLB"):
+        read_mesh(tmp_path / "m.glb")
+
+
+def test_nodes_without_a_scene_are_drawn_once(tmp_path: Path) -> None:
+    nodes: list[dict[str, Any]] = [{"children": [1], "translation": [1, 0, 0]}, {"mesh": 0}]
+    content = make_glb(nodes, np.array([0, 1, 2], "u1").tobytes(), 5121, 3)
+    (tmp_path / "m.glb").write_bytes(content.replace(b'"scenes"', b'"screes"'))
+    assert len(read_mesh(tmp_path / "m.glb").faces) == 1
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".vtp"])
