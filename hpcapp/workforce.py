@@ -18,6 +18,7 @@ from hpccomponent.cutting import cut_equal
 from hpccomponent.errors import HpcError, TaskError, WorkerLostError
 from hpccomponent.runtime.background import Background, Deferred
 from hpccomponent.runtime.visible_files import sees_files
+from hpccomponent.terminal import visible_text
 
 __all__ = ["Workforce", "begin_batch", "cut_equal", "map_batches", "stream_batches"]
 
@@ -113,7 +114,8 @@ class Workforce:
         Returns
         -------
         bool
-            Whether all answers were yes; true where tasks run in this process.
+            Whether all answers were yes; true where tasks run in this process. A path that is not
+            UTF-8 cannot be told to others: no.
 
         Raises
         ------
@@ -123,6 +125,8 @@ class Workforce:
         found = tuple((str(file.resolve()), file.stat().st_size) for file in files)
         if self.in_process:
             return True
+        if any(visible_text(path) != path for path, _ in found):
+            return False
         return all(map_batches(self, sees_files, [found] * (_ASKED * self.workers)))
 
 

@@ -33,6 +33,7 @@ from hpcapp.dashboard.metrics import write_metrics
 from hpcapp.dashboard.news import Reader
 from hpcapp.dashboard.parts import pack_part
 from hpcapp.dashboard.watched_job import WatchedJob
+from hpccomponent.terminal import visible_line
 
 __all__ = ["make_app"]
 
@@ -130,7 +131,7 @@ class _Views:
         nonce = secrets.token_urlsafe(16)
         imports = {name: "./" + self._address(file) for name, file in IMPORTS.items()}
         page = Template(_read("hpcapp.dashboard", "dashboard.html").decode()).substitute(
-            title=escape(self._job.title),
+            title=escape(visible_line(self._job.title)),
             nonce=nonce,
             page=self._job.viewers.arrive(),
             imports=json.dumps({"imports": imports}),

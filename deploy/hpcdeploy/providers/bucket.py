@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import expand_home
+from hpccomponent.terminal import visible_line
 from hpcdeploy.machine.bucket_client import sha256_of
 from hpcdeploy.machine.shell import part_of
 from hpcdeploy.spec.cluster import ClusterSpec
@@ -81,7 +82,7 @@ class Bucket:
             The bucket does not take them.
         """
         source = f"{self._prefix}/points/{digest}{points.suffix}"
-        target = f"{self._prefix}/meshes/{secrets.token_hex(8)}-{order.mesh}"
+        target = f"{self._prefix}/meshes/{secrets.token_hex(8)}-{visible_line(order.mesh)}"
         with self._translated():
             self._upload(points, source, on_progress or (lambda _done, _total: None))
             return replace(
@@ -126,7 +127,7 @@ class Bucket:
 
     def _check_key(self, status: JobStatus) -> None:
         """Refuse a key that the head has not from us: we read and remove the object."""
-        ours = rf"/meshes/[0-9a-f]{{16}}-{re.escape(status.mesh)}"
+        ours = rf"/meshes/[0-9a-f]{{16}}-{re.escape(visible_line(status.mesh))}"
         if not re.fullmatch(re.escape(self._prefix) + ours, status.mesh_key):
             raise CloudError(
                 f"job {status.job}: the head names {status.mesh_key!r} in the bucket, "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -64,7 +65,7 @@ def open_image(path: Path) -> Iterator[Any]:
     library = load_library(path)
     path.open("rb").close()  # the system's errors are clearer
     try:
-        image = library.ImageFile(str(path), "r")
+        image = library.ImageFile(os.fsencode(path), "r")
         try:
             yield image
         finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import uuid
 from collections.abc import Mapping
 from pathlib import Path
@@ -48,7 +49,7 @@ def write_e57(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
     with replacing(path) as file:
         target = Path(file.name)
         try:
-            image = library.ImageFile(str(target), "w")
+            image = library.ImageFile(os.fsencode(target), "w")
             try:
                 _write_image(library, image, cloud, crs)
             finally:

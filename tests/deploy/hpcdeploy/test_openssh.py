@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 from machines.openssh import open_sshd
 
+from hpccomponent.errors import CloudError
 from hpcdeploy.machine.ssh.connect import connect
 from hpcdeploy.machine.ssh.reach import Reach, ReachError
 from hpcdeploy.machine.ssh.shell import SshShell
@@ -51,6 +53,18 @@ def test_a_file_goes_there_and_back(shell: SshShell, tmp_path: Path) -> None:
     shell.put(tmp_path / "source", str(tmp_path / "there"))
     shell.get(str(tmp_path / "there"), tmp_path / "back")
     assert (tmp_path / "back").read_bytes() == content
+
+
+def test_names_on_the_machine_are_bytes(shell: SshShell, tmp_path: Path) -> None:
+    odd = os.fsdecode(b"\xff\xfe.ply")
+    content = bytes(range(256)) * 4000
+    (tmp_path / odd).write_bytes(content)
+    shell.put(tmp_path / odd, f"{tmp_path}/a/{odd}")
+    shell.get(f"{tmp_path}/a/{odd}", tmp_path / f"back {odd}")
+    assert (tmp_path / f"back {odd}").read_bytes() == content
+    assert shell.run(f"test -f '{tmp_path}/a/{odd}'").exit_code == 0
+    with pytest.raises(CloudError, match="No such file"):
+        shell.get(f"b/{odd}", tmp_path / odd)
 
 
 def test_a_detached_process_holds_nothing_up(shell: SshShell, tmp_path: Path) -> None:

@@ -45,6 +45,14 @@ def address(job: WatchedJob) -> Iterator[str]:
         yield address
 
 
+def test_a_job_s_files_may_have_any_names() -> None:
+    job = WatchedJob(Timeline(), "scan\udcff\u202e.ply")
+    with open_dashboard(LOOPBACK, job) as address:
+        status, page, _ = get(address)
+    assert status == 200
+    assert rb"scan\xff\u202e.ply" in page
+
+
 def path_of(address: str, path: str) -> str:
     return address.replace("/?", f"/{path}?")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import threading
 import time
@@ -147,7 +148,8 @@ class SshShell:
         with self._border(command, timeout_s), self._transport.open_session() as channel:
             channel.settimeout(timeout_s)
             channel.set_combine_stderr(is_combined)
-            channel.exec_command(f"sh -c {shlex.quote(command + chr(10) + 'exit $?')}")
+            whole = f"sh -c {shlex.quote(command + chr(10) + 'exit $?')}"
+            channel.exec_command(os.fsencode(whole))  # names are bytes
             yield channel
 
     @contextmanager

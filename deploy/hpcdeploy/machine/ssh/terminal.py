@@ -38,7 +38,7 @@ def give_terminal(channel: paramiko.Channel, command: str) -> None:
         size = shutil.get_terminal_size()
         channel.get_pty(os.environ.get("TERM", "vt100"), size.columns, size.lines)
     if command:
-        channel.exec_command(command)
+        channel.exec_command(os.fsencode(command))
     else:
         channel.invoke_shell()
     with _raw_terminal(channel) if is_terminal else contextlib.nullcontext():

@@ -65,7 +65,7 @@ def send_file(
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
             size = stream.tell()
             if _size(sftp, target) == size and _remote_digest(shell, target) == digest:
-                sftp.chmod(target, mode)
+                sftp.chmod(os.fsencode(target), mode)
                 return
             _make_folder(shell, posixpath.dirname(target))
             part = target + ".part"
@@ -77,8 +77,8 @@ def send_file(
         raise _failed(shell, error, str(source), target) from error
     if not is_whole:
         raise CloudError(f"{shell.node}: {target}: arrived damaged, twice", "try again")
-    sftp.chmod(part, mode)
-    sftp.posix_rename(part, target)
+    sftp.chmod(os.fsencode(part), mode)
+    sftp.posix_rename(os.fsencode(part), os.fsencode(target))
 
 
 def fetch_file(
@@ -105,7 +105,7 @@ def fetch_file(
     """
     part = part_of(target)
     try:
-        size = sftp.stat(source).st_size or 0
+        size = sftp.stat(os.fsencode(source)).st_size or 0
         digest = _remote_digest(shell, source)
         held = part.stat().st_size if part.exists() else None
         is_whole = any(
@@ -136,8 +136,8 @@ def _send_from(
 ) -> str:
     """Send what comes after `start`; return the digest of all that lies there now."""
     stream.seek(start)
-    with sftp.open(part, "ab" if start else "wb") as remote:
-        sftp.chmod(part, 0o600)
+    with sftp.open(os.fsencode(part), "ab" if start else "wb") as remote:
+        sftp.chmod(os.fsencode(part), 0o600)
         remote.set_pipelined(True)
         _copy(stream, remote, start, size, size, on_progress)
     return _remote_digest(shell, part)
@@ -152,7 +152,7 @@ def _fetch_from(
     on_progress: Progress,
 ) -> str:
     with (
-        sftp.open(source, "rb") as remote,
+        sftp.open(os.fsencode(source), "rb") as remote,
         open(part, "ab" if start else "wb", opener=_open_own) as stream,
     ):
         remote.seek(start)
@@ -195,7 +195,7 @@ def _open_own(path: str, flags: int) -> int:
 
 def _size(sftp: paramiko.SFTPClient, path: str) -> int | None:
     try:
-        return sftp.stat(path).st_size
+        return sftp.stat(os.fsencode(path)).st_size
     except FileNotFoundError:
         return None
 

@@ -47,6 +47,7 @@ from hpccomponent.surface.tasks.file_ranges import (
     unite_boxes,
 )
 from hpccomponent.surface.types.points import FloatArray
+from hpccomponent.terminal import visible_text
 
 __all__ = ["Ingested", "ingest_file"]
 
@@ -214,7 +215,9 @@ def _run(
         yield from passes.map(task, [(points, *more(i)) for i, points in enumerate(there)])
         return
     for i, part in enumerate(source.chunks(passes.points)):
-        yield task(SentRange(str(source.path), part.positions, part.normals), *more(i))
+        yield task(
+            SentRange(visible_text(str(source.path)), part.positions, part.normals), *more(i)
+        )
 
 
 def _usable_positions(source: PointSource, rows: int, origin: FloatArray) -> Iterator[FloatArray]:

@@ -40,6 +40,7 @@ from hpccomponent.files.held_folders import (
 from hpccomponent.files.private_files import remove_path
 from hpccomponent.store.places import open_store
 from hpccomponent.surface.build import kernel_id
+from hpccomponent.terminal import visible_text
 
 __all__ = ["Room", "open_room"]
 
@@ -130,6 +131,12 @@ def _find_folder(place: str) -> Path:
     folder = Path(os.path.realpath(text))  # a link may lead to itself
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"--temp-dir {text}: is not a folder", "name a folder")
+    if visible_text(str(folder)) != str(folder):
+        raise OutputError(
+            f"--temp-dir {text}: its path is not UTF-8, or holds control characters: workers are "
+            "not told of it",
+            "name another folder",
+        )
     return folder
 
 
@@ -150,7 +157,7 @@ def _identify(file: Path) -> str:
         raise InputError(
             f"{file}: cannot be read: {error.strerror}", "check the file's name"
         ) from error
-    return f"{file.resolve()} {found.st_size} {found.st_mtime_ns}"
+    return f"{visible_text(str(file.resolve()))} {found.st_size} {found.st_mtime_ns}"
 
 
 @contextmanager

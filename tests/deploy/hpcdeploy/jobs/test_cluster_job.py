@@ -200,6 +200,22 @@ def test_a_head_chooses_no_place_on_this_machine(cluster: Place) -> None:
 
 
 @pytest.mark.slow
+def test_points_and_mesh_may_have_names_that_are_not_utf_8(cluster: Place) -> None:
+    odd = os.fsdecode(b"\xff\xfe")
+    (cluster.folder / f"{odd}.xyz").write_bytes((cluster.folder / "sphere.xyz").read_bytes())
+    cluster.run(
+        "submit", "cluster.yaml", f"{odd}.xyz", "-o", f"{odd}.ply", "--detach", "--", *OPTIONS
+    )
+    _, errors = cluster.run("attach", "cluster.yaml")
+    assert r"\xff\xfe.ply: " in errors
+    assert r"\xff\xfe.xyz -> \xff\xfe.ply" in cluster.run("jobs", "cluster.yaml")[0]
+    _, errors = cluster.run("fetch", "cluster.yaml", code=2)
+    assert "name one by -o" in errors
+    cluster.run("fetch", "cluster.yaml", "-o", f"{odd}.ply")
+    assert cluster.same(f"{odd}.ply")
+
+
+@pytest.mark.slow
 def test_what_a_head_says_reaches_the_terminal_visibly(cluster: Place) -> None:
     cluster.run(*SUBMIT, "said.ply", "--", *OPTIONS)
     place = max((cluster.head / "jobs").glob("[0-9]*"), key=lambda path: int(path.name))

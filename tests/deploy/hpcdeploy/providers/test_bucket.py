@@ -98,6 +98,16 @@ def test_points_go_up_and_the_mesh_comes_down(bucket: Bucket, client: Any, tmp_p
     assert order.mesh_key not in keys(client)
 
 
+def test_a_mesh_may_have_any_name(bucket: Bucket, client: Any, tmp_path: Path) -> None:
+    odd = os.fsdecode(b"\xff\xfe.ply")
+    order = bucket.send(tmp_path / "a.ply", write(tmp_path / "a.ply", 9), replace(ORDER, mesh=odd))
+    mesh = write(tmp_path / odd, 5000)
+    assert send_mesh(order, tmp_path / odd, lambda _: None) == mesh
+    status = JobStatus("1", JobState.DONE, mesh=odd, mesh_key=order.mesh_key, mesh_sha256=mesh)
+    bucket.fetch(status, tmp_path / f"back {odd}")
+    assert sha256_of(tmp_path / f"back {odd}") == mesh
+
+
 def test_what_is_there_is_not_sent_again(
     bucket: Bucket, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
