@@ -13,14 +13,13 @@ import logging
 import os
 import re
 import sys
-from pathlib import Path
 from typing import Any
 
 __all__ = [
     "VisibleFormatter",
     "echo",
     "echo_json",
-    "echo_path",
+    "echo_output",
     "visible_line",
     "visible_text",
     "write_block",
@@ -136,13 +135,14 @@ def echo_json(value: Any) -> None:
     click.echo(json.dumps(value).replace("\x7f", r"\u007f"))  # the one that JSON does not write out
 
 
-def echo_path(path: Path) -> None:
-    """Print a path on the standard output: visible on a terminal, as it is for another program.
+def echo_output(text: str) -> None:
+    """Print what another program may want as it is: visible on a terminal, else byte for byte.
 
     Parameters
     ----------
-    path : Path
+    text : str
+        One line, such as a path or a line of somebody's output.
     """
     import click
 
-    click.echo(visible_line(str(path)) if sys.stdout.isatty() else os.fsencode(path))
+    click.echo(visible_line(text) if sys.stdout.isatty() else os.fsencode(text))

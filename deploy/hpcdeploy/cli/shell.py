@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ import click
 
 from hpccomponent.errors import CloudError, HpcError, UsageError
 from hpccomponent.files.paths import check_regular
-from hpccomponent.terminal import echo, visible_line
+from hpccomponent.terminal import echo, echo_output
 
 if TYPE_CHECKING:
     from hpcdeploy.machine.access import Access
@@ -142,8 +141,7 @@ def _run(access: Access, machine: MachineSeen, command: str) -> int:
 
     def show(line: str) -> None:
         with _writing:
-            text = f"{node}: {line}"
-            click.echo(visible_line(text) if sys.stdout.isatty() else text, color=True)
+            echo_output(f"{node}: {line}")
 
     try:
         with access.open(machine, WAIT_S) as shell:

@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 
 from hpccomponent.errors import UsageError
-from hpccomponent.terminal import echo_path
+from hpccomponent.terminal import echo_output
 
 __all__ = ["check_page", "check_picture", "view"]
 
@@ -155,7 +155,7 @@ def view(
     page = make_page(file, shown, points, report, up)
     path = _temporary_page(file) if output is None else output
     write_page(path, page)
-    echo_path(path)
+    echo_output(str(path))
     show_page(path, is_opened=is_opened)
 
 

@@ -43,13 +43,13 @@ class Place:
         self.head = self.state / "nodes/head/hpcapp/mine"
         self.summary = ""
 
-    def start(self, *words: str) -> subprocess.Popen[str]:
+    def start(self, *words: str, stdout: int = subprocess.PIPE) -> subprocess.Popen[str]:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", "hpcapp", *words],
             cwd=self.folder,
             env={**os.environ, "XDG_STATE_HOME": str(self.folder / "state")},
             stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
+            stdout=stdout,
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
@@ -236,6 +236,19 @@ def test_what_a_head_says_reaches_the_terminal_visibly(cluster: Place) -> None:
     assert "damaged" in output.splitlines()[-1]
     assert errors.startswith(f"hpcapp: job {place.name}: its status.json is damaged")
     (place / "status.json").write_text(json.dumps(told))
+
+
+@pytest.mark.slow
+def test_output_of_exec_is_visible_on_a_terminal_and_as_it_is_in_a_pipe(cluster: Place) -> None:
+    words = ("exec", "cluster.yaml", "--", "printf", r"'\033[31mred\033[0m\n'")
+    assert cluster.run(*words)[0] == "head: \x1b[31mred\x1b[0m\n"
+    ours, theirs = os.openpty()
+    with os.fdopen(ours, "rb") as screen:
+        process = cluster.start(*words, stdout=theirs)
+        os.close(theirs)
+        assert screen.readline() == b"head: \\x1b[31mred\\x1b[0m\r\n"
+        process.communicate(timeout=60)
+    assert process.returncode == 0
 
 
 def test_a_cluster_that_was_up_stays_up(cluster: Place) -> None:
