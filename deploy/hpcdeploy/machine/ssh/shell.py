@@ -15,6 +15,7 @@ from typing import Self
 
 import paramiko
 
+from hpccomponent.errors import CloudError
 from hpcdeploy.machine.shell import Completed
 from hpcdeploy.machine.ssh.connect import explain
 from hpcdeploy.machine.ssh.forward import Forwarder
@@ -26,6 +27,8 @@ from hpcdeploy.machine.ssh.way import Connection
 __all__ = ["SshShell"]
 
 FILES_S = 120.0  # a request for a piece of a file that takes longer will never be answered
+MOST_OUTPUT = 1 << 28  # bytes that a command may say: an answer is read as a whole
+LONGEST_LINE = 1 << 20  # bytes of a line that is followed; of a longer one come pieces
 _CHUNK = 1 << 16
 _NO_CODE = 128  # a signal ended the shell itself, and SSH's answer to paramiko does not say which
 
@@ -61,7 +64,7 @@ class SshShell:
             try:
                 channel.sendall(stdin)
                 channel.shutdown_write()
-                output = b"".join(_chunks(channel, deadline))
+                output = b"".join(self._limited(_chunks(channel, deadline)))
                 listener.join(max(0.0, deadline - time.monotonic()))
                 code = self._exit_code(channel, deadline)
             finally:
@@ -78,7 +81,7 @@ class SshShell:
             channel.makefile("rb") as lines,
         ):
             channel.shutdown_write()
-            for line in lines:
+            while line := lines.readline(LONGEST_LINE):
                 on_line(line.decode(errors="replace").rstrip("\r\n"))
             return self._exit_code(channel, None)
 
@@ -168,6 +171,18 @@ class SshShell:
         except (OSError, EOFError, paramiko.SSHException) as error:
             raise self._lost(error) from error
 
+    def _limited(self, chunks: Iterator[bytes]) -> Iterator[bytes]:
+        """Hand chunks on, up to what an answer may have."""
+        size = 0
+        for chunk in chunks:
+            size += len(chunk)
+            if size > MOST_OUTPUT:
+                raise CloudError(
+                    f"{self.node}: a command says more than {MOST_OUTPUT >> 20} MiB",
+                    "look at the machine: no answer is as long",
+                )
+            yield chunk
+
     def _lost(self, error: BaseException) -> ReachError:
         """Say why the connection is no more; what ended it knows more than who waited for it."""
         return ReachError(f"{self.node}: {self._transport.way.fault or explain(error)}")
@@ -197,8 +212,11 @@ def _chunks(channel: paramiko.Channel, deadline: float) -> Iterator[bytes]:
 
 def _collect(channel: paramiko.Channel, errors: list[bytes]) -> None:
     """Read stderr beside stdout: a full window of either would stop the command."""
+    size = 0
     try:
         while chunk := channel.recv_stderr(_CHUNK):
-            errors.append(chunk)
+            size += len(chunk)
+            if size <= MOST_OUTPUT:  # what comes later is read, and dropped
+                errors.append(chunk)
     except (OSError, EOFError, paramiko.SSHException):
         return  # the reader of stdout learns of it too

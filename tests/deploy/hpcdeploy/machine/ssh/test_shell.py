@@ -17,6 +17,7 @@ from machines.servers import USER, Machines, Server
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.machine.shell import part_of
+from hpcdeploy.machine.ssh import shell as ssh_shell
 from hpcdeploy.machine.ssh import transfer
 from hpcdeploy.machine.ssh.connect import connect
 from hpcdeploy.machine.ssh.shell import SshShell
@@ -76,6 +77,26 @@ def test_much_output_on_both_streams_blocks_nothing(shell: SshShell) -> None:
     script = "head -c 1000000 /dev/zero; head -c 1000000 /dev/zero >&2"
     done = shell.run(script)
     assert (len(done.output), len(done.errors)) == (1_000_000, 1_000_000)
+
+
+def test_an_answer_without_an_end_is_named(
+    shell: SshShell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ssh_shell, "MOST_OUTPUT", 1 << 20)
+    with pytest.raises(CloudError, match="worker-1: a command says more than 1 MiB"):
+        shell.run("exec cat /dev/zero")
+    done = shell.run("head -c 3000000 /dev/zero >&2")
+    assert done.exit_code == 0
+    assert 0 < len(done.errors) <= 1 << 20
+
+
+def test_a_line_without_an_end_comes_in_pieces(
+    shell: SshShell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ssh_shell, "LONGEST_LINE", 1000)
+    lines: list[str] = []
+    assert shell.follow("head -c 2500 /dev/zero; echo; echo short", lines.append) == 0
+    assert [len(line) for line in lines] == [1000, 1000, 500, 5]
 
 
 def test_a_signal_is_told_as_a_shell_does(shell: SshShell) -> None:
