@@ -10,11 +10,13 @@ import click
 from hpcapp.applications.surface.options import typed_command, typed_options
 from hpcapp.backends.cluster_jobs import load_cluster_function
 from hpcapp.io import MESH_SUFFIXES, drop_unusable, read_points
+from hpcapp.io.meshes.tiles import TILES_SUFFIX
+from hpcapp.io.meshes.tileset import TILESET_SUFFIX
 from hpcapp.io.output import open_output
 from hpcapp.io.points.inputs import find_paths, gather_points
 from hpccomponent.errors import UsageError
 
-__all__ = ["OF_THIS_MACHINE", "check_points", "run_on_cluster"]
+__all__ = ["OF_THIS_MACHINE", "check_file", "check_points", "run_on_cluster"]
 
 DETAILS = ("timeline", "owners")
 """What a report has with --details."""
@@ -26,6 +28,26 @@ _FILES = {
     "events": "its jobs keep their events by themselves",
     "trace": "give it to 'hpcapp submit' behind --: it lies in the job's folder then",
 }
+
+
+def check_file(output: str) -> None:
+    """Refuse an output that is a folder: one file is fetched from a cluster.
+
+    Parameters
+    ----------
+    output : str
+        What the user typed.
+
+    Raises
+    ------
+    UsageError
+        It is.
+    """
+    if Path(output).suffix.lower() in (TILES_SUFFIX, TILESET_SUFFIX):
+        raise UsageError(
+            f"{output}: is a folder, and one file comes from a cluster",
+            f"write {', '.join(MESH_SUFFIXES)} or .3mf",
+        )
 
 
 def check_points(points: Path, sample: int | None = None) -> None:
@@ -73,6 +95,7 @@ def run_on_cluster(ctx: click.Context) -> dict[str, Any]:
             raise UsageError(f"--{name} means nothing to a cluster file", instead)
     run = load_cluster_function("run")
     files = find_paths(names)
+    check_file(ctx.params["output"])
     _check_shown(ctx)
     with (
         open_output(ctx.params["output"], files) as target,

@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from hpcapp.applications.surface.command import check_flags, reconstruct
-from hpcapp.applications.surface.remote import OF_THIS_MACHINE, check_points
+from hpcapp.applications.surface.remote import OF_THIS_MACHINE, check_file, check_points
 from hpcapp.io.output import open_output
 from hpccomponent.errors import OutputError, UsageError
 
@@ -57,5 +57,6 @@ def check_job(cluster: Path, points: Path, output: Path, options: Sequence[str])
     check_flags(ctx)
     if str(output) == "-":
         raise OutputError("-o - names no file", "name a file to write to")
+    check_file(str(output))
     with open_output(str(output), [points]):
         check_points(points, sample)

@@ -321,6 +321,11 @@ def test_what_cannot_be_is_one_line_and_no_job(cluster: Place) -> None:
         ((*SUBMIT, "-"), 2, "-o - names no file"),
         ((*SUBMIT, "m.xyz"), 2, "a mesh is written to .ply"),
         ((*SUBMIT, "nowhere/m.ply"), 2, "create the folder"),
+        ((*SUBMIT, "m.3dtiles"), 2, "one file comes from a cluster"),
+        (
+            ("reconstruct", "sphere.xyz", "-o", "m.tiles", "--cluster", "cluster.yaml"), 2,
+            "one file comes from a cluster",
+        ),
         (
             ("reconstruct", "sphere.xyz", "-o", "m.ply", "--cluster", "cluster.yaml", "--workers",
              "2"), 2, "--cluster and --workers exclude",

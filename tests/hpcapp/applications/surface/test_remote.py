@@ -163,10 +163,36 @@ def test_the_page_of_a_fetched_mesh_is_made_here(
     assert png.read_bytes().startswith(b"\x89PNG")
 
 
+LIES: list[dict[str, Any]] = [
+    {"spacing": "narrow"},
+    {"stages": {"fit": 1e400}},
+    {"timeline": {"spans": [{"name": "fit"}]}},
+    {"warnings": 7},
+    {"owners": {"tiles": "x"}},
+]
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_report_of_a_head_that_lies_makes_no_page(
+    tmp_path: Path, sphere_file: Path, lie: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run(path: Path, verb: str, points: Path, target: Path, words: Sequence[str]) -> Any:
+        write_mesh(target, Mesh(np.eye(3), np.array([[0, 1, 2]]), np.zeros(3)))
+        return {"summary": "a mesh", **lie}
+
+    monkeypatch.setattr(remote, "load_cluster_function", lambda name: run)
+    words = [str(sphere_file), "-o", str(tmp_path / "m.ply"), "--cluster", "cluster.yaml"]
+    words += ["--report", str(tmp_path / "r.html")]
+    with pytest.raises(InputError, match="the head's report: "):
+        CliRunner().invoke(reconstruct, words, catch_exceptions=False)
+    assert not (tmp_path / "r.html").exists()
+    assert (tmp_path / "m.ply").exists()  # what has come stays
+
+
 def test_a_mesh_that_is_not_read_here_has_no_page_here(
     tmp_path: Path, sphere_file: Path, cluster: Cluster
 ) -> None:
-    words = [str(sphere_file), "-o", str(tmp_path / "m.tiles"), "--cluster", "cluster.yaml"]
+    words = [str(sphere_file), "-o", str(tmp_path / "m.3mf"), "--cluster", "cluster.yaml"]
     words += ["--report", str(tmp_path / "r.html")]
     with pytest.raises(UsageError, match="not read here"):
         CliRunner().invoke(reconstruct, words, catch_exceptions=False)
