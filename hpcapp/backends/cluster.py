@@ -186,6 +186,14 @@ def _open_door(inventory: Inventory, *, is_led: bool) -> Door:
     )
 
 
+def _tell_size(cluster: str, before: set[str], after: set[str]) -> None:
+    """Say that a cluster has grown or shrunk; a machine that is replaced keeps its name."""
+    if len(before) != len(after):
+        log.info("cluster %s %s from %d to %d workers (%s)", cluster,
+                 "grew" if len(after) > len(before) else "shrank", len(before), len(after),
+                 ", ".join(sorted(before ^ after)))  # fmt: skip
+
+
 @contextmanager
 def _follow_inventory(
     path: Path, inventory: Inventory, executor: CommunicatorExecutor
@@ -194,15 +202,16 @@ def _follow_inventory(
     is_over = threading.Event()
 
     def watch() -> None:
-        known = {worker.public_key for worker in inventory.workers}
+        known = {worker.public_key: worker.name for worker in inventory.workers}
         while not is_over.wait(WATCH_S):
             with suppress(ConfigError):  # it is gone with its cluster; the job ends by itself
-                listed = {worker.public_key for worker in read_inventory(path).workers}
-                raise_descriptor_limit(len(listed - known))
-                for key in listed - known:
+                listed = {w.public_key: w.name for w in read_inventory(path).workers}
+                raise_descriptor_limit(len(listed.keys() - known.keys()))
+                for key in listed.keys() - known.keys():
                     executor.allow(key)
-                for key in known - listed:
+                for key in known.keys() - listed.keys():
                     executor.revoke(key)
+                _tell_size(inventory.cluster, set(known.values()), set(listed.values()))
                 known = listed
 
     watcher = threading.Thread(target=watch, name="inventory watcher", daemon=True)

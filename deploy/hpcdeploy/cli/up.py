@@ -120,12 +120,11 @@ def scale(file: Path, workers: int, yes: bool, keep: bool, is_unchecked: bool) -
     from hpcdeploy.reconcile.cluster import open_cluster
 
     with open_cluster(file) as cluster:
-        spec = cluster.spec
-        chosen = spec.workers.model_copy(update={"count": workers, "min": None})
-        scaled = replace(cluster, spec=spec.model_copy(update={"workers": chosen}))
+        count = cluster.spec.worker_count
+        scaled = replace(cluster, spec=cluster.spec.scaled(workers))
         _bring_up(scaled, yes, keep, is_unchecked)
-        if spec.worker_count != workers:
-            _say(f"the next hpcapp up goes back to {spec.worker_count}: see workers.count")
+        if count != workers:
+            _say(f"the next hpcapp up goes back to {count}: see workers.count")
 
 
 def _bring_up(cluster: Cluster, yes: bool, keep: bool, is_unchecked: bool) -> None:

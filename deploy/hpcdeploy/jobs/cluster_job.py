@@ -23,7 +23,7 @@ from hpccomponent.files.paths import new_file_here
 from hpcdeploy.jobs.display import ForwardingDisplay, open_display
 from hpcdeploy.jobs.queries import Jobs, open_jobs
 from hpcdeploy.machine.provider import State
-from hpcdeploy.reconcile.cluster import open_cluster
+from hpcdeploy.reconcile.cluster import as_desired, open_cluster
 from hpcdeploy.reconcile.cost import estimate_cost
 from hpcdeploy.spec.job_folder import JobStatus
 from hpcdeploy.spec.layout import machine_folder
@@ -68,7 +68,7 @@ def run_on_cluster(
         The user has detached: the job goes on.
     """
     with open_cluster(path) as cluster:
-        is_ours = _bring_up_if_needed(cluster)
+        cluster, is_ours = _bring_up_if_needed(cluster)
         stays, start = False, time.monotonic()
         try:
             jobs = open_jobs(cluster)
@@ -124,16 +124,17 @@ def check_job(
         entry.load()(cluster.path, points, target, options)
 
 
-def _bring_up_if_needed(cluster: Cluster) -> bool:
-    """Make the cluster work; tell whether nothing of it was there before."""
+def _bring_up_if_needed(cluster: Cluster) -> tuple[Cluster, bool]:
+    """Make the cluster work, as it was asked for last; tell whether nothing was there before."""
     from hpcdeploy.reconcile.converge import bring_up
 
-    seen = cluster.provider.observe(cluster.spec.cluster).machines
-    was_there = any(machine.state is not State.GONE for machine in seen)
+    observed = cluster.provider.observe(cluster.spec.cluster)
+    cluster = as_desired(cluster, observed)
+    was_there = any(machine.state is not State.GONE for machine in observed.machines)
     if was_there and _is_set_up(cluster):
-        return False
+        return cluster, False
     bring_up(cluster, log.info)
-    return not (was_there and cluster.provider.makes_machines)
+    return cluster, not (was_there and cluster.provider.makes_machines)
 
 
 def _is_set_up(cluster: Cluster) -> bool:
@@ -295,10 +296,10 @@ def _replacing_lost(cluster: Cluster) -> Iterator[None]:
         if is_over.wait(seconds):
             raise _OverError
 
-    def look() -> None:
+    def look(present: Cluster) -> None:
         while not is_over.wait(LOOK_S):
             try:
-                replace_lost(cluster, log.info, pace=Pace(sleep=sleep))
+                present = replace_lost(present, log.info, pace=Pace(sleep=sleep))
             except _OverError:
                 return  # what was begun stands in the journal
             except HpcError as error:
@@ -307,7 +308,7 @@ def _replacing_lost(cluster: Cluster) -> Iterator[None]:
     if not cluster.provider.makes_machines:
         yield
         return
-    thread = threading.Thread(target=look, name="replacements", daemon=True)
+    thread = threading.Thread(target=look, args=(cluster,), name="replacements", daemon=True)
     thread.start()
     try:
         yield

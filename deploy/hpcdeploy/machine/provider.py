@@ -12,7 +12,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import NamedTuple, Protocol
 
-from hpcdeploy.spec.names import NOBODY, NodeName, Owner
+from hpcdeploy.spec.names import HEAD, NOBODY, Desired, NodeName, Owner
 
 __all__ = [
     "GroupSeen",
@@ -82,6 +82,8 @@ class MachineSeen:
         Why it is in its state, where the cloud says so.
     owner : Owner
         As its tag says; empty where it has none.
+    desired : Desired, optional
+        How many workers its cluster is to have, as the tag of a head says.
     """
 
     id: str
@@ -98,6 +100,7 @@ class MachineSeen:
     lease_until: datetime | None = None
     reason: str = ""
     owner: Owner = NOBODY
+    desired: Desired | None = None
 
     def address(self, kind: str = "auto") -> str:
         """Return where the machine is reached; empty while it is nowhere.
@@ -178,6 +181,21 @@ class Observed:
     key_pairs: tuple[KeyPairSeen, ...] = ()
     groups: tuple[GroupSeen, ...] = ()
 
+    def desired(self, cluster: str) -> Desired | None:
+        """Return how many workers a cluster is to have; None where no head that lives says so.
+
+        Parameters
+        ----------
+        cluster : str
+
+        Returns
+        -------
+        Desired or None
+        """
+        heads = (m for m in self.machines if (m.cluster, m.name.node) == (cluster, HEAD))
+        live = (m for m in heads if m.state in (State.PENDING, State.RUNNING))
+        return max((m.desired for m in live if m.desired is not None), default=None)
+
 
 @dataclass(frozen=True, slots=True)
 class Launch:
@@ -204,6 +222,8 @@ class Launch:
         The user's own.
     owner : Owner
         Who launches it.
+    desired : Desired, optional
+        How many workers the cluster is to have, for its head.
     """
 
     cluster: str
@@ -217,6 +237,7 @@ class Launch:
     lease_until: datetime | None = None
     tags: dict[str, str] = field(default_factory=dict)
     owner: Owner = NOBODY
+    desired: Desired | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,6 +335,16 @@ class Provider(Protocol):
         machines : sequence of MachineSeen
         groups : sequence of GroupSeen
         owner : Owner
+        """
+        ...
+
+    def set_desired(self, head: MachineSeen, desired: Desired) -> None:
+        """Write on the head how many workers the cluster is to have from now on.
+
+        Parameters
+        ----------
+        head : MachineSeen
+        desired : Desired
         """
         ...
 

@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from hpccomponent.foreign_json import decode
 from hpcdeploy.machine.provider import GroupSeen, KeyPairSeen, Launch, MachineSeen
-from hpcdeploy.spec.names import NAME_PATTERN, NodeName, Owner, read_owner
+from hpcdeploy.spec.names import NAME_PATTERN, Desired, NodeName, Owner, read_owner
 
 __all__ = ["CLAIM", "Claim", "StandingMachines"]
 
@@ -93,6 +93,9 @@ class StandingMachines:
         self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
     ) -> None:
         """Do nothing: on this machine all is the user's own."""
+
+    def set_desired(self, head: MachineSeen, desired: Desired) -> None:
+        """Do nothing: no command launches machines that are there."""
 
     def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
         """Do nothing: the machines stay."""

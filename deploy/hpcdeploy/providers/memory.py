@@ -25,7 +25,7 @@ from hpcdeploy.machine.provider import (
     Problem,
     State,
 )
-from hpcdeploy.spec.names import Owner, client_token, group_name, key_pair_name
+from hpcdeploy.spec.names import Desired, Owner, client_token, group_name, key_pair_name
 from hpcdeploy.spec.polling import utc_now
 
 __all__ = ["Hook", "MemoryProvider"]
@@ -128,6 +128,12 @@ class MemoryProvider:
             for group in groups:
                 self._change(group, owner=owner)
 
+    def set_desired(self, head: MachineSeen, desired: Desired) -> None:
+        """Write on the head how many workers there are to be."""
+        with self._called("set_desired"):
+            for machine in self._named([head]):
+                machine.seen = replace(machine.seen, desired=desired)
+
     def allow(
         self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
     ) -> None:
@@ -222,6 +228,7 @@ class MemoryProvider:
             launched=now,
             lease_until=launch.lease_until,
             owner=launch.owner,
+            desired=launch.desired,
         )
         return _Machine(seen, now)
 

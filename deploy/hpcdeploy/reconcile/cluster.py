@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ from hpcdeploy.spec.polling import utc_now
 if TYPE_CHECKING:
     from hpcdeploy.machine.access import Access
 
-__all__ = ["Cluster", "open_cluster", "require_ours"]
+__all__ = ["Cluster", "as_desired", "node_order", "open_cluster", "require_ours"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +67,25 @@ class Cluster:
             if machine.name.node == HEAD:
                 return machine
         raise CloudError(f"cluster {self.spec.cluster} is not up", f"run hpcapp up {self.path}")
+
+
+def as_desired(cluster: Cluster, observed: Observed) -> Cluster:
+    """Return a cluster with the number of workers of the last `up` or `scale`, or of the file.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    observed : Observed
+        Of that cluster.
+
+    Returns
+    -------
+    Cluster
+    """
+    desired = observed.desired(cluster.spec.cluster)
+    if desired is None or desired.workers == cluster.spec.worker_count:
+        return cluster
+    return replace(cluster, spec=cluster.spec.scaled(desired.workers))
 
 
 def node_order(machine: MachineSeen) -> tuple[bool, int, str, int]:

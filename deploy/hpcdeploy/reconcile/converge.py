@@ -12,6 +12,7 @@ taken away again.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, LeftoverError
@@ -116,11 +117,11 @@ def bring_up(
             raise
 
 
-def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) -> None:
+def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) -> Cluster:
     """Start new machines for workers that have vanished, and set them up.
 
     Nothing else is changed, so that it may be called while a job runs; a worker that is not to be
-    had is done without.
+    had is done without. How many there are to be says the last `up` or `scale`, not the file.
 
     Parameters
     ----------
@@ -128,6 +129,11 @@ def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) 
     report : callable
         Takes lines for the user.
     pace : Pace, optional
+
+    Returns
+    -------
+    Cluster
+        With the number of workers that was asked for last.
 
     Raises
     ------
@@ -138,6 +144,7 @@ def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) 
         effort = Effort(cluster, journal, report, pace or Pace(), only_replace=True)
         with journal.command("replace lost workers"):
             effort.converge()
+    return replace(cluster, spec=effort.spec)
 
 
 def take_down(

@@ -29,17 +29,19 @@ from hpcdeploy.reconcile.plan import (
     LaunchNode,
     Mark,
     Plan,
+    SetWorkers,
     Terminate,
     make_plan,
 )
 from hpcdeploy.reconcile.removal import remove
 from hpcdeploy.reconcile.termination import Proof, Reason, end, may_terminate
-from hpcdeploy.spec.names import HEAD, NodeName, Owner, draw_incarnation
+from hpcdeploy.spec.names import HEAD, Desired, NodeName, Owner, draw_incarnation
 from hpcdeploy.spec.polling import Pace
 from hpcdeploy.spec.ssh_networks import ssh_networks
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
+    from hpcdeploy.spec.cluster import ClusterSpec
 
 __all__ = ["Effort", "Report"]
 
@@ -60,6 +62,10 @@ class Effort:
         only_replace: bool = False,
     ) -> None:
         self._cluster, self._spec, self._provider = cluster, cluster.spec, cluster.provider
+        self._nodes = self._spec.nodes()
+        self._desired: Desired | None = None
+        self._before: Desired | None = None
+        self._has_set_workers = False
         self._journal, self._report, self._pace = journal, report, pace
         self._only_replace = only_replace
         self._is_unsettled = self._provider.makes_machines and bool(journal.unfinished())
@@ -74,6 +80,11 @@ class Effort:
         self._replacements = 2 + nodes // 4 if self._provider.makes_machines else 0
         self._deadline = pace.now() + timedelta(seconds=pace.total_s)
 
+    @property
+    def spec(self) -> ClusterSpec:
+        """The file, with the number of workers that was asked for last."""
+        return self._spec
+
     def converge(self) -> None:
         """Go round until every node is set up or given up; see the module's diagram."""
         if self._is_unsettled:
@@ -86,11 +97,15 @@ class Effort:
             self._check_enough()
             running, failed = self._await_running(awaited)
             failed = failed or self._set_up(running)
+            if failed:
+                self._follow(self._observe())
             for machine, reason in failed:
-                self._dismiss(machine, reason)
+                if machine.name.node in self._spec.nodes():
+                    self._dismiss(machine, reason)
             self._check_enough()
+            workers = self._spec.worker_count
             plan = self._plan()
-            if not failed and self._is_settled(plan):
+            if not failed and self._is_settled(plan) and workers == self._spec.worker_count:
                 break
         for node, error in self._given_up.items():
             self._report(f"going without {node}: {error.problem}")
@@ -117,7 +132,10 @@ class Effort:
 
         looks = 3 if self._journal.unfinished() else 1
         args = (Reason.ROLL_BACK, self._journal.step, self._report, self._pace, looks)
-        remove(self._provider, made, *args)
+        try:
+            self._take_back()
+        finally:
+            remove(self._provider, made, *args)
         if all(machine.state is State.GONE for machine in self._observe().machines):
             self._journal.clear_place(place_of(self._spec))
 
@@ -127,6 +145,37 @@ class Effort:
         except CloudError:
             return False
         return True
+
+    def _follow(self, seen: Observed) -> None:
+        """Go by the number of workers that was asked for last, by whichever command.
+
+        The number of this very command is the last one until a later one is seen: a cloud may
+        list an earlier one for a while.
+        """
+        desired = seen.desired(self._spec.cluster)
+        if desired is None or (self._desired is None and not self._only_replace):
+            return
+        if self._desired is not None and desired.revision < self._desired.revision:
+            return
+        self._desired = desired
+        if desired.workers != self._spec.worker_count:
+            before, self._spec = self._spec.worker_count, self._spec.scaled(desired.workers)
+            self._report(
+                f"cluster {self._spec.cluster} {'grew' if desired.workers > before else 'shrank'} "
+                f"from {before} to {desired.workers} workers, by the last hpcapp scale or up"
+            )
+
+    def _take_back(self) -> None:
+        """Want no more workers than before this command; but who asked for fewer still does."""
+        seen = self._observe()
+        said, before = self._desired, self._before
+        if said is None or before is None or seen.desired(self._spec.cluster) != said:
+            return
+        heads = [m for m in seen.machines if m.name.node == HEAD and m.desired == said]
+        if before.workers < said.workers and heads:  # else others would launch them again
+            earlier = Desired(said.revision + 1, before.workers)
+            with self._journal.step(f"set the number of workers to {before.workers}"):
+                self._provider.set_desired(heads[0], earlier)
 
     def _proof(self, seen: Observed) -> Proof:
         """Return what may be ended of what is seen: ours, and what of it nobody can be using."""
@@ -157,6 +206,7 @@ class Effort:
     def _plan(self) -> Plan:
         observed = self._seen = self._observe()
         require_ours(self._cluster, observed, self._pace.now())
+        self._follow(observed)
         self._group = next((g for g in observed.groups if g.cluster == self._spec.cluster), None)
         plan = make_plan(
             self._spec,
@@ -166,7 +216,12 @@ class Effort:
             self._ssh_from,
             self._journal.known_bad & self._proof(observed).unused,
             self._cluster.access.held().owner,
+            self._desired,
         )
+        if self._desired is None and not self._only_replace:
+            there = sum(machine.name.node != HEAD for machine in plan.kept)
+            self._before = observed.desired(self._spec.cluster) or Desired(0, there)
+            self._desired = plan.desired
         for machine in plan.hidden:
             if machine.name.node not in self._spec.nodes():
                 continue
@@ -177,14 +232,25 @@ class Effort:
                 f"the head of cluster {self._spec.cluster} does not run",
                 f"run hpcapp up {self._cluster.path}",
             )
-        return replace(plan, actions=tuple(a for a in plan.actions if self._is_due(a)))
+        due = (self._due(action) for action in plan.actions)
+        return replace(plan, actions=tuple(action for action in due if action is not None))
 
-    def _is_due(self, action: Action) -> bool:
-        if isinstance(action, LaunchNode):
-            return action.name.node not in self._given_up
-        if isinstance(action, Terminate) and self._only_replace:
-            return action.why is Reason.UNUSABLE
-        return not self._only_replace
+    def _due(self, action: Action) -> Action | None:
+        """Return what of an action is this command's to do."""
+        match action:
+            case LaunchNode(NodeName(node)):
+                # What a later command asks for beyond this one is that command's to launch.
+                is_asked = self._only_replace or node in self._nodes
+                return action if is_asked and node not in self._given_up else None
+            case Terminate(machines, Reason.UNWANTED) if self._only_replace:
+                launched = self._proof(self._seen).launched
+                late = tuple(machine for machine in machines if machine.id in launched)
+                return Terminate(late, Reason.UNWANTED) if late else None
+            case Terminate(_, why) if self._only_replace:
+                return action if why is Reason.UNUSABLE else None
+            case SetWorkers() if self._has_set_workers:
+                return None  # the cloud lists it late, or has another command's by now
+        return None if self._only_replace else action
 
     def _carry_out(self, plan: Plan) -> list[MachineSeen]:
         """Do what was planned; return the machines that are to run."""
@@ -236,6 +302,9 @@ class Effort:
                 self._provider.create_key_pair(self._spec.cluster, life, key)
             case Mark(machines, groups, owner):
                 self._provider.mark(machines, groups, owner)
+            case SetWorkers(head, desired):
+                self._provider.set_desired(head, desired)
+                self._has_set_workers = True
             case Terminate(machines, why):
                 end(self._provider, machines, why, self._proof(self._seen))
             case Extend(machines, lease_until):

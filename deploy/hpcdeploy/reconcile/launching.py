@@ -109,6 +109,7 @@ class _Request:
             lease_until=until,
             tags=dict(self.spec.tags),
             owner=self.owner,
+            desired=action.desired,
         )
         if not action.profile:
             return launch

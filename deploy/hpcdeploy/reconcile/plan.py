@@ -12,7 +12,7 @@ from datetime import datetime, timedelta
 from hpcdeploy.machine.provider import GroupSeen, LaunchChoice, MachineSeen, Observed, State
 from hpcdeploy.reconcile.termination import Reason
 from hpcdeploy.spec.cluster import ClusterSpec
-from hpcdeploy.spec.names import NOBODY, NodeName, Owner
+from hpcdeploy.spec.names import HEAD, NOBODY, Desired, NodeName, Owner
 from hpcdeploy.spec.provider import Profile
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "LaunchNode",
     "Mark",
     "Plan",
+    "SetWorkers",
     "Terminate",
     "launch_choices",
     "make_plan",
@@ -74,11 +75,14 @@ class LaunchNode:
     profile : str
     choices : tuple of LaunchChoice
         In the order in which they are tried.
+    desired : Desired, optional
+        For the head, which bears it.
     """
 
     name: NodeName
     profile: str
     choices: tuple[LaunchChoice, ...]
+    desired: Desired | None = None
 
     def __str__(self) -> str:
         kinds = " or ".join(str(choice) for choice in self.choices if choice.instance_type)
@@ -123,7 +127,18 @@ class Mark:
         return f"mark {', '.join(names)} as {self.owner.user}'s"
 
 
-Action = CreateGroup | Allow | CreateKeyPair | Mark | Terminate | Extend | LaunchNode
+@dataclass(frozen=True, slots=True)
+class SetWorkers:
+    """Write down how many workers are wanted from now on, before any comes or goes."""
+
+    head: MachineSeen
+    desired: Desired
+
+    def __str__(self) -> str:
+        return f"set the number of workers to {self.desired.workers}"
+
+
+Action = CreateGroup | Allow | CreateKeyPair | Mark | SetWorkers | Terminate | Extend | LaunchNode
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,12 +155,15 @@ class Plan:
         The life of the cluster that new machines belong to.
     hidden : tuple of MachineSeen
         Those of which nothing can be said, and why: each counts as its node's, and stays.
+    desired : Desired, optional
+        How many workers there are to be once it is carried out.
     """
 
     actions: tuple[Action, ...] = ()
     kept: tuple[MachineSeen, ...] = ()
     incarnation: str = ""
     hidden: tuple[MachineSeen, ...] = ()
+    desired: Desired | None = None
 
     def obstacles(self) -> list[str]:
         """Say what stands in the way of machines that do not let us see what they do."""
@@ -194,6 +212,7 @@ def make_plan(
     ssh_from: frozenset[str] = frozenset(),
     known_bad: frozenset[str] = frozenset(),
     owner: Owner = NOBODY,
+    known: Desired | None = None,
 ) -> Plan:
     """Compare what is wanted with what is there.
 
@@ -212,6 +231,8 @@ def make_plan(
         Ids of machines that are to be replaced.
     owner : Owner
         Us, for what is ours and bears no key of an owner; without a key nothing is marked.
+    known : Desired, optional
+        The number of workers that was asked for last, where the cloud may not list it yet.
 
     Returns
     -------
@@ -232,7 +253,9 @@ def make_plan(
     else:
         life = _latest_life(machines) or incarnation
     kept, endings = _sort_out(spec, machines, life, known_bad)
+    desired = _desired(spec, observed, known)
     actions += _marks(spec, kept, observed, owner)
+    actions += _set_workers(spec, kept, desired)
     actions += endings
     actions += _extensions(spec, kept, now)
     hidden = tuple(machine for machine in machines if machine.state is State.UNKNOWN)
@@ -242,8 +265,9 @@ def make_plan(
         if node not in there:
             name = NodeName(node, _next_generation(machines, node, life))
             choices = launch_choices(spec.profile(node), has_spot, subnets)
-            actions.append(LaunchNode(name, spec.profile_name(node), choices))
-    return Plan(tuple(actions), tuple(kept), life, hidden)
+            borne = desired if node == HEAD else None
+            actions.append(LaunchNode(name, spec.profile_name(node), choices, borne))
+    return Plan(tuple(actions), tuple(kept), life, hidden, desired)
 
 
 def _latest_life(machines: Iterable[MachineSeen]) -> str:
@@ -290,6 +314,23 @@ def _marks(
     )
     # Not for the groups alone: not every cloud can tag them.
     return [Mark(machines, groups, owner)] if machines else []
+
+
+def _desired(spec: ClusterSpec, observed: Observed, known: Desired | None) -> Desired:
+    """Return what was asked for last where it is the same; else the next revision."""
+    before = max(filter(None, (observed.desired(spec.cluster), known)), default=None)
+    if before is None or before.workers != spec.worker_count:
+        return Desired(1 + (before.revision if before else 0), spec.worker_count)
+    return before
+
+
+def _set_workers(
+    spec: ClusterSpec, kept: Sequence[MachineSeen], desired: Desired
+) -> list[SetWorkers]:
+    """Return the writing of the number of workers where it is due."""
+    heads = [machine for machine in kept if machine.name.node == HEAD]
+    is_due = spec.provider.makes_machines
+    return [SetWorkers(head, desired) for head in heads if is_due and head.desired != desired]
 
 
 def _merit(machine: MachineSeen) -> tuple[bool, int, str]:

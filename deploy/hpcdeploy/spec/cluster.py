@@ -338,6 +338,20 @@ class ClusterSpec(ConfigModel):
         """With how many workers the cluster is still one."""
         return self.worker_count if self.workers.min is None else self.workers.min
 
+    def scaled(self, workers: int) -> ClusterSpec:
+        """Return the file with another number of workers, all of which must come.
+
+        Parameters
+        ----------
+        workers : int
+
+        Returns
+        -------
+        ClusterSpec
+        """
+        chosen = self.workers.model_copy(update={"count": workers, "min": None})
+        return self.model_copy(update={"workers": chosen})
+
     def nodes(self) -> tuple[str, ...]:
         """Return the names of all its machines: ``head``, ``worker-1``, ..."""
         return (HEAD, *(f"worker-{n}" for n in range(1, self.worker_count + 1)))

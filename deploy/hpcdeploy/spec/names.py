@@ -26,6 +26,8 @@ __all__ = [
     "NODE_TAG",
     "OWNER_TAG",
     "PREFIX",
+    "WORKERS_TAG",
+    "Desired",
     "NodeName",
     "Owner",
     "client_token",
@@ -34,6 +36,7 @@ __all__ = [
     "incarnation_began",
     "key_pair_name",
     "read_client_token",
+    "read_desired",
     "read_owner",
     "this_user",
     "without_node",
@@ -50,6 +53,7 @@ GENERATION_TAG = "hpcapp:generation"
 INCARNATION_TAG = "hpcapp:incarnation"
 LEASE_TAG = "hpcapp:lease-until"
 OWNER_TAG = "hpcapp:owner"
+WORKERS_TAG = "hpcapp:workers"
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -93,6 +97,31 @@ class Owner:
         return f"{self.user} {self.key}".strip()
 
 
+@dataclass(frozen=True, slots=True, order=True)
+class Desired:
+    """How many workers a cluster is to have, by the last `up` or `scale`: its head bears it.
+
+    Parameters
+    ----------
+    revision : int
+        One more than that of the number before: of two numbers the later one counts, however late
+        a cloud lists it.
+    workers : int
+
+    Examples
+    --------
+    >>> str(Desired(7, 3))
+    '3, revision 7'
+    """
+
+    revision: int
+    workers: int
+
+    def __str__(self) -> str:
+        """Return the text of the tag."""
+        return f"{self.workers}, revision {self.revision}"
+
+
 NOBODY = Owner()
 """Of what bears no owner."""
 
@@ -117,6 +146,26 @@ def read_owner(text: str) -> Owner:
     """
     user, _, key = text.strip().partition(" ")
     return Owner(user, key.strip())
+
+
+def read_desired(text: str) -> Desired | None:
+    """Return what the text of the tag says; None where an older release made the head.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    Desired or None
+
+    Examples
+    --------
+    >>> read_desired("3, revision 7")
+    Desired(revision=7, workers=3)
+    """
+    match = re.fullmatch(r"(\d{1,9}), revision (\d{1,9})", text.strip(), re.ASCII)
+    return Desired(int(match[2]), int(match[1])) if match else None
 
 
 def this_user() -> str:

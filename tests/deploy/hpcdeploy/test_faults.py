@@ -109,6 +109,7 @@ class ClusterLife(RuleBasedStateMachine):
         self.patch = pytest.MonkeyPatch()
         self.home = tempfile.TemporaryDirectory()
         self.world = World(self.patch, Path(self.home.name))
+        self.asked = set[int]()  # what may be the last number of workers that was asked for
 
     def teardown(self) -> None:
         if not hasattr(self, "world"):
@@ -131,7 +132,9 @@ class ClusterLife(RuleBasedStateMachine):
     def up(self, count: int, least: int, market: str, fault: str, at: int) -> None:
         least = min(count, least)
         if self.world.up(count, least, market, fault=fault, at=at) != "done":
+            self.asked.add(count)
             return
+        self.asked = {count}
         nodes = {machine.name.node for machine in self.world.alive()}
         spec = make_spec(count, least)
         assert "head" in nodes
@@ -149,8 +152,12 @@ class ClusterLife(RuleBasedStateMachine):
 
     @rule(fault=FAULTS, at=st.integers(1, 10))
     def replace_lost(self, fault: str, at: int) -> None:
-        cluster = make_cluster(make_spec(2), self.world.cloud)
+        """Whoever watches has read a file that says 3; what counts is what was asked for last."""
+        before = {machine.id for machine in self.world.alive()}
+        cluster = make_cluster(make_spec(3), self.world.cloud)
         self.world.run(replace_lost, cluster, fault=fault, at=at)
+        new = {m.name.node for m in self.world.alive() if m.id not in before}
+        assert not new or new <= set(make_spec(max(self.asked)).nodes())
 
     @rule(kinds=st.sets(st.sampled_from(KINDS)))
     def run_out(self, kinds: set[tuple[str, str]]) -> None:

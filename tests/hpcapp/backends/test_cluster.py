@@ -86,17 +86,24 @@ def test_what_a_cluster_cannot_have_is_refused(standing_cluster: Callable[..., A
 
 @pytest.mark.slow
 def test_a_machine_that_joins_the_inventory_joins_the_job(
-    standing_cluster: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    standing_cluster: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     monkeypatch.setattr(cluster_module, "WATCH_S", 0.05)
     cluster = standing_cluster(names=("head", "worker-1"))
     whole = read_inventory(cluster.inventory)
     first = replace(whole, workers=whole.workers[:1])
     write_secret(cluster.inventory, dump_inventory(first))
-    with hpcapp.open_executor(str(cluster.inventory)) as backend:
+    with caplog.at_level("INFO"), hpcapp.open_executor(str(cluster.inventory)) as backend:
         assert backend.workforce.workers == 1
         write_secret(cluster.inventory, dump_inventory(whole))
         backend.executor.wait_for_workers(2, 30)  # type: ignore[attr-defined]
+        write_secret(cluster.inventory, dump_inventory(first))
+        while "shrank" not in caplog.text:
+            estimate(backend)
+    assert "cluster standing grew from 1 to 2 workers (worker-1)" in caplog.text
+    assert "cluster standing shrank from 2 to 1 workers (worker-1)" in caplog.text
 
 
 def test_masters_follow_one_another(standing_cluster: Callable[..., Any]) -> None:

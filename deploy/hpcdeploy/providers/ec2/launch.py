@@ -10,7 +10,13 @@ from hpccomponent.errors import CloudError
 from hpcdeploy.machine.provider import Launch
 from hpcdeploy.providers.ec2.capabilities import Capabilities
 from hpcdeploy.providers.ec2.observe import identity_tags, lease_text
-from hpcdeploy.spec.names import LEASE_TAG, OWNER_TAG, client_token, key_pair_name
+from hpcdeploy.spec.names import (
+    LEASE_TAG,
+    OWNER_TAG,
+    WORKERS_TAG,
+    client_token,
+    key_pair_name,
+)
 from hpcdeploy.spec.provider import CloudSpec, Profile
 
 __all__ = ["attempt_of", "launch_parameters", "launch_tags", "profile_of", "root_disk"]
@@ -73,6 +79,8 @@ def launch_tags(launch: Launch) -> dict[str, str]:
     tags = launch.tags | identity_tags(launch.cluster, launch.incarnation, launch.name)
     if launch.lease_until is not None:
         tags[LEASE_TAG] = lease_text(launch.lease_until)
+    if launch.desired is not None:
+        tags[WORKERS_TAG] = str(launch.desired)
     return tags | ({OWNER_TAG: str(launch.owner)} if launch.owner.key else {})
 
 

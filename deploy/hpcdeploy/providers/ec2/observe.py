@@ -21,9 +21,11 @@ from hpcdeploy.spec.names import (
     NODE_TAG,
     OWNER_TAG,
     PREFIX,
+    WORKERS_TAG,
     NodeName,
     key_pair_name,
     read_client_token,
+    read_desired,
     read_owner,
 )
 
@@ -142,6 +144,7 @@ def as_machine(
     MachineSeen
     """
     reason = described.get("StateReason", {}).get("Message")
+    tags = _tags(described)
     return MachineSeen(
         id=described["InstanceId"],
         cluster=cluster,
@@ -154,9 +157,10 @@ def as_machine(
         market="spot" if described.get("InstanceLifecycle") == "spot" else "on_demand",
         zone=described.get("Placement", {}).get("AvailabilityZone", ""),
         launched=described.get("LaunchTime"),
-        lease_until=_read_lease(_tags(described).get(LEASE_TAG, "")),
+        lease_until=_read_lease(tags.get(LEASE_TAG, "")),
         reason=reason or described.get("StateTransitionReason", ""),
-        owner=read_owner(_tags(described).get(OWNER_TAG, "")),
+        owner=read_owner(tags.get(OWNER_TAG, "")),
+        desired=read_desired(tags.get(WORKERS_TAG, "")),
     )
 
 

@@ -46,6 +46,8 @@ from hpcdeploy.spec.names import (
     LEASE_TAG,
     OWNER_TAG,
     PREFIX,
+    WORKERS_TAG,
+    Desired,
     Owner,
     client_token,
     group_name,
@@ -175,6 +177,10 @@ class Ec2Provider:
         ids = [machine.id for machine in machines] + [group.id for group in marked]
         if ids:
             self._tag(ids, {OWNER_TAG: str(owner)})
+
+    def set_desired(self, head: MachineSeen, desired: Desired) -> None:
+        """Write on the head how many workers the cluster is to have from now on."""
+        self._tag([head.id], {WORKERS_TAG: str(desired)})
 
     def allow(
         self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]

@@ -12,12 +12,13 @@ from simulated import SetUp, SimulatedTime, make_cluster, make_spec
 from hpccomponent.errors import CloudError, LeftoverError, UsageError
 from hpcdeploy.machine.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.reconcile.converge import bring_up, replace_lost, take_down
 from hpcdeploy.spec.cluster import Limits
-from hpcdeploy.spec.names import NodeName
+from hpcdeploy.spec.names import Desired, NodeName
 
 CHANGES = {
-    "create_group", "create_key_pair", "allow", "launch", "extend", "terminate",
+    "create_group", "create_key_pair", "allow", "set_desired", "launch", "extend", "terminate",
     "delete_group", "delete_key_pair",
 }  # fmt: skip
 
@@ -270,3 +271,84 @@ def test_a_lost_head_is_not_replaced_during_a_job(simulation: Simulation) -> Non
     cluster = make_cluster(make_spec(2), simulation.cloud)
     with pytest.raises(CloudError, match=r"the head of cluster bunny does not run; run hpcapp up"):
         replace_lost(cluster, simulation.lines.append, pace=simulation.time.pace())
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_who_watches_goes_by_the_last_number_of_workers(simulation: Simulation, count: int) -> None:
+    """A `submit` has read the file when it said 3; meanwhile somebody else has scaled."""
+    simulation.up(3)
+    watched = make_cluster(make_spec(3), simulation.cloud)
+    simulation.up(count)
+    nodes = simulation.alive()
+    for _ in range(2):
+        simulation.time.sleep(60)
+        watched = replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
+        assert simulation.alive() == nodes
+    word = "grew" if count > 3 else "shrank"
+    said = f"cluster bunny {word} from 3 to {count} workers, by the last hpcapp scale or up"
+    assert simulation.lines.count(said) == 1
+    assert watched.spec.worker_count == count
+
+
+def test_what_is_launched_for_a_lost_worker_goes_again_where_it_is_not_wanted_any_more(
+    simulation: Simulation,
+) -> None:
+    """Somebody who shares the key scales from elsewhere, while a lost worker is replaced."""
+    simulation.up(2)
+    watched = make_cluster(make_spec(2), simulation.cloud)
+    simulation.cloud.interrupt("worker-2")
+    simulation.time.sleep(60)
+
+    def scale(moment: str, call: str) -> None:
+        if (moment, call) == ("before", "launch"):
+            [head] = [m for m in simulation.cloud.observe(None).machines if m.name.node == "head"]
+            assert head.desired == Desired(1, 2)
+            simulation.cloud.set_desired(head, Desired(2, 1))
+
+    simulation.cloud.hook = scale
+    replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
+    assert simulation.alive() == ["head", "worker-1"]
+
+
+def test_an_up_that_another_command_outdates_does_what_the_later_one_wants(
+    simulation: Simulation, set_up: SetUp
+) -> None:
+    def scale(count: int) -> None:
+        machines = simulation.cloud.observe(None).machines
+        head = next(m for m in machines if m.name.node == "head" and m.state is State.RUNNING)
+        simulation.cloud.set_desired(head, Desired(2, count))
+        set_up.during = lambda: None
+
+    set_up.during = lambda: scale(1)
+    simulation.up(3)
+    assert simulation.alive() == ["head", "worker-1"]
+    assert set_up.calls[-1] == ("head", "worker-1")
+    set_up.during = lambda: scale(5)  # what is launched beyond is the other command's
+    simulation.down()
+    simulation.up(2)
+    assert simulation.alive() == ["head", "worker-1", "worker-2"]
+
+
+def test_a_failed_growth_is_not_made_good_by_who_watches(
+    simulation: Simulation, set_up: SetUp
+) -> None:
+    simulation.up(1)
+    watched: Cluster = make_cluster(make_spec(1), simulation.cloud)
+    set_up.broken_nodes = {"worker-2"}
+    with pytest.raises(CloudError, match="worker-2 cannot be had"):
+        simulation.up(2)
+    set_up.broken_nodes = set()
+    simulation.time.sleep(60)
+    replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
+    assert simulation.alive() == ["head", "worker-1"]
+
+
+def test_a_head_that_is_replaced_bears_the_number_of_workers(simulation: Simulation) -> None:
+    simulation.up(3)
+    simulation.up(1)
+    simulation.cloud.interrupt("head")
+    simulation.time.sleep(60)
+    simulation.up(2)
+    watched = make_cluster(make_spec(3), simulation.cloud)
+    replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
+    assert simulation.alive() == ["head", "worker-1", "worker-2"]

@@ -21,12 +21,13 @@ from hpcdeploy.reconcile.plan import (
     Extend,
     LaunchNode,
     Plan,
+    SetWorkers,
     Terminate,
     launch_choices,
     make_plan,
 )
 from hpcdeploy.spec.cluster import ClusterSpec
-from hpcdeploy.spec.names import NodeName
+from hpcdeploy.spec.names import Desired, NodeName
 
 NETWORKS = frozenset({"192.0.2.0/24"})
 NODES = ["head", "worker-1", "worker-2", "worker-3", "worker-9"]
@@ -54,7 +55,7 @@ def carry_out(observed: Observed, action: Action) -> Observed:
             life = next(g.incarnation for g in observed.groups if g.cluster == cluster)
             pair = KeyPairSeen(cluster, "n", life)
             return replace(observed, key_pairs=(*observed.key_pairs, pair))
-        case LaunchNode(name, _, choices):
+        case LaunchNode(name, _, choices, desired):
             group = next(g for g in observed.groups if g.cluster == cluster)
             machine = MachineSeen(
                 f"new-{name.node}-{name.generation}",
@@ -64,6 +65,7 @@ def carry_out(observed: Observed, action: Action) -> Observed:
                 State.RUNNING,
                 instance_type=choices[0][0],
                 lease_until=START + timedelta(hours=2),
+                desired=desired,
             )
             return replace(observed, machines=(*observed.machines, machine))
         case Terminate(machines) | Extend(machines):
@@ -77,6 +79,14 @@ def carry_out(observed: Observed, action: Action) -> Observed:
                     else replace(seen, lease_until=until)
                     if until
                     else replace(seen, state=State.GONE)
+                    for seen in observed.machines
+                ),
+            )
+        case SetWorkers(head, desired):
+            return replace(
+                observed,
+                machines=tuple(
+                    replace(seen, desired=desired) if seen.id == head.id else seen
                     for seen in observed.machines
                 ),
             )
@@ -101,6 +111,7 @@ machines = st.builds(
     incarnation=st.sampled_from(["life", "life", "earlier"]),
     state=st.sampled_from(State),
     lease_until=st.none() | st.just(START) | st.just(START + timedelta(minutes=115)),
+    desired=st.none() | st.builds(Desired, st.integers(1, 3), st.integers(0, 4)),
 )
 groups = st.builds(
     GroupSeen,
@@ -182,7 +193,8 @@ def test_a_bad_machine_is_replaced_by_the_next_generation() -> None:
 
 def test_a_smaller_file_ends_the_last_workers() -> None:
     plan = plan_for(make_spec(1), converged(make_spec(3)))
-    (ending,) = plan.actions
+    fewer, ending = plan.actions
+    assert str(fewer) == "set the number of workers to 1"  # before any of them goes
     assert isinstance(ending, Terminate)
     assert {machine.name.node for machine in ending.machines} == {"worker-2", "worker-3"}
 

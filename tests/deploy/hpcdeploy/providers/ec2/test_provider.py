@@ -14,7 +14,7 @@ from cloud.parameters import PROFILES
 
 from hpccomponent.errors import CapacityError, CloudError
 from hpcdeploy.machine.provider import Observed, State
-from hpcdeploy.spec.names import NOBODY, NodeName
+from hpcdeploy.spec.names import NOBODY, Desired, NodeName
 
 from .conftest import LEASE, OPEN, OWNER, RSA_KEY, Desk, a_launch
 
@@ -173,6 +173,18 @@ def test_a_lease_is_extended(open_desk: OpenDesk, profile: str) -> None:
     desk.provider.extend(desk.provider.observe("bunny").machines, later)
     assert desk.changes()[before:] == ["CreateTags"]
     assert {m.lease_until for m in desk.provider.observe("bunny").machines} == {later}
+
+
+@each_kind
+def test_the_head_bears_how_many_workers_are_wanted(open_desk: OpenDesk, profile: str) -> None:
+    desk = open_desk(profile, lag=2)
+    desk.prepare()
+    head = desk.launch("head", desired=Desired(1, 3))
+    desk.launch("worker-1")
+    assert desk.provider.observe("bunny").desired("bunny") == Desired(1, 3)
+    desk.provider.set_desired(head, Desired(2, 1))
+    assert desk.provider.observe(None).desired("bunny") == Desired(2, 1)
+    assert desk.provider.observe(None).desired("other") is None
 
 
 def test_clusters_do_not_see_one_another(open_desk: OpenDesk) -> None:
