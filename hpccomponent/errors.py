@@ -10,6 +10,7 @@
     ├── CloudError                exit 4   a cloud, an instance, provisioning
     │   ├── CapacityError                  this type, market or zone is not to be had now
     │   ├── LeftoverError                  something could not be taken away
+    │   ├── OutdatedError                  what was agreed to is not what would be done now
     │   └── ReachError                     why SSH does not let in (hpcdeploy.machine.ssh.reach)
     └── JobError                  exit 1   the work could not be finished
         ├── TaskError                      the task's function raised
@@ -36,6 +37,7 @@ __all__ = [
     "JobError",
     "LeftoverError",
     "NoWorkersError",
+    "OutdatedError",
     "OutputError",
     "ProtocolError",
     "TaskError",
@@ -102,6 +104,10 @@ class CapacityError(CloudError):
 
 class LeftoverError(CloudError):
     """Something of ours that could not be taken away."""
+
+
+class OutdatedError(CloudError):
+    """Something that has changed since the user agreed to what would be done with it."""
 
 
 class JobError(HpcError):

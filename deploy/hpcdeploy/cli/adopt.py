@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from hpccomponent.terminal import echo
+from hpccomponent.errors import HpcError, OutdatedError
+from hpcdeploy.cli.asking import ask_name, say
+
+if TYPE_CHECKING:
+    from hpcdeploy.machine.provider import Observed
+    from hpcdeploy.reconcile.cluster import Cluster
 
 __all__ = ["adopt"]
 
 FILE = click.Path(dir_okay=False, path_type=Path)
+WAIT_S = 30.0  # the head has just let us in
 
 
 @click.command()
@@ -20,20 +27,40 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("-y", "--yes", is_flag=True, help="Do not ask.")
 def adopt(file: Path, key: Path | None, yes: bool) -> None:
     """Take over the cluster of FILE, which was made elsewhere, with its owner's key."""
-    from hpccomponent.errors import CloudError
     from hpcdeploy.reconcile.adoption import check_way_in, take_over
     from hpcdeploy.reconcile.cluster import open_cluster
 
-    def say(line: str) -> None:
-        echo(line, err=True)
-
     with open_cluster(file) as cluster:
-        name = cluster.spec.cluster
-        observed, keys = check_way_in(cluster, key)
-        owners = {machine.owner.user for machine in observed.machines if machine.owner.user}
-        say(f"cluster {name} of {', '.join(sorted(owners)) or 'somebody'} lets us in")
-        if not yes:
-            typed = click.prompt("Type the cluster's name to take it over", err=True)
-            if typed.strip() != name:
-                raise CloudError(f"{typed!r} is not its name: nothing was done")
-        take_over(cluster, observed, keys, key, say)
+        while True:
+            observed, keys = check_way_in(cluster, key)
+            owners = {machine.owner.user for machine in observed.machines if machine.owner.user}
+            name = cluster.spec.cluster
+            say(f"cluster {name} of {', '.join(sorted(owners)) or 'somebody'} lets us in")
+            _tell_jobs(cluster, observed)
+            if not yes:
+                ask_name(cluster, "take it over", "run it with -y")
+            try:
+                take_over(cluster, observed, keys, key, say)
+            except OutdatedError as error:
+                say(error.problem)
+                continue
+            return
+
+
+def _tell_jobs(cluster: Cluster, observed: Observed) -> None:
+    """Say which jobs are under way, for whoever takes the cluster over from under them."""
+    from hpcdeploy.jobs.queries import Jobs
+    from hpcdeploy.machine.provider import State
+    from hpcdeploy.spec.names import HEAD
+
+    running = [machine for machine in observed.machines if machine.state is State.RUNNING]
+    for head in (machine for machine in running if machine.name.node == HEAD):
+        try:
+            with cluster.access.open(head, WAIT_S) as shell:
+                jobs = Jobs(shell, cluster.spec.cluster).all()
+        except HpcError as error:
+            say(f"whether a job runs there is not known: {error.problem}")
+            return
+        for job in jobs:
+            if not job.state.is_over:
+                say(f"job {job.job} ({job.title}) is {job.state}; it goes on")

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from hpccomponent.errors import UsageError
-from hpccomponent.terminal import echo
+from hpccomponent.errors import OutdatedError
+from hpcdeploy.cli.asking import ask_to_go_on, name_foreign, say
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
+    from hpcdeploy.reconcile.plan import Plan
 
-__all__ = ["ask_name", "down", "scale", "up"]
+__all__ = ["down", "scale", "up"]
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 YES = click.option("-y", "--yes", is_flag=True, help="Do not ask.")
@@ -53,58 +53,15 @@ def down(file: Path, yes: bool, name: str) -> None:
     from hpcdeploy.reconcile.converge import take_down
 
     with open_cluster(file) as cluster:
-        is_named = ask_name(cluster, "take it away", is_asked=not yes, given=name)
-        take_down(cluster, _say, is_named=is_named)
-        _say(f"cluster {cluster.spec.cluster}: nothing is left")
-
-
-def ask_name(cluster: Cluster, purpose: str, *, is_asked: bool, given: str = "") -> bool:
-    """Let the user name a cluster that was made elsewhere; tell whether it was.
-
-    Parameters
-    ----------
-    cluster : Cluster
-    purpose : str
-        What is done to it, as an infinitive: "take it away".
-    is_asked : bool
-        Whether the user may be asked to type the name.
-    given : str
-        The name from the command line; empty where there is none.
-
-    Returns
-    -------
-    bool
-
-    Raises
-    ------
-    CloudError
-        It was, and is not named: it says whose it is.
-    UsageError
-        Another cluster is named.
-    """
-    from hpccomponent.errors import CloudError, UsageError
-    from hpcdeploy.reconcile.cluster import require_ours
-
-    name = cluster.spec.cluster
-    if given not in ("", name):
-        raise UsageError(f"the file's cluster is {name}, not {given}", "give the right file")
-    try:
-        require_ours(cluster, cluster.provider.observe(name))
-    except CloudError as error:
-        if given == name:
-            return True
-        advice = f"give --name {name} to {purpose}"
-        if not is_asked:
-            raise CloudError(error.problem, advice) from None
-        _say(error.problem)
-        try:
-            typed = click.prompt(f"Type the cluster's name to {purpose}", err=True)
-        except click.Abort:
-            raise CloudError(error.problem, advice) from None
-        if typed.strip() != name:
-            raise CloudError(f"{typed!r} is not its name: nothing was done", advice) from None
-        return True
-    return False
+        while True:
+            named = name_foreign(cluster, "take it away", is_asked=not yes, given=name)
+            try:
+                take_down(cluster, say, named=named)
+            except OutdatedError as error:
+                say(error.problem)
+                continue
+            say(f"cluster {cluster.spec.cluster}: nothing is left")
+            return
 
 
 @click.command()
@@ -124,13 +81,30 @@ def scale(file: Path, workers: int, yes: bool, keep: bool, is_unchecked: bool) -
         scaled = replace(cluster, spec=cluster.spec.scaled(workers))
         _bring_up(scaled, yes, keep, is_unchecked)
         if count != workers:
-            _say(f"the next hpcapp up goes back to {count}: see workers.count")
+            say(f"the next hpcapp up goes back to {count}: see workers.count")
 
 
 def _bring_up(cluster: Cluster, yes: bool, keep: bool, is_unchecked: bool) -> None:
-    """Show what is to be done, ask, do it."""
+    """Show what is to be done, ask, do it; ask again where it would be something else by then."""
+    from hpcdeploy.reconcile.converge import bring_up
+
+    while True:
+        ahead = _look_ahead(cluster, is_unchecked)
+        if ahead.actions and not yes:
+            ask_to_go_on(cluster)
+        try:
+            bring_up(cluster, say, keep=keep, agreed=None if yes else ahead)
+        except OutdatedError as error:
+            say(error.problem)
+            continue
+        say(f"cluster {cluster.spec.cluster} is up: {len(cluster.machines())} machines")
+        return
+
+
+def _look_ahead(cluster: Cluster, is_unchecked: bool) -> Plan:
+    """Return the plan once it is shown, and nothing is known to stand in its way."""
     from hpcdeploy.machine.bootstrap import check_wheels
-    from hpcdeploy.reconcile.converge import bring_up, look_ahead
+    from hpcdeploy.reconcile.converge import look_ahead
     from hpcdeploy.reconcile.cost import check_limits, describe_cost, estimate_cost
     from hpcdeploy.reconcile.preflight import check_ready
 
@@ -139,33 +113,11 @@ def _bring_up(cluster: Cluster, yes: bool, keep: bool, is_unchecked: bool) -> No
     planned = (f"will {action}" for action in actions)
     decided = cluster.provider.decided() if actions else ()
     for line in (*planned, *decided, *ahead.obstacles(), *describe_cost(cost)):
-        _say(line)
+        say(line)
     missing = check_wheels(cluster.spec, cluster.path.absolute().parent) if actions else []
     for problem in missing:
-        _say(f"missing: {problem.what}; {problem.advice}")
+        say(f"missing: {problem.what}; {problem.advice}")
     check_limits(cluster.spec, cost)  # before the user is asked
     if not is_unchecked:
-        check_ready(cluster, actions, missing, _say)
-    if actions and not yes:
-        _ask(cluster)
-    bring_up(cluster, _say, keep=keep)
-    _say(f"cluster {cluster.spec.cluster} is up: {len(cluster.machines())} machines")
-
-
-def _ask(cluster: Cluster) -> None:
-    """Ask whether to go on."""
-    try:
-        click.confirm("Go on?", abort=True, err=True)
-    except click.Abort:
-        if sys.stdin.isatty():
-            raise
-        _say("")  # the question's own line is not ended
-        raise UsageError(
-            f"cluster {cluster.spec.cluster} is not changed: this is not a terminal, and the "
-            "question was not answered with yes",
-            "run it with -y",
-        ) from None
-
-
-def _say(line: str) -> None:
-    echo(line, err=True)
+        check_ready(cluster, actions, missing, say)
+    return ahead

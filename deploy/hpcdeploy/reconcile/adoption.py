@@ -18,6 +18,7 @@ from hpcdeploy.machine.ownership import fingerprint
 from hpcdeploy.machine.provider import MachineSeen, Observed, State
 from hpcdeploy.machine.shell import Shell
 from hpcdeploy.providers.clouds import place_of
+from hpcdeploy.reconcile.cluster import require_same
 from hpcdeploy.spec.layout import machine_folder, state_folder
 from hpcdeploy.spec.names import HEAD
 
@@ -167,10 +168,13 @@ def take_over(
 
     Raises
     ------
+    OutdatedError
+        It is another cluster by now than `observed`; nothing was done.
     CloudError
         The cloud or a host refuses.
     """
     name = cluster.spec.cluster
+    require_same(cluster, observed, cluster.provider.observe(name))
     with open_journal(name) as journal, journal.step(f"take over the cluster {name}"):
         if key is not None:
             _keep_key(key.read_text(), state_folder(name) / "id")

@@ -9,9 +9,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hpccomponent.errors import CloudError
+from hpccomponent.errors import CloudError, OutdatedError
 from hpcdeploy.machine.ownership import Held, foreign_owner
-from hpcdeploy.machine.provider import MachineSeen, Observed, Provider, State
+from hpcdeploy.machine.provider import GroupSeen, MachineSeen, Observed, Provider, State
 from hpcdeploy.spec.cluster import ClusterSpec, read_spec
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import HEAD, Owner
@@ -20,7 +20,7 @@ from hpcdeploy.spec.polling import utc_now
 if TYPE_CHECKING:
     from hpcdeploy.machine.access import Access
 
-__all__ = ["Cluster", "as_desired", "node_order", "open_cluster", "require_ours"]
+__all__ = ["Cluster", "as_desired", "node_order", "open_cluster", "require_ours", "require_same"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +158,36 @@ def require_ours(cluster: Cluster, observed: Observed, now: datetime | None = No
     owner = foreign_owner(observed, held, now or utc_now())
     if owner is not None:
         raise CloudError(describe_foreign(cluster.spec.cluster, owner, held), _advice(cluster))
+
+
+def require_same(cluster: Cluster, before: Observed, now: Observed) -> None:
+    """Refuse a cluster that is not the one which the user has agreed about.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    before, now : Observed
+        Of that cluster: when the user was asked, and when it is to be done.
+
+    Raises
+    ------
+    OutdatedError
+        Machines or groups have come, or have another owner. Those that are gone do not matter.
+    """
+    if not _bearers(now) <= _bearers(before):
+        raise OutdatedError(
+            f"cluster {cluster.spec.cluster} has changed meanwhile: it has machines or an owner "
+            "that you were not asked about",
+            "run the command again",
+        )
+
+
+def _bearers(observed: Observed) -> set[tuple[str, str, str]]:
+    """Return what bears a life and an owner, with both."""
+    ending = (State.ENDING, State.GONE)
+    bearers: list[MachineSeen | GroupSeen] = [*observed.groups]
+    bearers += [machine for machine in observed.machines if machine.state not in ending]
+    return {(seen.id, seen.incarnation, str(seen.owner)) for seen in bearers}
 
 
 def describe_foreign(name: str, owner: Owner, held: Held) -> str:

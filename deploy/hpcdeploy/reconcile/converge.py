@@ -15,13 +15,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from hpccomponent.errors import CloudError, LeftoverError
+from hpccomponent.errors import CloudError, LeftoverError, OutdatedError
 from hpcdeploy.machine.journal import Journal, open_journal
 from hpcdeploy.machine.ownership import Held, ours
 from hpcdeploy.machine.provider import Observed, State
 from hpcdeploy.providers.bucket import open_bucket
 from hpcdeploy.providers.clouds import place_of
-from hpcdeploy.reconcile.cluster import require_ours
+from hpcdeploy.reconcile.cluster import require_ours, require_same
 from hpcdeploy.reconcile.cost import check_limits, estimate_cost
 from hpcdeploy.reconcile.effort import Effort, Report
 from hpcdeploy.reconcile.plan import Plan, make_plan
@@ -68,7 +68,12 @@ def look_ahead(cluster: Cluster) -> Plan:
 
 
 def bring_up(
-    cluster: Cluster, report: Report, *, keep: bool = False, pace: Pace | None = None
+    cluster: Cluster,
+    report: Report,
+    *,
+    keep: bool = False,
+    pace: Pace | None = None,
+    agreed: Plan | None = None,
 ) -> None:
     """Make the cloud as the file says, and set the machines up; run again, it goes on.
 
@@ -80,9 +85,13 @@ def bring_up(
     keep : bool
         Leave what was made where the cluster cannot be made whole.
     pace : Pace, optional
+    agreed : Plan, optional
+        What the user has agreed to; by default to whatever is planned.
 
     Raises
     ------
+    OutdatedError
+        More would be done than was agreed to; nothing was done.
     CloudError
         The cluster was made elsewhere, and nothing was done; or fewer machines than `workers.min`
         are to be had, and unless `keep`, what was made is gone.
@@ -100,9 +109,16 @@ def bring_up(
         for elsewhere in _other_places(cluster, journal):
             report(f"what was made before in {elsewhere} is not taken down by this file any more")
         effort = Effort(cluster, journal, report, pace)
+        plan = effort.first_plan()
+        if agreed is not None and (beyond := plan.beyond(agreed)):
+            raise OutdatedError(
+                f"cluster {cluster.spec.cluster} has changed meanwhile: {'; '.join(beyond)}, which "
+                "was not agreed to",
+                "look at the plan again",
+            )
         try:
             with journal.command("bring the cluster up"):
-                effort.converge()
+                effort.converge(plan)
         except KeyboardInterrupt:
             report(f"what was made stays: {_ways_on(cluster)}")
             raise
@@ -143,12 +159,12 @@ def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) 
     with open_journal(cluster.spec.cluster) as journal:
         effort = Effort(cluster, journal, report, pace or Pace(), only_replace=True)
         with journal.command("replace lost workers"):
-            effort.converge()
+            effort.converge(effort.first_plan())
     return replace(cluster, spec=effort.spec)
 
 
 def take_down(
-    cluster: Cluster, report: Report, *, pace: Pace | None = None, is_named: bool = False
+    cluster: Cluster, report: Report, *, pace: Pace | None = None, named: Observed | None = None
 ) -> None:
     """Take away all that the cloud lists of a cluster, whatever its file says by now.
 
@@ -158,11 +174,14 @@ def take_down(
     report : callable
         Takes lines for the user.
     pace : Pace, optional
-    is_named : bool
-        Whether the user has named the cluster, so that it goes although it was made elsewhere.
+    named : Observed, optional
+        The cluster as it was when the user named it, so that it goes although it was made
+        elsewhere.
 
     Raises
     ------
+    OutdatedError
+        It was named, and is another one by now; nothing was done.
     LeftoverError
         Something is left, here or where an earlier file made it.
     CloudError
@@ -171,8 +190,10 @@ def take_down(
     """
     pace = pace or Pace()
     seen = cluster.provider.observe(cluster.spec.cluster)
-    if not is_named:
+    if named is None:
         require_ours(cluster, seen, pace.now())
+    else:
+        require_same(cluster, named, seen)
     with open_journal(cluster.spec.cluster) as journal:
         _remove_all(cluster, journal, seen, report, pace)
         bucket = open_bucket(cluster.spec, cluster.path.absolute().parent)

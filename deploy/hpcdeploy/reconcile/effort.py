@@ -85,11 +85,20 @@ class Effort:
         """The file, with the number of workers that was asked for last."""
         return self._spec
 
-    def converge(self) -> None:
-        """Go round until every node is set up or given up; see the module's diagram."""
+    def first_plan(self) -> Plan:
+        """Return what is to be done, once the cloud lists what an earlier command asked for."""
         if self._is_unsettled:
             self._pace.sleep(self._pace.settle_s)
-        plan = self._plan()
+        return self._plan()
+
+    def converge(self, plan: Plan) -> None:
+        """Go round until every node is set up or given up; see the module's diagram.
+
+        Parameters
+        ----------
+        plan : Plan
+            The first one.
+        """
         if self._only_replace and not plan.actions and not self._is_unsettled:
             return
         while True:

@@ -165,9 +165,40 @@ class Plan:
     hidden: tuple[MachineSeen, ...] = ()
     desired: Desired | None = None
 
+    def beyond(self, agreed: Plan) -> list[str]:
+        """Say what would be done that another plan does not contain.
+
+        The end of the lease does not count: each `up` begins it anew, whenever it comes to that.
+
+        Parameters
+        ----------
+        agreed : Plan
+            What the user has agreed to.
+
+        Returns
+        -------
+        list of str
+        """
+        known = {step for action in agreed.actions for step in _steps(action)}
+        return [str(action) for action in self.actions if not known.issuperset(_steps(action))]
+
     def obstacles(self) -> list[str]:
         """Say what stands in the way of machines that do not let us see what they do."""
         return [f"{m.name.node} ({m.id}) cannot be looked at: {m.reason}" for m in self.hidden]
+
+
+def _steps(action: Action) -> set[tuple[str, ...]]:
+    """Return what tells an action from others, one entry for each machine that it is about."""
+    match action:
+        case Extend():
+            return set()
+        case Terminate(machines, why):
+            return {("terminate", machine.id, why) for machine in machines}
+        case Mark(machines, groups):
+            return {("mark", i) for i in (*(m.id for m in machines), *(g.id for g in groups))}
+        case LaunchNode(NodeName(node), _, choices):
+            return {("launch", node, *map(str, choices))}
+    return {(str(action),)}
 
 
 def launch_choices(

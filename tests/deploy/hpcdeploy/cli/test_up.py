@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from hpcapp.cli import hpcapp
 from hpccomponent.errors import CloudError, UsageError
 from hpcdeploy.machine.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
-from hpcdeploy.spec.names import NOBODY, NodeName
+from hpcdeploy.spec.names import NOBODY, NodeName, Owner
 from hpcdeploy.spec.polling import utc_now
 
 
@@ -74,6 +75,101 @@ def test_up_without_a_terminal_says_how_to_go_on(cloud: MemoryProvider, file: st
         refused = run("up", file, typed=typed)
         assert isinstance(refused.exception, UsageError)
         assert refused.exception.advice == "run it with -y"
+    assert alive(cloud) == []
+
+
+class Meanwhile:
+    """Lets something happen to the cloud right before it is looked at for the n-th time."""
+
+    def __init__(self, cloud: MemoryProvider, look: int, act: Callable[[], object]) -> None:
+        self.left, self.act = look, act
+        cloud.hook = self
+
+    def __call__(self, moment: str, call: str) -> None:
+        if (moment, call) == ("before", "observe"):
+            self.left -= 1
+            if self.left == 0:
+                self.act()
+
+
+def test_up_asks_again_where_it_would_do_more_than_was_agreed_to(
+    cloud: MemoryProvider, file: str
+) -> None:
+    """A worker vanishes while the question stands there: it was not said that it is launched."""
+    run("up", "-y", file)
+    Path(file).write_text(Path(file).read_text().replace("count: 2", "count: 3"))
+    Meanwhile(cloud, 2, lambda: cloud.interrupt("worker-1"))
+    refused = run("up", file, typed="y\nn\n")
+    assert isinstance(refused.exception, UsageError)
+    said = refused.output.splitlines()
+    assert (
+        "will launch worker-1 as c6i.xlarge (on_demand) or c6a.xlarge (on_demand), generation 2"
+        in said
+    )
+    assert any("has changed meanwhile: launch worker-1" in line for line in said)
+    assert alive(cloud) == ["head", "worker-2"]
+    agreed = run("up", file, typed="y\n")
+    assert agreed.exception is None
+    assert agreed.output.count("Go on?") == 1
+    assert alive(cloud) == ["head", "worker-1", "worker-2", "worker-3"]
+
+
+def test_up_asks_where_nothing_was_to_be_done_and_something_is_by_now(
+    cloud: MemoryProvider, file: str
+) -> None:
+    run("up", "-y", file)
+    Meanwhile(cloud, 2, lambda: cloud.interrupt("worker-1"))
+    refused = run("up", file, typed="n\n")
+    assert isinstance(refused.exception, UsageError)
+    assert alive(cloud) == ["head", "worker-2"]
+
+
+def test_up_does_not_ask_again_for_less_than_was_agreed_to(
+    cloud: MemoryProvider, file: str
+) -> None:
+    run("up", "-y", file)
+    Path(file).write_text(FILE.format(cluster="bunny", count=0, least=0, market="on_demand"))
+    Meanwhile(cloud, 2, lambda: cloud.interrupt("worker-1"))
+    agreed = run("up", file, typed="y\n")
+    assert agreed.output.count("Go on?") == 1
+    assert alive(cloud) == ["head"]
+
+
+def test_scale_asks_again_too(cloud: MemoryProvider, file: str) -> None:
+    run("up", "-y", file)
+    Meanwhile(cloud, 2, lambda: cloud.interrupt("worker-1"))
+    refused = run("scale", file, "1", typed="y\nn\n")
+    assert isinstance(refused.exception, UsageError)
+    assert alive(cloud) == ["head", "worker-2"]
+
+
+def make_foreign(cloud: MemoryProvider, user: str, life: str) -> Callable[[], object]:
+    """Return what makes a cluster of the file's name that is another's."""
+
+    def make() -> None:
+        owner = Owner(user, f"SHA256:{user}")
+        cloud.create_group("bunny", life, owner)
+        cloud.launch(Launch("bunny", life, NodeName("head"), owner=owner))
+
+    return make
+
+
+def test_down_takes_away_only_the_cluster_that_was_named(cloud: MemoryProvider, file: str) -> None:
+    """Anna's cluster is named; when it comes to it, her name is Ben's."""
+    make_foreign(cloud, "anna@lab", "first")()
+
+    def change_hands() -> None:
+        [anna] = [m for m in cloud.observe("bunny").machines if m.state is State.RUNNING]
+        cloud.mark([anna], cloud.observe("bunny").groups, Owner("ben@lab", "SHA256:ben"))
+
+    Meanwhile(cloud, 2, change_hands)
+    refused = run("down", file, typed="bunny\n")
+    assert isinstance(refused.exception, UsageError)
+    assert refused.exception.advice == "give --name bunny to take it away"
+    assert "has changed meanwhile" in refused.output
+    assert "by ben@lab" in refused.output
+    assert alive(cloud) == ["head"]
+    run("down", file, typed="bunny\n")
     assert alive(cloud) == []
 
 

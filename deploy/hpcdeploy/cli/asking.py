@@ -1,0 +1,133 @@
+"""Questions to the user; where nobody can answer them, which option answers instead."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeVar
+
+import click
+
+from hpccomponent.errors import CloudError, UsageError
+from hpccomponent.terminal import echo
+
+if TYPE_CHECKING:
+    from hpcdeploy.machine.provider import Observed
+    from hpcdeploy.reconcile.cluster import Cluster
+
+__all__ = ["ask_name", "ask_to_go_on", "name_foreign", "say"]
+
+T = TypeVar("T")
+
+
+def say(line: str) -> None:
+    """Tell the user something that no script reads.
+
+    Parameters
+    ----------
+    line : str
+    """
+    echo(line, err=True)
+
+
+def ask_to_go_on(cluster: Cluster) -> None:
+    """Ask whether to go on.
+
+    Parameters
+    ----------
+    cluster : Cluster
+
+    Raises
+    ------
+    click.Abort
+        The user does not want to.
+    UsageError
+        Nobody has answered with yes.
+    """
+    _ask(cluster, lambda: click.confirm("Go on?", abort=True, err=True), "run it with -y")
+
+
+def ask_name(cluster: Cluster, purpose: str, advice: str) -> None:
+    """Let the user type the cluster's name, so that the right one is meant.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    purpose : str
+        What is done to it, as an infinitive: "take it away".
+    advice : str
+        Which option answers instead.
+
+    Raises
+    ------
+    click.Abort
+        The user does not want to.
+    CloudError
+        Another name was typed.
+    UsageError
+        Nobody has answered.
+    """
+    question = f"Type the cluster's name to {purpose}"
+    typed = _ask(cluster, lambda: str(click.prompt(question, err=True)), advice)
+    if typed.strip() != cluster.spec.cluster:
+        raise CloudError(f"{typed!r} is not its name: nothing was done", advice)
+
+
+def name_foreign(
+    cluster: Cluster, purpose: str, *, is_asked: bool, given: str = ""
+) -> Observed | None:
+    """Let the user name a cluster that was made elsewhere; return what it was then.
+
+    Parameters
+    ----------
+    cluster : Cluster
+    purpose : str
+        What is done to it, as an infinitive: "take it away".
+    is_asked : bool
+        Whether the user may be asked to type the name.
+    given : str
+        The name from the command line; empty where there is none.
+
+    Returns
+    -------
+    Observed or None
+        None where it was not made elsewhere.
+
+    Raises
+    ------
+    CloudError
+        It was, and is not named: it says whose it is.
+    UsageError
+        Another cluster is named, or nobody has answered.
+    """
+    from hpcdeploy.reconcile.cluster import require_ours
+
+    name = cluster.spec.cluster
+    if given not in ("", name):
+        raise UsageError(f"the file's cluster is {name}, not {given}", "give the right file")
+    observed = cluster.provider.observe(name)
+    try:
+        require_ours(cluster, observed)
+    except CloudError as error:
+        advice = f"give --name {name} to {purpose}"
+        if given != name:
+            if not is_asked:
+                raise CloudError(error.problem, advice) from None
+            say(error.problem)
+            ask_name(cluster, purpose, advice)
+        return observed
+    return None
+
+
+def _ask(cluster: Cluster, ask: Callable[[], T], advice: str) -> T:
+    try:
+        return ask()
+    except click.Abort:
+        if sys.stdin.isatty():
+            raise
+        say("")  # the question's own line is not ended
+        raise UsageError(
+            f"cluster {cluster.spec.cluster} is not changed: this is not a terminal, and the "
+            "question was not answered with yes or its name",
+            advice,
+        ) from None
