@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,8 +12,8 @@ from click.testing import CliRunner
 from machines.hosts import claim
 from machines.servers import Machines, Server
 
-from hpcapp.cli import main
-from hpccomponent.errors import CloudError, LeftoverError
+from hpcapp.cli import hpcapp, main
+from hpccomponent.errors import CloudError, LeftoverError, UsageError
 from hpcdeploy.cli.doctor import doctor
 from hpcdeploy.cli.shell import get, put
 from hpcdeploy.machine.bootstrap import set_up
@@ -19,6 +21,7 @@ from hpcdeploy.machine.provider import Launch, State
 from hpcdeploy.reconcile.cluster import open_cluster
 from hpcdeploy.reconcile.converge import look_ahead, take_down
 from hpcdeploy.reconcile.plan import LaunchNode, Terminate
+from hpcdeploy.spec.job_folder import JobOrder, create_job
 from hpcdeploy.spec.names import NodeName
 from hpcdeploy.spec.polling import Pace
 
@@ -220,3 +223,28 @@ def test_hosts_that_another_home_has_claimed_are_adopted_on_purpose(
     assert run("adopt", "-y") == 0
     assert run("plan") == 0
     assert "nothing to create or change" in capsys.readouterr().out
+
+
+def test_adopt_says_which_jobs_run_and_which_option_answers_for_the_user(
+    file: Path, hosts: tuple[Server, Server], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_cluster(file) as cluster:
+        claim(cluster)
+    folder = hosts[0].home / FOLDER
+    python = folder / "venv/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    monkeypatch.setenv("XDG_STATE_HOME", str(file.parent / "ben"))
+    order = JobOrder("reconstruct", "points/x.ply", "mesh.ply", title="scan.ply")
+    _, lock = create_job(folder, order)
+    try:
+        asked = CliRunner().invoke(hpcapp, ["adopt", str(file)], input="", standalone_mode=False)
+        assert "job 1 (scan.ply) is queued; it goes on" in asked.output
+    finally:
+        os.close(lock)
+    assert isinstance(asked.exception, UsageError)
+    assert asked.exception.advice == "run it with -y"
+    again = CliRunner().invoke(hpcapp, ["adopt", "-y", str(file)], standalone_mode=False)
+    assert again.exception is None
+    assert "job" not in again.output
