@@ -42,24 +42,29 @@ def plan(file: Path, as_json: bool) -> None:
     Changes nothing. Names the wheels that are missing; refuses what the file's limits forbid.
     """
     from hpcdeploy.machine.bootstrap import check_wheels
-    from hpcdeploy.reconcile.cluster import open_cluster
+    from hpcdeploy.reconcile.cluster import describe_elsewhere, open_cluster
     from hpcdeploy.reconcile.converge import look_ahead
     from hpcdeploy.reconcile.cost import check_limits, estimate_cost
+    from hpcdeploy.reconcile.drift import describe_drift
 
     with open_cluster(file) as cluster:
         ahead = look_ahead(cluster)
         decided = cluster.provider.decided()
-    missing = check_wheels(cluster.spec, file.absolute().parent)
-    cost = estimate_cost(cluster.spec)
+    spec = cluster.spec
+    drift, elsewhere = describe_drift(spec, ahead.kept, file), describe_elsewhere(cluster)
+    missing = check_wheels(spec, file.absolute().parent)
+    cost = estimate_cost(spec)
     if as_json:
-        echo_json(_as_json(cluster.spec.cluster, ahead, cost, missing, decided))
+        found = _as_json(spec.cluster, ahead, cost, missing, decided)
+        echo_json(found | {"drift": drift, "elsewhere": elsewhere})
     else:
-        echo("\n".join(_lines(cluster.spec.cluster, ahead, cost, missing, decided)))
-    check_limits(cluster.spec, cost)
+        remarks = [*drift, *filter(None, [elsewhere]), *decided]
+        echo("\n".join(_lines(spec.cluster, ahead, cost, missing, remarks)))
+    check_limits(spec, cost)
 
 
 def _lines(
-    name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem], decided: Sequence[str]
+    name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem], remarks: Sequence[str]
 ) -> list[str]:
     """Write a plan for people."""
     from hpcdeploy.reconcile.cost import describe_cost
@@ -67,7 +72,7 @@ def _lines(
     planned = [*(f"would {action}" for action in ahead.actions), *ahead.obstacles()]
     return [
         *(planned or [f"cluster {name}: nothing to create or change"]),
-        *decided,
+        *remarks,
         *describe_cost(cost),
         *(f"missing: {problem.what}; {problem.advice}" for problem in missing),
     ]

@@ -29,7 +29,7 @@ from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import NodeName
 from hpcdeploy.spec.polling import utc_now
 
-__all__ = ["Attempt", "Journal", "Step", "begun_lives", "open_journal"]
+__all__ = ["Attempt", "Journal", "Step", "begun_lives", "known_places", "open_journal"]
 
 Launched = tuple[str, NodeName]
 """The incarnation and the node of a machine that was asked for."""
@@ -215,37 +215,31 @@ class Journal:
         """The incarnations of the cluster that were begun or used from here."""
         return _lives(self._entries)
 
-    def note_place(self, place: str) -> None:
+    def note_places(self, places: Iterable[str]) -> None:
         """Remember where something is about to be made.
 
         Parameters
         ----------
-        place : str
+        places : iterable of str
         """
-        if place not in self.places:
+        known = self.places
+        for place in (place for place in places if place not in known):
             self._write({"place": place})
 
-    def clear_place(self, place: str) -> None:
-        """Remember that nothing is left at a place.
+    def clear_places(self, places: Iterable[str]) -> None:
+        """Remember that nothing is left in some places.
 
         Parameters
         ----------
-        place : str
+        places : iterable of str
         """
-        if place in self.places:
+        for place in set(self.places).intersection(places):
             self._write({"cleared": place})
 
     @property
     def places(self) -> tuple[str, ...]:
         """Where something was made that was not taken down since, the earliest first."""
-        found: list[str] = []
-        for entry in self._entries:
-            match entry:
-                case {"place": place}:
-                    found.append(place)
-                case {"cleared": place} if place in found:
-                    found.remove(place)
-        return tuple(found)
+        return _places(self._entries)
 
     def unfinished(self) -> list[str]:
         """Return what was begun and neither done nor refused, in the order in which it was begun.
@@ -343,16 +337,46 @@ def begun_lives(cluster: str) -> frozenset[str]:
     -------
     frozenset of str
     """
-    path = state_folder(cluster) / "journal.jsonl"
+    return _lives(_peek(cluster))
+
+
+def known_places(cluster: str) -> tuple[str, ...]:
+    """Return where something of a cluster was made that was not taken down since; takes no lock.
+
+    Parameters
+    ----------
+    cluster : str
+
+    Returns
+    -------
+    tuple of str
+        The earliest first.
+    """
+    return _places(_peek(cluster))
+
+
+def _peek(cluster: str) -> list[Entry]:
+    """Return the entries of a journal that another command may be writing."""
     try:
-        lines = path.read_bytes().splitlines()
+        lines = (state_folder(cluster) / "journal.jsonl").read_bytes().splitlines()
     except OSError:
-        return frozenset()
+        return []
     entries = []
     for line in lines:
         with suppress(ValueError):  # the last one may be half written
             entries.append(decode(line, Entry))
-    return _lives(entries)
+    return entries
+
+
+def _places(entries: Iterable[Entry]) -> tuple[str, ...]:
+    found: dict[str, None] = {}
+    for entry in entries:
+        match entry:
+            case {"place": place}:
+                found[place] = None
+            case {"cleared": place}:
+                found.pop(place, None)
+    return tuple(found)
 
 
 def _lives(entries: Iterable[Entry]) -> frozenset[str]:

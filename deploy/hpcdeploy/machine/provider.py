@@ -84,6 +84,10 @@ class MachineSeen:
         As its tag says; empty where it has none.
     desired : Desired, optional
         How many workers its cluster is to have, as the tag of a head says.
+    image, subnet : str
+        Their ids; empty where the cloud lists none.
+    made_as : str
+        By what it was launched, as its tag says; see `drift.made_as`.
     """
 
     id: str
@@ -101,6 +105,9 @@ class MachineSeen:
     reason: str = ""
     owner: Owner = NOBODY
     desired: Desired | None = None
+    image: str = ""
+    subnet: str = ""
+    made_as: str = ""
 
     def address(self, kind: str = "auto") -> str:
         """Return where the machine is reached; empty while it is nowhere.
@@ -224,6 +231,8 @@ class Launch:
         Who launches it.
     desired : Desired, optional
         How many workers the cluster is to have, for its head.
+    made_as : str
+        What the file says of the machine that its cloud does not list; written on it.
     """
 
     cluster: str
@@ -238,6 +247,7 @@ class Launch:
     tags: dict[str, str] = field(default_factory=dict)
     owner: Owner = NOBODY
     desired: Desired | None = None
+    made_as: str = ""
 
 
 @dataclass(frozen=True, slots=True)

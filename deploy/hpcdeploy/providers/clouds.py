@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from hpccomponent.config.reader import parse_config
@@ -11,7 +11,7 @@ from hpcdeploy.machine.provider import Provider
 from hpcdeploy.providers import open_provider
 from hpcdeploy.spec.cluster import ClusterSpec, read_spec
 
-__all__ = ["open_clouds", "place_of"]
+__all__ = ["open_clouds", "places_of"]
 
 ANY_CLUSTER = """
 version: 1
@@ -23,26 +23,37 @@ provider:
 """
 
 
-def place_of(spec: ClusterSpec) -> str:
-    """Return in words where a cluster file's machines are made; empty where none are made.
+def places_of(spec: ClusterSpec, hosts: Collection[str] | None = None) -> tuple[str, ...]:
+    """Return in words where a cluster file's machines are.
 
     The account is told by the profile of the keys only: keys themselves come and go.
 
     Parameters
     ----------
     spec : ClusterSpec
+    hosts : collection of str, optional
+        The ids of some of the file's; by default all.
 
     Returns
     -------
-    str
+    tuple of str
+        One for a cloud, and one for each host. What is said before them is "in".
     """
     cloud = spec.provider.cloud
+    if spec.provider.is_here:
+        return ("folders of this machine",)
     if cloud is None:
-        return ""
+        from hpcdeploy.machine.ssh.target import host_id, host_target  # it imports paramiko
+
+        return tuple(
+            f"the home of {host_target(host, spec.auth, ()).user}@{host_id(host)}"
+            for host in spec.provider.fixed_hosts
+            if hosts is None or host_id(host) in hosts
+        )
     keys = cloud.credentials
     source = keys.profile or keys.euca_ini or keys.eucarc or os.environ.get("AWS_PROFILE", "")
     place = f"{cloud.type} {cloud.endpoint_url or ''} {cloud.region}".replace("  ", " ")
-    return f"{place}, with the keys of {source}" if source else place
+    return (f"{place}, with the keys of {source}" if source else place,)
 
 
 def open_clouds(files: Sequence[Path]) -> list[tuple[str, Provider]]:

@@ -229,6 +229,7 @@ class MemoryProvider:
             lease_until=launch.lease_until,
             owner=launch.owner,
             desired=launch.desired,
+            made_as=launch.made_as,
         )
         return _Machine(seen, now)
 

@@ -17,7 +17,7 @@ from hpcdeploy.machine.node_keys import NodeKeys
 from hpcdeploy.machine.ownership import fingerprint
 from hpcdeploy.machine.provider import MachineSeen, Observed, State
 from hpcdeploy.machine.shell import Shell
-from hpcdeploy.providers.clouds import place_of
+from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.reconcile.cluster import require_same
 from hpcdeploy.spec.layout import machine_folder, state_folder
 from hpcdeploy.spec.names import HEAD
@@ -183,8 +183,7 @@ def take_over(
         owner = cluster.access.owner()
         machines = [m for m in observed.machines if m.state is State.RUNNING]
         cluster.provider.mark(machines, observed.groups, owner)
-        if place := place_of(cluster.spec):
-            journal.note_place(place)
+        journal.note_places(places_of(cluster.spec))
     report(f"cluster {name} is {owner.user}'s now: {len(machines)} machines")
 
 

@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, OutdatedError
+from hpcdeploy.machine.journal import known_places
 from hpcdeploy.machine.ownership import Held, foreign_owner
 from hpcdeploy.machine.provider import GroupSeen, MachineSeen, Observed, Provider, State
+from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.spec.cluster import ClusterSpec, read_spec
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import HEAD, Owner
@@ -20,7 +22,17 @@ from hpcdeploy.spec.polling import utc_now
 if TYPE_CHECKING:
     from hpcdeploy.machine.access import Access
 
-__all__ = ["Cluster", "as_desired", "node_order", "open_cluster", "require_ours", "require_same"]
+__all__ = [
+    "Cluster",
+    "as_desired",
+    "describe_elsewhere",
+    "node_order",
+    "open_cluster",
+    "require_ours",
+    "require_same",
+]
+
+PLACES_TOLD = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +200,30 @@ def _bearers(observed: Observed) -> set[tuple[str, str, str]]:
     bearers: list[MachineSeen | GroupSeen] = [*observed.groups]
     bearers += [machine for machine in observed.machines if machine.state not in ending]
     return {(seen.id, seen.incarnation, str(seen.owner)) for seen in bearers}
+
+
+def describe_elsewhere(cluster: Cluster) -> str:
+    """Say where a cluster lives besides, after its file was changed.
+
+    Parameters
+    ----------
+    cluster : Cluster
+
+    Returns
+    -------
+    str
+        As far as the journal of this machine tells; empty where it knows of no other place.
+    """
+    name, file, here = cluster.spec.cluster, cluster.path, places_of(cluster.spec)
+    others = [place for place in known_places(name) if place not in here]
+    if not others:
+        return ""
+    more = f" and {len(others) - PLACES_TOLD} more places" if len(others) > PLACES_TOLD else ""
+    return (
+        f"cluster {name} was made in {', '.join(others[:PLACES_TOLD])}{more}, where {file} does "
+        "not lead any more: what is there stays until the file says so again and "
+        f"hpcapp down {file} is run"
+    )
 
 
 def describe_foreign(name: str, owner: Owner, held: Held) -> str:

@@ -20,8 +20,8 @@ from hpcdeploy.machine.journal import Journal, open_journal
 from hpcdeploy.machine.ownership import Held, ours
 from hpcdeploy.machine.provider import Observed, State
 from hpcdeploy.providers.bucket import open_bucket
-from hpcdeploy.providers.clouds import place_of
-from hpcdeploy.reconcile.cluster import require_ours, require_same
+from hpcdeploy.providers.clouds import places_of
+from hpcdeploy.reconcile.cluster import describe_elsewhere, require_ours, require_same
 from hpcdeploy.reconcile.cost import check_limits, estimate_cost
 from hpcdeploy.reconcile.effort import Effort, Report
 from hpcdeploy.reconcile.plan import Plan, make_plan
@@ -106,8 +106,6 @@ def bring_up(
     with open_journal(cluster.spec.cluster) as journal:
         if unfinished := journal.unfinished():
             report(f"not finished before: {', '.join(unfinished)}; going on from what there is")
-        for elsewhere in _other_places(cluster, journal):
-            report(f"what was made before in {elsewhere} is not taken down by this file any more")
         effort = Effort(cluster, journal, report, pace)
         plan = effort.first_plan()
         if agreed is not None and (beyond := plan.beyond(agreed)):
@@ -200,13 +198,9 @@ def take_down(
         if bucket is not None:
             with journal.step("clear the bucket"):
                 bucket.clear()
-        journal.clear_place(here := place_of(cluster.spec))
-        if places := _other_places(cluster, journal):
-            raise LeftoverError(
-                f"cluster {cluster.spec.cluster}: nothing is left in {here}, but it was made in "
-                f"{', '.join(places)}",
-                f"let {cluster.path} say so again and run hpcapp down {cluster.path}",
-            )
+        journal.clear_places(places_of(cluster.spec))
+        if elsewhere := describe_elsewhere(cluster):
+            raise LeftoverError(f"nothing is left where {cluster.path} leads, but {elsewhere}")
         forget_cluster(cluster.spec.cluster)
 
 
@@ -244,12 +238,6 @@ def _doomed(seen: Observed, held: Held, lives: frozenset[str]) -> Observed:
     lives |= {group.incarnation for group in groups}
     pairs = tuple(p for p in seen.key_pairs if p.incarnation in lives)
     return Observed(machines, pairs, groups)
-
-
-def _other_places(cluster: Cluster, journal: Journal) -> list[str]:
-    """Return where something may be left that the file does not lead to any more."""
-    here = place_of(cluster.spec)
-    return [place for place in journal.places if place != here]
 
 
 def _ways_on(cluster: Cluster) -> str:

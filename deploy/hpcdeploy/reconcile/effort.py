@@ -16,7 +16,7 @@ from hpccomponent.terminal import write_block
 from hpcdeploy.machine.journal import Journal
 from hpcdeploy.machine.ownership import ours
 from hpcdeploy.machine.provider import GroupSeen, MachineSeen, Observed, State
-from hpcdeploy.providers.clouds import place_of
+from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.reconcile.cluster import node_order, require_ours
 from hpcdeploy.reconcile.launching import launch_nodes
 from hpcdeploy.reconcile.plan import (
@@ -146,7 +146,7 @@ class Effort:
         finally:
             remove(self._provider, made, *args)
         if all(machine.state is State.GONE for machine in self._observe().machines):
-            self._journal.clear_place(place_of(self._spec))
+            self._journal.clear_places(places_of(self._spec))
 
     def _is_ours(self, seen: Observed) -> bool:
         try:
@@ -265,8 +265,9 @@ class Effort:
         """Do what was planned; return the machines that are to run."""
         if plan.actions:
             self._owner = self._cluster.access.owner()
-            if place := place_of(self._spec):
-                self._journal.note_place(place)
+            nodes = self._spec.nodes()
+            hosts = {host.id for host in self._provider.hosts() if host.name.node in nodes}
+            self._journal.note_places(places_of(self._spec, hosts))
         kept = {machine.id: machine for machine in plan.kept}
         launches = [action for action in plan.actions if isinstance(action, LaunchNode)]
         for action in plan.actions:
@@ -316,6 +317,9 @@ class Effort:
                 self._has_set_workers = True
             case Terminate(machines, why):
                 end(self._provider, machines, why, self._proof(self._seen))
+                if self._spec.provider.fixed_hosts:
+                    ended = {machine.id for machine in machines}
+                    self._journal.clear_places(places_of(self._spec, ended))
             case Extend(machines, lease_until):
                 self._provider.extend(machines, lease_until)
 

@@ -10,6 +10,7 @@ from datetime import datetime, timedelta
 from hpccomponent.errors import CapacityError, CloudError
 from hpcdeploy.machine.journal import Journal
 from hpcdeploy.machine.provider import Launch, LaunchChoice, MachineSeen, Provider, State
+from hpcdeploy.reconcile.drift import made_as
 from hpcdeploy.reconcile.plan import LaunchNode
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import HEAD, NodeName, Owner
@@ -110,6 +111,7 @@ class _Request:
             tags=dict(self.spec.tags),
             owner=self.owner,
             desired=action.desired,
+            made_as=made_as(self.spec, name.node),
         )
         if not action.profile:
             return launch

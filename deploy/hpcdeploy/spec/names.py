@@ -21,6 +21,7 @@ __all__ = [
     "HEAD",
     "INCARNATION_TAG",
     "LEASE_TAG",
+    "MADE_TAG",
     "NAME_PATTERN",
     "NOBODY",
     "NODE_TAG",
@@ -54,6 +55,7 @@ INCARNATION_TAG = "hpcapp:incarnation"
 LEASE_TAG = "hpcapp:lease-until"
 OWNER_TAG = "hpcapp:owner"
 WORKERS_TAG = "hpcapp:workers"
+MADE_TAG = "hpcapp:made-as"
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -12,6 +12,7 @@ from hpcdeploy.providers.ec2.capabilities import Capabilities
 from hpcdeploy.providers.ec2.observe import identity_tags, lease_text
 from hpcdeploy.spec.names import (
     LEASE_TAG,
+    MADE_TAG,
     OWNER_TAG,
     WORKERS_TAG,
     client_token,
@@ -79,6 +80,8 @@ def launch_tags(launch: Launch) -> dict[str, str]:
     tags = launch.tags | identity_tags(launch.cluster, launch.incarnation, launch.name)
     if launch.lease_until is not None:
         tags[LEASE_TAG] = lease_text(launch.lease_until)
+    if launch.made_as:
+        tags[MADE_TAG] = launch.made_as
     if launch.desired is not None:
         tags[WORKERS_TAG] = str(launch.desired)
     return tags | ({OWNER_TAG: str(launch.owner)} if launch.owner.key else {})

@@ -18,6 +18,7 @@ from hpcdeploy.spec.names import (
     GENERATION_TAG,
     INCARNATION_TAG,
     LEASE_TAG,
+    MADE_TAG,
     NODE_TAG,
     OWNER_TAG,
     PREFIX,
@@ -161,6 +162,9 @@ def as_machine(
         reason=reason or described.get("StateTransitionReason", ""),
         owner=read_owner(tags.get(OWNER_TAG, "")),
         desired=read_desired(tags.get(WORKERS_TAG, "")),
+        image=described.get("ImageId", ""),
+        subnet=described.get("SubnetId", ""),
+        made_as=tags.get(MADE_TAG, ""),
     )
 
 

@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 from simulated import FILE, START, SetUp
 
 from hpcapp.cli import hpcapp
-from hpccomponent.errors import CloudError, UsageError
+from hpccomponent.errors import CloudError, LeftoverError, UsageError
 from hpcdeploy.machine.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.spec.names import NOBODY, NodeName, Owner
@@ -180,6 +180,62 @@ def test_up_again_asks_nothing_where_nothing_is_to_be_done(
     again = run("up", file)
     assert again.exception is None
     assert "Go on?" not in again.output
+
+
+def test_a_file_that_was_changed_while_its_cluster_lives_is_told_of(
+    cloud: MemoryProvider, file: str
+) -> None:
+    run("up", "-y", file)
+    text = Path(file).read_text().replace("m6i.large", "m7i.large").replace("2h}", "2h, idle: 5m}")
+    Path(file).write_text(text)
+    planned = run("plan", file)
+    assert "nothing to create or change" in planned.output
+    machines = {m.name.node: m.id for m in cloud.observe("bunny").machines}
+    for said in (planned.output, run("up", file).output):
+        lines = said.splitlines()
+        head = f"drift: head ({machines['head']}): instance_type is m6i.large, not m7i.large, "
+        assert f"{head}limits.idle is 900, not 300" in lines
+        assert any(line.startswith("drift: worker-1") for line in lines)
+        assert any(f"hpcapp down {file} and then hpcapp up {file}" in line for line in lines)
+    assert len(json.loads(run("plan", "--json", file).stdout)["drift"]) == 3
+    run("down", file)
+    assert "drift" not in run("plan", file).output
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        "{type: aws, region: eu-west-1, profiles: {a: {image: {id: ami-1}, instance_type: m}}}",
+        "{type: local}",
+        "{type: ssh, hosts: [{address: lab1}, {address: lab2}, {address: lab3}]}",
+    ],
+)
+def test_a_file_that_leads_elsewhere_says_where_its_cluster_lives(
+    cloud: MemoryProvider, file: str, other: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run("up", "-y", file)
+    there = "cluster bunny was made in aws us-east-1"
+    made = Path(file).read_text()
+    text = f"version: 1\ncluster: bunny\nworkers: {{count: 2}}\nprovider: {other}\n"
+    Path(file).write_text(text + "auth: {allow_from: [192.0.2.0/24]}\n")
+    elsewhere = MemoryProvider(utc_now)
+    elsewhere.makes_machines = "aws" in other
+    monkeypatch.setattr("hpcdeploy.providers.open_provider", lambda spec, base: elsewhere)
+    monkeypatch.setattr("hpcdeploy.machine.bootstrap.check_wheels", lambda spec, base: [])
+    assert there in run("plan", file).output
+    assert there in json.loads(run("plan", "--json", file).stdout)["elsewhere"]
+    assert there in run("up", file, typed="n\n").output
+    for _ in range(2):
+        refused = run("down", "-y", file)
+        assert isinstance(refused.exception, LeftoverError)
+        assert there in str(refused.exception)
+        assert " in ," not in str(refused.exception)
+        assert f"hpcapp down {file}" in str(refused.exception)
+    assert alive(cloud) == ["head", "worker-1", "worker-2"]
+    Path(file).write_text(made)
+    monkeypatch.setattr("hpcdeploy.providers.open_provider", lambda spec, base: cloud)
+    assert run("down", "-y", file).exception is None
+    assert alive(cloud) == []
 
 
 def test_scale_leaves_the_file_and_says_so(cloud: MemoryProvider, file: str) -> None:

@@ -187,6 +187,17 @@ def test_the_head_bears_how_many_workers_are_wanted(open_desk: OpenDesk, profile
     assert desk.provider.observe(None).desired("other") is None
 
 
+@each_kind
+def test_a_machine_tells_by_what_it_was_launched(open_desk: OpenDesk, profile: str) -> None:
+    desk = open_desk(profile, lag=0, vpc=True)
+    desk.prepare()
+    desk.launch(made_as="disk_gb=20 public_ip=None")
+    (seen,) = desk.provider.observe("bunny").machines
+    assert seen.made_as == "disk_gb=20 public_ip=None"
+    assert seen.image == desk.cloud.image_id
+    assert seen.subnet.startswith("subnet-")
+
+
 def test_clusters_do_not_see_one_another(open_desk: OpenDesk) -> None:
     for profile in ("aws", "euca-4.0"):
         desk = open_desk(profile)
