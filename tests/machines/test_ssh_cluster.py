@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 from machines.hosts import claim
 from machines.servers import Machines, Server
 
@@ -248,3 +248,53 @@ def test_adopt_says_which_jobs_run_and_which_option_answers_for_the_user(
     again = CliRunner().invoke(hpcapp, ["adopt", "-y", str(file)], standalone_mode=False)
     assert again.exception is None
     assert "job" not in again.output
+
+
+def test_a_host_that_is_silent_is_named_and_the_others_are_served(
+    file: Path, hosts: tuple[Server, Server], machines: Machines
+) -> None:
+    with open_cluster(file) as cluster:
+        claim(cluster)
+    (file.parent / "cloud.ply").write_bytes(b"ply")
+
+    def run(verb: str, *words: str) -> Result:
+        return CliRunner().invoke(hpcapp, [verb, str(file), *words])
+
+    machines.stop(hosts[1])
+    for words in (["exec", "--all", "echo here"], ["exec", "--node", "worker-1", "true"],
+                  ["put", str(file.parent / "cloud.ply"), "--all"]):  # fmt: skip
+        done = run(*words)
+        assert done.exit_code == 4, done.output
+        [told] = [line for line in done.stderr.splitlines() if line.startswith("worker-1")]
+        assert "cannot be looked at: unreachable: connection refused" in told
+        assert (done.stdout == "head: here\n") == ("--all" in words and "exec" in words)
+    assert (hosts[0].home / "cloud.ply").exists()
+    table = run("status", "--offline").output.splitlines()
+    assert table[0] == "cluster lab (ssh): up, worker-1 cannot be looked at"
+    machines.stop(hosts[0])
+    for words in (["exec", "true"], ["put", str(file)], ["get", "x"], ["logs"], ["jobs"], ["ssh"]):
+        failed = CliRunner().invoke(
+            hpcapp, [words[0], str(file), *words[1:]], standalone_mode=False
+        )
+        said = str(failed.exception) + failed.output
+        assert "head (127.0.0" in said, words
+        assert "is not up" not in said
+        assert "hpcapp up" not in said
+    table = run("status", "--offline").output.splitlines()
+    assert (
+        table[0]
+        == "cluster lab (ssh): not known whether it is up, head, worker-1 cannot be looked at"
+    )
+
+
+def test_a_file_that_cannot_be_put_somewhere_goes_to_the_others(
+    file: Path, hosts: tuple[Server, Server]
+) -> None:
+    with open_cluster(file) as cluster:
+        claim(cluster)
+    (file.parent / "cloud.ply").write_bytes(b"ply")
+    (hosts[0].home / "cloud.ply").mkdir()
+    done = CliRunner().invoke(hpcapp, ["put", str(file), str(file.parent / "cloud.ply"), "--all"])
+    assert done.exit_code == 4
+    assert "head" in done.stderr
+    assert (hosts[1].home / "cloud.ply").read_bytes() == b"ply"

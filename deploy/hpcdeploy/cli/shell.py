@@ -16,6 +16,7 @@ from hpccomponent.terminal import echo, echo_output
 if TYPE_CHECKING:
     from hpcdeploy.machine.access import Access
     from hpcdeploy.machine.provider import MachineSeen
+    from hpcdeploy.machine.shell import Shell
     from hpcdeploy.reconcile.cluster import Cluster
 
 __all__ = ["exec_", "get", "put", "ssh"]
@@ -33,11 +34,9 @@ def ssh(file: Path, node: str, command: tuple[str, ...]) -> None:
     """Open a terminal on a NODE of the cluster file FILE, or run a COMMAND in one."""
     from hpcdeploy.reconcile.cluster import open_cluster
 
-    with open_cluster(file) as cluster:
-        [machine] = _choose(cluster, [node], is_all=False)
-        with cluster.access.open(machine, WAIT_S) as shell:
-            code = shell.interact(" ".join(command))
-    _leave(code)
+    with open_cluster(file) as cluster, _open_one(cluster, node) as shell:
+        code = shell.interact(" ".join(command))
+    raise click.exceptions.Exit(code)
 
 
 @click.command("exec", context_settings={"ignore_unknown_options": True})
@@ -48,16 +47,16 @@ def ssh(file: Path, node: str, command: tuple[str, ...]) -> None:
 def exec_(file: Path, nodes: tuple[str, ...], is_all: bool, command: tuple[str, ...]) -> None:
     """Run a COMMAND on the head of the cluster file FILE, on some nodes, or on all at once.
 
-    Every line of output has its node's name before it; leaves with the largest exit code. Where
-    the command has options of the names above, put -- before it. Escape codes are written out on
-    a terminal, and kept for a file or a pipe.
+    Every line of output has its node's name before it; leaves with the largest exit code, 4 where
+    a machine cannot be reached. Where the command has options of the names above, put -- before it.
+    Escape codes are written out on a terminal, and kept for a file or a pipe.
     """
     from concurrent.futures import ThreadPoolExecutor
 
     from hpcdeploy.reconcile.cluster import open_cluster
 
     with open_cluster(file) as cluster:
-        machines = _choose(cluster, nodes, is_all=is_all)
+        machines, silent = _choose(cluster, nodes, is_all=is_all)
         pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="exec")
         try:
             runs = [pool.submit(_run, cluster.access, m, " ".join(command)) for m in machines]
@@ -67,7 +66,7 @@ def exec_(file: Path, nodes: tuple[str, ...], is_all: bool, command: tuple[str, 
             raise
         finally:
             pool.shutdown(cancel_futures=True)
-    _leave(max(codes))
+    _tell(silent, codes)
 
 
 @click.command()
@@ -79,7 +78,8 @@ def exec_(file: Path, nodes: tuple[str, ...], is_all: bool, command: tuple[str, 
 def put(file: Path, source: Path, target: str, nodes: tuple[str, ...], is_all: bool) -> None:
     """Send the file SOURCE to the head of the cluster file FILE; an interrupted one goes on.
 
-    TARGET is relative to the login user's home; by default it is the file's own name.
+    TARGET is relative to the login user's home; by default it is the file's own name. Machines
+    that cannot be reached are named, the others get it, and the exit code is 4.
     """
     from hpcdeploy.reconcile.cluster import open_cluster
 
@@ -87,10 +87,15 @@ def put(file: Path, source: Path, target: str, nodes: tuple[str, ...], is_all: b
     if not target or target.endswith("/"):
         target += source.name
     with open_cluster(file) as cluster:
-        for machine in _choose(cluster, nodes, is_all=is_all):
-            with cluster.access.open(machine, WAIT_S) as shell:
-                shell.put(source, target)
-                echo(f"{shell.node}: {target}", err=True)
+        machines, failures = _choose(cluster, nodes, is_all=is_all)
+        for machine in machines:
+            try:
+                with cluster.access.open(machine, WAIT_S) as shell:
+                    shell.put(source, target)
+                    echo(f"{shell.node}: {target}", err=True)
+            except CloudError as error:  # the others are served nevertheless
+                failures.append(error)
+    _tell(failures, [0])
 
 
 @click.command()
@@ -108,28 +113,53 @@ def get(file: Path, source: str, target: Path, node: str) -> None:
     if target.is_dir():
         target /= source.rstrip("/").rpartition("/")[2]
     check_regular(target)
-    with open_cluster(file) as cluster:
-        [machine] = _choose(cluster, [node], is_all=False)
-        with cluster.access.open(machine, WAIT_S) as shell:
-            shell.get(source, target)
+    with open_cluster(file) as cluster, _open_one(cluster, node) as shell:
+        shell.get(source, target)
 
 
-def _choose(cluster: Cluster, nodes: Sequence[str], *, is_all: bool) -> list[MachineSeen]:
-    """Return the machines that are meant: the head where none is named."""
+def _choose(
+    cluster: Cluster, nodes: Sequence[str], *, is_all: bool = False
+) -> tuple[list[MachineSeen], list[CloudError]]:
+    """Return the machines that are meant, the head where none is named; and why some are left out.
+
+    Those that are there and do not run, or do not let us see whether they do, are left out.
+    """
+    from hpcdeploy.reconcile.cluster import describe_silent
+    from hpcdeploy.spec.names import HEAD
+
     if is_all and nodes:
         raise UsageError("--all and --node contradict each other", "give one of them")
-    machines = list(cluster.machines())
-    if not machines:
+    present = cluster.present()
+    running = {m.name.node: m for m in present if m.state == "running"}
+    silent = {m.name.node: describe_silent(m) for m in present if m.name.node not in running}
+    chosen = [*running, *silent] if is_all else [*nodes] or [HEAD]
+    for node in chosen or [HEAD]:
+        if node in running or node in silent:
+            continue
+        if running and node != HEAD:
+            raise UsageError(f"no machine {node} runs", f"choose among {', '.join(running)}")
         raise CloudError(
             f"cluster {cluster.spec.cluster} is not up", f"run hpcapp up {cluster.path}"
         )
-    if is_all:
-        return machines
-    by_name = {machine.name.node: machine for machine in machines}
-    for node in nodes:
-        if node not in by_name:
-            raise UsageError(f"no machine {node} runs", f"choose among {', '.join(by_name)}")
-    return [by_name[node] for node in nodes] if nodes else [cluster.head()]
+    return (
+        [running[node] for node in chosen if node in running],
+        [silent[node] for node in chosen if node in silent],
+    )
+
+
+def _open_one(cluster: Cluster, node: str) -> Shell:
+    """Open a shell on the machine of a node, where it runs."""
+    machines, silent = _choose(cluster, [node])
+    for error in silent:
+        raise error
+    return cluster.access.open(machines[0], WAIT_S)
+
+
+def _tell(errors: Sequence[HpcError], codes: Sequence[int]) -> NoReturn:
+    """Say what could not be done, and leave with the largest exit code."""
+    for error in errors:
+        echo(str(error), err=True)
+    raise click.exceptions.Exit(max([*codes, *(error.exit_code for error in errors)]))
 
 
 _writing = threading.Lock()
@@ -149,7 +179,3 @@ def _run(access: Access, machine: MachineSeen, command: str) -> int:
     except HpcError as error:
         echo(str(error), err=True)
         return error.exit_code
-
-
-def _leave(code: int) -> NoReturn:
-    raise click.exceptions.Exit(code)

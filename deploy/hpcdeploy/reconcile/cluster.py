@@ -26,6 +26,7 @@ __all__ = [
     "Cluster",
     "as_desired",
     "describe_elsewhere",
+    "describe_silent",
     "node_order",
     "open_cluster",
     "require_ours",
@@ -62,10 +63,24 @@ class Cluster:
         CloudError
             The cluster was made elsewhere.
         """
+        return tuple(m for m in self.present() if m.state is State.RUNNING)
+
+    def present(self) -> tuple[MachineSeen, ...]:
+        """Return the machines that are there, whether they run and show themselves or not.
+
+        Raises
+        ------
+        CloudError
+            The cluster was made elsewhere.
+        """
         observed = self.provider.observe(self.spec.cluster)
         require_ours(self, observed)
-        running = (m for m in observed.machines if m.state is State.RUNNING)
-        return tuple(sorted(running, key=node_order))
+        nodes = self.spec.nodes()
+        ending = (State.ENDING, State.GONE)
+        there = (m for m in observed.machines if m.state not in ending)
+        # A host that hides what it does counts where the file wants it: it may be none of ours.
+        counted = (m for m in there if m.state is not State.UNKNOWN or m.name.node in nodes)
+        return tuple(sorted(counted, key=node_order))
 
     def head(self) -> MachineSeen:
         """Return the machine of the HPC App.
@@ -73,12 +88,34 @@ class Cluster:
         Raises
         ------
         CloudError
-            It does not run, or the cluster was made elsewhere.
+            It does not run or cannot be looked at, or the cluster was made elsewhere.
         """
-        for machine in self.machines():
-            if machine.name.node == HEAD:
-                return machine
+        heads = [machine for machine in self.present() if machine.name.node == HEAD]
+        for head in heads:
+            if head.state is State.RUNNING:
+                return head
+        for head in heads:
+            raise describe_silent(head)
         raise CloudError(f"cluster {self.spec.cluster} is not up", f"run hpcapp up {self.path}")
+
+
+def describe_silent(machine: MachineSeen) -> CloudError:
+    """Return why nothing can be done on a machine that is there and is not seen to run.
+
+    Parameters
+    ----------
+    machine : MachineSeen
+
+    Returns
+    -------
+    CloudError
+        To be raised, or told.
+    """
+    where = f"{machine.name.node} ({machine.id})"
+    if machine.state is State.UNKNOWN:
+        return CloudError(f"{where} cannot be looked at: {machine.reason}")
+    why = f" ({machine.reason})" if machine.reason else ""
+    return CloudError(f"{where} does not run: it is {machine.state}{why}")
 
 
 def as_desired(cluster: Cluster, observed: Observed) -> Cluster:

@@ -13,7 +13,7 @@ from hpcdeploy.machine.loader_service import is_running_command
 from hpcdeploy.machine.parallel import connections_at_once, run_parallel
 from hpcdeploy.machine.provider import MachineSeen, Observed, State
 from hpcdeploy.machine.shell import Shell
-from hpcdeploy.reconcile.cluster import node_order, require_ours
+from hpcdeploy.reconcile.cluster import describe_elsewhere, node_order, require_ours
 from hpcdeploy.spec.layout import machine_folder
 from hpcdeploy.spec.names import HEAD, without_node
 from hpcdeploy.spec.polling import utc_now
@@ -49,12 +49,16 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> dict[str, A
     rows = [{**_machine(m, now), "loader": (loaders | hidden).get(m.id)} for m in machines]
     wanted = cluster.spec.nodes()
     there = [machine.name.node for machine in machines if machine.state is State.RUNNING]
+    unknown = [machine.name.node for machine in machines if machine.state is State.UNKNOWN]
+    unseen = [node for node in wanted if node in unknown and node not in there]
     return {
         "cluster": cluster.spec.cluster,
         "provider": cluster.provider.name,
         "made_elsewhere": elsewhere,
         "is_up": set(wanted) <= set(there),
-        "missing": [node for node in wanted if node not in there],
+        "elsewhere": describe_elsewhere(cluster),
+        "hidden": unseen,
+        "missing": [node for node in wanted if node not in there and node not in unseen],
         "unwanted": [node for node in there if node not in wanted],
         "machines": rows,
     }
@@ -117,18 +121,23 @@ def write_table(found: dict[str, Any]) -> str:
         for machine in found["machines"]
     ]
     heads = [f"cluster {found['cluster']} ({found['provider']}): {_verdict(found)}"]
-    if found["made_elsewhere"]:
-        heads.append(found["made_elsewhere"])
+    heads += filter(None, [found["made_elsewhere"], found["elsewhere"]])
     return "\n".join([*heads, *(_aligned(lines) if found["machines"] else [])])
 
 
 def _verdict(found: dict[str, Any]) -> str:
     """Say how what runs differs from the file: after `scale`, that is as it was asked for."""
-    missing, unwanted = found["missing"], found["unwanted"]
+    missing, unwanted, hidden = found["missing"], found["unwanted"], found["hidden"]
     running = sum(machine["state"] == State.RUNNING for machine in found["machines"])
-    if not running:
+    if not running and not hidden:
         return f"not up, missing: {', '.join(missing)}"
-    parts = ["up" if HEAD not in missing else f"not up: {HEAD} does not run"]
+    parts = ["up"]
+    if HEAD in missing:
+        parts = [f"not up: {HEAD} does not run"]
+    elif HEAD in hidden:
+        parts = ["not known whether it is up"]
+    if hidden:
+        parts.append(f"{', '.join(hidden)} cannot be looked at")
     workers = [node for node in missing if node != HEAD]
     if workers:
         parts.append(
