@@ -20,6 +20,7 @@ __all__ = [
     "TAG",
     "Location",
     "Problem",
+    "is_miscounted",
     "place_finding",
     "place_misfit",
     "problems_error",
@@ -91,6 +92,26 @@ def show(node: yaml.Node) -> str:
     text = re.sub(r"(://[^/@:]*:)[^/@]*@", r"\1...@", str(node.value))  # no password in a log
     text = text if len(text) <= 60 else text[:57] + "..."
     return repr(text) if node.tag in PLAIN else text
+
+
+def is_miscounted(detail: ErrorDetails, root: yaml.MappingNode) -> bool:
+    """Tell whether pydantic finds too few entries only because it counts those that are right.
+
+    Parameters
+    ----------
+    detail : pydantic_core.ErrorDetails
+        The finding.
+    root : yaml.MappingNode
+        The text.
+
+    Returns
+    -------
+    bool
+    """
+    if detail["type"] != "too_short":
+        return False
+    _, value, _ = _locate(root, detail["loc"])
+    return value.tag in COLLECTION and len(value.value) >= detail["ctx"]["min_length"]
 
 
 def place_finding(detail: ErrorDetails, root: yaml.MappingNode, model: type[BaseModel]) -> Problem:

@@ -33,6 +33,7 @@ from hpccomponent.config.problems import (
     TAG,
     Location,
     Problem,
+    is_miscounted,
     place_finding,
     place_misfit,
     problems_error,
@@ -183,6 +184,8 @@ def _validate(
     except ValidationError as error:
         known = {location for _, location, _ in found}
         for detail in islice(error.errors(include_url=False, include_input=False), _MOST_PLACED):
+            if is_miscounted(detail, root):
+                continue
             problem = place_finding(detail, root, model)
             if problem[1] not in known:  # a value that could not be read is not wrong twice
                 found.append(problem)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,7 +22,7 @@ from hpcdeploy.cli.shell import get, put
 from hpcdeploy.machine.bootstrap import set_up
 from hpcdeploy.machine.provider import Launch, State
 from hpcdeploy.reconcile.cluster import open_cluster
-from hpcdeploy.reconcile.converge import look_ahead, take_down
+from hpcdeploy.reconcile.converge import bring_up, look_ahead, take_down
 from hpcdeploy.reconcile.plan import LaunchNode, Terminate
 from hpcdeploy.spec.job_folder import JobOrder, create_job
 from hpcdeploy.spec.names import NodeName
@@ -298,3 +301,76 @@ def test_a_file_that_cannot_be_put_somewhere_goes_to_the_others(
     assert done.exit_code == 4
     assert "head" in done.stderr
     assert (hosts[1].home / "cloud.ply").read_bytes() == b"ply"
+
+
+def test_down_of_a_cluster_that_was_never_made_says_what_is_known(
+    file: Path, hosts: tuple[Server, Server], machines: Machines, tmp_path: Path
+) -> None:
+    said: list[str] = []
+    for host in hosts:
+        machines.stop(host)
+    with open_cluster(file) as cluster, pytest.raises(LeftoverError) as caught:
+        take_down(cluster, said.append, pace=Pace(poll_s=0.01))
+    problem, advice = caught.value.problem, caught.value.advice
+    assert problem.startswith("not known whether anything is left on head 127.0.0.")
+    assert problem.count("unreachable: connection refused") == 2
+    assert advice == "run the command again, or remove ~/hpcapp/lab there by hand"
+    assert said == []
+    for host in hosts:
+        machines.start(host, host.port)
+    with open_cluster(file) as cluster:
+        take_down(cluster, said.append, pace=Pace(poll_s=0.01))
+    assert said == []
+
+
+def test_without_a_key_no_host_is_said_to_have_refused_one(
+    file: Path, hosts: tuple[Server, Server], tmp_path: Path
+) -> None:
+    (tmp_path / "user/.ssh/id_rsa").unlink()
+    for words in (["down", "-y"], ["plan"], ["up", "-y"], ["status"], ["exec", "true"], ["jobs"]):
+        failed = CliRunner().invoke(
+            hpcapp, [words[0], str(file), *words[1:]], standalone_mode=False
+        )
+        assert isinstance(failed.exception, CloudError), words
+        said = str(failed.exception) + failed.output
+        assert "no key to log in with: there is none in ~/.ssh, and none in an agent" in said
+        assert "refuses" not in said
+        assert "may cost" not in said
+
+
+def test_a_host_that_the_file_does_not_name_any_more_is_not_forgotten(
+    file: Path, hosts: tuple[Server, Server], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", lambda *about: [])
+    whole = file.read_text()
+    with open_cluster(file) as cluster:
+        bring_up(cluster, print)
+    spec = json.loads(whole)
+    spec["provider"]["hosts"] = spec["provider"]["hosts"][:1]
+    file.write_text(json.dumps(spec))
+    there = f"cluster lab was made in the home of admin@{hosts[1].address}:{hosts[1].port}, where"
+    for verb in ("plan", "status"):
+        assert there in CliRunner().invoke(hpcapp, [verb, str(file)]).output
+    with open_cluster(file) as cluster, pytest.raises(LeftoverError, match=re.escape(there)):
+        take_down(cluster, print)
+    assert (hosts[1].home / FOLDER).exists()
+    file.write_text(whole)
+    with open_cluster(file) as cluster:
+        take_down(cluster, print)
+    assert not (hosts[1].home / FOLDER).exists()
+    assert there not in CliRunner().invoke(hpcapp, ["plan", str(file)]).output
+
+
+def test_a_host_that_scale_has_let_go_is_not_said_to_hold_anything(
+    file: Path, hosts: tuple[Server, Server], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", lambda *about: [])
+    with open_cluster(file) as cluster:
+        bring_up(cluster, print)
+        bring_up(replace(cluster, spec=cluster.spec.scaled(0)), print)
+    spec = json.loads(file.read_text())
+    spec["provider"]["hosts"] = spec["provider"]["hosts"][:1]
+    file.write_text(json.dumps(spec))
+    assert "was made in" not in CliRunner().invoke(hpcapp, ["plan", str(file)]).output
+    with open_cluster(file) as cluster:
+        take_down(cluster, print)

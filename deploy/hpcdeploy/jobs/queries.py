@@ -430,4 +430,5 @@ def raise_failure(status: JobStatus) -> None:
     if status.state is JobState.CANCELLED:
         raise JobError(f"job {status.job} was cancelled")
     kind = _ERRORS.get(status.exit_code or 1, JobError)
-    raise kind(f"job {status.job} {status.state}: {status.reason}")
+    why = status.reason or f"exit code {status.exit_code or 1}"
+    raise kind(f"job {status.job} {status.state}: {why}")

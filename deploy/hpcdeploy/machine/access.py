@@ -33,7 +33,12 @@ from hpcdeploy.spec.names import Owner, this_user
 
 __all__ = ["Access", "make_access"]
 
-HOPELESS = (Reach.HOST_KEY_UNKNOWN, Reach.HOST_KEY_CHANGED, Reach.PASSPHRASE_NEEDED)
+HOPELESS = (
+    Reach.HOST_KEY_UNKNOWN,
+    Reach.HOST_KEY_CHANGED,
+    Reach.NO_KEY,
+    Reach.PASSPHRASE_NEEDED,
+)
 """What no further attempt changes."""
 DENIED_S = 60.0  # an image's SSH server answers before the key is installed
 RETRY_S = 1.0

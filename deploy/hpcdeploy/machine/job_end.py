@@ -33,6 +33,6 @@ def end_jobs(head: Shell, cluster: str) -> None:
     )
     if done.exit_code != 0:
         raise CloudError(
-            f"{head.node}: its jobs do not end ({done.errors.strip()[-200:]})",
+            f"{head.node}: its jobs do not end ({done.reason[-200:]})",
             f"end them by hand, see {folder}/jobs",
         )

@@ -26,6 +26,12 @@ class Completed:
     output: str
     errors: str
 
+    @property
+    def reason(self) -> str:
+        """The last line that it wrote to stderr; never empty."""
+        lines = self.errors.strip().splitlines()
+        return lines[-1].strip() if lines else f"exit code {self.exit_code}"
+
 
 class Shell(Protocol):
     """Commands and files on one machine, in the login user's home.

@@ -77,6 +77,6 @@ def extend_lease(shell: Shell, lease_until: datetime) -> None:
     done = shell.run(script)
     if done.exit_code:
         raise CloudError(
-            f"{shell.node}: the lease in {_LIMITS} cannot be extended: {done.errors.strip()}",
+            f"{shell.node}: the lease in {_LIMITS} cannot be extended: {done.reason}",
             "the machine will end at the earlier time",
         )

@@ -37,6 +37,8 @@ __all__ = ["SshHosts", "open_ssh_hosts"]
 
 LOOK_S = 8.0
 """For the login, and again for the one command: so long a look at a host may take."""
+UNASKED = (Reach.NO_KEY, Reach.PASSPHRASE_NEEDED)
+"""Why no host was asked at all."""
 
 
 def open_ssh_hosts(spec: ClusterSpec, base: Path) -> SshHosts:
@@ -82,13 +84,13 @@ class SshHosts(StandingMachines):
         Raises
         ------
         ReachError
-            Every login needs a passphrase: that says nothing of any host.
+            We have no key that can be used: that says nothing of any host.
         """
         if cluster not in (None, self._spec.cluster):
             return Observed()
         found = run_parallel(self._look, list(self._hosts), connections_at_once(), "hosts")
         hidden = [seen for seen in found if isinstance(seen, ReachError)]
-        if len(hidden) == len(found) and all(e.reach is Reach.PASSPHRASE_NEEDED for e in hidden):
+        if len(hidden) == len(found) and all(error.reach in UNASKED for error in hidden):
             raise hidden[0]
         machines = (
             self._hidden(node, seen) if isinstance(seen, ReachError) else seen
@@ -192,6 +194,6 @@ class SshHosts(StandingMachines):
         if done.exit_code:
             raise CloudError(
                 f"{machine.name.node} ({machine.id}): what we put there cannot be removed: "
-                f"{done.errors.strip()}",
+                f"{done.reason}",
                 f"remove ~/{self._folder} there by hand",
             )

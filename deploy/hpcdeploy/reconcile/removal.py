@@ -9,6 +9,7 @@ from hpccomponent.errors import CloudError, LeftoverError
 from hpcdeploy.machine.journal import Step
 from hpcdeploy.machine.provider import MachineSeen, Observed, Provider, State
 from hpcdeploy.reconcile.termination import Proof, Reason, end
+from hpcdeploy.spec.layout import machine_folder
 from hpcdeploy.spec.polling import Pace
 
 __all__ = ["describe", "remove"]
@@ -59,17 +60,28 @@ def remove(
             return
         try:
             _take_away(provider, left, terminate, step, report)
-            silent = _silent_hosts(provider, left)
-            refusals, trouble = (refusals + 1, silent) if silent else (0, trouble)
+            refusals = refusals + 1 if _is_hidden(left) else 0
         except CloudError as error:
             refusals, trouble = refusals + 1, str(error)
         if refusals >= TRIES:
             break
+    raise _leftover(provider, left, trouble)
+
+
+def _leftover(provider: Provider, left: Observed, trouble: str) -> LeftoverError:
+    """Say what is left, or may be, and what to do about it."""
     why = f" ({trouble})" if trouble else ""
-    raise LeftoverError(
-        f"still there: {describe(left)}{why}",
-        "it may cost money: run the command again, or remove it in the cloud's console",
-    )
+    what = describe(left) or "perhaps a machine that the cloud does not list yet"
+    if provider.makes_machines:
+        return LeftoverError(
+            f"still there: {what}{why}",
+            "it may cost money: run the command again, or remove it in the cloud's console",
+        )
+    folders = {f"~/{machine_folder(machine.cluster)}" for machine in left.machines}
+    way = f"run the command again, or remove {', '.join(sorted(folders))} there by hand"
+    if _is_hidden(left):
+        return LeftoverError(f"not known whether anything is left on {what}{why}", way)
+    return LeftoverError(f"still there: {what}{why}", way)
 
 
 def describe(observed: Observed) -> str:
@@ -85,10 +97,17 @@ def describe(observed: Observed) -> str:
         Empty where there is nothing.
     """
     return ", ".join(
-        [f"{machine.name.node} {machine.id} ({machine.state})" for machine in observed.machines]
+        [
+            f"{machine.name.node} {machine.id} ({_condition(machine)})"
+            for machine in observed.machines
+        ]
         + [f"security group {group.name}" for group in observed.groups]
         + [f"key pair {pair.name}" for pair in observed.key_pairs]
     )
+
+
+def _condition(machine: MachineSeen) -> str:
+    return machine.reason if machine.state is State.UNKNOWN else str(machine.state)
 
 
 def _present(observed: Observed) -> Observed:
@@ -101,12 +120,9 @@ def _is_any(observed: Observed) -> bool:
     return bool(observed.machines or observed.groups or observed.key_pairs)
 
 
-def _silent_hosts(provider: Provider, left: Observed) -> str:
-    """Say why hosts do not answer, where no other machine is left; nobody ends them for us."""
-    silent = (State.STOPPED, State.UNKNOWN)
-    if provider.makes_machines or any(m.state not in silent for m in left.machines):
-        return ""
-    return ", ".join(machine.reason for machine in left.machines)
+def _is_hidden(left: Observed) -> bool:
+    """Tell whether nothing is left but hosts that do not let us see whether anything is there."""
+    return bool(left.machines) and all(m.state is State.UNKNOWN for m in left.machines)
 
 
 def _take_away(
@@ -117,7 +133,8 @@ def _take_away(
     report: Callable[[str], None],
 ) -> None:
     """Do what can be done now: key pairs go after machines, and the group that proves them last."""
-    ending = [machine for machine in left.machines if machine.state is not State.ENDING]
+    beyond = (State.ENDING, State.UNKNOWN)
+    ending = [machine for machine in left.machines if machine.state not in beyond]
     if ending:
         report(f"terminating {_names(ending)}")
         with step(f"terminate {_names(ending)}"):

@@ -6,7 +6,7 @@ import re
 from typing import Annotated, ClassVar, Literal, Self
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from hpccomponent.config.reader import ConfigModel
 
@@ -196,6 +196,23 @@ class Host(ConfigModel):
     private_address: str | None = Field(default=None, pattern=r"^[^\s@-][^\s@]*$")
 
 
+def _as_host(host: object) -> object:
+    """Read ``[USER@]HOST[:PORT]`` as the mapping that it is short for."""
+    if not isinstance(host, str):
+        return host
+    found = re.fullmatch(JUMP, host)
+    if found is None:
+        raise ValueError(
+            "should be [USER@]HOST[:PORT], an IPv6 address in brackets, or a mapping with address"
+        )
+    values = {
+        "address": found["address"] or found["name"],
+        "user": found["user"],
+        "port": int(found["port"]) if found["port"] else None,
+    }
+    return {key: value for key, value in values.items() if value is not None}
+
+
 class _Provider(ConfigModel):
     """What is asked of every block before its provider is opened, answered for fixed machines."""
 
@@ -370,7 +387,7 @@ class SshSpec(_Fixed):
     """Machines that are there, reached by SSH; the first is the head."""
 
     type: Literal["ssh"]
-    hosts: tuple[Host, ...] = Field(min_length=1)
+    hosts: tuple[Annotated[Host, BeforeValidator(_as_host)], ...] = Field(min_length=1)
 
     @property
     def fixed_hosts(self) -> tuple[Host, ...]:

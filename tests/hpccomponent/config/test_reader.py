@@ -371,3 +371,26 @@ def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
     ):
         with pytest.raises(ConfigError, match=said):
             read_config(path, Cluster)
+
+
+class Lists(ConfigModel):
+    """Lists that need entries."""
+
+    numbers: tuple[int, ...] = Field(min_length=2)
+    names: dict[str, int] = Field(default_factory=dict, min_length=1)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("numbers: [a, b]", ["numbers[0]", "numbers[1]"]),
+        ("numbers: [a]", ["numbers", "numbers[0]"]),
+        ("numbers: []", ["numbers"]),
+        ("numbers: [1, 2]\nnames: {x: y}", ["names.x"]),
+        ("numbers: [1, 2]\nnames: {}", ["names"]),
+    ],
+)
+def test_entries_that_are_wrong_are_not_counted_as_missing(text: str, said: list[str]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_config(text, "c", Lists)
+    assert [line.split(": ")[1] for line in str(caught.value).splitlines()] == said

@@ -192,9 +192,9 @@ def find_identities(files: Sequence[str], *, are_own: bool, closer: ExitStack) -
     for cause in (*locked, *broken):
         raise cause
     raise ReachError(
-        f"{Reach.KEY_REFUSED}: there is no key to log in with, neither in ~/.ssh nor in an agent",
+        f"{Reach.NO_KEY}: there is none in ~/.ssh, and none in an agent",
         "make one with ssh-keygen, and bring it there with ssh-copy-id",
-        Reach.KEY_REFUSED,
+        Reach.NO_KEY,
     )
 
 

@@ -22,6 +22,7 @@ class Reach(StrEnum):
     HOST_KEY_UNKNOWN = "host key unknown"
     HOST_KEY_CHANGED = "host key changed"
     KEY_REFUSED = "refuses our key"
+    NO_KEY = "no key to log in with"  # the machine was not asked
     PASSPHRASE_NEEDED = "passphrase needed"  # noqa: S105 - a cause
 
 

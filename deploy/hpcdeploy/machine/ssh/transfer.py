@@ -215,7 +215,7 @@ def _make_folder(shell: Shell, folder: str) -> None:
     if folder:
         done = shell.run(f"mkdir -p -- {shlex.quote(folder)}")
         if done.exit_code:
-            raise CloudError(f"{shell.node}: {folder}: {done.errors.strip()}")
+            raise CloudError(f"{shell.node}: {folder}: {done.reason}")
 
 
 def _failed(shell: Shell, error: OSError, source: str, target: str) -> CloudError:

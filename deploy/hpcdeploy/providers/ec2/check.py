@@ -48,7 +48,7 @@ def check_cloud(
         problems += [
             Problem(
                 f"profile {name}: there is no zone {zone}",
-                f"the cloud has {', '.join(sorted(known))}",
+                f"the cloud has {', '.join(sorted(known)) or 'none'}",
             )
             for zone in profile.zones
             if zone not in known
@@ -71,7 +71,7 @@ def _check_subnets(calls: Calls, cloud: CloudSpec) -> list[Problem]:
         except CloudError as error:
             problems.append(_problem(error))
             continue
-        vpcs.update((subnet, found.get("VpcId", "")) for found in reply["Subnets"])
+        vpcs.update((subnet, found.get("VpcId") or "no VPC") for found in reply["Subnets"])
     if len(set(vpcs.values())) > 1:
         lie = ", ".join(f"{subnet} in {vpc}" for subnet, vpc in vpcs.items())
         problems.append(

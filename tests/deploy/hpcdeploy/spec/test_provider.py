@@ -8,6 +8,7 @@ from typing import Any, Literal
 import pytest
 
 from hpccomponent.config.reader import parse_config
+from hpccomponent.errors import ConfigError
 from hpcdeploy.providers import open_provider
 from hpcdeploy.providers.ec2.capabilities import capabilities_of
 from hpcdeploy.spec.cluster import ClusterSpec
@@ -87,3 +88,26 @@ def test_a_new_type_inherits_all_answers() -> None:
     hosts: Any = [{"address": "a"}]
     assert len(NewHosts(type="new", hosts=hosts).fixed_hosts) == 1
     assert NewFolders(type="new").is_here
+
+
+def test_a_host_may_be_written_as_ssh_takes_it() -> None:
+    text = (
+        "version: 1\ncluster: c\nprovider: {type: ssh, hosts: [10.0.0.7, me@lab:2222, '[fe80::1]']}"
+    )
+    spec = parse_config(text, "c.yaml", ClusterSpec)
+    hosts = [(host.address, host.user, host.port) for host in spec.provider.fixed_hosts]
+    assert hosts == [("10.0.0.7", None, None), ("lab", "me", 2222), ("fe80::1", None, None)]
+
+
+def test_of_hosts_that_are_wrong_each_has_one_line_and_none_is_said_to_be_missing() -> None:
+    text = "version: 1\ncluster: c\nprovider:\n  type: ssh\n  hosts: [a b, lab:99999, {adress: x}]"
+    with pytest.raises(ConfigError) as caught:
+        parse_config(text, "c.yaml", ClusterSpec)
+    lines = str(caught.value).splitlines()
+    assert [line.split(": ")[1] for line in lines] == [
+        "provider.hosts[0]",
+        "provider.hosts[1]",
+        "provider.hosts[2].address",
+        "provider.hosts[2].adress",
+    ]
+    assert "should be [USER@]HOST[:PORT]" in lines[0]
