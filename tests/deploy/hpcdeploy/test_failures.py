@@ -93,6 +93,20 @@ def test_an_instance_that_dies_while_it_boots_is_replaced(scene: Scene) -> None:
     assert len(of_node(scene.cloud, "worker-2")) == 2
 
 
+def test_who_watches_launches_nothing_that_scale_has_ended(scene: Scene) -> None:
+    watched = scene.cluster()
+    scene.up()
+    bring_up(replace(watched, spec=watched.spec.scaled(1)), scene.lines.append, pace=PACE)
+    assert scene.nodes() == ["head", "worker-1"]
+    watched = replace_lost(watched, scene.lines.append, pace=PACE)
+    said = "cluster bunny shrank from 3 to 1 workers, by the last hpcapp scale or up"
+    assert said in scene.lines
+    of_node(scene.cloud, "worker-1")[0].die("Server.SpotInstanceTermination")
+    replace_lost(watched, scene.lines.append, pace=PACE)
+    assert scene.nodes() == ["head", "worker-1"]
+    assert scene.lines.count(said) == 1
+
+
 @pytest.mark.slow
 def test_an_instance_that_always_dies_is_done_without(scene: Scene) -> None:
     def die(instance: Instance) -> None:

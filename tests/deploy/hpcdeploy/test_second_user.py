@@ -6,6 +6,7 @@ hers; Clara has her key. They run every command, at any call of one another's co
 
 from __future__ import annotations
 
+import itertools
 import os
 import tempfile
 import threading
@@ -106,7 +107,8 @@ class Lab:
         fault, self.fault = self.fault, "none"
         if fault == "guest":
             assert self.guest is not None
-            self.run(*self.guest)
+            guest, self.guest = self.guest, None
+            self.run(*guest)
         elif fault == "ctrl-c":
             raise KeyboardInterrupt
         else:
@@ -227,6 +229,36 @@ class TwoUsers(RuleBasedStateMachine):
     def nobodys_healthy_machine_is_lost(self) -> None:
         if hasattr(self, "lab"):
             self.lab.check()
+
+
+@pytest.mark.parametrize("its", ["up", "scale down"])
+@pytest.mark.parametrize("verb", ["up", "scale down", "replace_lost"])
+def test_the_last_number_of_workers_holds_whatever_runs_inside_what(
+    verb: str, its: str, tmp_path: Path
+) -> None:
+    """Anna and Clara share a key, and no lock: Clara's command runs at each of Anna's calls."""
+    for at in itertools.count(1):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("XDG_STATE_HOME", "/nowhere")
+            lab = Lab(patch, tmp_path / str(at))
+            assert lab.run("anna", "up", count=2) == "done"
+            lab.cloud.interrupt("worker-1")
+            lab.time.sleep(60)
+            lab.guest = ("clara", its)
+            lab.run("anna", verb, "guest", at, count=3)
+            if lab.guest is not None and lab.countdown > 0:  # there are no more calls
+                break
+            if lab.guest is not None:  # the call is one of a thread
+                continue
+            lab.time.sleep(60)
+            seen = lab.cloud.observe("bunny")
+            desired = seen.desired("bunny")
+            assert desired is not None
+            alive = {machine.name.node for machine in seen.machines if machine.state in LIVE}
+            assert alive == set(make_spec(desired.workers).nodes()), at
+            assert lab.run("clara", "replace_lost", count=3) == "done"
+            assert lab.healthy.keys() >= {m.id for m in seen.machines if m.state in LIVE}
+    assert at > 3
 
 
 class ManySchedules(TwoUsers):
