@@ -58,8 +58,7 @@ def plan(file: Path, as_json: bool) -> None:
         found = _as_json(spec.cluster, ahead, cost, missing, decided)
         echo_json(found | {"drift": drift, "elsewhere": elsewhere})
     else:
-        remarks = [*drift, *filter(None, [elsewhere]), *decided]
-        echo("\n".join(_lines(spec.cluster, ahead, cost, missing, remarks)))
+        echo("\n".join(_lines(spec.cluster, ahead, cost, missing, [*drift, *decided])))
     check_limits(spec, cost)
 
 

@@ -104,7 +104,6 @@ def _bring_up(cluster: Cluster, yes: bool, keep: bool, is_unchecked: bool) -> No
 def _look_ahead(cluster: Cluster, is_unchecked: bool) -> Plan:
     """Return the plan once it is shown, and nothing is known to stand in its way."""
     from hpcdeploy.machine.bootstrap import check_wheels
-    from hpcdeploy.reconcile.cluster import describe_elsewhere
     from hpcdeploy.reconcile.converge import look_ahead
     from hpcdeploy.reconcile.cost import check_limits, describe_cost, estimate_cost
     from hpcdeploy.reconcile.drift import describe_drift
@@ -115,9 +114,7 @@ def _look_ahead(cluster: Cluster, is_unchecked: bool) -> Plan:
     planned = (f"will {action}" for action in actions)
     decided = cluster.provider.decided() if actions else ()
     drift = describe_drift(cluster.spec, ahead.kept, cluster.path)
-    elsewhere = filter(None, [describe_elsewhere(cluster)])
-    obstacles = ahead.obstacles()
-    for line in (*planned, *drift, *elsewhere, *decided, *obstacles, *describe_cost(cost)):
+    for line in (*planned, *drift, *decided, *ahead.obstacles(), *describe_cost(cost)):
         say(line)
     missing = check_wheels(cluster.spec, cluster.path.absolute().parent) if actions else []
     for problem in missing:

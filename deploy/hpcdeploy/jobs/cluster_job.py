@@ -23,7 +23,7 @@ from hpccomponent.files.paths import new_file_here
 from hpcdeploy.jobs.display import ForwardingDisplay, open_display
 from hpcdeploy.jobs.queries import Jobs, open_jobs
 from hpcdeploy.machine.provider import State
-from hpcdeploy.reconcile.cluster import as_desired, describe_elsewhere, open_cluster
+from hpcdeploy.reconcile.cluster import as_desired, open_cluster
 from hpcdeploy.reconcile.cost import estimate_cost
 from hpcdeploy.spec.job_folder import JobStatus
 from hpcdeploy.spec.layout import machine_folder
@@ -133,8 +133,6 @@ def _bring_up_if_needed(cluster: Cluster) -> tuple[Cluster, bool]:
     was_there = any(machine.state is not State.GONE for machine in observed.machines)
     if was_there and _is_set_up(cluster):
         return cluster, False
-    if elsewhere := describe_elsewhere(cluster):
-        log.warning("warning: %s", elsewhere)
     bring_up(cluster, log.info)
     return cluster, not (was_there and cluster.provider.makes_machines)
 

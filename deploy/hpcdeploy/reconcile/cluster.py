@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -32,6 +33,8 @@ __all__ = [
     "require_ours",
     "require_same",
 ]
+
+log = logging.getLogger("hpcapp")
 
 PLACES_TOLD = 5
 
@@ -157,6 +160,8 @@ def node_order(machine: MachineSeen) -> tuple[bool, int, str, int]:
 def open_cluster(path: Path) -> Iterator[Cluster]:
     """Read a cluster file and open its provider; close the shells at the end.
 
+    Where the cluster lives elsewhere besides, that is said first, whatever the provider answers.
+
     Parameters
     ----------
     path : Path
@@ -179,8 +184,11 @@ def open_cluster(path: Path) -> Iterator[Cluster]:
     base = path.absolute().parent
     provider = open_provider(spec, base)
     access = make_access(spec, base, provider)
+    cluster = Cluster(path, spec, provider, access)
+    if elsewhere := describe_elsewhere(cluster):
+        log.warning("warning: %s", elsewhere)
     try:
-        yield Cluster(path, spec, provider, access)
+        yield cluster
     finally:
         access.close()
 
@@ -251,15 +259,16 @@ def describe_elsewhere(cluster: Cluster) -> str:
     str
         As far as the journal of this machine tells; empty where it knows of no other place.
     """
-    name, file, here = cluster.spec.cluster, cluster.path, places_of(cluster.spec)
-    others = [place for place in known_places(name) if place not in here]
+    name, file, known = cluster.spec.cluster, cluster.path, known_places(cluster.spec.cluster)
+    here = places_of(cluster.spec) if known else ()
+    others = [place for place in known if place not in here]
     if not others:
         return ""
     more = f" and {len(others) - PLACES_TOLD} more places" if len(others) > PLACES_TOLD else ""
     return (
         f"cluster {name} was made in {', '.join(others[:PLACES_TOLD])}{more}, where {file} does "
-        "not lead any more: what is there stays until the file says so again and "
-        f"hpcapp down {file} is run"
+        "not lead any more: what is there stays; to remove it, let the file lead there again and "
+        f"run hpcapp down {file}"
     )
 
 

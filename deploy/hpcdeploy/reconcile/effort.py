@@ -176,12 +176,15 @@ class Effort:
 
     def _take_back(self) -> None:
         """Want no more workers than before this command; but who asked for fewer still does."""
-        seen = self._observe()
         said, before = self._desired, self._before
-        if said is None or before is None or seen.desired(self._spec.cluster) != said:
+        if said is None or before is None or before.workers >= said.workers:
             return
-        heads = [m for m in seen.machines if m.name.node == HEAD and m.desired == said]
-        if before.workers < said.workers and heads:  # else others would launch them again
+        seen = self._observe()
+        latest = seen.desired(self._spec.cluster) or said
+        if latest.revision >= said.revision and latest != said:
+            return  # another command has the last word
+        heads = [m for m in seen.machines if m.name.node == HEAD and m.state in LIVE]
+        if heads:  # who watches would launch them again
             earlier = Desired(said.revision + 1, before.workers)
             with self._journal.step(f"set the number of workers to {before.workers}"):
                 self._provider.set_desired(heads[0], earlier)
@@ -228,9 +231,10 @@ class Effort:
             self._desired,
         )
         if self._desired is None and not self._only_replace:
-            there = sum(machine.name.node != HEAD for machine in plan.kept)
-            self._before = observed.desired(self._spec.cluster) or Desired(0, there)
-            self._desired = plan.desired
+            self._desired, kept = plan.desired, [machine.name.node for machine in plan.kept]
+            if HEAD in kept:
+                before = observed.desired(self._spec.cluster)
+                self._before = before or Desired(0, len(kept) - 1)
         for machine in plan.hidden:
             if machine.name.node not in self._spec.nodes():
                 continue

@@ -121,7 +121,8 @@ def write_table(found: dict[str, Any]) -> str:
         for machine in found["machines"]
     ]
     heads = [f"cluster {found['cluster']} ({found['provider']}): {_verdict(found)}"]
-    heads += filter(None, [found["made_elsewhere"], found["elsewhere"]])
+    if found["made_elsewhere"]:
+        heads.append(found["made_elsewhere"])
     return "\n".join([*heads, *(_aligned(lines) if found["machines"] else [])])
 
 

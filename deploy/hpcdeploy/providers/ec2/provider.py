@@ -212,7 +212,8 @@ class Ec2Provider:
         if not self._knows.tags_at_launch and machine.state is not State.GONE:
             self._tag([machine.id], launch_tags(launch))
         owner = machine.owner if machine.owner.key else launch.owner
-        return replace(machine, lease_until=launch.lease_until, owner=owner)
+        desired = machine.desired or launch.desired
+        return replace(machine, lease_until=launch.lease_until, owner=owner, desired=desired)
 
     def _launched_before(self, launch: Launch, error: CloudError) -> MachineSeen:
         """Return the machine that an earlier `up` launched by the same token.

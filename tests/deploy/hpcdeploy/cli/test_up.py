@@ -232,6 +232,13 @@ def test_a_file_that_leads_elsewhere_says_where_its_cluster_lives(
         assert there in str(refused.exception)
         assert " in ," not in str(refused.exception)
         assert f"hpcapp down {file}" in str(refused.exception)
+
+    def refuse(cluster: str | None) -> Observed:
+        raise CloudError("no network", "plug it in")
+
+    monkeypatch.setattr(elsewhere, "observe", refuse)
+    for verb in ("plan", "up", "down", "status"):
+        assert there in run(verb, file).output
     assert alive(cloud) == ["head", "worker-1", "worker-2"]
     Path(file).write_text(made)
     monkeypatch.setattr("hpcdeploy.providers.open_provider", lambda spec, base: cloud)
