@@ -37,6 +37,15 @@ echo "configured=$(cat configured 2>/dev/null)"
 {is_running} && echo running=yes
 exit 0
 """
+_FORMS = {
+    "architecture": r"[0-9A-Za-z_]{1,40}",
+    "now": r"[0-9]{1,15}",
+    "free": r"[0-9]{0,18}",
+    "home": r"/.{0,4095}",
+    "user": r"\S{1,256}",
+}
+"""What a machine must say, and how."""
+_PYTHON = re.compile(r"python3[0-9.]* [0-9]{1,3}\.[0-9]{1,3} (True|False)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,13 +113,17 @@ def probe(
     done = shell.run(script, timeout_s=timeout_s)
     lines = [line.partition("=")[::2] for line in done.output.splitlines()]
     said = dict(lines)
-    libc = re.search(r"(glibc|musl)\s+(\d+)\.(\d+)", said.get("libc", ""))
-    if libc is None or "now" not in said:
+    libc = re.search(r"(glibc|musl)\s+([0-9]{1,4})\.([0-9]{1,4})\b", said.get("libc", ""))
+    if libc is None or not all(
+        re.fullmatch(form, said.get(key, "")) for key, form in _FORMS.items()
+    ):
         said_instead = (done.errors or done.output).strip().splitlines() or ["nothing"]
         raise CloudError(
             f"{shell.node}: no Linux system with a shell (it says {said_instead[-1]!r})"
         )
-    pythons = [value.split() for key, value in lines if key == "python"]
+    pythons = [
+        value.split() for key, value in lines if key == "python" and _PYTHON.fullmatch(value)
+    ]
     kinds = [
         (name, Kind(said["architecture"], libc[1], (int(libc[2]), int(libc[3])), _pair(version)))
         for name, version, has_venv in pythons
