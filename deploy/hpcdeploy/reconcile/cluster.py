@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -121,7 +121,9 @@ def describe_silent(machine: MachineSeen) -> CloudError:
     return CloudError(f"{where} does not run: it is {machine.state}{why}")
 
 
-def as_desired(cluster: Cluster, observed: Observed) -> Cluster:
+def as_desired(
+    cluster: Cluster, observed: Observed, report: Callable[[str], None] = lambda _: None
+) -> Cluster:
     """Return a cluster with the number of workers of the last `up` or `scale`, or of the file.
 
     Parameters
@@ -129,15 +131,23 @@ def as_desired(cluster: Cluster, observed: Observed) -> Cluster:
     cluster : Cluster
     observed : Observed
         Of that cluster.
+    report : callable, optional
+        Told where that is another number than before.
 
     Returns
     -------
     Cluster
     """
-    desired = observed.desired(cluster.spec.cluster)
-    if desired is None or desired.workers == cluster.spec.worker_count:
+    name, before = cluster.spec.cluster, cluster.spec.worker_count
+    latest = observed.desired(name)
+    if latest is None or latest.workers == before:
         return cluster
-    return replace(cluster, spec=cluster.spec.scaled(desired.workers))
+    word = "grew" if latest.workers > before else "shrank"
+    report(
+        f"cluster {name} {word} from {before} to {latest.workers} workers, by the last hpcapp "
+        "scale or up"
+    )
+    return replace(cluster, spec=cluster.spec.scaled(latest.workers))
 
 
 def node_order(machine: MachineSeen) -> tuple[bool, int, str, int]:

@@ -21,10 +21,15 @@ from hpcdeploy.machine.ownership import Held, ours
 from hpcdeploy.machine.provider import Observed, State
 from hpcdeploy.providers.bucket import open_bucket
 from hpcdeploy.providers.clouds import places_of
-from hpcdeploy.reconcile.cluster import describe_elsewhere, require_ours, require_same
+from hpcdeploy.reconcile.cluster import (
+    as_desired,
+    describe_elsewhere,
+    require_ours,
+    require_same,
+)
 from hpcdeploy.reconcile.cost import check_limits, estimate_cost
 from hpcdeploy.reconcile.effort import Effort, Report
-from hpcdeploy.reconcile.plan import Plan, make_plan
+from hpcdeploy.reconcile.plan import LIVE, Plan, make_plan
 from hpcdeploy.reconcile.removal import remove
 from hpcdeploy.reconcile.termination import Proof, Reason
 from hpcdeploy.spec.layout import forget_cluster
@@ -154,6 +159,10 @@ def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) 
     CloudError
         The head does not run, the cloud refuses, or another command is changing the cluster.
     """
+    observed = cluster.provider.observe(cluster.spec.cluster)
+    cluster = as_desired(cluster, observed, report)
+    if set(cluster.spec.nodes()) <= {m.name.node for m in observed.machines if m.state in LIVE}:
+        return cluster  # and no other command finds the journal locked
     with open_journal(cluster.spec.cluster) as journal:
         effort = Effort(cluster, journal, report, pace or Pace(), only_replace=True)
         with journal.command("replace lost workers"):

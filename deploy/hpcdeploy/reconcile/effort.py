@@ -17,7 +17,7 @@ from hpcdeploy.machine.journal import Journal
 from hpcdeploy.machine.ownership import ours
 from hpcdeploy.machine.provider import GroupSeen, MachineSeen, Observed, State
 from hpcdeploy.providers.clouds import places_of
-from hpcdeploy.reconcile.cluster import node_order, require_ours
+from hpcdeploy.reconcile.cluster import as_desired, node_order, require_ours
 from hpcdeploy.reconcile.launching import launch_nodes
 from hpcdeploy.reconcile.plan import (
     LIVE,
@@ -167,12 +167,8 @@ class Effort:
         if self._desired is not None and desired.revision < self._desired.revision:
             return
         self._desired = desired
-        if desired.workers != self._spec.worker_count:
-            before, self._spec = self._spec.worker_count, self._spec.scaled(desired.workers)
-            self._report(
-                f"cluster {self._spec.cluster} {'grew' if desired.workers > before else 'shrank'} "
-                f"from {before} to {desired.workers} workers, by the last hpcapp scale or up"
-            )
+        present = replace(self._cluster, spec=self._spec)
+        self._spec = as_desired(present, seen, self._report).spec
 
     def _take_back(self) -> None:
         """Want no more workers than before this command; but who asked for fewer still does."""

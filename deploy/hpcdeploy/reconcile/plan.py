@@ -16,6 +16,7 @@ from hpcdeploy.spec.names import HEAD, NOBODY, Desired, NodeName, Owner
 from hpcdeploy.spec.provider import Profile
 
 __all__ = [
+    "LIVE",
     "Action",
     "Allow",
     "CreateGroup",

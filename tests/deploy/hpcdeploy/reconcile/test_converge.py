@@ -10,6 +10,7 @@ import pytest
 from simulated import SetUp, SimulatedTime, make_cluster, make_spec
 
 from hpccomponent.errors import CloudError, LeftoverError, UsageError
+from hpcdeploy.machine.journal import open_journal
 from hpcdeploy.machine.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.cluster import Cluster
@@ -288,6 +289,19 @@ def test_who_watches_goes_by_the_last_number_of_workers(simulation: Simulation, 
     said = f"cluster bunny {word} from 3 to {count} workers, by the last hpcapp scale or up"
     assert simulation.lines.count(said) == 1
     assert watched.spec.worker_count == count
+
+
+def test_who_watches_keeps_nobody_from_a_change_while_nothing_is_lost(
+    simulation: Simulation,
+) -> None:
+    simulation.up(2)
+    watched = make_cluster(make_spec(3), simulation.cloud)
+    with open_journal("bunny"):
+        watched = replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
+        assert watched.spec.worker_count == 2
+        simulation.cloud.interrupt("worker-2")
+        with pytest.raises(CloudError, match="is being changed by another hpcapp"):
+            replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
 
 
 def test_what_is_launched_for_a_lost_worker_goes_again_where_it_is_not_wanted_any_more(
