@@ -29,7 +29,15 @@ from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import NodeName
 from hpcdeploy.spec.polling import utc_now
 
-__all__ = ["Attempt", "Journal", "Step", "begun_lives", "known_places", "open_journal"]
+__all__ = [
+    "Attempt",
+    "Journal",
+    "Step",
+    "begun_lives",
+    "is_unfinished",
+    "known_places",
+    "open_journal",
+]
 
 Launched = tuple[str, NodeName]
 """The incarnation and the node of a machine that was asked for."""
@@ -247,16 +255,7 @@ class Journal:
         What has failed is among it: the call may have come about and its answer been lost, and
         what a command made before it failed may not be listed yet.
         """
-        pending: list[str] = []
-        for entry in self._entries:
-            match entry:
-                case {"intent": what}:
-                    pending = [*(other for other in pending if other != what), what]
-                case {"done": what, "is_command": True} if what in pending:
-                    pending = pending[pending.index(what) + 1 :]
-                case {"done": what} | {"refused": what}:
-                    pending = [other for other in pending if other != what]
-        return pending
+        return _unfinished(self._entries)
 
     def attempt(self, incarnation: str, name: NodeName) -> Attempt | None:
         """Return the launch of a node that was asked for last, unless it was refused.
@@ -355,6 +354,20 @@ def known_places(cluster: str) -> tuple[str, ...]:
     return _places(_peek(cluster))
 
 
+def is_unfinished(cluster: str) -> bool:
+    """Tell whether something was begun from here and neither done nor refused; takes no lock.
+
+    Parameters
+    ----------
+    cluster : str
+
+    Returns
+    -------
+    bool
+    """
+    return bool(_unfinished(_peek(cluster)))
+
+
 def _peek(cluster: str) -> list[Entry]:
     """Return the entries of a journal that another command may be writing."""
     try:
@@ -366,6 +379,19 @@ def _peek(cluster: str) -> list[Entry]:
         with suppress(ValueError):  # the last one may be half written
             entries.append(decode(line, Entry))
     return entries
+
+
+def _unfinished(entries: Iterable[Entry]) -> list[str]:
+    pending: list[str] = []
+    for entry in entries:
+        match entry:
+            case {"intent": what}:
+                pending = [*(other for other in pending if other != what), what]
+            case {"done": what, "is_command": True} if what in pending:
+                pending = pending[pending.index(what) + 1 :]
+            case {"done": what} | {"refused": what}:
+                pending = [other for other in pending if other != what]
+    return pending
 
 
 def _places(entries: Iterable[Entry]) -> tuple[str, ...]:

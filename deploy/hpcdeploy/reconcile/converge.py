@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, LeftoverError, OutdatedError
-from hpcdeploy.machine.journal import Journal, open_journal
+from hpcdeploy.machine.journal import Journal, is_unfinished, open_journal
 from hpcdeploy.machine.ownership import Held, ours
 from hpcdeploy.machine.provider import Observed, State
 from hpcdeploy.providers.bucket import open_bucket
@@ -161,7 +161,8 @@ def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) 
     """
     observed = cluster.provider.observe(cluster.spec.cluster)
     cluster = as_desired(cluster, observed, report)
-    if set(cluster.spec.nodes()) <= {m.name.node for m in observed.machines if m.state in LIVE}:
+    live = {machine.name.node for machine in observed.machines if machine.state in LIVE}
+    if set(cluster.spec.nodes()) <= live and not is_unfinished(cluster.spec.cluster):
         return cluster  # and no other command finds the journal locked
     with open_journal(cluster.spec.cluster) as journal:
         effort = Effort(cluster, journal, report, pace or Pace(), only_replace=True)

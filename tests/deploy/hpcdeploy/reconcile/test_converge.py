@@ -304,6 +304,28 @@ def test_who_watches_keeps_nobody_from_a_change_while_nothing_is_lost(
             replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
 
 
+def test_who_watches_sets_up_what_an_earlier_one_has_left_half_done(
+    simulation: Simulation, set_up: SetUp
+) -> None:
+    simulation.up(2)
+    cluster = make_cluster(make_spec(2), simulation.cloud)
+    simulation.cloud.interrupt("worker-2")
+    simulation.time.sleep(60)
+
+    def leave() -> None:
+        set_up.during = lambda: None
+        raise KeyboardInterrupt
+
+    set_up.during = leave
+    with pytest.raises(KeyboardInterrupt):
+        replace_lost(cluster, simulation.lines.append, pace=simulation.time.pace())
+    assert simulation.alive() == ["head", "worker-1", "worker-2"]
+    calls = len(set_up.calls)
+    for _ in range(2):
+        replace_lost(cluster, simulation.lines.append, pace=simulation.time.pace())
+        assert len(set_up.calls) == calls + 1
+
+
 def test_what_is_launched_for_a_lost_worker_goes_again_where_it_is_not_wanted_any_more(
     simulation: Simulation,
 ) -> None:
