@@ -17,6 +17,7 @@ from pydantic_core import PydanticUndefined
 import hpcapp
 from hpcapp.cli import hpcapp as command_line
 from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.provider import ProviderSpec
 
 
 def describe_commands() -> Iterator[str]:
@@ -60,13 +61,24 @@ def describe_cluster_file() -> Iterator[str]:
         yield f"## {heading}{' of ' * bool(types)}{', '.join(types)}\n"
         summary, texts = _read_docstring(model)
         yield f"{summary}\n"
-        yield "| key | default | meaning |\n|---|---|---|"
+        yield "| key | default | counts with | meaning |\n|---|---|---|---|"
         for key, field in model.model_fields.items():
             path = f"{place}.{key}" if place else key
             default = _default(field.default, field.default_factory)
-            yield f"| `{path}` | {default} | {_cell(texts.get(key, ''))} |"
+            yield f"| `{path}` | {default} | {_honoured(path)} | {_cell(texts.get(key, ''))} |"
             waiting.extend((path, inner) for inner in _models(field.annotation))
         yield ""
+
+
+def _honoured(path: str) -> str:
+    """Name the providers that a key counts with; nothing where it is a block, or within theirs."""
+    blocks = get_args(get_args(ProviderSpec)[0])
+    honoured = [
+        f"`{get_args(block.model_fields['type'].annotation)[0]}`"
+        for block in blocks
+        if path in block.honours
+    ]
+    return "all" if len(honoured) == len(blocks) else ", ".join(honoured)
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:

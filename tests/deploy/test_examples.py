@@ -56,12 +56,17 @@ def keys_of(model: type[ConfigModel], above: str = "") -> Iterator[tuple[str, An
             yield from keys_of(inner, f"{key}{many}.")
 
 
-def reference() -> dict[str, str]:
-    """Return the rows of the page's tables of keys: key to default."""
+def rows_of(head: str) -> Iterator[list[str]]:
+    """Yield the cells of the page's tables of keys that begin so."""
     page = (ROOT / "docs/how-to/run-on-a-cluster.md").read_text(encoding="utf-8")
-    tables = [block for block in page.split("\n\n") if block.startswith("| key | default |")]
-    rows = [line.split("|") for table in tables for line in table.splitlines()[2:]]
-    return {row[1].strip().strip("`"): row[2].strip() for row in rows}
+    tables = [block for block in page.split("\n\n") if block.startswith(head)]
+    for line in (line for table in tables for line in table.splitlines()[2:]):
+        yield [cell.strip() for cell in line.split("|")[1:]]
+
+
+def reference() -> dict[str, str]:
+    """Return what the page says of keys: key to default."""
+    return {row[0].strip("`"): row[1] for row in rows_of("| key | default |")}
 
 
 def test_the_pages_file_is_valid_and_its_mistakes_are_told_so(tmp_path: Path) -> None:
@@ -80,6 +85,17 @@ def test_the_pages_file_is_valid_and_its_mistakes_are_told_so(tmp_path: Path) ->
 
 def test_the_page_names_every_key_and_none_that_is_not_there() -> None:
     assert set(reference()) == {key for key, _ in keys_of(ClusterSpec)}
+
+
+def test_the_page_tells_with_which_providers_a_key_counts() -> None:
+    told = {row[0].strip("`"): row[2] for row in rows_of("| key | default | counts with |")}
+    del told["provider.type"]
+    assert told.keys() | {"provider"} == AwsSpec.honours
+    for key, providers in told.items():
+        expected = [name for name, kind in (("`ssh`", SshSpec), ("`local`", LocalSpec))
+                    if key in kind.honours]  # fmt: skip
+        clouds = ", ".join(["clouds", *expected])
+        assert providers == ("all" if len(expected) == 2 else clouds), key
 
 
 @pytest.mark.parametrize(("key", "default"), sorted(set(keys_of(ClusterSpec)), key=str))

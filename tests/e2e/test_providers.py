@@ -1,4 +1,4 @@
-"""One cluster file, its provider's block aside, works on every kind of cloud."""
+"""One cluster file, but for its provider's block, works on every kind of cloud."""
 
 from __future__ import annotations
 
@@ -45,6 +45,6 @@ def test_ssh_hosts(site: Site, mesh: bytes) -> None:
 
 
 def test_local(site: Site, mesh: bytes) -> None:
-    site.write({"type": "local"})
+    site.write({"type": "local"}, auth={}, env={})
     run_through(site, mesh)
     assert str(site.bed.home) not in site.bed.run("ps", "ax").stdout

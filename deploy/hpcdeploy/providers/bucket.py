@@ -255,8 +255,7 @@ class Bucket:
 def open_bucket(spec: ClusterSpec, base: Path) -> Bucket | None:
     """Return the bucket that a cluster file names in ``data.s3``.
 
-    None where it names none, and for providers that have no keys for one: one file is to work on
-    every provider, and over SSH the points arrive as well.
+    None where it names none.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hpccomponent.config.reader import Location, Misfit
+from hpccomponent.config.reader import ConfigModel, Location, Misfit
 from hpccomponent.errors import UsageError
 from hpccomponent.files.paths import expand_home
 from hpcdeploy.spec.provider import LEGAL_REGION, CloudSpec, Host
@@ -32,6 +32,7 @@ def find_misfits(spec: ClusterSpec, base: Path) -> Iterator[Misfit]:
     Misfit
         One for each mistake.
     """
+    yield from _idle_keys(spec)
     yield from _numbers(spec)
     if spec.provider.fixed_hosts:
         yield from _hosts(spec, spec.provider.fixed_hosts)
@@ -39,6 +40,25 @@ def find_misfits(spec: ClusterSpec, base: Path) -> Iterator[Misfit]:
         yield from _profiles(spec)
         yield from _cloud(spec.provider.cloud)
     yield from _files(spec, base)
+
+
+def _idle_keys(spec: ClusterSpec) -> Iterator[Misfit]:
+    """Yield the keys of the file that the provider does not honour."""
+    provider = spec.provider
+    for key in _given(spec):
+        if ".".join(key) not in provider.honours:
+            why = f" ({provider.nature})" if provider.nature else ""
+            yield Misfit(key, f"has no effect with provider {provider.type}{why}: leave it out")
+
+
+def _given(spec: ClusterSpec) -> Iterator[tuple[str, ...]]:
+    """Yield each key of the file, and of its blocks beside the provider's."""
+    for key in sorted(spec.model_fields_set):
+        block = getattr(spec, key)
+        if isinstance(block, ConfigModel) and key != "provider":
+            yield from ((key, inner) for inner in sorted(block.model_fields_set))
+        else:
+            yield (key,)
 
 
 def _numbers(spec: ClusterSpec) -> Iterator[Misfit]:
@@ -107,6 +127,12 @@ def _cloud(provider: CloudSpec) -> Iterator[Misfit]:
             yield Misfit(
                 ("provider", "profiles", name, "public_ip"),
                 "machines without a public address cannot be reached by one: see provider.address",
+            )
+        if profile.public_ip is not None and not provider.sets_public_ip:
+            yield Misfit(
+                ("provider", "profiles", name, "public_ip"),
+                "this cloud cannot be told whether machines get a public address: leave it out, "
+                "or set provider.capabilities",
             )
         if len(profile.zones) > 1 and provider.subnets:
             yield Misfit(

@@ -44,6 +44,47 @@ JUMP = (
     r"(?::(?P<port>[0-9]{1,5}))?"
 )
 """``[USER@]HOST[:PORT]``, an IPv6 address in brackets."""
+EVERYWHERE = frozenset(
+    {
+        "version",
+        "cluster",
+        "provider",
+        "head.component",
+        "workers.count",
+        "workers.min",
+        "communicator.port",
+        "env.python",
+    }
+)
+"""The keys beside the provider's block that count with every provider."""
+OVER_SSH = frozenset(
+    {
+        "auth.ssh_user",
+        "auth.ssh_private_key",
+        "auth.ssh_port",
+        "auth.ssh_proxy_jump",
+        "env.package",
+        "env.setup",
+        "env.packages",
+        "env.wheelhouse",
+    }
+)
+"""Those that count where machines are logged in to, and something is installed there."""
+MADE = frozenset(
+    {
+        "head.profile",
+        "workers.profile",
+        "auth.allow_from",
+        "limits.lease",
+        "limits.idle",
+        "limits.boot",
+        "limits.max_hourly_cost",
+        "limits.max_total_cost",
+        "data.s3",
+        "tags",
+    }
+)
+"""Those that count where machines are made and paid for."""
 LEGAL_REGION = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
 """What boto3 takes for a region: a label of a host name."""
 
@@ -223,6 +264,10 @@ class _Provider(ConfigModel):
     """Whether a node is a folder of this machine, run by this very interpreter."""
     is_shared: ClassVar[bool] = True
     """Whether other people's clusters may be met there."""
+    honours: ClassVar[frozenset[str]] = EVERYWHERE
+    """The keys beside the block that count; any other in the file is a mistake."""
+    nature: ClassVar[str] = ""
+    """Why the other keys do not count."""
 
     @property
     def fixed_hosts(self) -> tuple[Host, ...]:
@@ -289,6 +334,7 @@ class _Cloud(_Provider):
     profiles: dict[Annotated[str, Field(pattern=PROFILE_NAME)], Profile] = Field(min_length=1)
 
     makes_machines: ClassVar[bool] = True
+    honours: ClassVar[frozenset[str]] = EVERYWHERE | OVER_SSH | MADE
     auto_capabilities: ClassVar[str]
     """What ``capabilities: auto`` stands for: the least that a cloud of the type knows."""
     has_parameter_store: ClassVar[bool] = False
@@ -331,6 +377,11 @@ class _Cloud(_Provider):
     def has_spot(self) -> bool:
         """Whether the cloud has spot machines; elsewhere their calls do nothing, silently."""
         return self.known_capabilities == "aws"
+
+    @property
+    def sets_public_ip(self) -> bool:
+        """Whether the cloud can be told which machines get a public address."""
+        return self.known_capabilities not in ("euca-4.0", "generic")
 
     @property
     def has_list_prices(self) -> bool:
@@ -386,6 +437,9 @@ class Ec2Spec(_Cloud):
 class SshSpec(_Fixed):
     """Machines that are there, reached by SSH; the first is the head."""
 
+    honours: ClassVar[frozenset[str]] = EVERYWHERE | OVER_SSH
+    nature: ClassVar[str] = "its hosts are neither made nor paid for"
+
     type: Literal["ssh"]
     hosts: tuple[Annotated[Host, BeforeValidator(_as_host)], ...] = Field(min_length=1)
 
@@ -400,6 +454,7 @@ class LocalSpec(_Fixed):
 
     is_here: ClassVar[bool] = True
     is_shared: ClassVar[bool] = False
+    nature: ClassVar[str] = "its nodes are folders that run this very installation"
 
     type: Literal["local"]
 

@@ -56,7 +56,7 @@ class Site:
         return self.bed.home / ".local/state/hpcapp/clusters" / CLUSTER
 
     def write(self, provider: dict[str, object] | None = None, **blocks: Any) -> None:
-        """Write the cluster file; all but the provider's block is the same everywhere."""
+        """Write the cluster file; but for the provider's block it is the same on every machine."""
         content: dict[str, Any] = {
             "version": 1,
             "cluster": CLUSTER,

@@ -67,11 +67,14 @@ def complaints(folder: Path, provider: str, rest: str = "") -> list[str]:
 
 
 @pytest.mark.parametrize("kind", PROVIDERS)
-def test_one_file_is_valid_for_every_provider(kind: str, tmp_path: Path) -> None:
-    spec = spec_of(tmp_path, PROVIDERS[kind], REST)
+def test_one_file_serves_every_provider_but_for_what_a_cloud_alone_has(
+    kind: str, tmp_path: Path
+) -> None:
+    has_profiles = kind not in ("ssh", "local")
+    rest = REST if has_profiles else "workers: {count: 3, min: 2}"
+    spec = spec_of(tmp_path, PROVIDERS[kind], rest)
     assert spec.nodes() == ("head", "worker-1", "worker-2", "worker-3")
     assert (spec.worker_count, spec.worker_min) == (3, 2)
-    has_profiles = kind not in ("ssh", "local")
     assert spec.profile_name("head") == ("small" if has_profiles else "")
     assert spec.profile_name("worker-2") == ("fast" if has_profiles else "")
     assert (spec.profile("head") is not None) == has_profiles
@@ -172,6 +175,18 @@ CLOUD = "\n  type: aws\n  profiles:\n    one: {image: {id: ami-1}, instance_type
             "",
             "c:6:56: provider.profiles.one.market: this cloud has no spot machines: on_demand or "
             "spot_with_fallback will do (got 'spot')",
+        ),
+        (
+            CLOUD + ", public_ip: true}".replace("}", "}\n  capabilities: euca-4.0"),
+            "",
+            "c:6:56: provider.profiles.one.public_ip: this cloud cannot be told whether machines "
+            "get a public address: leave it out, or set provider.capabilities (got true)",
+        ),
+        (
+            PROVIDERS["local"],
+            "env:\n  setup: [make]",
+            "c:6:3: env.setup: has no effect with provider local (its nodes are folders that run "
+            "this very installation): leave it out",
         ),
         (
             CLOUD + ", disk_gb: 0}",

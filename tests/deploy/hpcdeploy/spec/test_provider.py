@@ -7,11 +7,11 @@ from typing import Any, Literal
 
 import pytest
 
-from hpccomponent.config.reader import parse_config
+from hpccomponent.config.reader import ConfigModel, parse_config
 from hpccomponent.errors import ConfigError
 from hpcdeploy.providers import open_provider
 from hpcdeploy.providers.ec2.capabilities import capabilities_of
-from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.cluster import ClusterSpec, read_spec
 from hpcdeploy.spec.provider import Ec2Spec, LocalSpec, SshSpec
 
 PROFILES = "profiles: {any: {image: {id: ami-1}, instance_type: any}}"
@@ -53,6 +53,70 @@ def test_only_what_makes_machines_has_a_cloud_and_profiles(kind: str) -> None:
 def test_on_this_machine_all_is_the_users_own(kind: str) -> None:
     block = spec_of(kind).provider
     assert (block.is_here, block.is_shared) == (kind == "local", kind != "local")
+
+
+VALUES: dict[str, str] = {
+    "head.profile": "any",
+    "head.component": "true",
+    "workers.profile": "any",
+    "workers.count": "1",
+    "workers.min": "1",
+    "communicator.port": "7071",
+    "auth.ssh_user": "me",
+    "auth.ssh_private_key": "auto",
+    "auth.ssh_port": "2222",
+    "auth.allow_from": "[auto]",
+    "auth.ssh_proxy_jump": "gate",
+    "limits.lease": "3h",
+    "limits.idle": "20m",
+    "limits.boot": "6m",
+    "limits.max_hourly_cost": "2.0",
+    "limits.max_total_cost": "9.0",
+    "env.package": "auto",
+    "env.python": '">=3.11"',
+    "env.setup": "['true']",
+    "env.packages": "[lazrs]",
+    "env.wheelhouse": "wheels",
+    "data.s3": "s3://bucket/prefix",
+    "tags": "{project: x}",
+}
+
+
+def keys_beside_the_provider() -> set[str]:
+    found = set()
+    for name, field in ClusterSpec.model_fields.items():
+        block = field.annotation
+        if isinstance(block, type) and issubclass(block, ConfigModel):
+            found |= {f"{name}.{inner}" for inner in block.model_fields}
+        else:
+            found.add(name)
+    return found
+
+
+def test_every_key_counts_somewhere_and_none_is_made_up() -> None:
+    declared = [spec_of(kind).provider.honours for kind in BLOCKS]
+    assert frozenset().union(*declared) == keys_beside_the_provider()
+    assert VALUES.keys() == keys_beside_the_provider() - {"version", "cluster", "provider"}
+
+
+@pytest.mark.parametrize("kind", BLOCKS)
+@pytest.mark.parametrize("key", VALUES)
+def test_a_key_counts_or_is_a_mistake_at_its_place(kind: str, key: str, tmp_path: Path) -> None:
+    (tmp_path / "wheels").mkdir()
+    block, _, inner = key.partition(".")
+    rest = f"{block}:\n  {inner}: {VALUES[key]}" if inner else f"{block}: {VALUES[key]}"
+    path = tmp_path / "c.yaml"
+    path.write_text(f"version: 1\ncluster: c\nprovider: {{{BLOCKS[kind]}}}\n{rest}\n")
+    if key in spec_of(kind).provider.honours:
+        read_spec(path)
+        return
+    with pytest.raises(ConfigError) as caught:
+        read_spec(path)
+    place = "5:3" if inner else "4:1"
+    assert str(caught.value).startswith(
+        f"{path}:{place}: {key}: has no effect with provider {kind}"
+    )
+    assert "\n" not in str(caught.value)
 
 
 def test_all_hosts_but_the_head_are_workers() -> None:
