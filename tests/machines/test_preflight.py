@@ -84,6 +84,25 @@ def test_a_host_that_cannot_be_set_up_is_named_and_stops_up(
     assert not [host for host in hosts if (host.home / "hpcapp").exists()]
 
 
+TALKS = "echo 'activating the module environment'; echo; "
+QUIET = "printf 'no line end'; "
+
+
+@pytest.mark.parametrize("before", [TALKS, QUIET], ids=["lines", "no-line-end"])
+def test_what_a_wrapper_of_python_prints_besides_is_no_answer(
+    file: Path, hosts: tuple[Server, Server], tmp_path: Path, before: str
+) -> None:
+    change(file, env={})
+    give_python(hosts[1], OLD, tmp_path / "programs")
+    write_program(
+        tmp_path / "programs/python3", f'{before}{sys.executable} "$@"; echo 1.2 is no answer'
+    )
+    with open_cluster(file) as cluster:
+        seen = visit(cluster, cluster.provider.hosts())[1]
+    assert seen.problems == ()
+    assert seen.about.startswith(f"Python {sys.version_info[0]}.{sys.version_info[1]}")
+
+
 def test_wheels_that_are_missing_for_a_hosts_own_python_stop_up(
     file: Path, hosts: tuple[Server, Server], capsys: pytest.CaptureFixture[str]
 ) -> None:

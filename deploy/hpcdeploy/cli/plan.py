@@ -42,6 +42,7 @@ def plan(file: Path, as_json: bool) -> None:
     Changes nothing. Names the wheels that are missing; refuses what the file's limits forbid.
     """
     from hpcdeploy.machine.bootstrap import check_wheels
+    from hpcdeploy.machine.probe import check_this_python
     from hpcdeploy.reconcile.cluster import describe_elsewhere, open_cluster
     from hpcdeploy.reconcile.converge import look_ahead
     from hpcdeploy.reconcile.cost import check_limits, estimate_cost
@@ -60,6 +61,8 @@ def plan(file: Path, as_json: bool) -> None:
     else:
         echo("\n".join(_lines(spec.cluster, ahead, cost, missing, [*drift, *decided])))
     check_limits(spec, cost)
+    if spec.provider.is_here:  # other machines would have to be asked
+        check_this_python(spec.env.python)
 
 
 def _lines(

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import base64
+import logging
 import os
 import threading
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from datetime import timedelta
 from pathlib import Path
 
 import paramiko
@@ -15,7 +18,7 @@ from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import expand_home
 from hpccomponent.protocol.keys import KeyPair
 from hpcdeploy.machine.host_keys import HostKeys, parse_console
-from hpcdeploy.machine.journal import begun_lives
+from hpcdeploy.machine.journal import begun_lives, read_set_up
 from hpcdeploy.machine.local_shell import LocalShell
 from hpcdeploy.machine.node_keys import NodeKeys
 from hpcdeploy.machine.ownership import Held, cloud_fingerprints, fingerprint
@@ -30,8 +33,11 @@ from hpcdeploy.machine.ssh.way import Patience
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import Owner, this_user
+from hpcdeploy.spec.polling import utc_now
 
 __all__ = ["Access", "make_access"]
+
+log = logging.getLogger("hpcapp")
 
 HOPELESS = (
     Reach.HOST_KEY_UNKNOWN,
@@ -40,8 +46,11 @@ HOPELESS = (
     Reach.PASSPHRASE_NEEDED,
 )
 """What no further attempt changes."""
+KNOWN_S = 25.0
+"""A machine that was set up before has booted: it lets us in so soon, or not at all."""
 DENIED_S = 60.0  # an image's SSH server answers before the key is installed
 RETRY_S = 1.0
+TOLD_S = 3.0  # before a wait is told
 LAST_S = 1.0  # an attempt has so long at least
 KEY_BITS = 2048  # RSA, of 1024, 2048 or 4096 bits: a Eucalyptus imports nothing else
 CONSOLE_LINES = 5
@@ -119,8 +128,9 @@ class Access:
         ----------
         machine : MachineSeen
         timeout_s : float, optional
-            How long a cloud's machine is waited for until it answers, by default `limits.boot`;
-            a host is there, so that for it this is the limit of one attempt.
+            How long a cloud's machine is waited for until it answers; by default `limits.boot`
+            from its launch, and `KNOWN_S` where that is over or it was set up before. A host is
+            there, so that for it this is the limit of one attempt.
 
         Returns
         -------
@@ -154,8 +164,17 @@ class Access:
             return LocalShell(machine.name.node, Path(machine.id))
         if not self._spec.provider.makes_machines:
             return self._open_host(machine, timeout_s)
-        limit_s = self._spec.limits.boot if timeout_s is None else timeout_s
-        return self._wait_for(machine, time.monotonic() + limit_s)
+        limit_s = self._boot_left_s(machine) if timeout_s is None else timeout_s
+        wait = f"{machine.name.node}: waiting until it lets us in, {limit_s:.0f} s at most"
+        with _told_late(wait):
+            return self._wait_for(machine, time.monotonic() + limit_s)
+
+    def _boot_left_s(self, machine: MachineSeen) -> float:
+        """Return how long a machine may still take until it lets us in."""
+        if machine.id in read_set_up(self._spec.cluster):
+            return KNOWN_S
+        age = utc_now() - machine.launched if machine.launched is not None else timedelta()
+        return max(KNOWN_S, self._spec.limits.boot - age.total_seconds())
 
     def _open_host(self, machine: MachineSeen, timeout_s: float | None) -> Shell:
         """Log in to a host that the file names: it is there, so that one attempt tells."""
@@ -277,6 +296,19 @@ def _log_in(machine: MachineSeen, target: Target, limit_s: float) -> SshShell:
     with ExitStack() as closer:
         connection = connect(target, closer, Patience(login_s=limit_s))
         return SshShell(machine.name.node, connection, closer.pop_all())
+
+
+@contextmanager
+def _told_late(wait: str) -> Iterator[None]:
+    """Say what is waited for once that takes a while."""
+    timer = threading.Timer(TOLD_S, log.info, (wait,))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        timer.join()
 
 
 def _given_up(machine: MachineSeen) -> ReachError:

@@ -29,7 +29,14 @@ from hpcdeploy.machine.access import Access
 from hpcdeploy.machine.installing import install, install_here, prepare, stamp_of, write_text
 from hpcdeploy.machine.loader_service import start_loader, stop_command
 from hpcdeploy.machine.node_keys import NodeKeys
-from hpcdeploy.machine.probe import Probed, no_python, probe
+from hpcdeploy.machine.probe import (
+    DAMAGED,
+    RELEASE_COMMAND,
+    Probed,
+    check_this_python,
+    no_python,
+    probe,
+)
 from hpcdeploy.machine.provider import MachineSeen, Problem
 from hpcdeploy.machine.shell import Shell
 from hpcdeploy.machine.user_data import extend_lease
@@ -191,6 +198,9 @@ class _SetUp:
         env = self._spec.env
         try:
             probed = probe(shell, self._spec.cluster, self._folder, env.python)
+            if self._is_here:
+                check_this_python(env.python)
+                return _Member(machine, shell, probed)
             is_prepared = not probed.kinds and bool(env.setup)
             if is_prepared:
                 prepare(shell, env.setup, self._report)
@@ -220,9 +230,12 @@ class _SetUp:
     def _install(self, member: _Member, release: Path | str) -> bool:
         """Make the environment; True where it was there already."""
         shell, probed = member.shell, member.probed
+        is_whole = probed.release == package_version()
+        if probed.installed and not is_whole:
+            self._report(f"{shell.node}: what was installed is {_state_of(probed)}")
         if self._is_here:
             stamp = stamp_of(sys.executable)
-            if probed.installed == stamp:
+            if probed.installed == stamp and is_whole:
                 return True
             install_here(shell, self._folder)
         else:
@@ -231,7 +244,7 @@ class _SetUp:
             env = self._spec.env
             digests = [_digest(path) for path in needs.files]
             stamp = stamp_of(python, digests, needs.requirements, needs.bare, env.setup)
-            if probed.installed == stamp:
+            if probed.installed == stamp and is_whole:
                 return True
             if probed.free < MIN_FREE:
                 raise CloudError(
@@ -256,9 +269,8 @@ class _SetUp:
 
     def _check_version(self, shell: Shell) -> None:
         """Start what has been installed once; a package of the user's own may be another one."""
-        code = 'from importlib.metadata import version; print(version("hpcapp"))'
         command = f"cd {self._folder} && venv/bin/python -P -m hpcloader facts >/dev/null"
-        done = shell.run(f"{command} && venv/bin/python -P -c '{code}'", timeout_s=CHECK_S)
+        done = shell.run(f"{command} && {RELEASE_COMMAND}", timeout_s=CHECK_S)
         if done.exit_code:
             last = (done.errors.strip().splitlines() or ["no reason given"])[-1]
             raise CloudError(f"the installed loader does not start: {last}")
@@ -335,6 +347,11 @@ class _SetUp:
         if there != text:
             write_text(head.shell, path, text)
             self._report(f"{HEAD}: knows {len(workers)} workers")
+
+
+def _state_of(probed: Probed) -> str:
+    """Say how what is installed on a machine differs from what should be."""
+    return {"": "gone", DAMAGED: "damaged"}.get(probed.release, f"hpcapp {probed.release}")
 
 
 def _address(machine: MachineSeen) -> str:

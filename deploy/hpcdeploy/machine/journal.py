@@ -37,6 +37,7 @@ __all__ = [
     "is_unfinished",
     "known_places",
     "open_journal",
+    "read_set_up",
 ]
 
 Launched = tuple[str, NodeName]
@@ -337,6 +338,20 @@ def begun_lives(cluster: str) -> frozenset[str]:
     frozenset of str
     """
     return _lives(_peek(cluster))
+
+
+def read_set_up(cluster: str) -> frozenset[str]:
+    """Return the ids of a cluster's machines that were set up from here; takes no lock.
+
+    Parameters
+    ----------
+    cluster : str
+
+    Returns
+    -------
+    frozenset of str
+    """
+    return frozenset(i for entry in _peek(cluster) for i in entry.get("set up", ()))
 
 
 def known_places(cluster: str) -> tuple[str, ...]:

@@ -76,21 +76,33 @@ _IS_OURS = """{ read -r pid start <loader.pid &&
     now=$(sed -n 's/.*) [^ZX] //p' "/proc/$pid/stat" | cut -d' ' -f19) &&
     [ "$now" = "$start" ]; } 2>/dev/null"""
 
-_STOP = (
-    """cd FOLDER 2>/dev/null || exit 0
+# What runs for a cluster has its folder as working directory; a pid file would not tell of a loader
+# whose watcher was killed. Each gets a SIGTERM when nobody above it is left that would pass it on.
+# The brackets keep the patterns from meeting the command line of this very script.
+_STOP = """cd FOLDER 2>/dev/null || exit 0
+running() {
+    for process in /proc/[0-9]*; do
+        [ "$process/cwd" -ef . ] || continue
+        case $(tr '\\0' ' ' 2>/dev/null <"$process/cmdline") in
+        $1) echo "${process#/proc/}" ;;
+        esac
+    done
+}
+watchers() { running '*/watch[-]loader '; }
+loaders() { running '* -P -m hpc[l]oader run *'; }
+components() { running '* -P -m hpc[c]omponent*'; }
 n=0
-while """
-    + _IS_OURS
-    + """; do
-    [ $n = 0 ] && kill -TERM "$pid"
-    [ $n = 80 ] && kill -KILL "-$pid"
-    [ $n = 100 ] && exit 1
+asked=
+while pids=$(watchers | grep . || loaders | grep . || components | grep .); do
+    [ "$pids" = "$asked" ] || kill -TERM $pids 2>/dev/null
+    asked=$pids
+    [ $n = 80 ] && kill -KILL $(watchers; loaders; components) 2>/dev/null
+    [ $n = 100 ] && { echo process $pids >&2; exit 1; }
     n=$((n + 1))
     sleep 0.1
 done
 rm -f loader.pid
 """
-)
 
 _START = """umask 077
 cat >watch-loader || exit 1

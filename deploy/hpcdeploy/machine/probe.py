@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shlex
+import sys
 from dataclasses import dataclass
 
 from hpccomponent.errors import CloudError
@@ -10,20 +12,36 @@ from hpcdeploy.machine.loader_service import is_running_command
 from hpcdeploy.machine.shell import Shell
 from hpcdeploy.machine.wheels.wheelhouse import Kind
 
-__all__ = ["Probed", "no_python", "probe"]
+__all__ = ["DAMAGED", "RELEASE_COMMAND", "Probed", "check_this_python", "no_python", "probe"]
 
 PROBE_S = 60.0
-_PYTHONS = " ".join(("python3", *(f"python3.{minor}" for minor in range(14, 6, -1))))
+_PYTHONS = ("python3", *(f"python3.{minor}" for minor in range(14, 6, -1)))
 _ASK = (
     "import sys, importlib.util as u; "
-    'print("%d.%d" % sys.version_info[:2], bool(u.find_spec("venv")))'
+    'print("\\n%d.%d" % sys.version_info[:2], bool(u.find_spec("venv")))'
 )
+# An environment of ours is whole while all files that its wheels brought are there.
+_RELEASE = """
+import csv, pathlib, sys
+from importlib.metadata import distributions, version
+is_ours = pathlib.Path("venv").resolve() == pathlib.Path(sys.prefix).resolve()
+records = [(d, d.read_text("RECORD") or "") for d in distributions() if is_ours]
+rows = ((d, row[0]) for d, text in records for row in csv.reader(text.splitlines()))
+files = (d.locate_file(name) for d, name in rows if not name.endswith(".pyc"))
+print("\\nhpcapp:", version("hpcapp") if all(map(pathlib.Path.exists, files)) else "damaged")
+"""
+RELEASE_COMMAND = (
+    f"venv/bin/python -P -c {shlex.quote(_RELEASE)} 2>/dev/null | sed -n 's/^hpcapp: //p'"
+)
+"""In a cluster's folder: prints the release that is installed, `DAMAGED`, or nothing."""
+DAMAGED = "damaged"
 _SCRIPT = """
 echo "architecture=$(uname -m)"
 if libc=$(getconf GNU_LIBC_VERSION 2>/dev/null); then echo "libc=$libc"
 else echo "libc=musl $(ldd 2>&1 | sed -n 's/^Version //p')"; fi
 for name in {pythons}; do
-    said=$($name -c '{ask}' 2>/dev/null) && echo "python=$name $said"
+    said=$($name -c {ask} 2>/dev/null | grep -E '^[0-9]+[.][0-9]+ (True|False)$' | tail -n 1)
+    [ "$said" ] && echo "python=$name $said"
 done
 sudo -n true 2>/dev/null && echo sudo=yes
 [ -d /run/systemd/system ] && echo systemd=yes
@@ -33,7 +51,8 @@ echo "now=$(date +%s)"
 echo "free=$(df -Pk . | awk 'NR == 2 {{print $4}}')"
 cd {folder} 2>/dev/null || exit 0
 echo "installed=$(cat installed 2>/dev/null)"
-echo "configured=$(cat configured 2>/dev/null)"
+echo "release=$({release})"
+[ -s connection.json ] && [ -s loader.yaml ] && echo "configured=$(cat configured 2>/dev/null)"
 {is_running} && echo running=yes
 exit 0
 """
@@ -67,6 +86,8 @@ class Probed:
         Bytes free on the disk of the home.
     installed, configured : str
         The stamps of what we have put there before; empty where there is none.
+    release : str
+        What is installed there; `DAMAGED` where files of it are missing, empty where it is gone.
     is_running : bool
         Whether the loader runs.
     """
@@ -81,6 +102,7 @@ class Probed:
     free: int
     installed: str
     configured: str
+    release: str
     is_running: bool
 
 
@@ -108,7 +130,11 @@ def probe(
         The machine does not answer as a POSIX system does.
     """
     script = _SCRIPT.format(
-        pythons=_PYTHONS, ask=_ASK, folder=folder, is_running=is_running_command(cluster)
+        pythons=" ".join(_PYTHONS),
+        ask=shlex.quote(_ASK),
+        folder=folder,
+        release=RELEASE_COMMAND,
+        is_running=is_running_command(cluster),
     )
     done = shell.run(script, timeout_s=timeout_s)
     lines = [line.partition("=")[::2] for line in done.output.splitlines()]
@@ -143,8 +169,30 @@ def probe(
         free=int(said.get("free") or 0) * 1024,
         installed=said.get("installed", ""),
         configured=said.get("configured", ""),
+        release=said.get("release", ""),
         is_running="running" in said,
     )
+
+
+def check_this_python(python: str) -> None:
+    """Refuse the interpreter that runs here where it will not do.
+
+    Parameters
+    ----------
+    python : str
+        Which ones will do, as ``env.python`` says it.
+
+    Raises
+    ------
+    CloudError
+        It is older.
+    """
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    if _pair(version) < _pair(python.removeprefix(">=")):
+        raise CloudError(
+            f"no Python {python} (found: {version}, which runs hpcapp: {sys.executable})",
+            "install hpcapp with such a Python, or change env.python",
+        )
 
 
 def no_python(probed: Probed, python: str) -> CloudError:

@@ -14,6 +14,7 @@ from hpccomponent.errors import CloudError
 from hpcdeploy.machine.job_end import end_jobs
 from hpcdeploy.machine.loader_service import stop_command
 from hpcdeploy.machine.local_shell import LocalShell
+from hpcdeploy.machine.probe import check_this_python
 from hpcdeploy.machine.provider import (
     Launch,
     MachineSeen,
@@ -45,14 +46,23 @@ def open_local(spec: ClusterSpec, base: Path) -> LocalProvider:
     -------
     LocalProvider
     """
-    del spec, base
-    return LocalProvider()
+    del base
+    return LocalProvider(spec.env.python)
 
 
 class LocalProvider(StandingMachines):
-    """Folders for machines."""
+    """Folders for machines.
+
+    Parameters
+    ----------
+    python : str
+        Which interpreters will do, as ``env.python`` says it.
+    """
 
     name = "local"
+
+    def __init__(self, python: str = ">=3.11") -> None:
+        self._python = python
 
     def observe(self, cluster: str | None) -> Observed:
         """Return the nodes whose folders are there."""
@@ -80,9 +90,10 @@ class LocalProvider(StandingMachines):
             shell = LocalShell(machine.name.node, home)
             end_jobs(shell, machine.cluster)
             command = stop_command(machine.cluster, machine_folder(machine.cluster))
-            if shell.run(command).exit_code:
+            done = shell.run(command)
+            if done.exit_code:
                 raise CloudError(
-                    f"{machine.name.node}: its loader does not end",
+                    f"{machine.name.node}: its loader does not end ({done.errors.strip()})",
                     f"see {home} and end it by hand",
                 )
             shutil.rmtree(home, ignore_errors=True)
@@ -92,7 +103,11 @@ class LocalProvider(StandingMachines):
         return ()
 
     def check(self) -> list[Problem]:
-        """Return nothing: this machine is there."""
+        """Return what is missing here: an interpreter that will do."""
+        try:
+            check_this_python(self._python)
+        except CloudError as error:
+            return [Problem(error.problem, error.advice)]
         return []
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from hpccomponent.errors import CloudError, LeftoverError, OutdatedError
+from hpccomponent.errors import CloudError, HpcError, LeftoverError, OutdatedError
 from hpcdeploy.machine.journal import Journal, is_unfinished, open_journal
 from hpcdeploy.machine.ownership import Held, ours
 from hpcdeploy.machine.provider import Observed, State
@@ -130,9 +130,13 @@ def bring_up(
                 report(f"what was made stays: {_ways_on(cluster)}")
                 raise
             try:
-                effort.undo()
+                effort.undo(error.problem if isinstance(error, HpcError) else str(error))
             except CloudError as left:
                 raise LeftoverError(f"{error}; besides, {left.problem}", left.advice) from None
+            except KeyboardInterrupt:
+                report(f"not all that was made is gone: hpcapp down {cluster.path} removes it")
+                report(str(error))
+                raise
             raise
 
 

@@ -74,7 +74,7 @@ class Effort:
         self._group: GroupSeen | None = None
         self._owner = Owner()
         self._seen = Observed()
-        self._launched: dict[str, MachineSeen] = {}
+        self._unlisted: dict[str, MachineSeen] = {}
         self._given_up: dict[str, CloudError] = {}
         nodes = len(self._spec.nodes())
         self._replacements = 2 + nodes // 4 if self._provider.makes_machines else 0
@@ -124,9 +124,17 @@ class Effort:
         is_late = self._pace.now() >= self._deadline
         return is_late or not any(isinstance(a, LaunchNode | Terminate) for a in plan.actions)
 
-    def undo(self) -> None:
-        """Take away the machines that this command has launched, and what is empty without them."""
-        self._report("taking away again what was made")
+    def undo(self, reason: str) -> None:
+        """Take away the machines that this command has launched, and what is empty without them.
+
+        Parameters
+        ----------
+        reason : str
+            Why, in one line.
+        """
+        if not (self._provider.makes_machines or self._journal.launched(since_opened=True)):
+            return
+        self._report(f"taking away again what was made: {reason}")
         if any(not isinstance(error, CapacityError) for error in self._given_up.values()):
             self._pace.sleep(self._pace.settle_s)  # an answer may be lost, its machine not listed
 
@@ -205,10 +213,14 @@ class Effort:
         return Proof(mine, among(asked) - self._journal.used, among(now_asked))
 
     def _observe(self) -> Observed:
-        """Look at the cloud; what was launched and is not listed yet is pending."""
+        """Look at the cloud; what was launched and was never listed is pending.
+
+        Fixed machines are listed at once, and what was listed once and is not any more is gone.
+        """
         seen = self._provider.observe(self._spec.cluster)
-        listed = {machine.id for machine in seen.machines}
-        unlisted = tuple(m for m in self._launched.values() if m.id not in listed)
+        for machine in seen.machines:
+            self._unlisted.pop(machine.id, None)
+        unlisted = tuple(self._unlisted.values()) if self._provider.makes_machines else ()
         return replace(seen, machines=seen.machines + unlisted)
 
     def _plan(self) -> Plan:
@@ -290,7 +302,7 @@ class Effort:
             self._report,
             self._pace,
         )
-        self._launched.update((machine.id, machine) for machine in launched)
+        self._unlisted.update((machine.id, machine) for machine in launched)
         self._given_up.update((shortage.node, shortage.error) for shortage in short)
         running = [m for m in kept.values() if m.name.node not in self._given_up]
         return sorted([*running, *launched], key=node_order)
@@ -326,9 +338,14 @@ class Effort:
     def _await_running(self, awaited: list[MachineSeen]) -> tuple[list[MachineSeen], list[Failed]]:
         """Wait until machines run and have an address; tell which do not, and why."""
         kind = self._spec.provider.address_kind
-        for _ in self._pace.looks(self._spec.limits.boot):
-            if all(_is_ready(machine, kind) or machine.state not in LIVE for machine in awaited):
+        limit_s = self._spec.limits.boot
+        for look, _ in enumerate(self._pace.looks(limit_s)):
+            late = [m for m in awaited if not _is_ready(m, kind) and m.state in LIVE]
+            if not late:
                 break
+            if look == 0:
+                names = ", ".join(machine.name.node for machine in late)
+                self._report(f"waiting until {names} run, {limit_s:.0f} s at most")
             seen = {machine.id: machine for machine in self._observe().machines}
             awaited = [seen.get(machine.id, machine) for machine in awaited]
         failed = [(m, self._why_not_running(m)) for m in awaited if not _is_ready(m, kind)]
@@ -365,12 +382,8 @@ class Effort:
         proof = self._proof(Observed((machine,)))
         is_new = machine.id in proof.unused | (proof.launched - self._journal.set_up)
         if self._provider.makes_machines and machine.state in LIVE and not is_new:
-            node = machine.name.node
             self._give_up(
-                machine,
-                f"{reason}; it stays, for it may be at work",
-                f"mend it, or end it (hpcapp ssh {self._cluster.path} {node} sudo poweroff) and "
-                "run hpcapp up again",
+                machine, f"{reason}; it stays, for it may be at work", self._ways_on(machine)
             )
             return
         if self._provider.makes_machines and not is_preempted:  # hosts have no other id
@@ -382,8 +395,18 @@ class Effort:
         else:
             self._give_up(machine, reason)
 
+    def _ways_on(self, machine: MachineSeen) -> str:
+        """Say what helps against a machine that was at work and cannot be set up any more."""
+        file = self._cluster.path
+        return (
+            f"mend it (hpcapp ssh {file} {machine.name.node}); where it lets nobody in, end "
+            f"{machine.id} in the cloud's console and run hpcapp up {file}, or begin anew: "
+            f"hpcapp down {file} ends all machines, with what runs on them"
+        )
+
     def _give_up(self, machine: MachineSeen, reason: str, advice: str = "") -> None:
-        doctor = f"look at hpcapp doctor {self._cluster.path}, or try another image or type"
+        others = ", or try another image or type" if self._provider.makes_machines else ""
+        doctor = f"look at hpcapp doctor {self._cluster.path}{others}"
         self._given_up[machine.name.node] = CloudError(reason, advice or doctor)
 
     def _check_enough(self) -> None:

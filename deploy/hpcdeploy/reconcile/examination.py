@@ -12,9 +12,8 @@ from hpccomponent.runtime.numerics import package_version
 from hpccomponent.terminal import write_block
 from hpcdeploy.machine.bootstrap import MIN_FREE, check_wheels
 from hpcdeploy.machine.parallel import connections_at_once, run_parallel
-from hpcdeploy.machine.probe import Probed, no_python, probe
+from hpcdeploy.machine.probe import DAMAGED, Probed, no_python, probe
 from hpcdeploy.machine.provider import MachineSeen, Problem
-from hpcdeploy.machine.shell import Shell
 from hpcdeploy.machine.wheels.requirements import missing_wheels
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.spec.layout import machine_folder, state_folder
@@ -25,10 +24,6 @@ __all__ = ["Visit", "examine", "visit"]
 WAIT_S = 10.0  # until a machine lets us in
 ANSWER_S = 15.0  # until it has said all that it is asked
 MAX_SKEW_S = 30  # more, and a lease ends at another time than it says
-_VERSION = (
-    "cd {folder} 2>/dev/null && venv/bin/python -P -c "
-    "'from importlib.metadata import version; print(version(\"hpcapp\"))'"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,19 +141,14 @@ def _visit(cluster: Cluster, machine: MachineSeen, wait_s: float, answer_s: floa
     try:
         with cluster.access.open(machine, wait_s) as shell:
             probed = probe(shell, spec.cluster, folder, spec.env.python, left_s())
-            version = _version(shell, folder, left_s()) if probed.installed else ""
     except CloudError as error:
         return Visit(machine, (Problem(error.problem, error.advice, excerpt=error.excerpt),))
     problems = (
         *_machine_problems(probed),
         *_python_problems(cluster, machine, probed),
-        *_install_problems(probed, version),
+        *_install_problems(probed),
     )
     return Visit(machine, problems, _about(probed))
-
-
-def _version(shell: Shell, folder: str, timeout_s: float) -> str:
-    return shell.run(_VERSION.format(folder=folder), timeout_s=timeout_s).output.strip()
 
 
 def _about(probed: Probed) -> str:
@@ -197,12 +187,14 @@ def _python_problems(cluster: Cluster, machine: MachineSeen, probed: Probed) -> 
         yield Problem(f"the wheelhouse has no {', '.join(missing)} for {kind}", "add the wheels")
 
 
-def _install_problems(probed: Probed, version: str) -> Iterator[Problem]:
+def _install_problems(probed: Probed) -> Iterator[Problem]:
     """Yield what `up` would mend on a machine that it has set up before."""
     if not probed.installed:
         return
-    if version != package_version():
-        found = f"hpcapp {version}" if version else "no hpcapp"
+    if probed.release == DAMAGED:
+        yield Problem("files of what is installed are missing", "run hpcapp up", is_fatal=False)
+    elif probed.release != package_version():
+        found = f"hpcapp {probed.release}" if probed.release else "no hpcapp"
         yield Problem(f"{found} is installed, not {package_version()}", "run hpcapp up", False)
     elif not probed.is_running:
         yield Problem("its loader does not run", "run hpcapp up; see loader.log", is_fatal=False)

@@ -51,15 +51,24 @@ def remove(
     """
     quiet, refusals, trouble = 0, 0, ""
     left = Observed()
-    for _ in pace.looks(pace.end_s):
+    told: set[str] = set()
+
+    def tell(line: str) -> None:
+        if line not in told:
+            told.add(line)
+            report(line)
+
+    for look, _ in enumerate(pace.looks(pace.end_s)):
         found, proof = doomed()
         left = _present(found)
+        if look and _is_any(left):
+            tell(f"waiting until {describe(left)} is gone, {pace.end_s:.0f} s at most")
         terminate = partial(end, provider, reason=reason, proof=proof)
         quiet = 0 if _is_any(left) else quiet + 1
         if quiet >= quiet_looks:
             return
         try:
-            _take_away(provider, left, terminate, step, report)
+            _take_away(provider, left, terminate, step, tell)
             refusals = refusals + 1 if _is_hidden(left) else 0
         except CloudError as error:
             refusals, trouble = refusals + 1, str(error)

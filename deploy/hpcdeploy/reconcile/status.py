@@ -11,6 +11,7 @@ from hpccomponent.errors import CloudError, HpcError
 from hpccomponent.terminal import visible_line
 from hpcdeploy.machine.loader_service import is_running_command
 from hpcdeploy.machine.parallel import connections_at_once, run_parallel
+from hpcdeploy.machine.probe import RELEASE_COMMAND
 from hpcdeploy.machine.provider import MachineSeen, Observed, State
 from hpcdeploy.machine.shell import Shell
 from hpcdeploy.reconcile.cluster import describe_elsewhere, node_order, require_ours
@@ -225,13 +226,12 @@ def _loader_version(cluster: str, shell: Shell) -> str:
     """Return the version of the loader that runs on a machine, or why none does."""
     answer = shell.run(
         f"cd {machine_folder(cluster)} || exit 4; {is_running_command(cluster)} || exit 3; "
-        "venv/bin/python -c "
-        "'from importlib.metadata import version; print(version(\"hpcapp\"))'",
+        + RELEASE_COMMAND,
         timeout_s=ANSWER_S,
     )
     if answer.exit_code == 3:
         return "not running"
-    return answer.output.strip() if answer.exit_code == 0 else "not installed"
+    return answer.output.strip() or "not installed"
 
 
 def _duration(seconds: float | None) -> str:

@@ -31,6 +31,12 @@ def shell(target: Target) -> Iterator[SshShell]:
             yield shell
 
 
+def greet(folder: Path, line: str) -> None:
+    """Let the server's login shell run a line first, as one of ``~/.bashrc``."""
+    enter = folder / "enter"
+    enter.write_text(enter.read_text().replace("\n", f"\n{line}\n", 1))
+
+
 def test_a_command_runs_with_its_streams_and_its_code(shell: SshShell) -> None:
     done = shell.run("cat; echo err >&2; exit 3", stdin=b"in")
     assert (done.exit_code, done.output, done.errors) == (3, "in", "err\n")
@@ -71,6 +77,35 @@ def test_a_detached_process_holds_nothing_up(shell: SshShell, tmp_path: Path) ->
     done = shell.run(f"sleep 600 </dev/null >/dev/null 2>&1 & echo $! >{tmp_path}/pid")
     assert done.exit_code == 0
     assert shell.run(f"kill $(cat {tmp_path}/pid)").exit_code == 0
+
+
+@pytest.mark.parametrize("end", ["\n", ""], ids=["line", "no-line"])
+def test_what_start_up_files_print_is_no_part_of_what_a_command_says(
+    shell: SshShell, tmp_path: Path, end: str
+) -> None:
+    greet(tmp_path, f"printf 'Welcome%s' '{end}'; printf 'a warning%s' '{end}' >&2")
+    done = shell.run("cat; echo err >&2; exit 3", stdin=b"in")
+    assert (done.exit_code, done.output, done.errors) == (3, "in", "err\n")
+    lines: list[str] = []
+    assert shell.follow("echo one; echo two >&2", lines.append) == 0
+    assert sorted(lines) == ["one", "two"]
+
+
+def test_where_no_shell_runs_a_command_what_is_printed_instead_is_told(
+    shell: SshShell, tmp_path: Path
+) -> None:
+    greet(tmp_path, "echo This account is not available.; exit 1")
+    assert shell.run("true").output == "This account is not available.\n"
+    lines: list[str] = []
+    assert shell.follow("true", lines.append) == 1
+    assert lines == ["This account is not available."]
+
+
+def test_a_login_shell_that_talks_into_sftp_is_named(shell: SshShell, tmp_path: Path) -> None:
+    greet(tmp_path, "echo Welcome to this machine, and behave yourself.")
+    (tmp_path / "source").write_text("x")
+    with pytest.raises(CloudError, match=r"worker-1: no files can be sent: its login shell"):
+        shell.put(tmp_path / "source", str(tmp_path / "there"))
 
 
 def test_a_host_key_that_nobody_knows_is_refused(target: Target) -> None:

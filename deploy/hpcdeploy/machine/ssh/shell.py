@@ -22,10 +22,12 @@ from hpcdeploy.machine.ssh.forward import Forwarder
 from hpcdeploy.machine.ssh.reach import Reach, ReachError
 from hpcdeploy.machine.ssh.terminal import give_terminal
 from hpcdeploy.machine.ssh.transfer import fetch_file, send_file
-from hpcdeploy.machine.ssh.way import Connection
+from hpcdeploy.machine.ssh.way import CHANNEL_S, Connection
 
 __all__ = ["SshShell"]
 
+BEGIN = "hpcapp: here begins what the command says"
+"""Printed first on both streams: what a login shell's start-up files print stands before it."""
 FILES_S = 120.0  # a request for a piece of a file that takes longer will never be answered
 MOST_OUTPUT = 1 << 28  # bytes that a command may say: an answer is read as a whole
 LONGEST_LINE = 1 << 20  # bytes of a line that is followed; of a longer one come pieces
@@ -71,18 +73,29 @@ class SshShell:
                 channel.close()
                 listener.join()
         return Completed(
-            code, output.decode(errors="replace"), b"".join(errors).decode(errors="replace")
+            code,
+            _said(output.decode(errors="replace")),
+            _said(b"".join(errors).decode(errors="replace")),
         )
 
     def follow(self, command: str, on_line: Callable[[str], None]) -> int:
         """See `Shell.follow`."""
         with (
-            self._channel(command, None, is_combined=True) as channel,
-            channel.makefile("rb") as lines,
+            self._channel(f"exec 2>&1\n{command}", None) as channel,
+            channel.makefile("rb") as output,
         ):
             channel.shutdown_write()
-            while line := lines.readline(LONGEST_LINE):
-                on_line(line.decode(errors="replace").rstrip("\r\n"))
+            lines = _read_lines(output)
+            greeting: list[str] = []
+            for line in lines:
+                if line.endswith(BEGIN):
+                    break
+                greeting.append(line)
+            else:  # no shell ran it: what was said instead tells why
+                for line in (*greeting, *_read_lines(channel.makefile_stderr("rb"))):
+                    on_line(line)
+            for line in lines:
+                on_line(line)
             return self._exit_code(channel, None)
 
     def interact(self, command: str = "") -> int:
@@ -134,25 +147,35 @@ class SshShell:
     def _files(self) -> paramiko.SFTPClient:
         with self._lock:
             if self._sftp is None:
-                self._sftp = self._transport.open_sftp_client()
-                if self._sftp is None:
-                    raise EOFError
-                channel = self._sftp.get_channel()
-                if channel is not None:
-                    channel.settimeout(FILES_S)
+                channel = self._transport.open_session()
+                channel.settimeout(FILES_S)
+                with _answered(channel, CHANNEL_S):
+                    channel.invoke_subsystem("sftp")
+                self._sftp = self._speak_sftp(channel)
                 self._closer.callback(self._sftp.close)
             return self._sftp
 
+    def _speak_sftp(self, channel: paramiko.Channel) -> paramiko.SFTPClient:
+        try:
+            return paramiko.SFTPClient(channel)
+        except paramiko.SFTPError as error:  # it took a greeting for an answer
+            channel.close()
+            raise CloudError(
+                f"{self.node}: no files can be sent: its login shell prints text where SFTP is "
+                "to be spoken",
+                "let ~/.bashrc and the like there print nothing where no terminal is",
+            ) from error
+
     @contextmanager
-    def _channel(
-        self, command: str, timeout_s: float | None, *, is_combined: bool = False
-    ) -> Iterator[paramiko.Channel]:
+    def _channel(self, command: str, timeout_s: float | None) -> Iterator[paramiko.Channel]:
         """Start a command, under a shell that turns a signal into an exit code."""
+        begin = f"echo '{BEGIN}'; echo '{BEGIN}' >&2"
+        script = f"{begin}\n{command}\nexit $?"
         with self._border(command, timeout_s), self._transport.open_session() as channel:
             channel.settimeout(timeout_s)
-            channel.set_combine_stderr(is_combined)
-            whole = f"sh -c {shlex.quote(command + chr(10) + 'exit $?')}"
-            channel.exec_command(os.fsencode(whole))  # names are bytes
+            with _answered(channel, CHANNEL_S if timeout_s is None else timeout_s):
+                whole = f"sh -c {shlex.quote(script)}"
+                channel.exec_command(os.fsencode(whole))  # names are bytes
             yield channel
 
     @contextmanager
@@ -200,6 +223,35 @@ class SshShell:
         return _NO_CODE
 
 
+def _said(text: str) -> str:
+    """Return what a command has said; all that there is where no shell ran it."""
+    before, found, after = text.partition(f"{BEGIN}\n")
+    return after if found else before
+
+
+@contextmanager
+def _answered(channel: paramiko.Channel, limit_s: float) -> Iterator[None]:
+    """Close a channel whose request is not answered in time; paramiko would wait for ever."""
+    is_late = threading.Event()
+
+    def give_up() -> None:
+        is_late.set()
+        channel.close()
+
+    timer = threading.Timer(limit_s, give_up)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    except paramiko.SSHException:
+        if is_late.is_set():
+            raise TimeoutError from None
+        raise
+    finally:
+        timer.cancel()
+        timer.join()
+
+
 def _chunks(channel: paramiko.Channel, deadline: float) -> Iterator[bytes]:
     """Yield the output until its end; TimeoutError where that does not come in time."""
     while True:
@@ -220,3 +272,9 @@ def _collect(channel: paramiko.Channel, errors: list[bytes]) -> None:
                 errors.append(chunk)
     except (OSError, EOFError, paramiko.SSHException):
         return  # the reader of stdout learns of it too
+
+
+def _read_lines(output: paramiko.ChannelFile) -> Iterator[str]:
+    """Yield what a command says, line by line; of a line that is too long, pieces."""
+    while line := output.readline(LONGEST_LINE):
+        yield line.decode(errors="replace").rstrip("\r\n")

@@ -202,13 +202,11 @@ def _size(sftp: paramiko.SFTPClient, path: str) -> int | None:
 
 def _remote_digest(shell: Shell, path: str) -> str:
     done = shell.run(_DIGEST.format(file=shlex.quote(path)), timeout_s=_DIGEST_S)
-    if done.exit_code:
+    found = re.findall(r"^\\?([0-9a-f]{64})\b", done.output, re.MULTILINE)
+    if done.exit_code or not found:
         last = (done.errors.strip().splitlines() or ["no sha256sum and no python3"])[-1]
         raise CloudError(f"{shell.node}: {path}: its checksum cannot be had ({last})")
-    told = done.output.strip().lstrip("\\")[:_DIGITS]
-    if not re.fullmatch(rf"[0-9a-f]{{{_DIGITS}}}", told):
-        raise CloudError(f"{shell.node}: {path}: its checksum cannot be had (it says {told!r})")
-    return told
+    return str(found[-1])
 
 
 def _make_folder(shell: Shell, folder: str) -> None:

@@ -22,8 +22,10 @@ from typing import Any
 
 import paramiko
 
-__all__ = ["Connection", "Patience", "Way"]
+__all__ = ["CHANNEL_S", "Connection", "Patience", "Way"]
 
+CHANNEL_S = 60.0
+"""Until a machine that lets us in opens a channel, or answers a request on one."""
 GREETING_BYTES = 1 << 16
 LOGIN_BYTES = 1 << 20
 _GREETING = re.compile(rb"(?:^|\n)SSH-[^\n]*\n")
@@ -184,6 +186,7 @@ class Connection(paramiko.Transport):
     def __init__(self, way: Way) -> None:
         super().__init__(way)  # type: ignore[arg-type]  # recv, send, settimeout, close are enough
         self.way = way
+        self.channel_timeout = CHANNEL_S  # paramiko's own is an hour
         self.set_log_channel(_LOG)
 
     def run(self) -> None:
