@@ -231,7 +231,7 @@ def _remove_all(
         held = cluster.access.held()
         return _doomed(now, held, lives), Proof(ours=ours(now, held), lives=lives)
 
-    looks = 3 if journal.unfinished() else 1
+    looks = 3 if cluster.provider.makes_machines and journal.unfinished() else 1
     remove(cluster.provider, doomed, Reason.DOWN, journal.step, report, pace, looks)
 
 

@@ -135,7 +135,9 @@ class Effort:
         if not (self._provider.makes_machines or self._journal.launched(since_opened=True)):
             return
         self._report(f"taking away again what was made: {reason}")
-        if any(not isinstance(error, CapacityError) for error in self._given_up.values()):
+        is_slow = self._provider.makes_machines  # clouds list with a delay
+        errors = self._given_up.values()
+        if is_slow and any(not isinstance(error, CapacityError) for error in errors):
             self._pace.sleep(self._pace.settle_s)  # an answer may be lost, its machine not listed
 
         def made() -> tuple[Observed, Proof]:
@@ -147,7 +149,7 @@ class Effort:
                 return Observed(going), proof
             return Observed(going, seen.key_pairs, seen.groups), proof
 
-        looks = 3 if self._journal.unfinished() else 1
+        looks = 3 if is_slow and self._journal.unfinished() else 1
         args = (Reason.ROLL_BACK, self._journal.step, self._report, self._pace, looks)
         try:
             self._take_back()

@@ -8,6 +8,7 @@ import shutil
 import signal
 import socket
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -68,11 +69,18 @@ def kill(pid: int) -> None:
     assert are_gone({pid})
 
 
-def wait_for_loader(watcher: int) -> set[int]:
-    """Return what a watcher has started, as soon as it has."""
-    while not (found := descendants(watcher)):
+def wait_for_worker(state: Path, node: str) -> set[int]:
+    """Return what the watcher of a node has started, once its worker runs."""
+    watcher = watcher_of(state, node)
+    while not any(map(is_worker, found := descendants(watcher))):
         os.sched_yield()
     return found
+
+
+def is_worker(pid: int) -> bool:
+    with suppress(OSError):
+        return b"hpccomponent.runtime.worker" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    return False
 
 
 NO_PYTHON = "no Python >=3.99 (found: 3."
@@ -110,6 +118,7 @@ def test_what_is_deleted_on_a_machine_is_mended_by_up(
     file = write()
     assert run("up", "-y", file) == 0
     before = watcher_of(state, "worker-1"), watcher_of(state, "head")
+    wait_for_worker(state, "worker-1")
     place = folder_of(state, "worker-1") / lost
     shutil.rmtree(place) if place.is_dir() else place.unlink()
     capsys.readouterr()
@@ -130,16 +139,12 @@ def test_down_ends_what_has_lost_its_parent(
 ) -> None:
     file = write()
     assert run("up", "-y", file) == 0
-    watcher = watcher_of(state, "worker-1")
-    below = wait_for_loader(watcher)
-    kill(watcher)
+    below = wait_for_worker(state, "worker-1")
+    kill(watcher := watcher_of(state, "worker-1"))
     if victim == "loader":
-        loader = min(below)
-        below = {loader} | descendants(loader)
-        kill(loader)
-    below |= set().union(*map(descendants, below))
+        kill(max(below, key=lambda pid: len(descendants(pid))))
     assert run("down", "-y", file) == 0
-    assert not [pid for pid in below if is_running(pid)]
+    assert not [pid for pid in below | {watcher} if is_running(pid)]
 
 
 def test_up_leaves_one_loader_where_the_watcher_was_killed(
@@ -147,9 +152,8 @@ def test_up_leaves_one_loader_where_the_watcher_was_killed(
 ) -> None:
     file = write()
     assert run("up", "-y", file) == 0
-    watcher = watcher_of(state, "worker-1")
-    orphans = wait_for_loader(watcher)
-    kill(watcher)
+    orphans = wait_for_worker(state, "worker-1")
+    kill(watcher := watcher_of(state, "worker-1"))
     assert run("up", "-y", file) == 0
     assert not [pid for pid in orphans if is_running(pid)]
     assert watcher_of(state, "worker-1") != watcher
