@@ -164,8 +164,7 @@ def parse_config(
     """
     found: list[Problem] = []
     root = compose(text, name)
-    if environment is not None:
-        expand_variables(root, environment, found)
+    expand_variables(root, environment, found, name)
     value = _plain_value(root, (), found)
     valid = _validate(value, root, model, found)
     if check is not None:

@@ -17,10 +17,13 @@ import yaml
 from hpccomponent.config.problems import TAG, show
 from hpccomponent.errors import ConfigError
 
-__all__ = ["MERGE", "MOST_BYTES", "compose", "refuse_length"]
+__all__ = ["MERGE", "MOST_BYTES", "MOST_TEXT", "compose", "refuse_length", "refuse_text"]
 
 MOST_BYTES = 1 << 18
 """Of a file; 2,000 machines take less."""
+
+MOST_TEXT = 1 << 20
+"""Characters of all values, with what variables and aliases stand for."""
 
 _MOST_DEPTH = 50
 _MOST_VALUES = 50_000
@@ -120,6 +123,24 @@ def refuse_length(text: str, name: str) -> NoReturn:
         f"{name}:{line}: here the file is longer than {MOST_BYTES // 1024} KiB, which is the most",
         _ADVICE,
     )
+
+
+def refuse_text(name: str, where: yaml.Node) -> NoReturn:
+    """Refuse what comes to more than `MOST_TEXT`, at the value that goes beyond.
+
+    Parameters
+    ----------
+    name : str
+        What messages call the text.
+    where : yaml.Node
+
+    Raises
+    ------
+    ConfigError
+        Always.
+    """
+    most = f"more than {MOST_TEXT >> 10} KiB of text"
+    _refuse(name, where, f"what variables and aliases stand for makes this file {most}")
 
 
 def _resolve(root: yaml.Node, name: str) -> None:

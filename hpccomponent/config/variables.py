@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 import yaml
 
 from hpccomponent.config.problems import TAG, Location, Problem
+from hpccomponent.config.tree import MOST_TEXT, refuse_text
 
 __all__ = ["expand_variables"]
 
@@ -21,35 +22,58 @@ _FORM = "a variable is written ${NAME} or ${NAME:-default}; $$ stands for a doll
 
 
 def expand_variables(
-    root: yaml.MappingNode, environment: Mapping[str, str], found: list[Problem]
+    root: yaml.MappingNode, environment: Mapping[str, str] | None, found: list[Problem], name: str
 ) -> None:
-    """Fill in the variables of all values, in place.
+    """Fill in the variables of all values, in place, within the bounds of a file's text.
 
     Parameters
     ----------
     root : yaml.MappingNode
         Of a document.
-    environment : mapping of str to str
+    environment : mapping of str to str, optional
+        Without it, values are taken literally, and only measured.
     found : list of Problem
         Gets a problem for each variable that is not set, with its place.
+    name : str
+        What messages call the text.
+
+    Raises
+    ------
+    ConfigError
+        All values together are longer than `MOST_TEXT`.
     """
     seen: set[int] = set()
-    for node, location in _values(root, ()):
-        if "$" in node.value and id(node) not in seen:  # an alias is the node that it names
+    left = MOST_TEXT
+    for node, location, is_key in _scalars(root, ()):
+        is_new = id(node) not in seen  # an alias is the node that it names
+        if environment is not None and is_new and not is_key and "$" in node.value:
             seen.add(id(node))
-            _expand(node, location, environment, found)
+            try:
+                _expand(node, location, environment, found, left)
+            except _TooLongError:
+                refuse_text(name, node)
+        left -= len(node.value)
+        if left < 0:
+            refuse_text(name, node)
 
 
-def _values(node: yaml.Node, location: Location) -> Iterator[tuple[yaml.ScalarNode, Location]]:
-    """Yield the scalars below a node that are values."""
+class _TooLongError(Exception):
+    """A value would come to more than is left."""
+
+
+def _scalars(
+    node: yaml.Node, location: Location, is_key: bool = False
+) -> Iterator[tuple[yaml.ScalarNode, Location, bool]]:
+    """Yield the scalars below a node, and whether each is a key."""
     if isinstance(node, yaml.ScalarNode):
-        yield node, location
+        yield node, location, is_key
     elif isinstance(node, yaml.SequenceNode):
         for index, child in enumerate(node.value):
-            yield from _values(child, (*location, index))
+            yield from _scalars(child, (*location, index))
     elif isinstance(node, yaml.MappingNode):
         for key, child in node.value:
-            yield from _values(child, (*location, str(key.value)))
+            yield from _scalars(key, location, is_key=True)
+            yield from _scalars(child, (*location, str(key.value)))
 
 
 def _expand(
@@ -57,10 +81,21 @@ def _expand(
     location: Location,
     environment: Mapping[str, str],
     found: list[Problem],
+    most: int,
 ) -> None:
+    """Fill in the variables of one value, to so many characters at most."""
     problems: list[str] = []
+    length = 0
 
     def fill(match: re.Match[str]) -> str:
+        nonlocal length
+        text = value_of(match)
+        length += len(text)
+        if length > most:
+            raise _TooLongError
+        return text
+
+    def value_of(match: re.Match[str]) -> str:
         name, default = match["name"], match["default"]
         if match["odd"]:
             problems.append(_FORM)

@@ -49,6 +49,10 @@ def test_hosts_become_a_cluster_and_are_left_as_they_were(
         again: list[str] = []
         assert set_up(cluster.spec, cluster.machines(), cluster.access, again.append) == []
         assert again == []
+        shutil.rmtree(next(worker.glob("venv/lib/python*/site-packages/zmq")))
+        assert set_up(cluster.spec, cluster.machines(), cluster.access, again.append) == []
+        assert again[0] == "worker-1: what was installed is damaged"
+        assert again[-1] == "worker-1: its loader runs"
         result = CliRunner().invoke(doctor, [str(file)])
         assert result.exit_code == 0, result.output
         assert "worker-1: good" in result.output

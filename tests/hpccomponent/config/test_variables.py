@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,38 @@ def test_all_that_are_not_set_are_named_with_their_places() -> None:
     assert lines[0].startswith("c.yaml:1:7: name: NONE is not set: set it")
     assert lines[1].startswith("c.yaml:2:9: items[0]: ALSO is not set")
     assert lines[2].startswith("c.yaml:2:20: items[1]: a variable is written ${NAME}")
+
+
+BIG = {"BIG": "x" * 100_000, "B": "y" * 1000}
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("name: " + "${BIG}" * 30_000, "1:7"),
+        ("name: a\nitems:\n" + "- ${BIG}\n" * 100, "13:3"),
+        ("name: &n " + "x" * 100_000 + "\nitems: [" + ", ".join(["*n"] * 30_000) + "]", "1:7"),
+        ("name: &n " + "${B}" * 100 + "\nitems: [" + ", ".join(["*n"] * 30_000) + "]", "1:7"),
+        ("name: a\n? &n " + "x" * 100_000 + "\n: 1\nitems: [" + "*n, " * 30_000 + "]", "2:3"),
+    ],
+    ids=["one-value", "many-values", "aliases", "both", "key"],
+)
+def test_a_file_whose_values_are_more_than_any_cluster_needs_is_refused(
+    text: str, place: str
+) -> None:
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(ConfigError) as caught:
+        parse_config(text, "c.yaml", File, environment=BIG)
+    assert str(caught.value).startswith(
+        f"c.yaml:{place}: what variables and aliases stand for makes this file more than 1024 KiB"
+    )
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert grown < 300 << 10, "KiB"
+
+
+def test_a_few_large_values_will_do() -> None:
+    found = parse_config("name: ${BIG}${BIG}", "c.yaml", File, environment=BIG)
+    assert found.name == 2 * BIG["BIG"]
 
 
 def test_other_files_take_values_literally(tmp_path: Path) -> None:

@@ -1,15 +1,18 @@
-"""What a machine says of itself is read, and not trusted."""
+"""What a machine is: asked of real interpreters, and read without trust in what it says."""
 
 from __future__ import annotations
 
 import os
+import shutil
+import sys
+import venv
 from pathlib import Path
 
 import pytest
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.machine.local_shell import LocalShell
-from hpcdeploy.machine.probe import probe
+from hpcdeploy.machine.probe import DAMAGED, Probed, probe
 
 
 @pytest.fixture
@@ -56,3 +59,60 @@ def test_an_interpreter_that_says_nonsense_is_none(
 ) -> None:
     say(tmp_path, "python3.12", words)
     assert all(name != "python3.12" for name, _ in probe(shell, "lab", "x", ">=3.11").kinds)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A cluster's folder with an environment that has one distribution of two files."""
+    folder = tmp_path / "hpcapp/lab"
+    folder.mkdir(parents=True)
+    venv.create(folder / "venv", with_pip=False)
+    site = next((folder / "venv/lib").glob("python3*/site-packages"))
+    records = {
+        "hpcapp-1.2.dist-info/METADATA": "Metadata-Version: 2.1\nName: hpcapp\nVersion: 1.2\n",
+        "hpcapp-1.2.dist-info/RECORD": "",
+        "package/module.py": "",
+        "package/compiled.pyc": None,
+    }
+    for name, text in records.items():
+        if text is not None:
+            (site / name).parent.mkdir(exist_ok=True)
+            (site / name).write_text(text)
+    (site / "hpcapp-1.2.dist-info/RECORD").write_text("".join(f"{name},,\n" for name in records))
+    return folder
+
+
+def ask(home: Path, python: str = ">=3.11") -> Probed:
+    return probe(LocalShell("head", home), "lab", "hpcapp/lab", python)
+
+
+def test_an_environment_is_whole_damaged_or_gone(folder: Path, tmp_path: Path) -> None:
+    assert ask(tmp_path).release == "1.2"
+    [module] = folder.rglob("module.py")
+    module.unlink()
+    assert ask(tmp_path).release == DAMAGED
+    shutil.rmtree(folder / "venv/bin")
+    assert ask(tmp_path).release == ""
+
+
+@pytest.mark.parametrize(
+    "talk", ["echo loading modules", "printf 'no end'", "echo; echo 3.1 False, says the wrapper"]
+)
+def test_what_a_wrapper_says_is_no_answer(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, talk: str
+) -> None:
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    for wrapper in (programs / "python3", folder / "venv/bin/python"):
+        wrapper.unlink(missing_ok=True)
+        real = sys.executable if wrapper.parent == programs else folder / "venv/bin/python3"
+        wrapper.write_text(f'#!/bin/sh\n{talk}\n{real} "$@"\n{talk}\n')
+        wrapper.chmod(0o755)
+    (folder / "venv/bin/python3").unlink()
+    (folder / "venv/bin/python3").symlink_to(Path(sys.executable).resolve())
+    monkeypatch.setenv("PATH", f"{programs}:/usr/bin:/bin")
+    probed = ask(tmp_path)
+    version = f"{sys.version_info[0]}.{sys.version_info[1]}"
+    assert f"{version} (python3)" in probed.pythons
+    assert probed.kinds[0][0] == "python3"
+    assert probed.release == "1.2"
