@@ -106,6 +106,21 @@ def test_disk_that_fills_in_mid_life_costs_a_worker_not_the_job(site: Site, mesh
     site.end()
 
 
+def test_a_head_that_hangs_is_told_with_a_way_on_that_works(idle_site: Site) -> None:
+    idle_site.write(workers={"count": 0}, limits={"boot": "1h"})
+    idle_site.succeed("up", "-y")
+    hanging = idle_site.bed.machine("head")
+    hanging.freeze()
+    told = idle_site.hpcapp("up", "-y")
+    down = f"hpcapp down {idle_site.file.name}"
+    assert_one_clear_line(told, "head cannot be had: ", "in the cloud's console", down)
+    assert hanging.is_on, "it may be at work"
+    idle_site.succeed(*down.split()[1:2])
+    idle_site.succeed("up", "-y")
+    assert idle_site.bed.machine("head") is not hanging
+    idle_site.end()
+
+
 def test_group_in_use_for_a_while(idle_site: Site) -> None:
     idle_site.write(workers={"count": 0})
     idle_site.succeed("up", "-y")

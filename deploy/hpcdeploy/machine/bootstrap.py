@@ -274,9 +274,9 @@ class _SetUp:
         if done.exit_code:
             last = (done.errors.strip().splitlines() or ["no reason given"])[-1]
             raise CloudError(f"the installed loader does not start: {last}")
-        if done.output.strip() != package_version():
+        if (release := done.output.strip()) not in (package_version(), DAMAGED):
             raise CloudError(
-                f"hpcapp {done.output.strip()} is installed, here runs {package_version()}",
+                f"hpcapp {release} is installed, here runs {package_version()}",
                 "let env.package be auto, or the same release",
             )
 

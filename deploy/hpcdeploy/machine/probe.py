@@ -20,14 +20,16 @@ _ASK = (
     "import sys, importlib.util as u; "
     'print("\\n%d.%d" % sys.version_info[:2], bool(u.find_spec("venv")))'
 )
-# An environment of ours is whole while all files that its wheels brought are there.
+# An environment of ours is whole while all modules that its wheels brought are there: commands lie
+# outside (..), and compiled code comes and goes.
 _RELEASE = """
 import csv, pathlib, sys
 from importlib.metadata import distributions, version
 is_ours = pathlib.Path("venv").resolve() == pathlib.Path(sys.prefix).resolve()
 records = [(d, d.read_text("RECORD") or "") for d in distributions() if is_ours]
-rows = ((d, row[0]) for d, text in records for row in csv.reader(text.splitlines()))
-files = (d.locate_file(name) for d, name in rows if not name.endswith(".pyc"))
+rows = ((d, row[0]) for d, text in records for row in csv.reader(text.splitlines()) if row)
+names = ((d, name) for d, name in rows if not name.startswith("..") and name[-4:] != ".pyc")
+files = (d.locate_file(name) for d, name in names)
 print("\\nhpcapp:", version("hpcapp") if all(map(pathlib.Path.exists, files)) else "damaged")
 """
 RELEASE_COMMAND = (

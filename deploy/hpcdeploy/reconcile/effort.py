@@ -47,6 +47,8 @@ __all__ = ["Effort", "Report"]
 
 Report = Callable[[str], None]
 CONSOLE_LINES = 5
+MAKING = (CreateGroup, CreateKeyPair, LaunchNode)
+"""Actions that leave something to be taken away."""
 Failed = tuple[MachineSeen, str]
 
 
@@ -76,6 +78,7 @@ class Effort:
         self._seen = Observed()
         self._unlisted: dict[str, MachineSeen] = {}
         self._given_up: dict[str, CloudError] = {}
+        self._has_begun = False
         nodes = len(self._spec.nodes())
         self._replacements = 2 + nodes // 4 if self._provider.makes_machines else 0
         self._deadline = pace.now() + timedelta(seconds=pace.total_s)
@@ -132,7 +135,7 @@ class Effort:
         reason : str
             Why, in one line.
         """
-        if not (self._provider.makes_machines or self._journal.launched(since_opened=True)):
+        if not self._has_begun:
             return
         self._report(f"taking away again what was made: {reason}")
         is_slow = self._provider.makes_machines  # clouds list with a delay
@@ -284,6 +287,7 @@ class Effort:
             self._journal.note_places(places_of(self._spec, hosts))
         kept = {machine.id: machine for machine in plan.kept}
         launches = [action for action in plan.actions if isinstance(action, LaunchNode)]
+        self._has_begun |= any(isinstance(action, MAKING) for action in plan.actions)
         for action in plan.actions:
             if isinstance(action, LaunchNode):
                 continue

@@ -31,6 +31,9 @@ __all__ = ["Lead", "lead_workers", "open_remote_inventory"]
 
 log = logging.getLogger("hpcapp")
 
+ANSWER_S = 60.0
+"""Until the relay on the head says its port, or why it has none."""
+
 Lead = Callable[[str], AbstractContextManager[None]]
 
 
@@ -119,7 +122,7 @@ def lead_workers(shell: Shell, folder: str, endpoint: str) -> Iterator[None]:
         finally:
             loop.call_soon_threadsafe(tunnel.cancel)
             thread.join()
-        relay.join()
+        relay.join(ANSWER_S)  # it ends with its channel, which its shell closes at the latest
     finally:
         loop.close()
 
@@ -140,8 +143,15 @@ def _follow_relay(shell: Shell, folder: str, put: Callable[[str], None]) -> None
 def _wait_for_port(lines: queue.SimpleQueue[str]) -> int:
     """Read what the relay says up to its port."""
     said: deque[str] = deque(maxlen=5)
+    limit_s: float | None = ANSWER_S
     while True:
-        line = lines.get()
+        try:
+            line = lines.get(timeout=limit_s)
+        except queue.Empty:
+            raise CloudError(
+                f"the relay on the head has said nothing for {ANSWER_S:.0f} s",
+                "run 'hpcapp doctor'",
+            ) from None
         try:
             told = decode(line, _Told)
         except ValueError:
@@ -155,6 +165,7 @@ def _wait_for_port(lines: queue.SimpleQueue[str]) -> int:
             raise CloudError(f"{told.error}{last}", "run 'hpcapp doctor'", excerpt)
         if told.waiting is not None:
             log.info("the cluster is in use by another program; waiting for it to end")
+            limit_s = None  # its jobs may take hours, and Ctrl-C ends the waiting
 
 
 def _run(loop: asyncio.AbstractEventLoop, tunnel: asyncio.Task[None]) -> None:

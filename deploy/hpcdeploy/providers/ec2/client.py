@@ -31,6 +31,7 @@ from hpcdeploy.spec.provider import CloudSpec
 __all__ = ["Calls", "cloud_name", "open_calls", "open_client", "read_parameter"]
 
 ATTEMPTS = 5
+MOST_PAGES = 1000  # of a list
 FIRST_WAIT_S = 0.5  # doubled each time: 7.5 s at most in all
 
 
@@ -369,9 +370,15 @@ class Calls:
             As `call`.
         """
         found: list[Any] = []
+        tokens: set[str] = set()
         while True:
             reply = self.call(operation, doing, **parameters)
             found.extend(reply.get(key, []))
-            if not reply.get("NextToken"):
+            token = reply.get("NextToken")
+            if not token:
                 return found
-            parameters = {**parameters, "NextToken": reply["NextToken"]}
+            if token in tokens or len(tokens) == MOST_PAGES:
+                problem = f"{self._place}: cannot {doing}: its list has no end"
+                raise CloudError(problem, "ask the cloud's operator")
+            tokens.add(token)
+            parameters = {**parameters, "NextToken": token}

@@ -6,6 +6,7 @@ import socket
 import stat
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
 import paramiko
@@ -15,13 +16,15 @@ from machines.servers import USER, Machines, Server
 from hpccomponent.errors import CloudError
 from hpcdeploy.machine import access as access_module
 from hpcdeploy.machine.access import Access, make_access
+from hpcdeploy.machine.journal import open_journal
 from hpcdeploy.machine.provider import MachineSeen, State
 from hpcdeploy.machine.ssh.reach import Reach, ReachError
 from hpcdeploy.machine.ssh.target import jump_targets
 from hpcdeploy.providers.memory import MemoryProvider
-from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.cluster import ClusterSpec, Limits
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import NodeName
+from hpcdeploy.spec.polling import utc_now
 
 
 class Consoles(MemoryProvider):
@@ -151,6 +154,36 @@ def test_a_machine_that_refuses_is_named_with_the_reason(
     machines.stop(server)
     with pytest.raises(CloudError, match="connection refused"):
         access.open(seen(server), timeout_s=0.05)
+
+
+@pytest.mark.parametrize("is_old", [False, True], ids=["set-up-before", "launched-long-ago"])
+def test_a_machine_that_has_booted_once_is_not_waited_for_as_a_new_one(
+    server: Server,
+    machines: Machines,
+    cloud: Consoles,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    is_old: bool,
+) -> None:
+    monkeypatch.setattr(access_module, "KNOWN_S", 0.2)
+    monkeypatch.setattr(access_module, "TOLD_S", 0.01)
+    caplog.set_level("INFO", "hpcapp")
+    spec = cloud_spec(server.port)
+    slow = spec.model_copy(update={"limits": Limits.model_validate({"boot": "1h"})})
+    machine = replace(seen(server, "head"), launched=utc_now())
+    machines.stop(server)
+    if is_old:
+        machine = replace(machine, launched=utc_now() - timedelta(days=1))
+    else:
+        with open_journal("bunny") as journal:
+            journal.note_set_up([machine.id], is_done=True)
+    access = make_access(slow, tmp_path, cloud)
+    access.public_key()
+    cloud.text[machine.id] = server.console
+    with pytest.raises(ReachError, match="refused"):
+        access.open(machine)
+    assert "head: waiting until it lets us in, 0 s at most" in caplog.text
 
 
 def test_waiting_ends_when_the_cluster_is_closed(

@@ -73,6 +73,7 @@ def folder(tmp_path: Path) -> Path:
         "hpcapp-1.2.dist-info/RECORD": "",
         "package/module.py": "",
         "package/compiled.pyc": None,
+        "../../../bin/command": None,
     }
     for name, text in records.items():
         if text is not None:

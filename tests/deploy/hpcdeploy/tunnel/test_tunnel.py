@@ -36,6 +36,7 @@ from hpcdeploy.machine.local_shell import LocalShell
 from hpcdeploy.machine.ssh.connect import connect
 from hpcdeploy.machine.ssh.shell import SshShell
 from hpcdeploy.machine.ssh.target import Target
+from hpcdeploy.tunnel import tunnel
 from hpcdeploy.tunnel.relay import WANTED
 from hpcdeploy.tunnel.tunnel import lead_workers
 
@@ -114,6 +115,18 @@ def test_workers_reach_a_master_elsewhere(
             assert len(sums) >= 2
     assert results[0] == results[1]
     assert not any("secret" in command for command in head.commands)
+
+
+def test_a_relay_that_says_nothing_is_given_up(
+    shell: SshShell, head: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tunnel, "ANSWER_S", 0.2)
+    (head.home / FOLDER / "venv/bin/python").write_text("#!/bin/sh\nexec sleep 1000\n")
+    with (
+        pytest.raises(CloudError, match="the relay on the head has said nothing for 0 s"),
+        lead_workers(shell, FOLDER, "tcp://127.0.0.1:1"),
+    ):
+        pass
 
 
 def test_a_master_elsewhere_waits_for_its_turn(
