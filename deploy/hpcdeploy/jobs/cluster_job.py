@@ -36,6 +36,7 @@ __all__ = ["check_job", "fetch", "new_mesh_here", "run_on_cluster", "submit", "w
 log = logging.getLogger("hpcapp")
 
 LOOK_S = 30.0  # between two looks for workers that have vanished
+QUICK_S, LEAVE_S = 1.0, 60.0  # until the replacing of workers has ended: without a word, and in all
 
 
 def run_on_cluster(
@@ -314,4 +315,7 @@ def _replacing_lost(cluster: Cluster) -> Iterator[None]:
         yield
     finally:
         is_over.set()
-    thread.join()  # but who has interrupted is let go at once
+    thread.join(QUICK_S)  # but who has interrupted is let go at once
+    if thread.is_alive():
+        log.info("waiting until a lost worker is replaced, %.0f s at most", LEAVE_S)
+        thread.join(LEAVE_S)  # what it has begun stands in the journal
