@@ -318,7 +318,7 @@ def test_down_of_a_cluster_that_was_never_made_says_what_is_known(
     problem, advice = caught.value.problem, caught.value.advice
     assert problem.startswith("not known whether anything is left on head 127.0.0.")
     assert problem.count("unreachable: connection refused") == 2
-    assert advice == "run the command again, or remove ~/hpcapp/lab there by hand"
+    assert advice == "run the command again when they answer, or remove ~/hpcapp/lab there"
     assert said == []
     for host in hosts:
         machines.start(host, host.port)

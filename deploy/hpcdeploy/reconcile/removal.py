@@ -86,11 +86,13 @@ def _leftover(provider: Provider, left: Observed, trouble: str) -> LeftoverError
             f"still there: {what}{why}",
             "it may cost money: run the command again, or remove it in the cloud's console",
         )
+    if not _is_hidden(left):
+        return LeftoverError(f"still there: {what}{why}", "run the command again")
     folders = {f"~/{machine_folder(machine.cluster)}" for machine in left.machines}
-    way = f"run the command again, or remove {', '.join(sorted(folders))} there by hand"
-    if _is_hidden(left):
-        return LeftoverError(f"not known whether anything is left on {what}{why}", way)
-    return LeftoverError(f"still there: {what}{why}", way)
+    return LeftoverError(
+        f"not known whether anything is left on {what}{why}",
+        f"run the command again when they answer, or remove {', '.join(sorted(folders))} there",
+    )
 
 
 def describe(observed: Observed) -> str:
