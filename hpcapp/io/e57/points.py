@@ -4,21 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.e57.image_file import load_library, open_image
-from hpcapp.io.e57.scans import GRID, SPHERICAL, E57Scan, describe_scan, read_fields
+from hpcapp.io.batches import batch_points
+from hpcapp.io.e57.document import Element, read_document, refuse
+from hpcapp.io.e57.scans import (
+    GRID,
+    SPHERICAL,
+    E57Scan,
+    bound_grids,
+    describe_scan,
+    open_fields,
+    read_fields,
+)
 from hpcapp.io.points.column_roles import COLOURS, NORMALS
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
-from hpccomponent.errors import InputError
+from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.types.points import FloatArray, Int32Array, PointCloud
 
 __all__ = ["open_e57"]
 
+_AT_ONCE = 1 << 16  # points: what is made of them stays in the cache
 _NOWHERE = -1  # row and column of a point that belongs to no grid
 
 
@@ -59,23 +70,21 @@ def open_e57(path: Path) -> PointSource:
     OSError
         The file cannot be read.
     """
-    library = load_library(path)
+    if find_spec("pye57") is None:
+        raise UsageError(f"{path}: E57 needs the package pye57", "pip install 'hpcapp[e57]'")
     findings = Findings()
-    with open_image(path) as image:
-        scans = _describe_scans(library, image, path)
-        crs = _find_crs(image)
+    root = read_document(path)
+    try:
+        scans = _describe_scans(root, path)
+    except (ValueError, OverflowError) as error:  # of a number
+        raise refuse(path, f"its XML: {error}") from None
     columns = _join_columns(scans, findings)
 
     def scan(rows: int) -> Iterator[PointCloud]:
         findings.dropped.clear()  # they are counted anew
-        some = False
-        with open_image(path) as image:
-            for one in scans:
-                for fields in _read_valid(library, image, one, rows, findings):
-                    some = True
-                    yield _decode(fields, one, columns)
-        if not some:
-            yield _decode({}, scans[0], columns)
+        return batch_points(
+            _decode_parts(path, scans, columns, min(rows, _AT_ONCE), findings), rows
+        )
 
     return PointSource(
         path,
@@ -86,7 +95,7 @@ def open_e57(path: Path) -> PointSource:
         format="E57",
         columns=_names(scans),
         scans=_place_scanners(scans),
-        crs=crs,
+        crs=_find_crs(root),
         unit="m",  # by the standard
         findings=findings,
     )
@@ -105,24 +114,21 @@ def _place_scanners(scans: Sequence[E57Scan]) -> tuple[Scan, ...]:
     )
 
 
-def _describe_scans(library: Any, image: Any, path: Path) -> list[E57Scan]:
-    root = image.root()
-    count = len(root["data3D"]) if root.isDefined("data3D") else 0
-    if not count:
+def _describe_scans(root: Element, path: Path) -> list[E57Scan]:
+    nodes = root.find("data3D")
+    if nodes is None or not nodes.children:
         raise InputError(f"{path}: holds no scan", "check that the right file was exported")
-    scans = [describe_scan(library, image, i, path) for i in range(count)]
+    scans = [describe_scan(node, i, path) for i, node in enumerate(nodes.children)]
     if not any(one.points for one in scans):
         raise InputError(
             f"{path}: no points: its scans are empty", "check that the right file was exported"
         )
-    return scans
+    return bound_grids(scans, path)
 
 
-def _find_crs(image: Any) -> str | None:
-    root = image.root()
-    if not root.isDefined("coordinateMetadata"):
-        return None
-    return str(root["coordinateMetadata"].value()).strip() or None
+def _find_crs(root: Element) -> str | None:
+    stated = root.find("coordinateMetadata")
+    return None if stated is None else stated.text.strip() or None
 
 
 def _names(scans: Sequence[E57Scan]) -> tuple[str, ...]:
@@ -159,16 +165,23 @@ def _join_columns(scans: Sequence[E57Scan], findings: Findings) -> _Columns:
     )
 
 
-def _read_valid(
-    library: Any, image: Any, one: E57Scan, rows: int, findings: Findings
+def _decode_parts(
+    path: Path, scans: Sequence[E57Scan], columns: _Columns, rows: int, findings: Findings
+) -> Iterator[PointCloud]:
+    """Yield the valid points of all scans, some at a time; first, a part without points."""
+    yield _decode({}, scans[0], columns)
+    with open_fields(path, scans, rows) as decoder:
+        for one in scans:
+            parts = read_fields(decoder, one, one.fields, rows, path)
+            for fields in _drop_invalid(parts, one, findings):
+                yield _decode(fields, one, columns)
+
+
+def _drop_invalid(
+    parts: Iterator[dict[str, FloatArray]], one: E57Scan, findings: Findings
 ) -> Iterator[dict[str, FloatArray]]:
-    """Yield the fields of a scan's points, those left out that are invalid."""
-    if not one.points:
-        return
-    names = [*one.position, *one.columns.values()]
-    if one.invalid is not None:
-        names.append(one.invalid)
-    for fields in read_fields(library, image, one.index, names, rows):
+    """Leave out the points that a scan says are invalid."""
+    for fields in parts:
         if one.invalid is None:
             yield fields
             continue

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from hpcapp.io.e57.image_file import find_number, numeric_fields
+from hpcapp.io.e57.document import Element, refuse
 from hpcapp.io.points.column_roles import COLOURS, find_role
+from hpccomponent.decoding.process import Decoder, open_decoder
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.points import FloatArray
 
-__all__ = ["CARTESIAN", "GRID", "SPHERICAL", "E57Scan", "describe_scan", "read_fields"]
+__all__ = [
+    "CARTESIAN",
+    "GRID",
+    "SPHERICAL",
+    "E57Scan",
+    "bound_grids",
+    "describe_scan",
+    "open_fields",
+    "read_fields",
+]
 
 CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
@@ -33,7 +43,7 @@ _ROLES = {
 }
 _INVALID = ("cartesianInvalidState", "sphericalInvalidState")
 _SPARSEST = 100  # cells of a grid for each point, above which it is none
-_ROWS_AT_ONCE = 1 << 18
+_ROWS_AT_ONCE = 1 << 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +86,12 @@ class E57Scan:
     grid: tuple[int, int] | None = None
 
     @property
+    def fields(self) -> list[str]:
+        """What is read of its points."""
+        invalid = [] if self.invalid is None else [self.invalid]
+        return [*self.position, *self.columns.values(), *invalid]
+
+    @property
     def is_posed(self) -> bool:
         """Whether its pose is another than none."""
         return bool(self.translation.any() or (self.rotation != np.eye(3)).any())
@@ -99,30 +115,36 @@ class E57Scan:
         return all(name in self.columns for name in names)
 
 
-def describe_scan(library: Any, image: Any, index: int, path: Path) -> E57Scan:
+def describe_scan(node: Element, index: int, path: Path) -> E57Scan:
     """Find out what a scan holds.
 
     Parameters
     ----------
-    library : module
-        ``pye57.libe57``.
-    image : libe57.ImageFile
+    node : Element
     index : int
         Number of the scan, from 0.
     path : Path
-        The file, for messages.
+        The file, for messages and for its size.
 
     Returns
     -------
     E57Scan
+        Its grid is not known yet.
 
     Raises
     ------
     InputError
-        It has no coordinates.
+        It has no coordinates, or the file has no room for its points.
     """
-    node = image.root()["data3D"][index]
-    fields = numeric_fields(library, node["points"])
+    points = node.find("points")
+    prototype = None if points is None else points.find("prototype")
+    if points is None or prototype is None:
+        raise refuse(path, f"scan {index} says nothing of its points")
+    fields = {
+        child.name: child
+        for child in prototype.children
+        if child.attributes.get("type") in ("Float", "Integer", "ScaledInteger")
+    }
     position = next((names for names in (CARTESIAN, SPHERICAL) if set(names) <= set(fields)), None)
     if position is None:
         raise InputError(
@@ -135,81 +157,155 @@ def describe_scan(library: Any, image: Any, index: int, path: Path) -> E57Scan:
         if name not in (*CARTESIAN, *SPHERICAL, *_INVALID):
             local = name.rpartition(":")[2]
             columns.setdefault(_ROLES.get(local) or find_role(local), name)
-    corner, grid = (0, 0), None
-    points = int(node["points"].childCount())
-    if points and set(GRID) <= set(columns):
-        corner, grid = _bound_grid(library, image, index, [columns[name] for name in GRID], points)
-    if grid is None:
-        for name in GRID:
-            columns.pop(name, None)
     return E57Scan(
         index,
-        points,
+        _count_points(points, fields, index, path),
         position,
         invalid if invalid in fields else None,
         columns,
         _find_colour_limit(node, fields, columns),
         _find_rotation(node),
-        np.array([find_number(node, "pose", "translation", axis) or 0.0 for axis in "xyz"]),
-        corner,
-        grid,
+        np.array([node.number("pose", "translation", axis) or 0.0 for axis in "xyz"]),
     )
 
 
-def read_fields(
-    library: Any, image: Any, index: int, names: list[str], rows: int
-) -> Iterator[dict[str, FloatArray]]:
-    """Yield fields of a scan's points, so many points at a time.
+def _count_points(points: Element, fields: dict[str, Element], index: int, path: Path) -> int:
+    """Return how many points a scan declares; the file must have room for them."""
+    count = int(points.attributes.get("recordCount", 0))
+    bits = sum(_count_bits(field) for field in fields.values())
+    size = path.stat().st_size
+    if count * bits > 8 * size:
+        raise refuse(
+            path,
+            f"scan {index} declares {count} points of {bits} bits, more than the file's {size} "
+            "bytes hold",
+        )
+    return count
+
+
+def _count_bits(field: Element) -> int:
+    """Return the bits that a value of a field takes in the file."""
+    named = field.attributes
+    if named["type"] == "Float":
+        return 32 if named.get("precision") == "single" else 64
+    least, most = int(named.get("minimum", -(1 << 63))), int(named.get("maximum", (1 << 63) - 1))
+    return max(most - least, 0).bit_length()
+
+
+@contextmanager
+def open_fields(path: Path, scans: Sequence[E57Scan], rows: int) -> Iterator[Decoder]:
+    """Start what decodes the fields of scans.
 
     Parameters
     ----------
-    library : module
-        ``pye57.libe57``.
-    image : libe57.ImageFile
-    index : int
-        Number of the scan, from 0.
-    names : list of str
-        Of the fields.
+    path : Path
+        The file.
+    scans : sequence of E57Scan
     rows : int
         Points in a part, at most.
 
     Yields
     ------
+    Decoder
+        For `read_fields`.
+    """
+    size = max(
+        (len(one.fields) * min(rows, one.points) * np.float64().nbytes for one in scans), default=0
+    )
+    with open_decoder("e57", path, size, (), partial(refuse, path)) as decoder:
+        yield decoder
+
+
+def read_fields(
+    decoder: Decoder, one: E57Scan, names: Sequence[str], rows: int, path: Path
+) -> Iterator[dict[str, FloatArray]]:
+    """Yield fields of a scan's points, so many points at a time.
+
+    Parameters
+    ----------
+    decoder : Decoder
+    one : E57Scan
+    names : sequence of str
+        Of the fields.
+    rows : int
+        Points in a part, at most.
+    path : Path
+        The file, for messages.
+
+    Yields
+    ------
     dict of str to ndarray of float64, shape (n,)
         By name; the arrays are used again for the next part.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or has not as many points as it declares.
     """
-    points = image.root()["data3D"][index]["points"]
-    rows = max(min(rows, points.childCount()), 1)
-    arrays = {name: np.empty(rows) for name in names}
-    buffers = library.VectorSourceDestBuffer()
-    for name, array in arrays.items():
-        buffers.append(library.SourceDestBuffer(image, name, array, rows, True, True))
-    reader = points.reader(buffers)
-    try:
-        while count := reader.read():
-            yield {name: array[:count] for name, array in arrays.items()}
-    finally:
-        with suppress(library.E57Exception):  # of the reading, if any: that one tells
-            reader.close()
+    rows = min(rows, one.points)
+    if not rows:
+        return
+    decoder.ask("open", one.index, rows, *names)
+    whole = decoder.memory[: len(names) * rows * np.float64().nbytes].view(np.float64)
+    columns = dict(zip(names, whole.reshape(len(names), rows), strict=True))
+    read = 0
+    while count := min(decoder.ask("next"), rows):
+        read += count
+        yield {name: column[:count] for name, column in columns.items()}
+    if read != one.points:
+        raise InputError(
+            f"{path}: scan {one.index} ends after {read} of {one.points} points",
+            "the file is damaged: copy or export it again",
+        )
 
 
-def _bound_grid(
-    library: Any, image: Any, index: int, names: list[str], points: int
-) -> tuple[tuple[int, int], tuple[int, int] | None]:
+def bound_grids(scans: Sequence[E57Scan], path: Path) -> list[E57Scan]:
+    """Find the grids of scans that have rows and columns.
+
+    Parameters
+    ----------
+    scans : sequence of E57Scan
+    path : Path
+        The file.
+
+    Returns
+    -------
+    list of E57Scan
+        Rows and columns that make no grid are left out.
+
+    Raises
+    ------
+    InputError
+        As `read_fields` does.
+    """
+    if not any(one.points and one.has(GRID) for one in scans):
+        return [replace(one, columns=_without_grid(one)) for one in scans]
+    with open_fields(path, scans, _ROWS_AT_ONCE) as decoder:
+        return [_bound_grid(decoder, one, path) for one in scans]
+
+
+def _bound_grid(decoder: Decoder, one: E57Scan, path: Path) -> E57Scan:
     """Find the rows and columns that points have: what the header says of them is often wrong."""
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for part in read_fields(library, image, index, names, _ROWS_AT_ONCE):
-        low = np.minimum(low, [part[name].min() for name in names])
-        high = np.maximum(high, [part[name].max() for name in names])
-    height, width = high - low + 1
-    if min(height, width) < 2 or not height * width <= _SPARSEST * points:
-        return (0, 0), None
-    return (int(low[0]), int(low[1])), (int(width), int(height))
+    if one.points and one.has(GRID):
+        names = [one.columns[name] for name in GRID]
+        low, high = np.full(2, np.inf), np.full(2, -np.inf)
+        for part in read_fields(decoder, one, names, _ROWS_AT_ONCE, path):
+            low = np.minimum(low, [part[name].min() for name in names])
+            high = np.maximum(high, [part[name].max() for name in names])
+        height, width = high - low + 1
+        if min(height, width) >= 2 and height * width <= _SPARSEST * one.points:
+            corner, grid = (int(low[0]), int(low[1])), (int(width), int(height))
+            return replace(one, corner=corner, grid=grid)
+    return replace(one, columns=_without_grid(one))
 
 
-def _find_rotation(node: Any) -> FloatArray:
+def _without_grid(one: E57Scan) -> dict[str, str]:
+    return {name: field for name, field in one.columns.items() if name not in GRID}
+
+
+def _find_rotation(node: Element) -> FloatArray:
     """Return the rotation of a pose, given as a quaternion, as a matrix."""
-    numbers = [find_number(node, "pose", "rotation", part) for part in "wxyz"]
+    numbers = [node.number("pose", "rotation", part) for part in "wxyz"]
     quaternion = np.array([number or 0.0 for number in numbers])
     length = np.linalg.norm(quaternion)
     if not 0 < length < np.inf:
@@ -224,15 +320,19 @@ def _find_rotation(node: Any) -> FloatArray:
     )
 
 
-def _find_colour_limit(node: Any, fields: dict[str, Any], columns: dict[str, str]) -> float | None:
+def _find_colour_limit(
+    node: Element, fields: dict[str, Element], columns: dict[str, str]
+) -> float | None:
     """Return the largest value that a colour can have, as stated, or as its field can hold."""
     limits: list[float] = []
     for name in COLOURS:
         if name not in columns:
             return None
-        stated = find_number(node, "colorLimits", f"color{name.capitalize()}Maximum")
+        stated = node.number("colorLimits", f"color{name.capitalize()}Maximum")
         field = fields[columns[name]]
-        maximum = float(getattr(field, "scaledMaximum", field.maximum)())
+        maximum = float(field.attributes.get("maximum", np.inf))
+        if field.attributes["type"] == "ScaledInteger":
+            maximum = field.scale(maximum)
         limits.append(maximum if stated is None else stated)
     largest = max(limits)
     return largest if 0 < largest <= 65535 else None

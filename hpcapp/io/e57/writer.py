@@ -5,17 +5,17 @@ from __future__ import annotations
 import os
 import uuid
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.e57.image_file import load_library
 from hpcapp.io.frame import finite_bounds
 from hpcapp.io.points.usable import drop_non_finite
 from hpcapp.io.staging import replacing
-from hpccomponent.errors import OutputError
+from hpccomponent.errors import OutputError, UsageError
 from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["write_e57"]
@@ -44,7 +44,7 @@ def write_e57(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
     UsageError
         The library that writes it is not installed.
     """
-    library = load_library(path)
+    library = _load_library(path)
     cloud = drop_non_finite(cloud, path)
     with replacing(path) as file:
         target = Path(file.name)
@@ -57,6 +57,15 @@ def write_e57(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
         except library.E57Exception as error:
             why = str(error).partition("\n")[0]
             raise OutputError(f"{path}: cannot be written: {why}", "check for room") from error
+
+
+def _load_library(path: Path) -> Any:
+    try:
+        return import_module("pye57.libe57")
+    except ImportError as error:
+        raise UsageError(
+            f"{path}: E57 needs the package pye57", "pip install 'hpcapp[e57]'"
+        ) from error
 
 
 def _write_image(library: Any, image: Any, cloud: PointCloud, crs: str | None) -> None:

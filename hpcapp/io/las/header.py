@@ -30,6 +30,8 @@ _LONG_RECORD = struct.Struct("<2x16sHQ32x")
 _MOST_PAYLOAD = 1 << 20  # of a record that is kept: a CRS in WKT takes some thousand bytes
 _COMPRESSED = 0xC0  # bits of the point format that LAZ sets
 
+_WAVEFORMS = (4, 5, 9, 10)  # point formats whose waveforms may be behind the points
+
 _KEPT = {
     ("laszip encoded", 22204),
     ("LASF_Spec", 4),
@@ -66,6 +68,8 @@ class LasHeader:
     records : dict of tuple of str and int to bytes
         Payloads of the variable length records that say something about points, by user and
         number.
+    has_tail : bool
+        Whether something else than points is behind them: long records, or waveforms.
     """
 
     version: tuple[int, int]
@@ -77,6 +81,7 @@ class LasHeader:
     scales: FloatArray
     offsets: FloatArray
     records: Records
+    has_tail: bool
 
 
 def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
@@ -134,6 +139,7 @@ def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
     header = LasHeader(
         (major, minor), bits & ~_COMPRESSED, bool(bits & _COMPRESSED), points_start, length, count,
         np.array(boxes[:3]), np.array(boxes[3:6]), records,
+        minor >= 3 and (extended is None or extended[1] > 0 or bits & 0x3F in _WAVEFORMS),
     )  # fmt: skip
     _check_scales(header, path)
     return header

@@ -143,7 +143,8 @@ class LasLayout:
         Returns
         -------
         PointCloud
-            In the file's coordinates; colours are of 16 bits, whatever the file makes of them.
+            In the file's coordinates, and a copy; colours are of 16 bits, whatever the file makes
+            of them.
         """
         positions = np.empty((len(points), 3))
         for axis in range(3):
@@ -158,7 +159,7 @@ class LasLayout:
             normals = np.stack([attributes.pop(n) for n in NORMALS], axis=1).astype(np.float64)
         colours: NDArray[Any] | None = None
         if self.point_format in _COLOURS_AT:
-            colours = np.ascontiguousarray(points["colours"])
+            colours = points["colours"].copy()
         return PointCloud(positions, normals, colours, attributes)
 
     def _standard(self, points: NDArray[np.void]) -> dict[str, NDArray[Any]]:
@@ -167,21 +168,21 @@ class LasLayout:
             points[name] for name in ("returns", "classification", "scan_angle")
         )
         columns: dict[str, NDArray[Any]] = {
-            "intensity": np.ascontiguousarray(points["intensity"]),
+            "intensity": points["intensity"].copy(),
             "return_number": returns & (15 if is_new else 7),
             "number_of_returns": returns >> 4 if is_new else returns >> 3 & 7,
-            "classification": np.ascontiguousarray(classes) if is_new else classes & 31,
+            "classification": classes.copy() if is_new else classes & 31,
             "scan_angle": angles.astype(np.float32) * np.float32(DEGREES_A_STEP if is_new else 1),
         }
         for name in ("user_data", "point_source_id", "gps_time", "near_infrared"):
             if name in (points.dtype.names or ()):
-                columns[name] = np.ascontiguousarray(points[name])
+                columns[name] = points[name].copy()
         return columns
 
 
 def _scaled(values: NDArray[Any], extra: _Extra) -> NDArray[Any]:
     if extra.scale == 1 and extra.offset == 0:
-        return np.ascontiguousarray(values)
+        return values.copy()
     scaled: FloatArray = values * extra.scale + extra.offset
     return scaled
 

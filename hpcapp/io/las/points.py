@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.las.decompression import Fill, open_decompressor
+from hpcapp.io.las.decompression import Take, find_library, open_decompressor
 from hpcapp.io.las.header import LasHeader, find_crs, read_header
 from hpcapp.io.las.layout import LasLayout, find_layout
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
@@ -52,24 +53,23 @@ def open_las(path: Path) -> PointSource:
     with path.open("rb") as file:
         header = _read_sound_header(file, path, findings)
         if header.is_compressed:
-            open_decompressor(file, path, header)
+            find_library(header, path)
     layout = find_layout(header, path)
     crs = find_crs(header.records)
 
     def scan(rows: int) -> Iterator[PointCloud]:
         findings.dropped.clear()  # they are counted anew
         some = False
-        with path.open("rb") as file:
-            for points in _read_points(file, path, header, layout, rows):
-                withheld, noise = layout.select(points)
-                left_out = withheld | noise
-                if left_out.any():
-                    findings.drop("withheld", int(withheld.sum()))
-                    findings.drop("noise", int(noise.sum()))
-                    points = points[~left_out]
-                if len(points):
-                    some = True
-                    yield layout.decode(points)
+        for points in _read_points(path, header, layout, rows):
+            withheld, noise = layout.select(points)
+            left_out = withheld | noise
+            if left_out.any():
+                findings.drop("withheld", int(withheld.sum()))
+                findings.drop("noise", int(noise.sum()))
+                points = points[~left_out]
+            if len(points):
+                some = True
+                yield layout.decode(points)
         if not some:
             yield layout.decode(np.empty(0, layout.dtype))
 
@@ -115,31 +115,42 @@ def _read_sound_header(file: BinaryIO, path: Path, findings: Findings) -> LasHea
             f"{path}: ends after {whole} of {header.count} points",
             "the file is cut: copy or export it again",
         )
+    elif whole > header.count and not header.has_tail:
+        findings.warn(
+            f"the header announces {header.count} points, the file has room for {whole}: the "
+            "others are left out"
+        )
     return header
 
 
 def _read_points(
-    file: BinaryIO, path: Path, header: LasHeader, layout: LasLayout, rows: int
+    path: Path, header: LasHeader, layout: LasLayout, rows: int
 ) -> Iterator[NDArray[np.void]]:
-    """Yield the points of a file, so many at a time."""
-    fill: Fill
+    """Yield the points of a file, so many at a time; each part may overwrite the one before."""
+    with _open_bytes(path, header, rows) as take:
+        for start in range(0, header.count, rows):
+            size = min(rows, header.count - start) * header.record_length
+            yield take(size).view(layout.dtype)
+
+
+@contextmanager
+def _open_bytes(path: Path, header: LasHeader, rows: int) -> Iterator[Take]:
     if header.is_compressed:
-        fill = open_decompressor(file, path, header)
-    else:
+        with open_decompressor(path, header, rows) as take:
+            yield take
+        return
+    with path.open("rb") as file:
         file.seek(header.points_start)
-        fill = _read_plain(file, path, header.record_length - _COORDINATES)
-    for start in range(0, header.count, rows):
-        size = min(rows, header.count - start) * header.record_length
+        yield _read_plain(file, path, header.record_length - _COORDINATES)
+
+
+def _read_plain(file: BinaryIO, path: Path, spared: int) -> Take:
+    """Return what takes bytes from a file; `spared` may be missing at its end, and are zero."""
+
+    def take(size: int) -> ByteArray:
         points: ByteArray = np.zeros(size, np.uint8)
-        fill(points)
-        yield points.view(layout.dtype)
-
-
-def _read_plain(file: BinaryIO, path: Path, spared: int) -> Fill:
-    """Return what fills an array from a file; `spared` bytes may be missing at its end."""
-
-    def fill(points: ByteArray) -> None:
-        if file.readinto(points) + spared < len(points):  # type: ignore[attr-defined]
+        if file.readinto(points) + spared < size:  # type: ignore[attr-defined]
             raise InputError(f"{path}: ends before its last point", "copy or export it again")
+        return points
 
-    return fill
+    return take

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.io.batches import batch_points
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
-from hpcapp.io.text.batches import batch_points
 from hpcapp.io.text.columns import DEGREES, Columns, assign_by_name, assign_by_value
 from hpcapp.io.text.layout import Layout, find_layout
 from hpcapp.io.text.lines import Block, LineReader, read_blocks

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.io.batches import batch_points
 from hpcapp.io.points.column_roles import AXES, COLOURS
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.rows import is_count, line_error
-from hpcapp.io.text.batches import batch_points
 from hpcapp.io.text.columns import Columns
 from hpcapp.io.text.lines import Block, LineReader, find_encoding, read_blocks
 from hpcapp.io.text.tables import RowFormat, RowNotes, parse_block

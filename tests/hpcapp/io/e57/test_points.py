@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mutated_files import page_e57, read_pages
 
 from hpcapp.io.e57.points import open_e57
 from hpcapp.io.points.point_source import PointSource
@@ -307,8 +308,16 @@ def test_damage_behind_right_checksums(make_e57: MakeE57, scan: MakeScan, seed: 
         read(path)
 
 
+def test_fewer_points_than_declared(make_e57: MakeE57, scan: MakeScan) -> None:
+    path = make_e57(scan(np.zeros((200, 3))), scan(np.ones((20, 3))))
+    held = read_pages(path.read_bytes())
+    path.write_bytes(page_e57(held.replace(b'recordCount="20"', b'recordCount="60"')))
+    with pytest.raises(InputError, match="scan 1 ends after 20 of 60 points"):
+        read(path)
+
+
 def test_no_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pye57.libe57", None)
+    monkeypatch.setitem(sys.modules, "pye57", None)
     with pytest.raises(UsageError, match=r"pip install 'hpcapp\[e57\]'"):
         open_e57(tmp_path / "a.e57")
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpcapp.io.text.batches import batch_points
+from hpcapp.io.batches import batch_points
 from hpccomponent.surface.types.points import PointCloud
 
 

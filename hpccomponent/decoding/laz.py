@@ -1,0 +1,124 @@
+"""Decompress the points of a LAZ file.
+
+Arguments are the library, the byte at which the points begin, how many the header announces, and
+the record of the compressor in hexadecimal. A request is a number of bytes of whole points, which
+come next; so many fill the memory from its start.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Callable
+from importlib import import_module
+from typing import BinaryIO, cast
+
+from hpccomponent.decoding.serving import Answer, serve
+
+__all__ = ["read_items"]
+
+_Fill = Callable[[memoryview], object]
+
+_LAYERED = 3  # the compressor of point formats 6 to 10
+_LAYERS_OF = {10: 9, 11: 1, 12: 2, 13: 1}  # by kind of item; extra bytes have one a byte
+_ITEMS_AT = 34
+_LEAST_CHUNK = 20  # bytes: its first point is not compressed
+_LARGEST_CHUNK = 1 << 24  # points that lazrs makes room for: usual are 50,000
+_ITEM = struct.Struct("<HHH")
+
+
+def read_items(record: bytes) -> list[tuple[int, int, int]]:
+    """Return kind, size in bytes and version of what a compressed point consists of.
+
+    Parameters
+    ----------
+    record : bytes
+        Of the compressor.
+
+    Returns
+    -------
+    list of tuple of int
+    """
+    items = record[_ITEMS_AT:]
+    return list(_ITEM.iter_unpack(items[: len(items) // _ITEM.size * _ITEM.size]))
+
+
+def _open(path: str, memory: memoryview, arguments: list[str]) -> Answer:
+    library, start, count, record = arguments
+    file = open(path, "rb")  # noqa: SIM115 - as long as the process
+    opener = _open_lazrs if library == "lazrs" else _open_laszip
+    fill = opener(file, int(start), int(count), bytes.fromhex(record))
+
+    def answer(request: list[str]) -> int:
+        size = int(request[0])
+        fill(memory[:size])
+        return size
+
+    return answer
+
+
+def _open_lazrs(file: BinaryIO, start: int, count: int, record: bytes) -> _Fill:
+    lazrs = import_module("lazrs")
+    table_at = _find_chunk_table(file, start)
+    file.seek(start)
+    chunks = lazrs.read_chunk_table(file, lazrs.LazVlr(record))
+    lengths = [length for _, length in chunks]
+    if sum(lengths) > table_at - start:
+        raise ValueError("its chunks are longer than the file")
+    held = sum(points for points, _ in chunks)
+    if held < count:
+        raise ValueError(f"its chunks hold {held} of {count} points")
+    largest = max((points for points, _ in chunks), default=0)
+    if largest > max(count, _LARGEST_CHUNK):
+        raise ValueError(f"a chunk of it holds {largest} points, the file {count}")
+    if int.from_bytes(record[:2], "little") == _LAYERED:
+        _check_layers(file, start + 8, lengths, read_items(record))
+    file.seek(start)
+    return cast(_Fill, lazrs.ParLasZipDecompressor(file, record).decompress_many)
+
+
+def _find_chunk_table(file: BinaryIO, start: int) -> int:
+    """Return the place of a table of chunks that can be one: lazrs believes what it announces."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(start)
+    table_at = _read_number(file, 8)
+    if table_at > size:  # written last where the writer could not go back
+        file.seek(-8, os.SEEK_END)
+        table_at = _read_number(file, 8)
+    if not start + 8 <= table_at <= size - 8:
+        raise ValueError("it has no table of chunks")
+    file.seek(table_at + 4)
+    chunks = _read_number(file, 4)
+    if chunks * _LEAST_CHUNK > size:
+        raise ValueError(f"its table announces {chunks} chunks")
+    return table_at
+
+
+def _check_layers(
+    file: BinaryIO, at: int, lengths: list[int], items: list[tuple[int, int, int]]
+) -> None:
+    """Refuse chunks whose layers are longer than they: lazrs would take as much memory.
+
+    A chunk begins with its first point and its number of points; the lengths of layers follow.
+    """
+    point = sum(size for _, size, _ in items)
+    layers = sum(_LAYERS_OF.get(kind, size) for kind, size, _ in items)
+    for length in lengths:
+        file.seek(at + point + 4)
+        if length and sum(struct.unpack(f"<{layers}I", file.read(4 * layers))) > length:
+            raise ValueError("its layers are longer than their chunk")
+        at += length
+
+
+def _read_number(file: BinaryIO, size: int) -> int:
+    return int.from_bytes(file.read(size), "little")
+
+
+def _open_laszip(file: BinaryIO, start: int, count: int, record: bytes) -> _Fill:  # noqa: ARG001
+    """Open a file with a library that reads the header itself."""
+    file.seek(0)
+    return cast(_Fill, import_module("laszip").LasUnZipper(file).decompress_into)
+
+
+if __name__ == "__main__":
+    serve(_open)

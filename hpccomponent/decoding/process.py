@@ -1,0 +1,203 @@
+"""A process that decodes one file for this one, and may die, hang or be greedy over it.
+
+::
+
+    this process                                       python -m hpccomponent.decoding.laz
+    ┌────────────────────────────────────┐             ┌─────────────────────────────────┐
+    │ Decoder ── "1048576 bytes" ────────┼── stdin ───>│ serving ──> lazrs, laszip, libE57│
+    │    ^  └──── "ok 1048576" <─────────┼── stdout ───│    │     limits: memory, time   │
+    │    └─────── memory ────────────────┼─────────────┼────┘     no core dump           │
+    └────────────────────────────────────┘  shared     └─────────────────────────────────┘
+
+Started by exec, and not forked: the libraries have threads. It imports neither numpy nor what
+`site` would, and is up within ten milliseconds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpccomponent.errors import InputError, JobError, UsageError
+
+__all__ = ["Decoder", "Refuse", "open_decoder"]
+
+Refuse = Callable[[str], InputError]
+"""Makes the error that refuses a file, of why."""
+
+_LEAST_S = 5.0
+_BYTES_PER_S = 50_000  # of the file: good ones are decoded a hundred times as fast
+_LEAST_MEMORY = 1 << 30  # bytes
+_FILE_SIZES = 4  # of memory, beside that
+_LONGEST_ANSWER = 4096  # bytes
+
+
+class Decoder:
+    """A process that decodes a file, and the memory that it decodes into.
+
+    Parameters
+    ----------
+    process : subprocess.Popen
+    memory : ndarray of uint8
+        Shared: each answer overwrites it.
+    allowed_s : float
+        How long it may take for all of its answers.
+    refuse : callable
+    """
+
+    def __init__(
+        self,
+        process: subprocess.Popen[bytes],
+        memory: NDArray[np.uint8],
+        allowed_s: float,
+        refuse: Refuse,
+    ) -> None:
+        assert process.stdin is not None  # noqa: S101 - for mypy: both are pipes
+        assert process.stdout is not None  # noqa: S101 - likewise
+        self.memory = memory
+        self._process = process
+        self._requests, self._answers = process.stdin.fileno(), process.stdout.fileno()
+        self._allowed_s = self._left_s = allowed_s
+        self._refuse = refuse
+
+    def ask(self, *words: str | int) -> int:
+        """Have it decode something.
+
+        Parameters
+        ----------
+        *words : str or int
+            As its module takes them.
+
+        Returns
+        -------
+        int
+            As its module says; not negative.
+
+        Raises
+        ------
+        InputError
+            It could not, it died, or it takes too long.
+        JobError
+            Somebody killed it, as the kernel does when memory is short.
+        UsageError
+            Its library is not what it should be.
+        """
+        with contextlib.suppress(BrokenPipeError):  # why it ended is found out below
+            os.write(self._requests, (" ".join(map(str, words)) + "\n").encode())
+        verdict, _, said = self._hear().partition(" ")
+        if verdict == "ok" and said.isdecimal():
+            return int(said)
+        if verdict == "missing":
+            raise UsageError(said, "install the package again")
+        raise self._refuse(said or "its decoder gave no answer")
+
+    def _hear(self) -> str:
+        """Return the next line that it says."""
+        poll = select.poll()
+        poll.register(self._answers, select.POLLIN)
+        deadline = time.monotonic() + self._left_s
+        line = b""
+        while not line.endswith(b"\n"):
+            if not poll.poll(max(deadline - time.monotonic(), 0) * 1000):
+                raise self._too_slow()
+            part = os.read(self._answers, _LONGEST_ANSWER)
+            if not part or len(line) > _LONGEST_ANSWER:
+                raise self._ended()
+            line += part
+        self._left_s = max(deadline - time.monotonic(), 0)
+        return line.decode("utf-8", "replace").strip()
+
+    def _too_slow(self) -> InputError:
+        return self._refuse(f"its decoder takes more than {self._allowed_s:.0f} s")
+
+    def _ended(self) -> InputError | JobError:
+        """Say how it ended."""
+        code = -self._process.wait()
+        if code == signal.SIGKILL:
+            return JobError("the process that decodes a file was killed", "is memory short?")
+        if code == signal.SIGXCPU:
+            return self._too_slow()
+        how = signal.Signals(code).name if code > 0 else f"exit code {-code}"
+        return self._refuse(f"its decoder was ended by {how}")
+
+
+@contextmanager
+def open_decoder(
+    module: str, path: Path, size: int, arguments: Sequence[str], refuse: Refuse
+) -> Iterator[Decoder]:
+    """Start the process that decodes a file.
+
+    Parameters
+    ----------
+    module : str
+        Of this package: what runs there.
+    path : Path
+        The file.
+    size : int
+        Bytes of the memory that is shared.
+    arguments : sequence of str
+        As the module takes them.
+    refuse : callable
+
+    Yields
+    ------
+    Decoder
+        Its process ends with the block.
+
+    Raises
+    ------
+    OSError
+        The process cannot be started, or the file is not there.
+    """
+    file_size = path.stat().st_size
+    allowed_s = _LEAST_S + file_size / _BYTES_PER_S
+    with _open_shared(max(size, 1)) as shared:
+        memory = np.frombuffer(mmap.mmap(shared, max(size, 1)), np.uint8)
+        limits = [_LEAST_MEMORY + _FILE_SIZES * file_size, int(allowed_s) + 1]
+        command = [sys.executable, "-P", "-S", "-m", f"hpccomponent.decoding.{module}"]
+        process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
+            [*command, str(path.absolute()), *map(str, [shared, len(memory), *limits]), *arguments],
+            bufsize=0,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,  # libraries write their last words there
+            env=os.environ | {"PYTHONPATH": _search_path()},
+            pass_fds=(shared,),
+            process_group=0,  # Ctrl-C in a terminal is for this process
+        )
+    try:
+        yield Decoder(process, memory, allowed_s, refuse)
+    finally:
+        process.kill()
+        with process:  # closes its pipes, and waits
+            pass
+
+
+@contextmanager
+def _open_shared(size: int) -> Iterator[int]:
+    """Open a file in memory, or what comes nearest; it goes with its last mapping."""
+    if sys.platform.startswith("linux"):
+        file = open(os.memfd_create("hpcapp"), "r+b", buffering=0)  # noqa: SIM115
+    else:
+        file = tempfile.TemporaryFile(buffering=0)  # type: ignore[assignment]  # noqa: SIM115
+    with file:
+        file.truncate(size)
+        yield file.fileno()
+
+
+def _search_path() -> str:
+    """Return where this process finds modules: `site` is not asked again."""
+    return os.pathsep.join(entry or os.getcwd() for entry in sys.path)

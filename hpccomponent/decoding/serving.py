@@ -1,0 +1,61 @@
+"""The other side of `process`: what runs in the process that decodes.
+
+Imports what is up at once, for it starts once for each time a file is read.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import resource
+import sys
+from collections.abc import Callable
+
+__all__ = ["Answer", "serve"]
+
+Answer = Callable[[list[str]], int]
+"""Does what a request asks for, given its words; returns what is to be said of it."""
+
+_LONGEST = 500  # characters of a message
+
+
+def serve(open_file: Callable[[str, memoryview, list[str]], Answer]) -> None:
+    """Answer requests until there are no more, or until one fails.
+
+    The command line is: path, descriptor of the shared memory, its size in bytes, limits of memory
+    in bytes and of time in seconds of one core; then arguments of `open_file`.
+
+    Parameters
+    ----------
+    open_file : callable
+        Given the path, the shared memory and arguments, it opens the file when the first request
+        is there.
+    """
+    path, shared, size, most_bytes, most_s, *arguments = sys.argv[1:]
+    answers = os.dup(1)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what libraries print
+    _limit(resource.RLIMIT_CORE, 0)
+    _limit(resource.RLIMIT_DATA, int(most_bytes))
+    _limit(resource.RLIMIT_CPU, int(most_s) * (os.cpu_count() or 1))  # of an orphan, too
+    memory = memoryview(mmap.mmap(int(shared), int(size)))
+    answer: Answer | None = None
+    while request := sys.stdin.buffer.readline().decode():
+        try:
+            answer = answer or open_file(path, memory, arguments)
+            said = f"ok {answer(request.split())}"
+        except ImportError as error:
+            said = f"missing {error}"
+        except MemoryError:
+            said = f"failed its decoder asks for more than {int(most_bytes) >> 20} MiB"
+        except BaseException as error:  # a panic of Rust is no Exception
+            said = f"failed {str(error).partition(chr(10))[0] or type(error).__name__}"
+        os.write(answers, said[:_LONGEST].encode(errors="replace") + b"\n")
+        if not said.startswith("ok"):
+            break
+    os._exit(0)  # without the destructors of libraries
+
+
+def _limit(what: int, most: int) -> None:
+    """Set a soft limit, within the hard one."""
+    _, hard = resource.getrlimit(what)
+    resource.setrlimit(what, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
