@@ -91,6 +91,12 @@ class _File:
         dtype, width = np.dtype(_TYPES[accessor["componentType"]]), _WIDTHS[accessor["type"]]
         stride = view.get("byteStride", dtype.itemsize * width)
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        needed = start + (accessor["count"] - 1) * stride + dtype.itemsize * width
+        if needed > len(self.body):
+            raise ValueError(
+                f"{accessor['count']} rows of accessor {number} end at byte {needed} of "
+                f"{len(self.body)}"
+            )
         rows = np.ndarray(
             (accessor["count"], width), dtype, self.body, start, (stride, dtype.itemsize)
         )
@@ -103,6 +109,11 @@ def _open(path: Path) -> _File:
     raw = path.read_bytes()
     if raw[:4] != b"glTF" or len(raw) < _HEAD + _CHUNK:
         raise InputError(f"{path}: does not start as a GLB does", "export it as binary glTF 2.0")
+    if (announced := int.from_bytes(raw[8:12], "little")) > len(raw):
+        raise InputError(
+            f"{path}: truncated: {announced} bytes are announced, the file has {len(raw)}",
+            "copy or export the file again",
+        )
     chunks: dict[bytes, bytes] = {}
     at = _HEAD
     while at + _CHUNK <= len(raw):

@@ -63,7 +63,8 @@ def _binary_corners(path: Path) -> FloatArray | None:
     if head.lstrip().startswith(b"solid"):
         return None
     raise InputError(
-        f"{path}: not an STL file, or truncated: {size} bytes do not fit its count of triangles",
+        f"{path}: not an STL file, or truncated: its {count} triangles would take "
+        f"{_HEAD_BYTES + 4 + count * _TRIANGLE.itemsize} bytes, it has {size}",
         "copy or export the file again",
     )
 

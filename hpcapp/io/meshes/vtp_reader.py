@@ -65,6 +65,7 @@ def read_vtp(path: Path) -> Mesh:
         ends = file.array(arrays["offsets"]).astype(np.int64)
         if not len(ends):
             raise InputError(f"{path}: holds no polygons", "give a mesh")
+        _check_counts(piece, path, len(vertices), len(ends))
         polygons = Ragged(np.diff(ends, prepend=0), corners)
         mesh = mesh_of_polygons(vertices, polygons, path)
         return _add_columns(file, piece, mesh)
@@ -72,6 +73,17 @@ def read_vtp(path: Path) -> Mesh:
         raise InputError(
             f"{path}: is no whole VTP: {type(error).__name__}: {error}", "export it again"
         ) from None
+
+
+def _check_counts(piece: Xml.Element, path: Path, points: int, polygons: int) -> None:
+    """Compare what a piece announces with what it holds."""
+    for name, found in (("NumberOfPoints", points), ("NumberOfPolys", polygons)):
+        announced = piece.get(name)
+        if announced is not None and int(announced) != found:
+            raise InputError(
+                f"{path}: {name} is {announced}, and {found} are there",
+                "copy or export the file again",
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

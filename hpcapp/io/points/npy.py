@@ -75,7 +75,7 @@ def open_npy(path: Path) -> PointSource:
     findings = Findings()
     mapped = None if is_archive(path) else map_array(path)
     if mapped is None:
-        columns, grid = _columns_of_archive(path, read_archive(path), findings)
+        columns, grid = _columns_of_archive(path, read_archive(path, findings), findings)
     else:
         columns, grid = _columns_of_array(path, mapped, findings)
     plan = plan_columns(list(columns), f"{path}: the file")

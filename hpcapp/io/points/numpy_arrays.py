@@ -21,6 +21,7 @@ import numpy as np
 from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
+from hpcapp.io.points.point_source import Findings
 from hpccomponent.errors import InputError
 
 __all__ = ["is_archive", "map_array", "read_archive"]
@@ -78,12 +79,14 @@ def map_array(path: Path) -> NDArray[Any]:
         return np.memmap(path, dtype, "r", file.tell(), shape, order)
 
 
-def read_archive(path: Path) -> dict[str, NDArray[Any]]:
+def read_archive(path: Path, findings: Findings) -> dict[str, NDArray[Any]]:
     """Read the arrays of an NPZ file.
 
     Parameters
     ----------
     path : Path
+    findings : Findings
+        Gets a warning where something follows after an array.
 
     Returns
     -------
@@ -104,14 +107,19 @@ def read_archive(path: Path) -> dict[str, NDArray[Any]]:
                 continue
             name = member.filename.removesuffix(".npy")
             with _translated(path, f"array {name!r}"), archive.open(member) as file:
-                arrays[name] = _read_array(file, member.file_size, f"{path}: array {name!r}")
+                array, following = _read_array(file, member.file_size, f"{path}: array {name!r}")
+            arrays[name] = array
+            if following:
+                findings.warn(f"{following} bytes follow after array {name!r}: they are left out")
     return arrays
 
 
-def _read_array(file: IO[bytes], size: int, place: str) -> NDArray[Any]:
+def _read_array(file: IO[bytes], size: int, place: str) -> tuple[NDArray[Any], int]:
+    """Return an array, and how many bytes follow after it."""
     shape, order, dtype = _read_header(file, size, place)
     content = file.read()  # to its end, so that its checksum is looked at
-    return np.ndarray(shape, dtype, content, order=order)
+    array: NDArray[Any] = np.ndarray(shape, dtype, content, order=order)
+    return array, len(content) - array.nbytes
 
 
 def _read_header(

@@ -178,18 +178,19 @@ class _Reader:
     def _binary(self, wanted: int, dtype: str) -> Column:
         size = wanted * np.dtype(dtype).itemsize
         if size > len(self._bytes) - self._at:
-            raise self._truncated()
+            raise self._truncated(wanted, (len(self._bytes) - self._at) // np.dtype(dtype).itemsize)
         values = np.frombuffer(self._bytes, dtype, wanted, self._at)
         self._at += size
         return values.astype(np.dtype(dtype).newbyteorder("="))
 
     def _ascii(self, wanted: int, dtype: str) -> Column:
         if wanted > len(self._bytes) - self._at:
-            raise self._truncated()
+            raise self._truncated(wanted, len(self._bytes[self._at :].split()))
         parts: list[Column] = []
+        announced = wanted
         while wanted > 0:
             if self._at >= len(self._bytes):
-                raise self._truncated()
+                raise self._truncated(announced, announced - wanted)
             words = self._line().split()
             try:
                 parts.append(np.array(words, np.float64))
@@ -227,8 +228,9 @@ class _Reader:
             raise self._error(f"not a count: {word[:20]!r}", "export it again")
         return int(word)
 
-    def _truncated(self) -> InputError:
-        return self._error("truncated: it ends before its last array", "copy the file again")
+    def _truncated(self, announced: int, found: int) -> InputError:
+        problem = f"truncated: {announced} numbers are announced, the file ends after {found}"
+        return self._error(problem, "copy or export the file again")
 
     def _error(self, problem: str, advice: str) -> InputError:
         return InputError(f"{self._path}: {problem}", advice)
