@@ -31,8 +31,8 @@ Parts = Callable[[], Iterable[FloatArray]]
 FEWEST_POINTS = 10
 """A quadric has ten coefficients."""
 
-_SMALLEST, _LARGEST = 1e-60, 1e60
-"""Largest coordinate of a cloud: its fourth powers must stay within the range of float64."""
+_SMALLEST, _LARGEST = 1e-35, 1e35
+"""Largest coordinate of a cloud: fields are computed in float32."""
 
 _SAMPLE = 100_000  # points that show whether they lie on a line, if they do not
 
@@ -153,13 +153,13 @@ def refuse_degenerate(low: FloatArray, high: FloatArray, points: int, source: st
     Raises
     ------
     InputError
-        The largest coordinate is above 1e60, or below 1e-60 and not zero; or the box has no extent.
+        The largest coordinate is above 1e35, or below 1e-35 and not zero; or the box has no extent.
     """
     largest = float(np.abs([low, high]).max())
     if largest > _LARGEST or 0 < largest < _SMALLEST:
         raise InputError(
             f"{source}: the largest coordinate is {largest:g}",
-            "scale the points: products of such numbers leave the range of float64",
+            "scale the points: such numbers leave the range of float32",
         )
     if (low == high).all():
         raise InputError(

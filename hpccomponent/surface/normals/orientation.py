@@ -224,7 +224,8 @@ class _System:
 def _ask_field(patches: Patches, sides: FloatArray, spacing: float) -> FloatArray:
     """Return how far the far field of the patches agrees with the normal of each: -1 to 1."""
     low, high = patches.centres.min(axis=0), patches.centres.max(axis=0)
-    step = _PADDING * float((high - low).max()) / _NODES
+    extent = max(float((high - low).max()), CELL * spacing)  # of one patch, its own
+    step = _PADDING * extent / _NODES
     origin = 0.5 * (low + high) - 0.5 * step * _NODES
     places = (patches.centres - origin) / step
     areas = np.minimum(patches.counts / CELL**2, 1.0) * (CELL * spacing / step) ** 2

@@ -61,7 +61,7 @@ def test_hopeless_clouds_are_refused_by_name(cloud: PointCloud, said: str) -> No
         drop_unusable(cloud, "scan.ply")
 
 
-@pytest.mark.parametrize("scale", [1e-30, 1.0, 1e50])
+@pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
 @pytest.mark.parametrize("direction", [[1.0, 0, 0], [1.0, -2.0, 0.3]])
 def test_points_on_one_line_are_refused(scale: float, direction: list[float]) -> None:
     along = np.linspace(-1, 1, 50)[:, None] * np.array(direction)
@@ -70,7 +70,7 @@ def test_points_on_one_line_are_refused(scale: float, direction: list[float]) ->
         drop_unusable(PointCloud(rounded, np.ones((50, 3))))
 
 
-@pytest.mark.parametrize("scale", [1e-30, 1.0, 1e50])
+@pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
 def test_coplanar_points_and_narrow_strips_pass(scale: float) -> None:
     flat = sphere(40, scale).positions * np.array([1.0, 1e-3, 0.0])
     cloud, _ = drop_unusable(PointCloud(flat, np.ones((40, 3))))
