@@ -18,11 +18,13 @@ import logging
 import re
 import shutil
 import sys
+import tempfile
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import FileIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, BinaryIO
 
 from hpcapp.io.formats import STANDARD_INPUT, open_points, read_mesh
 from hpcapp.io.ply.joined import write_joined
@@ -31,6 +33,7 @@ from hpcapp.io.points.point_source import PointSource, translated
 from hpcapp.io.points.registry import find_point_format
 from hpccomponent.errors import HpcError, InputError, UsageError
 from hpccomponent.files.held_folders import temporary_folder
+from hpccomponent.limits import is_shortage
 
 __all__ = ["find_files", "find_paths", "gather_points"]
 
@@ -38,6 +41,8 @@ log = logging.getLogger("hpcapp")
 
 _PIPED = "-"
 _COMPRESSED = ".gz"
+_SPOOLED = 0.5  # of what the disk has free
+_PIECE = 1 << 20  # bytes
 _MAGIC = (
     (b"ply", ".ply"), (b"LASF", ".las"), (b"ASTM-E57", ".e57"), (b"\x93NUMPY", ".npy"),
     (b"PK\x03\x04", ".npz"), (b"# .PCD", ".pcd"), (b"VERSION", ".pcd"), (b"# vtk", ".vtk"),
@@ -171,11 +176,11 @@ def _fetch(file: str, folder: Path) -> Path:
 def _unpack(file: str, folder: Path) -> Path:
     """Write what is packed in a file, or comes by the standard input, into a folder."""
     path = folder / "unpacked"
-    with path.open("wb") as target:
+    with path.open("wb", buffering=0) as target, translated(Path(_name(file))):
         if file == _PIPED:
-            shutil.copyfileobj(sys.stdin.buffer, target)
+            _spool(sys.stdin.buffer, target, file)
         else:
-            with translated(Path(file)), open(file, "rb") as packed:
+            with open(file, "rb") as packed:
                 _decompress(packed, target, file)
     inner = "" if file == _PIPED else Path(Path(file).stem).suffix
     suffix = inner or _guess_suffix(path)
@@ -197,10 +202,34 @@ def _name(file: str) -> str:
     return "the standard input" if file == _PIPED else file
 
 
-def _decompress(packed: BinaryIO, target: BinaryIO, file: str) -> None:
+def _spool(stream: IO[bytes] | gzip.GzipFile, target: FileIO, file: str) -> None:
+    """Copy what comes, as far as the disk has room for it and for the job: it may have no end."""
+    folder = tempfile.gettempdir()
+    allowed, written = int(_SPOOLED * shutil.disk_usage(folder).free), 0
+    while piece := stream.read(_PIECE):
+        written += len(piece)
+        if written > allowed:
+            raise _endless(file, folder, written)
+        try:
+            while piece:
+                piece = piece[target.write(piece) :]
+        except OSError as error:
+            if not is_shortage(error):
+                raise
+            raise _endless(file, folder, written) from error
+
+
+def _endless(file: str, folder: str, written: int) -> InputError:
+    return InputError(
+        f"{_name(file)}: no end after {written >> 20} MiB, and no more room for a copy in {folder}",
+        "check that it ends; or set TMPDIR to a folder with more room, of which half may be taken",
+    )
+
+
+def _decompress(packed: BinaryIO, target: FileIO, file: str) -> None:
     try:
         with gzip.open(packed) as stream:
-            shutil.copyfileobj(stream, target)
+            _spool(stream, target, file)
     except EOFError:
         raise InputError(
             f"{file}: cut: it ends before its compressed data do", "copy the file again"

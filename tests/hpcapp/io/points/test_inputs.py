@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import subprocess
 import sys
 from pathlib import Path
 
@@ -137,3 +138,36 @@ def test_temporary_files_are_gone_afterwards(tmp_path: Path) -> None:
     with gather_points([str(packed)]) as path:
         assert path.exists()
     assert not path.exists()
+
+
+ON_A_SMALL_DISK = """
+mount -t tmpfs -o size=8m none "$1" || exit 77
+export TMPDIR="$1"
+shift
+"$@"
+echo "exit code $?, left: $(ls "$TMPDIR")" >&2
+"""
+
+
+@pytest.mark.parametrize("is_packed", [False, True])
+def test_what_has_no_end_is_refused_by_its_name(tmp_path: Path, is_packed: bool) -> None:
+    """Half of what the disk has free may be taken; the copy goes."""
+    place, packed = tmp_path / "place", tmp_path / "a.xyz.gz"
+    place.mkdir()
+    with gzip.open(packed, "wb") as file:
+        file.write(b"0 0 0\n" * 4_000_000)
+    words = [sys.executable, "-m", "hpcapp", "info", str(packed) if is_packed else "-"]
+    shell = ["unshare", "--mount", "--map-root-user", "sh", "-c", ON_A_SMALL_DISK, "sh", str(place)]
+    with subprocess.Popen(["yes", "0 0 0"], stdout=subprocess.PIPE) as endless:
+        try:
+            done = subprocess.run(
+                [*shell, *words], stdin=endless.stdout, capture_output=True, text=True
+            )
+        finally:
+            endless.kill()
+    if done.returncode == 77 or "unshare:" in done.stderr:
+        pytest.skip(f"no file system can be mounted here: {done.stderr}")
+    name = str(packed) if is_packed else "the standard input"
+    assert f"hpcapp: {name}: no end after 4 MiB, and no more room for a copy in" in done.stderr
+    assert "check that it ends" in done.stderr
+    assert done.stderr.endswith("exit code 3, left: \n")
