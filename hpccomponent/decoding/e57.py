@@ -6,13 +6,23 @@ of it, and says how many. Each field fills its rows of the memory, as float64, o
 
 from __future__ import annotations
 
+import os
 import sys
-from importlib import import_module
-from importlib.util import find_spec
-from types import ModuleType
-from typing import Any
 
-from hpccomponent.decoding.serving import Answer, serve
+from hpccomponent.decoding.serving import serve
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+    from hpccomponent.decoding.serving import Answer
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Serve the process that has started this one."""
+    serve(_open)
 
 
 def _open(path: str, memory: memoryview, arguments: list[str]) -> Answer:  # noqa: ARG001
@@ -41,14 +51,9 @@ def _open(path: str, memory: memoryview, arguments: list[str]) -> Answer:  # noq
 
 def _import_library() -> Any:
     """Import the extension alone: the package around it imports numpy, which takes far longer."""
-    spec = find_spec("pye57")
-    if spec is None or spec.submodule_search_locations is None:
-        raise ImportError("E57 needs the package pye57")
-    package = ModuleType("pye57")
-    package.__path__ = list(spec.submodule_search_locations)
+    package = type(sys)("pye57")
+    package.__path__ = [os.path.join(folder, "pye57") for folder in sys.path]
     sys.modules["pye57"] = package
-    return import_module("pye57.libe57")
+    import pye57.libe57
 
-
-if __name__ == "__main__":
-    serve(_open)
+    return pye57.libe57

@@ -9,15 +9,19 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Callable
-from importlib import import_module
-from typing import BinaryIO, cast
 
-from hpccomponent.decoding.serving import Answer, serve
+from hpccomponent.decoding.serving import serve
 
-__all__ = ["read_items"]
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import BinaryIO
 
-_Fill = Callable[[memoryview], object]
+    from hpccomponent.decoding.serving import Answer
+
+    _Fill = Callable[[memoryview], object]
+
+__all__ = ["main", "read_items"]
 
 _LAYERED = 3  # the compressor of point formats 6 to 10
 _LAYERS_OF = {10: 9, 11: 1, 12: 2, 13: 1}  # by kind of item; extra bytes have one a byte
@@ -43,6 +47,11 @@ def read_items(record: bytes) -> list[tuple[int, int, int]]:
     return list(_ITEM.iter_unpack(items[: len(items) // _ITEM.size * _ITEM.size]))
 
 
+def main() -> None:
+    """Serve the process that has started this one."""
+    serve(_open)
+
+
 def _open(path: str, memory: memoryview, arguments: list[str]) -> Answer:
     library, start, count, record = arguments
     file = open(path, "rb")  # noqa: SIM115 - as long as the process
@@ -58,7 +67,8 @@ def _open(path: str, memory: memoryview, arguments: list[str]) -> Answer:
 
 
 def _open_lazrs(file: BinaryIO, start: int, count: int, record: bytes) -> _Fill:
-    lazrs = import_module("lazrs")
+    import lazrs
+
     table_at = _find_chunk_table(file, start)
     file.seek(start)
     chunks = lazrs.read_chunk_table(file, lazrs.LazVlr(record))
@@ -74,7 +84,8 @@ def _open_lazrs(file: BinaryIO, start: int, count: int, record: bytes) -> _Fill:
     if int.from_bytes(record[:2], "little") == _LAYERED:
         _check_layers(file, start + 8, lengths, read_items(record))
     file.seek(start)
-    return cast(_Fill, lazrs.ParLasZipDecompressor(file, record).decompress_many)
+    fill: _Fill = lazrs.ParLasZipDecompressor(file, record).decompress_many
+    return fill
 
 
 def _find_chunk_table(file: BinaryIO, start: int) -> int:
@@ -116,9 +127,8 @@ def _read_number(file: BinaryIO, size: int) -> int:
 
 def _open_laszip(file: BinaryIO, start: int, count: int, record: bytes) -> _Fill:  # noqa: ARG001
     """Open a file with a library that reads the header itself."""
+    import laszip
+
     file.seek(0)
-    return cast(_Fill, import_module("laszip").LasUnZipper(file).decompress_into)
-
-
-if __name__ == "__main__":
-    serve(_open)
+    fill: _Fill = laszip.LasUnZipper(file).decompress_into
+    return fill

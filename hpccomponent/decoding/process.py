@@ -2,7 +2,7 @@
 
 ::
 
-    this process                                       python -m hpccomponent.decoding.laz
+    this process                                       hpccomponent.decoding.laz
     ┌────────────────────────────────────┐             ┌─────────────────────────────────┐
     │ Decoder ── "1048576 bytes" ────────┼── stdin ───>│ serving ──> lazrs, laszip, libE57│
     │    ^  └──── "ok 1048576" <─────────┼── stdout ───│    │     limits: memory, time   │
@@ -167,7 +167,8 @@ def open_decoder(
     with _open_shared(max(size, 1)) as shared:
         memory = np.frombuffer(mmap.mmap(shared, max(size, 1)), np.uint8)
         limits = [_LEAST_MEMORY + _FILE_SIZES * file_size, int(allowed_s) + 1]
-        command = [sys.executable, "-P", "-S", "-m", f"hpccomponent.decoding.{module}"]
+        program = f"from hpccomponent.decoding.{module} import main; main()"
+        command = [sys.executable, "-P", "-S", "-c", program]  # -m would import twice as much
         process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
             [*command, str(path.absolute()), *map(str, [shared, len(memory), *limits]), *arguments],
             bufsize=0,

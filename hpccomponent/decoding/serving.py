@@ -1,6 +1,6 @@
 """The other side of `process`: what runs in the process that decodes.
 
-Imports what is up at once, for it starts once for each time a file is read.
+It starts each time a file is read: what only types need, half of its start, is not imported.
 """
 
 from __future__ import annotations
@@ -9,12 +9,15 @@ import mmap
 import os
 import resource
 import sys
-from collections.abc import Callable
 
-__all__ = ["Answer", "serve"]
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
-Answer = Callable[[list[str]], int]
-"""Does what a request asks for, given its words; returns what is to be said of it."""
+    Answer = Callable[[list[str]], int]
+    """Does what a request asks for, given its words; returns what is to be said of it."""
+
+__all__ = ["serve"]
 
 _LONGEST = 500  # characters of a message
 

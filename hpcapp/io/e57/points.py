@@ -23,7 +23,7 @@ from hpcapp.io.e57.scans import (
     read_fields,
 )
 from hpcapp.io.points.column_roles import COLOURS, NORMALS
-from hpcapp.io.points.point_source import Findings, PointSource, Scan
+from hpcapp.io.points.point_source import Findings, PointSource, Scan, keep_small
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.types.points import FloatArray, Int32Array, PointCloud
 
@@ -86,7 +86,7 @@ def open_e57(path: Path) -> PointSource:
             _decode_parts(path, scans, columns, min(rows, _AT_ONCE), findings), rows
         )
 
-    return PointSource(
+    source = PointSource(
         path,
         sum(one.points for one in scans),
         True,
@@ -99,6 +99,7 @@ def open_e57(path: Path) -> PointSource:
         unit="m",  # by the standard
         findings=findings,
     )
+    return keep_small(source)
 
 
 def _place_scanners(scans: Sequence[E57Scan]) -> tuple[Scan, ...]:

@@ -86,7 +86,7 @@ def open_decompressor(path: Path, header: LasHeader, rows: int) -> Iterator[Take
     taken = 0
 
     def refuse(why: str) -> InputError:
-        return _damaged(path, f"{why}, behind point {taken} of {header.count}")
+        return _damaged(path, f"{why} ({taken} of {header.count} points were read)")
 
     with open_decoder("laz", path, size, arguments, refuse) as decoder:
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hpcapp.io.las.decompression import Take, find_library, open_decompressor
 from hpcapp.io.las.header import LasHeader, find_crs, read_header
 from hpcapp.io.las.layout import LasLayout, find_layout
-from hpcapp.io.points.point_source import Findings, PointSource, Scan
+from hpcapp.io.points.point_source import Findings, PointSource, Scan, keep_small
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.points import ByteArray, PointCloud
 
@@ -73,7 +73,7 @@ def open_las(path: Path) -> PointSource:
         if not some:
             yield layout.decode(np.empty(0, layout.dtype))
 
-    return PointSource(
+    source = PointSource(
         path,
         header.count,
         True,
@@ -86,6 +86,7 @@ def open_las(path: Path) -> PointSource:
         unit=crs.unit if crs else None,
         findings=findings,
     )
+    return keep_small(source) if header.is_compressed else source
 
 
 def _describe(header: LasHeader) -> str:

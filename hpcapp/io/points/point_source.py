@@ -19,11 +19,12 @@ from hpccomponent.errors import InputError
 from hpccomponent.surface.cloud.point_records import PointRecords
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
-__all__ = ["Findings", "PointSource", "Scan", "read_whole", "translated"]
+__all__ = ["Findings", "PointSource", "Scan", "keep_small", "read_whole", "translated"]
 
 Number = TypeVar("Number", bound=np.generic)
 
 _ROWS_AT_ONCE = 1 << 20
+_SMALL = 1 << 16  # points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,6 +197,36 @@ class PointSource:
         assert self.check_rest is not None  # noqa: S101 - there are records
         with translated(self.path):
             self.check_rest()
+
+
+def keep_small(source: PointSource) -> PointSource:
+    """Decode a small file once for all passes: the process that does takes a while to start.
+
+    Parameters
+    ----------
+    source : PointSource
+        Its points are counted.
+
+    Returns
+    -------
+    PointSource
+        The same one where the file is large.
+    """
+    if source.count is None or source.count > _SMALL:
+        return source
+    kept: list[tuple[PointCloud, dict[str, int]]] = []
+
+    def scan(rows: int) -> Iterator[PointCloud]:
+        if not kept:
+            (whole,) = source.scan(_SMALL)
+            kept.append((whole, dict(source.findings.dropped)))
+        whole, dropped = kept[0]
+        source.findings.dropped.clear()
+        source.findings.dropped.update(dropped)
+        for start in range(0, max(len(whole), 1), rows):
+            yield whole.take(np.arange(start, min(start + rows, len(whole))))
+
+    return replace(source, scan=scan)
 
 
 def read_whole(source: PointSource) -> PointCloud:

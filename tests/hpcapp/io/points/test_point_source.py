@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from hpcapp.io import PointSource, open_points, read_points, write_points
+from hpcapp.io.points.point_source import Findings, keep_small
 from hpccomponent.errors import InputError
 from hpccomponent.protocol.codec import decode_values, encode_values
 from hpccomponent.surface.cloud.point_records import PointRecords
@@ -221,3 +222,23 @@ def test_memory_does_not_grow_with_the_file(make_ply: Make, where: str) -> None:
     read, kibibytes = map(int, done.stdout.split())
     assert read == points
     assert kibibytes < 20_000  # of a file of 50 to 70 MB
+
+
+def test_a_small_file_is_decoded_once(tmp_path: Path) -> None:
+    findings, passes = Findings(), []
+
+    def scan(rows: int) -> Iterator[PointCloud]:
+        passes.append(rows)
+        findings.drop("noise", 2)
+        yield PointCloud(np.arange(12.0).reshape(4, 3))
+
+    source = keep_small(PointSource(tmp_path, 6, True, False, scan, findings=findings))
+    for part in source.chunks(3):
+        part.positions[:] = 0.0
+    assert [part.positions.tolist() for part in source.chunks(3)] == [
+        [[0, 1, 2], [3, 4, 5], [6, 7, 8]], [[9, 10, 11]]
+    ]  # fmt: skip
+    assert len(passes) == 1
+    assert findings.dropped == {"noise": 2}
+    large = PointSource(tmp_path, 1 << 20, True, False, scan)
+    assert keep_small(large) is large
