@@ -43,6 +43,8 @@ _BYTES_PER_S = 50_000  # of the file: good ones are decoded a hundred times as f
 _LEAST_MEMORY = 1 << 30  # bytes
 _FILE_SIZES = 4  # of memory, beside that
 _LONGEST_ANSWER = 4096  # bytes
+_DIGITS = 20
+_ENDS_S = 1.0  # so long after its pipe has closed
 
 
 class Decoder:
@@ -51,6 +53,8 @@ class Decoder:
     Parameters
     ----------
     process : subprocess.Popen
+    path : Path
+        The file.
     memory : ndarray of uint8
         Shared: each answer overwrites it.
     allowed_s : float
@@ -61,6 +65,7 @@ class Decoder:
     def __init__(
         self,
         process: subprocess.Popen[bytes],
+        path: Path,
         memory: NDArray[np.uint8],
         allowed_s: float,
         refuse: Refuse,
@@ -68,7 +73,7 @@ class Decoder:
         assert process.stdin is not None  # noqa: S101 - for mypy: both are pipes
         assert process.stdout is not None  # noqa: S101 - likewise
         self.memory = memory
-        self._process = process
+        self._process, self._path = process, path
         self._requests, self._answers = process.stdin.fileno(), process.stdout.fileno()
         self._allowed_s = self._left_s = allowed_s
         self._refuse = refuse
@@ -98,10 +103,10 @@ class Decoder:
         with contextlib.suppress(BrokenPipeError):  # why it ended is found out below
             os.write(self._requests, (" ".join(map(str, words)) + "\n").encode())
         verdict, _, said = self._hear().partition(" ")
-        if verdict == "ok" and said.isdecimal():
+        if verdict == "ok" and said.isdecimal() and len(said) < _DIGITS:
             return int(said)
         if verdict == "missing":
-            raise UsageError(said, "install the package again")
+            raise UsageError(f"{self._path}: {said}", "install the package again")
         raise self._refuse(said or "its decoder gave no answer")
 
     def _hear(self) -> str:
@@ -125,9 +130,12 @@ class Decoder:
 
     def _ended(self) -> InputError | JobError:
         """Say how it ended."""
-        code = -self._process.wait()
+        try:
+            code = -self._process.wait(_ENDS_S)
+        except subprocess.TimeoutExpired:
+            return self._refuse("its decoder gave no answer")
         if code == signal.SIGKILL:
-            return JobError("the process that decodes a file was killed", "is memory short?")
+            return JobError(f"{self._path}: its decoder was killed", "is memory short?")
         if code == signal.SIGXCPU:
             return self._too_slow()
         how = signal.Signals(code).name if code > 0 else f"exit code {-code}"
@@ -180,7 +188,7 @@ def open_decoder(
             process_group=0,  # Ctrl-C in a terminal is for this process
         )
     try:
-        yield Decoder(process, memory, allowed_s, refuse)
+        yield Decoder(process, path, memory, allowed_s, refuse)
     finally:
         process.kill()
         with process:  # closes its pipes, and waits
