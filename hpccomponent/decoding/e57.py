@@ -27,7 +27,7 @@ def main() -> None:
 
 def _open(path: str, memory: memoryview, arguments: list[str]) -> Answer:  # noqa: ARG001
     library = _import_library()
-    image = library.ImageFile(path, "r")
+    image = library.ImageFile(os.fsencode(path), "r")
     numbers = memory[: len(memory) // 8 * 8].cast("d")
     reader: Any = None
 
