@@ -13,13 +13,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 from hpccomponent.errors import ProtocolError
-
-if TYPE_CHECKING:  # who only declares, or starts a worker, does not wait for numpy
-    import numpy as np
+from hpccomponent.protocol.declared_arrays import Array, Extents
 
 __all__ = [
     "ANYTHING",
@@ -41,10 +39,6 @@ __all__ = [
     "Whole",
     "check_result",
 ]
-
-_AT_ONCE = 1 << 16  # entries of an array: what is made of them stays in the cache
-
-Extents = dict[str, int]
 
 
 class Declared(Protocol):
@@ -222,97 +216,6 @@ class Exactly:
             raise _refuse(place, value, type(self.value).__name__)
         if value != self.value:
             raise ProtocolError(f"{place} is not {self.value!r}")
-
-
-@dataclass(frozen=True, slots=True, init=False)
-class Array:
-    """An ndarray.
-
-    Parameters
-    ----------
-    dtype : str
-        As ``dtype.str`` has it, little-endian: ``<f8``, ``<i8``, ``|b1``.
-    *shape : int or str
-        Each extent: a number, or a name, to which a number may be added: ``n``, ``n+1``.
-    low, high : number, optional
-        The least and the greatest entry.
-    finite : bool
-        Whether NaN and infinite entries are refused; where there are bounds, NaN is in any case.
-    """
-
-    dtype: str
-    shape: tuple[int | str, ...]
-    low: float | None = field(default=None)
-    high: float | None = field(default=None)
-    finite: bool = field(default=True)
-
-    def __init__(
-        self,
-        dtype: str,
-        *shape: int | str,
-        low: float | None = None,
-        high: float | None = None,
-        finite: bool = True,
-    ) -> None:
-        for name, value in zip(
-            ("dtype", "shape", "low", "high", "finite"),
-            (dtype, shape, low, high, finite),
-            strict=True,
-        ):
-            object.__setattr__(self, name, value)
-
-    def check(self, value: Any, place: str, extents: Extents) -> None:
-        """See `Declared`."""
-        import numpy as np
-
-        if not isinstance(value, np.ndarray):
-            raise _refuse(place, value, "ndarray")
-        if value.dtype.newbyteorder("<").str != self.dtype:
-            raise ProtocolError(f"{place} has the dtype {value.dtype.str}, not {self.dtype}")
-        fits = len(value.shape) == len(self.shape) and all(
-            _fits(extent, wanted, extents)
-            for extent, wanted in zip(value.shape, self.shape, strict=True)
-        )
-        if not fits:
-            raise ProtocolError(f"{place} has the shape {value.shape}, not {self._say(extents)}")
-        if value.size:
-            self._check_entries(value, place)
-
-    def _check_entries(self, value: np.ndarray[Any, Any], place: str) -> None:
-        may_be_nan = value.dtype.kind in "fc"
-        if self.finite and may_be_nan and not _is_finite(value):
-            raise ProtocolError(f"{place} has entries that are NaN or infinite")
-        # Written so that NaN does not pass.
-        if self.low is not None and not value.min() >= self.low:
-            raise ProtocolError(f"{place} has entries below {self.low}")
-        if self.high is not None and not value.max() <= self.high:
-            raise ProtocolError(f"{place} has entries above {self.high}")
-
-    def _say(self, extents: Extents) -> str:
-        names = dict.fromkeys(
-            extent.partition("+")[0] for extent in self.shape if isinstance(extent, str)
-        )
-        known = [f"{name} = {extents[name]}" for name in names if name in extents]
-        shape = ", ".join(map(str, self.shape)) + ("," if len(self.shape) == 1 else "")
-        return f"({shape})" + (f" with {', '.join(known)}" if known else "")
-
-
-def _fits(extent: int, wanted: int | str, extents: Extents) -> bool:
-    if isinstance(wanted, int):
-        return extent == wanted
-    name, _, more = wanted.partition("+")
-    base = extent - int(more or 0)
-    return base >= 0 and extents.setdefault(name, base) == base
-
-
-def _is_finite(value: np.ndarray[Any, Any]) -> bool:
-    import numpy as np
-
-    flat = value.reshape(-1)
-    return all(
-        bool(np.isfinite(flat[start : start + _AT_ONCE]).all())
-        for start in range(0, len(flat), _AT_ONCE)
-    )
 
 
 @dataclass(frozen=True, slots=True, init=False)

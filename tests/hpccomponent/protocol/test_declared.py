@@ -48,6 +48,26 @@ POINTS = np.zeros((4, 3))
         ),
         (Array("<i8", "n", low=0, high=5), [np.arange(6)], [np.arange(7), np.array([-1])]),
         (
+            Array("<i8", "n", rises=True),
+            [np.array([1, 2, 5]), np.array([], np.int64)],
+            [np.array([1, 1]), np.array([2, 1])],
+        ),
+        (
+            Array("<i8", "n", low=0, total=(2, 3)),
+            [np.array([1, 1]), np.array([3])],
+            [np.array([1]), np.array([2, 2]), np.zeros(0, np.int64), np.full(4, 2**62)],
+        ),
+        (
+            Array("<f8", "n", 3, low=np.zeros(3), high=np.array([1.0, 2.0, 3.0])),
+            [np.array([[1.0, 2.0, 3.0]]), POINTS],
+            [np.array([[1.0, 2.0, 4.0]]), np.array([[1.0, -1.0, 0.0]])],
+        ),
+        (
+            Array("<i8", 3, low=np.arange(3), high=np.arange(3)),
+            [np.arange(3)],
+            [np.arange(1, 4), np.array([0, 2, 1])],
+        ),
+        (
             Fixed(Array("<i8", "n"), Array("<i8", "n+1")),
             [(np.arange(2), np.arange(3))],
             [(np.arange(2), np.arange(2)), (np.arange(2),), [np.arange(2), np.arange(3)]],
