@@ -1,63 +1,101 @@
-"""Wrong answers that look like right ones: functions from a task's value to another of its form."""
+"""Results that are wrong in one way each: functions from what a task returned to what it says."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LIES"]
+__all__ = ["LIES", "Lie"]
 
-Change = Callable[[NDArray[Any]], NDArray[Any]]
-FAR = 10**9
+Lie = Callable[[Any], Any]
 
+_FAR = 10**9
+_MORE_ROWS, _MORE_BYTES = 10**6, 64 << 20  # the smaller of both
 
-def _change(value: Any, change: Change) -> Any:
-    """Return a value with all its numbers and arrays of numbers changed."""
-    match value:
-        case np.ndarray():
-            return np.ascontiguousarray(change(value))
-        case bool() | str() | bytes() | None:
-            return value
-        case int() | float():
-            return change(np.asarray(value)).item()
-        case tuple():
-            return tuple(_change(item, change) for item in value)
-        case list():
-            return [_change(item, change) for item in value]
-        case dict():
-            return {key: _change(item, change) for key, item in value.items()}
-    if not is_dataclass(value):
-        return value
-    changed = object.__new__(type(value))
-    for one in fields(value):
-        object.__setattr__(changed, one.name, _change(getattr(value, one.name), change))
-    return changed
+Array = NDArray[Any]
 
 
-def _add(number: int) -> Change:
-    return lambda array: (array + number).astype(array.dtype) if array.dtype.kind in "iu" else array
+def _change(value: Any, of_array: Callable[[Array], Array], of_number: Callable[[Any], Any]) -> Any:
+    """Change the arrays and the numbers in a value; truth values, texts and None stay."""
+
+    def change(item: Any) -> Any:
+        if isinstance(item, np.ndarray):
+            return of_array(item)
+        if type(item) in (int, float):
+            return of_number(item)
+        if isinstance(item, tuple | list):
+            return type(item)(map(change, item))
+        if isinstance(item, dict):
+            return {key: change(entry) for key, entry in item.items()}
+        if is_dataclass(item) and not isinstance(item, type):
+            return type(item)(*(change(getattr(item, one.name)) for one in fields(item)))
+        return item
+
+    return change(value)
 
 
-def _scale(array: NDArray[Any]) -> NDArray[Any]:
-    return (array * 1.001).astype(array.dtype) if array.dtype.kind == "f" else array
+def _set_zero(value: Any) -> Any:
+    return _change(value, np.zeros_like, lambda number: type(number)(0))
 
 
-def _reverse(array: NDArray[Any]) -> NDArray[Any]:
-    return array[::-1] if array.ndim else array
+def _add_one(value: Any) -> Any:
+    return _change(
+        value,
+        lambda array: array + array.dtype.type(1) if array.dtype.kind in "iu" else array,
+        lambda number: number + 1 if type(number) is int else number,
+    )
 
 
-def _by(change: Change) -> Callable[[Any], Any]:
-    return lambda value: _change(value, change)
+def _scale(value: Any) -> Any:
+    return _change(
+        value,
+        lambda array: array * array.dtype.type(1.001) if array.dtype.kind == "f" else array,
+        lambda number: number * 1.001 if type(number) is float else number,
+    )
 
 
-LIES: Mapping[str, Callable[[Any], Any]] = {
-    "zero": _by(np.zeros_like),
-    "plus one": _by(_add(1)),
-    "times 1.001": _by(_scale),
-    "permuted": _by(_reverse),
-    "shifted": _by(_add(FAR)),
+def _turn_round(value: Any) -> Any:
+    return _change(value, lambda array: array[::-1].copy(), lambda number: number)
+
+
+def _shift(value: Any) -> Any:
+    return _change(
+        value,
+        lambda array: array + array.dtype.type(_FAR) if array.dtype.kind in "iuf" else array,
+        lambda number: number + type(number)(_FAR),
+    )
+
+
+def _blow_up(value: Any) -> Any:
+    first = True
+
+    def lengthen(array: Array) -> Array:
+        nonlocal first
+        if not first:
+            return array
+        first = False
+        row_bytes = int(np.prod(array.shape[1:], dtype=int)) * array.itemsize
+        more = min(_MORE_ROWS, _MORE_BYTES // max(row_bytes, 1))
+        rows = np.zeros((more, *array.shape[1:]), array.dtype)
+        if len(array):
+            rows[:] = array[-1]
+        return np.concatenate([array, rows])
+
+    return _change(value, lengthen, lambda number: number)
+
+
+LIES: dict[str, Lie] = {
+    "zero": _set_zero,
+    "plus one": _add_one,
+    "times 1.001": _scale,
+    "permuted": _turn_round,
+    "shifted": _shift,
+    "giant": _blow_up,
 }
+"""All numbers zero; every integer one too large; every float 1.001 times as large; the rows of all
+arrays the other way round; every number 10^9 too large; the first array longer by 10^6 times its
+last row."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hpcapp.workforce import Workforce, map_batches
 from hpccomponent.errors import JobError, UsageError
-from hpccomponent.protocol.declared import Array
+from hpccomponent.protocol.declared import Array, Declared, Where
 from hpccomponent.runtime.tasks import declare
 
 __all__ = ["INTEGRANDS", "Integral", "estimate", "integrate"]
@@ -51,8 +51,32 @@ class Integral:
     intervals: int
 
 
+def estimated(integrand: str, left: FloatArray, right: FloatArray) -> Declared:
+    """Return what `estimate` may return: no integral is larger than its box, or negative.
+
+    Parameters
+    ----------
+    integrand, left, right
+        As for `estimate`.
+
+    Returns
+    -------
+    Declared
+        Not a number is what comes of ends beyond the range of numbers.
+    """
+    farthest = np.maximum(np.abs(left), np.abs(right))
+    greatest = {"peak": np.full(len(left), 1e4), "root": np.sqrt(farthest)}
+    most = 1.001 * (right - left) * greatest.get(integrand, np.ones(len(left)))
+
+    def agrees(value: FloatArray) -> bool:
+        return not bool(((value < 0.0) | (value > most[:, None])).any())
+
+    pattern = Array("<f8", len(left), 2, finite=False)
+    return Where(pattern, agrees, "integrals lie between 0 and width times height")
+
+
 @declare(
-    result=lambda _integrand, left, _right: Array("<f8", len(left), 2, finite=False),
+    result=estimated,
     limit=lambda _integrand, left, _right: 4096 + 16 * len(left),
 )
 def estimate(integrand: str, left: FloatArray, right: FloatArray) -> FloatArray:

@@ -28,11 +28,14 @@ from hpccomponent.surface.types.lattice import (
 from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 
 __all__ = [
+    "FAR_REACH",
     "FEWEST_NODES",
     "FarFieldPart",
     "choose_nodes",
     "crop_far_field",
+    "crop_nodes",
     "far_step",
+    "lay_far_field",
     "restore_far_field",
     "solve_far_field",
     "spread_samples",
@@ -44,7 +47,9 @@ FEWEST_NODES = 128
 _MOST_NODES = 256
 _BLURRED = 4.0  # standard deviations of the noise: shape that is smaller is not told from it
 _PADDING = 1.5
-_REACH = 1.5
+
+FAR_REACH = 1.5
+"""Steps: the values are cut off there."""
 
 _ENOUGH = 6.0  # samples on one sheet, from which the area of each is told
 _WIDEST = 5  # the level of cells up to which they are looked for
@@ -94,10 +99,33 @@ def crop_far_field(far: FarField, low: FloatArray, high: FloatArray) -> FarField
     FarFieldPart
     """
     nodes = len(far.values)
-    first = np.clip(np.floor((low - far.origin) / far.step).astype(np.int64) - 1, 0, nodes - 2)
-    end = np.clip(np.ceil((high - far.origin) / far.step).astype(np.int64) + 2, first + 2, nodes)
+    first, end = crop_nodes(far.origin, far.step, nodes, low, high)
     box = tuple(slice(a, b) for a, b in zip(first, end, strict=True))
     return FarFieldPart(np.ascontiguousarray(far.values[box]), first, nodes, far.origin, far.step)
+
+
+def crop_nodes(
+    origin: FloatArray, step: float, nodes: int, low: FloatArray, high: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """Return the nodes that interpolation within a box asks for.
+
+    Parameters
+    ----------
+    origin : ndarray of float64, shape (3,)
+        Where node (0, 0, 0) lies.
+    step : float
+    nodes : int
+        Along each side.
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box, in length units of the input.
+
+    Returns
+    -------
+    first, end : ndarray of int64, shape (3,)
+    """
+    first = np.clip(np.floor((low - origin) / step).astype(np.int64) - 1, 0, nodes - 2)
+    end = np.clip(np.ceil((high - origin) / step).astype(np.int64) + 2, first + 2, nodes)
+    return first, end
 
 
 def restore_far_field(part: FarFieldPart) -> FarField:
@@ -156,6 +184,26 @@ def far_step(low: FloatArray, high: FloatArray, nodes: int) -> float:
     return _PADDING * float((high - low).max()) / nodes
 
 
+def lay_far_field(low: FloatArray, high: FloatArray, nodes: int) -> tuple[FloatArray, float]:
+    """Lay the nodes of a far field around a box.
+
+    Parameters
+    ----------
+    low, high : ndarray of float64, shape (3,)
+        Corners of the box, in length units of the input.
+    nodes : int
+        Along each side.
+
+    Returns
+    -------
+    origin : ndarray of float64, shape (3,)
+        Where node (0, 0, 0) lies.
+    step : float
+    """
+    step = far_step(low, high, nodes)
+    return 0.5 * (low + high) - 0.5 * step * nodes, step
+
+
 def solve_far_field(
     centroids: FloatArray,
     normals: FloatArray,
@@ -191,8 +239,7 @@ def solve_far_field(
     The cost is that of four FFTs of all nodes; see `coarse_grid.integrate_normals`.
     """
     low, high = box
-    step = far_step(low, high, nodes)
-    origin = 0.5 * (low + high) - 0.5 * step * nodes
+    origin, step = lay_far_field(low, high, nodes)
     centroids, normals = spread_samples(centroids, normals, size)
     centroids = np.clip(centroids, low, high)
     places = (centroids - origin) / step
@@ -205,7 +252,7 @@ def solve_far_field(
     rise = sample_grid(chi, places + unit) - sample_grid(chi, places - unit)
     slope = max(float(rise.mean()) / (2.0 * step), 1e-300)
     chi /= np.float32(slope)
-    np.clip(chi, -_REACH * step, _REACH * step, out=chi)
+    np.clip(chi, -FAR_REACH * step, FAR_REACH * step, out=chi)
     return FarField(chi, origin, step)
 
 

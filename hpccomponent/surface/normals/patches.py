@@ -31,7 +31,9 @@ from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArra
 
 __all__ = [
     "CELL",
+    "LINKED",
     "MARGIN",
+    "SHEETS",
     "Links",
     "Patches",
     "Sides",
@@ -43,11 +45,13 @@ __all__ = [
 CELL = 4.0
 """Spacings: the edge of the cells that patches are made in."""
 
-_SHEETS = 12  # patches of a cell at most: what is left then goes to the last
+SHEETS = 12
+"""Patches of a cell at most: what is left then goes to the last."""
 _AGREE = 0.75  # |cosine| between the normals of a patch and of its seed
 _THICK = 0.35  # spacings between a seed's plane and a point on it
 _NOISES = 2.0  # or so many standard deviations of the point, where that is more
-_LINKED = 8  # neighbours that a point links its patch to
+LINKED = 8
+"""Neighbours that a point links its patch to, and one more that is itself."""
 _REACH = 4.0  # spacings: farther points are no neighbours
 
 MARGIN = _REACH + CELL * 3.0**0.5
@@ -226,7 +230,7 @@ def merge_patches(found: Sequence[tuple[Patches, Links]]) -> tuple[Patches, Link
     """
     parts = [patches for patches, _ in found]
     keys = np.concatenate([part.keys for part in parts])
-    names = number_keys(keys)[1] * _SHEETS + np.concatenate([part.ranks for part in parts])
+    names = number_keys(keys)[1] * SHEETS + np.concatenate([part.ranks for part in parts])
     kept, first_rows = find_first(names)
     row_of = np.searchsorted(kept, names)
     starts = np.cumsum([0, *(len(part) for part in parts[:-1])])
@@ -294,22 +298,22 @@ def _group_points(
     ranks = np.zeros(len(positions), np.int64)
     opposed = np.zeros(len(positions), np.bool_)
     left = np.argsort(cell_of, kind="stable")
-    for rank in range(_SHEETS):
+    for rank in range(SHEETS):
         seeds = _find_seeds(positions, left, cell_of)
         arms = positions[left] - positions[seeds]
         cosines = _dot(normals[left], normals[seeds])
         is_on = np.abs(_dot(arms, normals[seeds])) <= thick[left]
         is_on &= np.abs(_dot(arms, normals[left])) <= thick[left]
         is_on &= np.abs(cosines) >= _AGREE
-        is_on |= (left == seeds) | (rank == _SHEETS - 1)
+        is_on |= (left == seeds) | (rank == SHEETS - 1)
         ranks[left[is_on]] = rank
         opposed[left[is_on]] = cosines[is_on] < 0.0
         left = left[~is_on]
         if not len(left):
             break
-    names, patch_of = number_keys(cell_of * _SHEETS + ranks)
+    names, patch_of = number_keys(cell_of * SHEETS + ranks)
     patches = _describe(
-        (keys[names // _SHEETS], names % _SHEETS),
+        (keys[names // SHEETS], names % SHEETS),
         patch_of,
         positions,
         np.where(opposed[:, None], -normals, normals),
@@ -329,7 +333,7 @@ def _link_patches(
     patches = int(patch_of.max(initial=-1)) + 1
     for start in range(0, len(rows), 1 << 15):
         some = rows[start : start + (1 << 15)]
-        far, near = tree.query(positions[some], _LINKED + 2, distance_upper_bound=_REACH * spacing)
+        far, near = tree.query(positions[some], LINKED + 2, distance_upper_bound=_REACH * spacing)
         is_near = far[:, :-1] < far[:, -1:]
         first = np.broadcast_to(patch_of[some, None], is_near.shape)[is_near]
         second = patch_of[near[:, :-1][is_near]]
@@ -344,8 +348,8 @@ def _link_patches(
 def _find_names(sides: Sides, wanted: Patches) -> IntArray:
     """Return where patches stand among those with sides; beyond the last where they do not."""
     keys = unique_keys(sides.keys)
-    names = find_keys(keys, sides.keys) * _SHEETS + sides.ranks
-    return find_keys(names, find_keys(keys, wanted.keys) * _SHEETS + wanted.ranks)
+    names = find_keys(keys, sides.keys) * SHEETS + sides.ranks
+    return find_keys(names, find_keys(keys, wanted.keys) * SHEETS + wanted.ranks)
 
 
 def _split(vectors: Float32Array) -> tuple[FloatArray, FloatArray]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpccomponent.protocol.declared import Fixed, Whole
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.arranged import Place
@@ -12,14 +11,16 @@ from hpccomponent.surface.cloud.disk import open_place
 from hpccomponent.surface.cloud.measured import Points
 from hpccomponent.surface.cloud.regions import DroppedCells, Region, take_region
 from hpccomponent.surface.cloud.spacing import sample_box_keys
-from hpccomponent.surface.tasks.file_ranges import BoxCounts
-from hpccomponent.surface.tasks.result_patterns import (
-    BOX,
-    BOX_COUNTS,
-    CELL_COUNTS,
-    SAMPLE,
-    SMALL_BYTES,
+from hpccomponent.surface.tasks.cloud_patterns import (
+    counted_boxes,
+    counted_cells,
+    region_bytes,
+    run_bytes,
+    sampled_blocks,
+    surveyed_blocks,
 )
+from hpccomponent.surface.tasks.file_ranges import BoxCounts
+from hpccomponent.surface.tasks.result_patterns import SMALL_BYTES
 from hpccomponent.surface.types.lattice import merge_counts
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
@@ -36,7 +37,7 @@ BlockPoints = tuple[str, IntArray, DroppedCells | None]
 """The folder of a `DiskCloud` that the worker sees, the sorted keys of blocks, `DroppedCells`."""
 
 
-@declare(result=Fixed(Whole(), BOX), limit=SMALL_BYTES)
+@declare(result=surveyed_blocks, limit=SMALL_BYTES)
 def survey_blocks(points: BlockPoints) -> tuple[int, FloatArray]:
     """Count and bound the points in some blocks (a task).
 
@@ -56,7 +57,7 @@ def survey_blocks(points: BlockPoints) -> tuple[int, FloatArray]:
     return len(positions), np.stack(kernels.bound_points(positions))
 
 
-@declare(result=BOX_COUNTS)
+@declare(result=counted_boxes, limit=region_bytes(16))
 def count_block_boxes(
     points: BlockPoints, low: FloatArray, edges: tuple[float, ...], one_in: int, is_distinct: bool
 ) -> BoxCounts:
@@ -86,7 +87,7 @@ def count_block_boxes(
     return [sample_box_keys(positions, low, edge, one_in) for edge in edges]
 
 
-@declare(result=SAMPLE)
+@declare(result=sampled_blocks, limit=region_bytes(48))
 def sample_blocks(points: BlockPoints, low: FloatArray, edge: float, one_in: int) -> Points:
     """Return the points in a sample of boxes (a task); see `kernels.sample_boxes`.
 
@@ -110,7 +111,7 @@ def sample_blocks(points: BlockPoints, low: FloatArray, edge: float, one_in: int
     return positions[rows], normals.astype(np.float64)
 
 
-@declare(result=CELL_COUNTS)
+@declare(result=counted_cells, limit=run_bytes(16))
 def count_block_cells(
     place: Place, blocks: IntArray, origin: FloatArray, size: float
 ) -> tuple[IntArray, IntArray]:

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from hpccomponent.protocol.declared import Either, Fixed, Nothing
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud import outlier_regions
@@ -29,7 +28,14 @@ from hpccomponent.surface.cloud.outlier_regions import (
 from hpccomponent.surface.cloud.regions import Region, RegionPoints, take_region
 from hpccomponent.surface.cloud.repeated import find_repeated
 from hpccomponent.surface.normals import consistency as normals
-from hpccomponent.surface.tasks.result_patterns import MENDED, RANKS, REPEATED, STRAY_CELLS
+from hpccomponent.surface.tasks.cloud_patterns import (
+    cleaned_region,
+    mended_region,
+    region_bytes,
+    run_bytes,
+    stray_cells,
+    without_repeated,
+)
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
 Mended = tuple[PackedPoints | tuple[IntArray, IntArray] | None, int, FloatArray]
@@ -41,7 +47,7 @@ MARGIN = max(outlier_regions.MARGIN, normals.MARGIN)
 """Spacings: as far as what decides over a point or over its normal lies."""
 
 
-@declare(result=REPEATED)
+@declare(result=without_repeated, limit=run_bytes(16))
 def drop_repeated_points(
     folder: str, blocks: IntArray, target: tuple[str, int]
 ) -> tuple[int, IntArray, IntArray]:
@@ -84,7 +90,7 @@ def drop_repeated_points(
     return int(lost.sum()), *write_part(Path(target[0]), target[1], [left])
 
 
-@declare(result=Fixed(RANKS, Either(Nothing(), MENDED)))
+@declare(result=cleaned_region, limit=region_bytes(144))
 def clean_blocks(
     points: RegionPoints,
     low: FloatArray,
@@ -119,7 +125,7 @@ def clean_blocks(
     return ranks, None if has_sparse(ranks) else _mend(region, low, spacing, target, sampled)
 
 
-@declare(result=STRAY_CELLS)
+@declare(result=stray_cells, limit=region_bytes(8))
 def judge_blocks(points: RegionPoints, low: FloatArray, spacing: float, base: int) -> IntArray:
     """Find the stray cells of low ranks in a region (a task); see `outlier_regions.judge_region`.
 
@@ -139,7 +145,7 @@ def judge_blocks(points: RegionPoints, low: FloatArray, spacing: float, base: in
     return judge_region(region.positions, region.own, low, spacing, base)
 
 
-@declare(result=MENDED)
+@declare(result=mended_region, limit=region_bytes(88))
 def mend_blocks(
     points: RegionPoints,
     low: FloatArray,

@@ -29,13 +29,13 @@ from hpccomponent.surface.cloud.point_records import PointRecords
 from hpccomponent.surface.cloud.spacing import sample_box_keys
 from hpccomponent.surface.cloud.validity import Dropped, Reach, are_usable, select_usable
 from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.tasks.result_patterns import (
-    SMALL_BYTES,
+from hpccomponent.surface.tasks.file_patterns import (
     arranged_range,
     bounded_range,
     range_bytes,
     surveyed_range,
 )
+from hpccomponent.surface.tasks.result_patterns import SMALL_BYTES
 from hpccomponent.surface.types.lattice import unique_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 

@@ -25,13 +25,16 @@ from hpccomponent.surface.normals.patches import (
     find_patches,
     turn_points,
 )
-from hpccomponent.surface.tasks.result_patterns import PATCHES, REPLACED, TURNED
+from hpccomponent.surface.tasks.cloud_patterns import (
+    CONFIDENCE_BINS,
+    estimated_region,
+    grouped_region,
+    region_bytes,
+    turned_region,
+)
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = ["CONFIDENCE_BINS", "Replaced", "estimate_blocks", "group_blocks", "turn_blocks"]
-
-CONFIDENCE_BINS = 100
-"""Of the histogram of confidences."""
 
 Replaced = PackedPoints | tuple[IntArray, IntArray]
 """The points of a region, or if they were written only their keys and counts."""
@@ -41,7 +44,7 @@ Target = tuple[str, int] | None
 see it."""
 
 
-@declare(result=REPLACED)
+@declare(result=estimated_region, limit=region_bytes(40))
 def estimate_blocks(
     points: RegionPoints, low: FloatArray, spacing: float, keeps: bool, target: Target
 ) -> Replaced:
@@ -75,7 +78,7 @@ def estimate_blocks(
     return _put(region.pack_with(vectors), target)
 
 
-@declare(result=PATCHES)
+@declare(result=grouped_region, limit=region_bytes(512))
 def group_blocks(points: RegionPoints, low: FloatArray, spacing: float) -> tuple[Patches, Links]:
     """Find the patches of a region (a task); see `patches.find_patches`.
 
@@ -96,7 +99,7 @@ def group_blocks(points: RegionPoints, low: FloatArray, spacing: float) -> tuple
     return find_patches(region.positions, region.normals, region.own, low, spacing)
 
 
-@declare(result=TURNED)
+@declare(result=turned_region, limit=region_bytes(40))
 def turn_blocks(
     points: RegionPoints, low: FloatArray, spacing: float, sides: Sides, target: Target
 ) -> tuple[Replaced, int, IntArray]:

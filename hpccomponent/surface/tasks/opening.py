@@ -33,11 +33,13 @@ from hpccomponent.surface.extraction.opening import (
 from hpccomponent.surface.extraction.part_places import starts_of
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import PartSummary, summarize_part
-from hpccomponent.surface.tasks.result_patterns import (
-    OPENING_SEAMS,
-    SUPPORTED,
-    surface_bytes,
-    tile_surface,
+from hpccomponent.surface.extraction.taken_bricks import TakenBricks
+from hpccomponent.surface.tasks.result_patterns import SMALL_BYTES
+from hpccomponent.surface.tasks.surface_patterns import (
+    judged_support,
+    open_surface,
+    opened_bytes,
+    opening_seams,
 )
 from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray, PointCloud
 
@@ -68,15 +70,14 @@ class Near:
         return PointCloud(*open_place(self.cloud).take_blocks(self.blocks))
 
 
-@declare(result=SUPPORTED)
-def judge_support(part: Part, taken: BoolArray, near: Near, rule: SupportRule) -> tuple[int, int]:
+@declare(result=judged_support, limit=SMALL_BYTES)
+def judge_support(part: Part, taken: TakenBricks, near: Near, rule: SupportRule) -> tuple[int, int]:
     """Tell how much of a part no point supports, by a vertex of each of its bricks (a task).
 
     Parameters
     ----------
     part : MeshPart or tuple of str
-    taken : ndarray of bool, shape (b,)
-        Which of its bricks the part gives.
+    taken : TakenBricks
     near : Near
         All points within the rule's reach of them.
     rule : SupportRule
@@ -88,16 +89,16 @@ def judge_support(part: Part, taken: BoolArray, near: Near, rule: SupportRule) -
         A brick counts as its vertices.
     """
     held = _hold(part)
-    counts = np.where(taken, held.vertex_counts, 0)
+    counts = np.where(taken.mark(held), held.vertex_counts, 0)
     places = held.vertices[starts_of(held.vertex_counts)[:-1][counts > 0]]
     bare = find_bare(places, near.read(), rule)
     return int(counts[counts > 0][bare].sum()), int(counts.sum())
 
 
-@declare(result=OPENING_SEAMS, limit=lambda _part, taken, *_: surface_bytes(64.0 * len(taken)))
+@declare(result=opening_seams, limit=lambda _part, taken, *_: opened_bytes(taken, None))
 def survey_support(
     part: Part,
-    taken: BoolArray,
+    taken: TakenBricks,
     places: FloatArray,
     rim: IntArray,
     near: Near,
@@ -110,8 +111,7 @@ def survey_support(
     ----------
     part : MeshPart or tuple of str
         The survey of one that is kept is put beside it.
-    taken : ndarray of bool, shape (b,)
-        Which of its bricks the part gives.
+    taken : TakenBricks
     places : ndarray of float64, shape (g, 3)
         Where its foreign vertices are.
     rim : ndarray of int32, shape (r,)
@@ -129,9 +129,10 @@ def survey_support(
     seams : OpeningSeams
     """
     held = _hold(part)
-    own = np.append(np.repeat(taken, held.vertex_counts), False)
+    is_taken = taken.mark(held)
+    own = np.append(np.repeat(is_taken, held.vertex_counts), False)
     rows = np.where(own[rim], np.cumsum(own)[rim] - 1, -1)
-    held, places = drop_copies(held, taken, places)
+    held, places = drop_copies(held, is_taken, places)
     all_places = np.concatenate([held.vertices, places])
     clearances = measure_clearance(all_places, near.read(), rule, threads)
     survey, seams = survey_opening(held, places, clearances, rows)
@@ -143,12 +144,12 @@ def survey_support(
 
 
 @declare(
-    result=lambda _part, _taken, _survey, _decided, keep=None: tile_surface(keep),
-    limit=lambda _part, taken, *_: surface_bytes(64.0 * len(taken)),
+    result=lambda _part, taken, _survey, _decided, keep=None: open_surface(taken, keep),
+    limit=lambda _part, taken, _survey, _decided, keep=None: opened_bytes(taken, keep),
 )
 def open_part(
     part: Part,
-    taken: BoolArray,
+    taken: TakenBricks,
     survey: OpeningSurvey | None,
     decided: tuple[BoolArray, IntArray, IntArray],
     keep: tuple[str, str] | None = None,
@@ -158,8 +159,7 @@ def open_part(
     Parameters
     ----------
     part : MeshPart or tuple of str
-    taken : ndarray of bool, shape (b,)
-        Which of its bricks the part gives.
+    taken : TakenBricks
     survey : OpeningSurvey or None
         None where it is kept beside the part.
     decided : tuple
@@ -178,7 +178,7 @@ def open_part(
         survey = hold_store(part[0]).get(_beside(part[1]))
     # The survey knows where the foreign vertices of what is left are: those of the part need not.
     held = _hold(part)
-    held, _ = drop_copies(held, taken, np.zeros((len(held.foreign_bricks), 3)))
+    held, _ = drop_copies(held, taken.mark(held), np.zeros((len(held.foreign_bricks), 3)))
     cut, exits = cut_opening(held, survey, *decided), np.empty(0, np.int64)
     summary = summarize_part(cut)
     if keep is None:

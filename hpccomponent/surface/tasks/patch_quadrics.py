@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.errors import InputError
-from hpccomponent.protocol.declared import Array
+from hpccomponent.protocol.declared import Array, Declared, Where
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
@@ -34,11 +34,33 @@ CHUNK = 16_384
 #: Eigenvalues up to this fraction of the largest are zero but for rounding.
 ZERO_EIGENVALUE = 1e-14
 
+_ROUNDING = 1e-6  # of a length that is 1
+
+
+def fitted_patches(
+    _positions: FloatArray,
+    normals: FloatArray,
+    offsets: IntArray,
+    _centers: FloatArray,
+    scales: FloatArray,
+    norm: str = "consistent",
+) -> Declared:
+    """Return the pattern of what `fit_patches` returns: quadrics of unit length."""
+
+    def agrees(coefficients: FloatArray) -> bool:
+        lengths = np.linalg.norm(coefficients / COLUMN_WEIGHTS[norm], axis=1)
+        filled = np.flatnonzero(np.diff(offsets))
+        has_side = normals[offsets[filled]].any(axis=1)  # else normals may leave a plane none
+        is_unit = np.abs(lengths - 1.0) <= _ROUNDING
+        is_fitted = is_unit[filled] | (~has_side & (lengths[filled] == 0.0))
+        return bool(is_fitted.all()) and not coefficients[np.diff(offsets) == 0].any()
+
+    pattern = Array("<f8", len(scales), 10)
+    return Where(pattern, agrees, "quadrics have unit length where there are points, else none")
+
 
 @declare(
-    result=lambda _positions, _normals, _offsets, _centers, scales, *_: Array(
-        "<f8", len(scales), 10
-    ),
+    result=fitted_patches,
     limit=lambda _positions, _normals, _offsets, _centers, scales, *_: 4096 + 80 * len(scales),
 )
 def fit_patches(

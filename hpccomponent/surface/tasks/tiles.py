@@ -39,15 +39,16 @@ from hpccomponent.surface.fitting.pyramid import (
 from hpccomponent.surface.fitting.weights import FIELD_LEVELS
 from hpccomponent.surface.freed_memory import leave_for_files
 from hpccomponent.surface.kernels import BASIS, mark_ancestors
-from hpccomponent.surface.tasks.result_patterns import (
-    SMALL_BYTES,
+from hpccomponent.surface.tasks.result_patterns import SMALL_BYTES
+from hpccomponent.surface.tasks.surface_patterns import (
     far_field,
+    summed_bytes,
     summed_tile,
     surface_bytes,
     tile_surface,
 )
 from hpccomponent.surface.tiles.cache import TileCache
-from hpccomponent.surface.tiles.halo import HALO_STEPS, plan_gap
+from hpccomponent.surface.tiles.halo import plan_gap
 from hpccomponent.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
 from hpccomponent.surface.tiles.points import CellPoints, estimate_work, take_points
 from hpccomponent.surface.tiles.prepared import PreparedTile, finish, lay_corners
@@ -83,7 +84,7 @@ TILES = TileCache(KEPT_TILES)
 @declare(
     cost=lambda _plan, points, *_: estimate_work(points),
     result=summed_tile,
-    limit=lambda _plan, points, *_: surface_bytes(estimate_work(points)),
+    limit=summed_bytes,
 )
 def sum_tile(
     plan: Plan,
@@ -183,7 +184,7 @@ def find_far(plan: Plan, samples: Samples, threads: int) -> FarField:
 
 
 @declare(
-    result=lambda plan, *_: far_field(plan.far_nodes),
+    result=far_field,
     limit=lambda plan, *_: SMALL_BYTES + 4 * plan.far_nodes**3,
 )
 def solve_far(
@@ -202,12 +203,8 @@ def solve_far(
     Returns
     -------
     FarFieldPart
-        The grid, its halo, and beyond it the corners of every level that the
-        field is made of, which lie up to two of their cells from a point.
+        See `Plan.far_box`.
     """
-    coarsest = max(plan.coarse, FIELD_LEVELS - 1)
-    margin = HALO_STEPS * plan.step + 4.0 * plan.cell_size * 2.0**coarsest
-    low, high = plan.grid.box
     found = [
         some if isinstance(some, Samples) else hold_store(some[0]).get(some[1]) for some in samples
     ]
@@ -215,13 +212,13 @@ def solve_far(
     sums = np.concatenate([some.sums for some in found])
     order = np.argsort(cells, kind="stable")  # which merges sorted runs
     far = find_far(plan, Samples(cells[order], sums[order]), threads)
-    return crop_far_field(far, low - margin, high + margin)
+    return crop_far_field(far, *plan.far_box)
 
 
 @declare(
     cost=lambda _plan, points, *_: estimate_work(points),
-    result=lambda _plan, _points, _ticket, _coarse, keep=None, *_: tile_surface(keep),
-    limit=lambda _plan, points, *_: surface_bytes(estimate_work(points)),
+    result=lambda plan, _points, _ticket, _coarse, keep=None, *_: tile_surface(plan, keep),
+    limit=lambda plan, _points, _ticket, coarse, keep=None, *_: surface_bytes(plan, coarse, keep),
 )
 def mesh_tile(
     plan: Plan,
@@ -269,8 +266,10 @@ def mesh_tile(
 
 @declare(
     cost=lambda _plan, exits, points, *_: len(exits) + estimate_work(points),
-    result=lambda _plan, _exits, _points, _missing, _coarse, keep=None, *_: tile_surface(keep),
-    limit=lambda _plan, _exits, points, *_: surface_bytes(estimate_work(points)),
+    result=lambda plan, _exits, _points, _missing, _coarse, keep=None, *_: tile_surface(plan, keep),
+    limit=lambda plan, _exits, _points, _missing, coarse, keep=None, *_: surface_bytes(
+        plan, coarse, keep, spans_gaps=True
+    ),
 )
 def mesh_gap(
     plan: Plan,

@@ -13,7 +13,8 @@ from hpccomponent.protocol.records import record
 from hpccomponent.surface.cloud.arrangement import Arrangement
 from hpccomponent.surface.fitting.far_field import FarFieldPart, choose_nodes
 from hpccomponent.surface.fitting.pyramid import Parents
-from hpccomponent.surface.fitting.weights import Weights, weigh_levels
+from hpccomponent.surface.fitting.weights import FIELD_LEVELS, Weights, weigh_levels
+from hpccomponent.surface.tiles.halo import HALO_STEPS
 from hpccomponent.surface.types.field import FieldLevel
 from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
@@ -85,6 +86,18 @@ class Plan:
     def far_nodes(self) -> int:
         """How many nodes the far field has along a side."""
         return choose_nodes(*self.grid.box, self.cell_size, self.noise)
+
+    @property
+    def far_box(self) -> tuple[FloatArray, FloatArray]:
+        """The box in which anything asks for the far field.
+
+        The grid, its halo, and beyond it the corners of every level that the field is made of,
+        which lie up to two of their cells from a point.
+        """
+        coarsest = max(self.coarse, FIELD_LEVELS - 1)
+        margin = HALO_STEPS * self.step + 4.0 * self.cell_size * 2.0**coarsest
+        low, high = self.grid.box
+        return low - margin, high + margin
 
     @property
     def weights(self) -> list[Weights]:

@@ -25,9 +25,11 @@ __all__ = [
     "find_first",
     "find_keys",
     "find_layers",
+    "keys_lie_within",
     "merge_counts",
     "number_keys",
     "pack_places",
+    "shift_within",
     "spread_keys",
     "step_keys",
     "unique_keys",
@@ -94,6 +96,43 @@ def unpack_keys(keys: IntArray) -> IntArray:
     """
     parts = [(keys >> shift & _MASK) - _BIAS for shift in (2 * BITS, BITS, 0)]
     return np.stack(parts, axis=-1)
+
+
+def keys_lie_within(keys: IntArray, first: IntArray, last: IntArray) -> bool:
+    """Tell whether all keys are of places in a box.
+
+    Parameters
+    ----------
+    keys : ndarray of int64, shape (k,)
+    first, last : ndarray of int64, shape (3,)
+        The lowest place and the highest.
+
+    Returns
+    -------
+    bool
+    """
+    for axis, shift in enumerate((2 * BITS, BITS, 0)):
+        biased = keys >> shift & _MASK  # one axis at a time: there may be many keys
+        low, high = first[axis] + _BIAS, last[axis] + _BIAS
+        if len(keys) and not (biased.min() >= low and biased.max() <= high):
+            return False
+    return True
+
+
+def shift_within(places: FloatArray, step: int) -> IntArray:
+    """Return the places `step` further on along each axis, or the last ones that have a key.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (..., 3)
+        Whole numbers; they may lie beyond.
+    step : int
+
+    Returns
+    -------
+    ndarray of int64, shape (..., 3)
+    """
+    return np.clip(places + step, -_BIAS, _BIAS - 1).astype(np.int64)
 
 
 def ancestor_keys(keys: IntArray, levels: int = 1) -> IntArray:

@@ -30,7 +30,9 @@ from hpccomponent.surface.cloud.measured import Measured
 from hpccomponent.surface.extraction.clearance import SupportRule
 from hpccomponent.surface.extraction.opening import OpeningSeams, OpeningSurvey
 from hpccomponent.surface.extraction.parts import MeshPart
+from hpccomponent.surface.extraction.taken_bricks import TakenBricks
 from hpccomponent.surface.tasks.opening import Near, judge_support, open_part, survey_support
+from hpccomponent.surface.tasks.surface_patterns import surface_box
 from hpccomponent.surface.tiles.plan import Plan
 from hpccomponent.surface.types.grid import BRICK
 from hpccomponent.surface.types.lattice import unpack_keys
@@ -141,10 +143,12 @@ class _Parts:
     def __len__(self) -> int:
         return len(self.surface.parts)
 
-    def taken(self, index: int) -> BoolArray:
+    def taken(self, index: int) -> TakenBricks:
         """Return which of its bricks a part gives."""
-        bricks = self.surface.plan.bricks
-        return bricks.is_taken[bricks.of_part(index)]
+        summary, bricks = self.surface.summaries[index], self.surface.plan.bricks
+        rows = np.flatnonzero(bricks.is_taken[bricks.of_part(index)])
+        box = np.stack(surface_box(self.plan))
+        return TakenBricks(summary.bricks[rows], summary.vertex_counts[rows], box)
 
     def part(self, index: int) -> MeshPart | tuple[Any, Any]:
         """Return a part as a task is given it."""
@@ -156,7 +160,7 @@ class _Parts:
         """Return the points within reach of what a part gives."""
         plan, blocks, keys = self.plan, self.cloud.arrangement, self.cloud.keys
         edge, margin = BRICK * plan.step, reach + 2.0 * plan.step
-        bricks = unpack_keys(self.surface.summaries[index].bricks[self.taken(index)])
+        bricks = unpack_keys(self.taken(index).keys)
         if not len(bricks):
             return Near(self.cloud.place, keys[:0])
         low = blocks.origin + blocks.edge * unpack_keys(keys) - margin - plan.grid_origin

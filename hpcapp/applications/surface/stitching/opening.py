@@ -15,9 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpcapp.applications.surface.stitching.plan import WeldPlan
+from hpccomponent.errors import JobError
 from hpccomponent.surface import kernels
 from hpccomponent.surface.extraction.opening import OpeningSeams
 from hpccomponent.surface.extraction.part_places import starts_of
+from hpccomponent.surface.types.lattice import find_keys
 from hpccomponent.surface.types.points import BoolArray, FloatArray, Int32Array, IntArray
 
 __all__ = ["MatchedSeams", "match_seams", "place_foreign"]
@@ -55,12 +57,24 @@ class _Rims:
 
     def find(self, bricks: IntArray, numbers: Int32Array) -> IntArray:
         """Return where vertices, by brick and number, stand in the row."""
-        copies = self._bricks.taken[np.searchsorted(self._bricks.keys, bricks)]
+        there = find_keys(self._bricks.keys, bricks)
+        if (there == len(self._bricks.keys)).any():
+            raise _refuse_unknown()
+        copies = self._bricks.taken[there]
         owners = self._bricks.part_of(copies)
         starts = self._vertex_starts
         rows = starts[copies] - starts[self._bricks.parts[owners]] + numbers
-        found: IntArray = np.searchsorted(self._keys, owners << 32 | rows)
+        found = find_keys(self._keys, owners << 32 | rows)
+        if (found == len(self._keys)).any():
+            raise _refuse_unknown()
         return found
+
+
+def _refuse_unknown() -> JobError:
+    return JobError(
+        "no tile has the vertices on its rim that another refers to",
+        "this is an error of hpcapp: please report it",
+    )
 
 
 def place_foreign(plan: WeldPlan) -> list[FloatArray]:

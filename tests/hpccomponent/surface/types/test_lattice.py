@@ -13,7 +13,9 @@ from hpccomponent.surface.types.lattice import (
     cells_of,
     corner_parents,
     find_keys,
+    keys_lie_within,
     pack_places,
+    shift_within,
     spread_keys,
     step_keys,
     unpack_keys,
@@ -46,6 +48,20 @@ def test_an_ancestor_of_keys_is_that_of_their_places(places: IntArray, levels: i
     places = np.concatenate([places.reshape(-1, 3), edges])
     found = ancestor_keys(pack_places(places), levels)
     np.testing.assert_array_equal(found, pack_places(places >> levels))
+
+
+@given(places_lists, places_lists)
+def test_keys_lie_within_the_box_of_their_places(places: IntArray, others: IntArray) -> None:
+    keys, box = pack_places(places), (others.min(axis=0), others.max(axis=0))
+    is_inside = bool(((places >= box[0]) & (places <= box[1])).all())
+    assert keys_lie_within(keys, *box) == is_inside
+    assert keys_lie_within(keys, places.min(axis=0), places.max(axis=0))
+
+
+def test_places_are_shifted_up_to_the_last_that_have_a_key() -> None:
+    shifted = shift_within(np.array([-1e30, 0.0, LIMIT]), 1)
+    assert shifted.tolist() == [-LIMIT - 1, 1, LIMIT]
+    assert len(unpack_keys(pack_places(shifted))) == 3
 
 
 def test_a_place_out_of_range_is_refused() -> None:

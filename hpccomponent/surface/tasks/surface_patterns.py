@@ -1,0 +1,380 @@
+"""What the tasks that make a surface declare of their results.
+
+Names of extents: b bricks, c cells or components, g foreign vertices, s samples.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hpccomponent.protocol.declared import (
+    Array,
+    Declared,
+    Exactly,
+    Fixed,
+    Nothing,
+    Number,
+    Record,
+    Where,
+    Whole,
+)
+from hpccomponent.surface.cloud.arrangement import PackedPoints
+from hpccomponent.surface.extraction.opening import OpeningSeams
+from hpccomponent.surface.extraction.part_places import starts_of
+from hpccomponent.surface.extraction.parts import MeshPart
+from hpccomponent.surface.extraction.summary import PartSummary
+from hpccomponent.surface.extraction.taken_bricks import TakenBricks
+from hpccomponent.surface.fitting.far_field import (
+    FAR_REACH,
+    FarFieldPart,
+    crop_nodes,
+    lay_far_field,
+)
+from hpccomponent.surface.kernels import COLUMNS
+from hpccomponent.surface.tasks.result_patterns import (
+    SMALL_BYTES,
+    Box,
+    cells_in,
+    keys_within,
+    lie_within,
+    rise_by_pairs,
+)
+from hpccomponent.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
+from hpccomponent.surface.tiles.points import PointsThere, estimate_work
+from hpccomponent.surface.types.grid import BRICK
+from hpccomponent.surface.types.points import FloatArray, IntArray
+
+__all__ = [
+    "far_field",
+    "judged_support",
+    "open_surface",
+    "opened_bytes",
+    "opening_seams",
+    "summed_bytes",
+    "summed_tile",
+    "surface_box",
+    "surface_bytes",
+    "tile_surface",
+]
+
+_MOST = 1 << 40  # of whatever is counted where the master does not know better
+_VERTICES, _FACES = 3 * BRICK**3, 5 * BRICK**3  # of a brick: one on each edge, five in each cell
+_CUT_VERTICES, _CUT_FACES = _VERTICES + 3 * _FACES, 2 * _FACES  # where each face may be cut
+_LARGEST_MOMENT = 4.0  # of a point in a cell of edge 1, around its middle
+_ROUNDED = 1.0 + 1e-6
+
+# Bytes of a result for each square of the grid that the surface may fill, in coarse cells of two
+# finest ones: 6 to 16 are needed on surfaces and 46 in a fog, or up to 5 where the part is kept.
+_SENT_SQUARE, _KEPT_SQUARE = 128, 32
+_SUMMED_POINT = 256  # of what a tile sums, for each of its points: 20 to 70 are needed
+_SENT_VERTEX, _KEPT_VERTEX = 256, 64  # of an open part, for each vertex of the closed one
+
+
+def surface_box(plan: Plan) -> Box:
+    """Return the box in which all of the surface lies: the grid's, and a brick around it."""
+    low, high = plan.grid.box
+    return low - BRICK * plan.step, high + BRICK * plan.step
+
+
+def far_field(plan: Plan, *_: Any) -> Declared:
+    """Return the pattern of what `tiles.solve_far` finds."""
+    origin, step = lay_far_field(*plan.grid.box, plan.far_nodes)
+    first, end = crop_nodes(origin, step, plan.far_nodes, *plan.far_box)
+    most = FAR_REACH * step * _ROUNDED
+    return Record(
+        FarFieldPart,
+        values=Array("<f4", *(end - first).tolist(), low=-most, high=most),
+        first=Array("<i8", 3, low=first, high=first),
+        nodes=Exactly(plan.far_nodes),
+        origin=Array("<f8", 3, low=origin, high=origin),
+        step=Number(step, step),
+    )
+
+
+def summed_tile(
+    plan: Plan,
+    points: Any,
+    _ticket: Any = None,
+    keep: tuple[str, str] | None = None,
+    *_: Any,
+) -> Declared:
+    """Return the pattern of what `tiles.sum_tile` returns, or keeps."""
+    if keep is not None:
+        place, name = keep
+        patches = Whole(1, _count_cells(points) * 8**plan.coarse)
+        return Fixed(Nothing(), Exactly((place, f"{name}-far")), patches)
+    least, most = _count_points(points)
+
+    def agrees(found: tuple[CoarseLattice, Samples, int]) -> bool:
+        lattice, samples, patches = found
+        counts, sampled = lattice.moments[:, 0], samples.sums[:, 0]
+        total = float(counts.sum())
+        return (
+            least <= total <= most
+            and float(sampled.sum()) == total
+            and _lie_below(np.abs(lattice.moments), _LARGEST_MOMENT * counts)
+            and bool((lattice.squares >= counts).all())
+            and bool((lattice.squares <= counts * counts).all())
+            and _lie_below(np.abs(samples.sums[:, 1:4]), 0.5 * _ROUNDED * sampled)
+            and _lie_below(np.abs(samples.sums[:, 4:]), _ROUNDED * sampled)
+            and len(samples.cells) <= patches <= total
+        )
+
+    box, size = plan.grid.box, plan.coarse_size
+    least_moment = np.array([1.0, *[-np.inf] * (COLUMNS - 1)])
+    lattice = Record(
+        CoarseLattice,
+        cells=cells_in("c", box, plan.origin, size),
+        moments=Array("<f8", "c", COLUMNS, low=least_moment),
+        squares=Array("<f8", "c"),
+        vertices=cells_in("v", box, plan.origin, size, 3),
+    )
+    samples = Record(
+        Samples,
+        cells=cells_in("s", box, plan.origin, plan.cell_size * 2.0**plan.far),
+        sums=Array("<f8", "s", 7, low=least_moment[:7]),
+    )
+    return Where(
+        Fixed(lattice, samples, Whole(0, _MOST)), agrees, "cells have the sums of the tile's points"
+    )
+
+
+def summed_bytes(
+    _plan: Plan, points: Any, _ticket: Any = None, keep: tuple[str, str] | None = None, *_: Any
+) -> int:
+    """Return how large what `tiles.sum_tile` returns may be, in bytes."""
+    return SMALL_BYTES + (0 if keep is not None else _SUMMED_POINT * int(estimate_work(points)))
+
+
+def _count_points(points: Any) -> tuple[int, int]:
+    """Return the least and the greatest number of points that a tile may have for its own."""
+    own = points[0] if isinstance(points, tuple) else points
+    if isinstance(own, PackedPoints):
+        return len(own), len(own)
+    sent = getattr(own, "size_bytes", None)  # of what stands for a shared value
+    return 1, _MOST if sent is None else sent
+
+
+def _count_cells(points: Any) -> int:
+    """Return how many coarse cells a tile may have at most, which reads its points itself."""
+    if isinstance(points, PointsThere):
+        return sum(map(len, points.groups))
+    return int(points.size_bytes) // 8  # keys, and what stands for a shared value
+
+
+def _lie_below(rows: FloatArray, most: FloatArray) -> bool:
+    return bool((rows <= most[:, None]).all())
+
+
+def surface_bytes(
+    plan: Plan, coarse: CoarseLevels, keep: tuple[str, str] | None, spans_gaps: bool = False
+) -> int:
+    """Return how large what a tile's surface comes to may be, in bytes.
+
+    The master knows the coarse corners around the tile, and these lie along the surface; in each
+    coarse cell there may be a sheet for every finest one. What spans gaps may be as large as the
+    grid's sides besides.
+    """
+    sheets = 2.0 ** (plan.coarse - 1)
+    squares = sheets * len(coarse.parents.keys) * (plan.coarse_size / plan.step) ** 2
+    if spans_gaps:
+        x, y, z = plan.bricks
+        squares += 2 * BRICK**2 * (x * y + y * z + z * x)
+    return SMALL_BYTES + int(squares) * (_SENT_SQUARE if keep is None else _KEPT_SQUARE)
+
+
+def opened_bytes(taken: TakenBricks, keep: tuple[str, str] | None) -> int:
+    """Return how large what becomes of a part that is cut open may be, in bytes."""
+    each = _SENT_VERTEX if keep is None else _KEPT_VERTEX
+    return SMALL_BYTES + 1024 * len(taken.keys) + each * taken.vertices
+
+
+def tile_surface(plan: Plan, keep: tuple[str, str] | None) -> Declared:
+    """Return the pattern of what `tiles.mesh_tile` returns, or keeps.
+
+    Parameters
+    ----------
+    plan : Plan
+    keep : tuple of str or None
+        A store and a name, where it is kept.
+
+    Returns
+    -------
+    Declared
+    """
+    first = np.zeros(3, np.int64)
+    last = np.array(plan.bricks) - 1
+    bricks, exits = (keys_within(extent, first, last) for extent in ("b", "exits"))
+    foreign = Array("<i8", "g", low=0)
+    return _surface(bricks, foreign, exits, surface_box(plan), (_VERTICES, _FACES), keep)
+
+
+def open_surface(taken: TakenBricks, keep: tuple[str, str] | None) -> Declared:
+    """Return the pattern of what `opening.open_part` returns, or keeps.
+
+    Parameters
+    ----------
+    taken : TakenBricks
+        What the part gives.
+    keep : tuple of str or None
+        A store and a name, where it is kept.
+
+    Returns
+    -------
+    Declared
+    """
+    bricks = Where(Array("<i8", "b", low=0, rises=True), taken.holds, "bricks are the part's own")
+    foreign = Array("<i8", "g", low=0)
+    most = _CUT_VERTICES, _CUT_FACES
+    return _surface(bricks, foreign, Array("<i8", 0), taken.box, most, keep)
+
+
+def _surface(
+    bricks: Declared,
+    foreign: Declared,
+    exits: Declared,
+    box: Box,
+    most: tuple[int, int],
+    keep: tuple[str, str] | None,
+) -> Declared:
+    """Return the pattern of a part, its summary and its exits.
+
+    `most` tells how many vertices and faces a brick has at most.
+    """
+    low, high = box
+    of_bricks: dict[str, Declared] = {
+        "bricks": bricks,
+        "guests": Array("|b1", "b"),
+        "vertex_counts": _ints("b", high=most[0]),
+        "face_counts": _ints("b", high=most[1]),
+        "foreign_bricks": foreign,
+        "foreign_numbers": _ints("g", high=most[0] - 1),
+    }
+    part = Record(
+        MeshPart,
+        **of_bricks,
+        vertices=Array("<f8", "v", 3, low=low, high=high),
+        faces=_ints("f", 3, low=None),
+        supported=Array("|b1", "v"),
+    )
+    summary = Record(
+        PartSummary,
+        **of_bricks,
+        foreign_labels=_ints("g"),
+        entry_starts=_ints("b+1"),
+        entry_labels=_ints("e"),
+        entry_vertices=_ints("e"),
+        entry_faces=_ints("e"),
+        entry_sums=Array("<f8", "e", 4),
+        entry_supports=_ints("e"),
+        mixed_labels=_ints("m"),
+        bounds=Array("<f8", "c", 6, low=-np.inf, finite=False),  # infinite without vertices
+        piece_vertices=_ints("p", low=None),
+        piece_units=_ints("p", low=-1),
+        sides=_ints("q", 3),
+        bare=_ints("bare", low=None),
+        seam_faces=_ints("seam", 4, low=None),
+        rim=Array("<i4", "r", low=0, rises=True),
+        rim_places=Array("<f8", "r", 3, low=low, high=high),
+    )
+    parts = "bricks have as many vertices and faces as they count"
+    named = "what it names lies among its bricks, vertices, faces and components"
+    return Fixed(
+        Where(part, _is_part, parts) if keep is None else Nothing(),
+        Where(summary, lambda found: _is_summary(found, box), named),
+        exits,
+    )
+
+
+def _ints(*shape: int | str, low: int | None = 0, high: int | None = None) -> Array:
+    return Array("<i4", *shape, low=low, high=high)
+
+
+def _is_part(part: MeshPart) -> bool:
+    return (
+        int(part.vertex_counts.sum(dtype=np.int64)) == len(part.vertices)
+        and int(part.face_counts.sum(dtype=np.int64)) == len(part.faces)
+        and lie_within(part.faces, -len(part.foreign_bricks), len(part.vertices))
+        and rise_by_pairs(part.foreign_bricks, part.foreign_numbers)
+    )
+
+
+def _is_summary(part: PartSummary, box: Box) -> bool:
+    own, components = int(part.vertex_counts.sum(dtype=np.int64)), len(part.bounds)
+    faces, pieces = int(part.face_counts.sum(dtype=np.int64)), len(part.piece_vertices)
+    labels = part.foreign_labels, part.entry_labels, part.mixed_labels
+    vertices = part.piece_vertices, part.bare, part.seam_faces[:, 1:], part.rim
+    return (
+        _are_entries(part)
+        and all(lie_within(of, 0, components) for of in labels)
+        and all(lie_within(of, -len(part.foreign_bricks), own) for of in vertices)
+        and lie_within(part.piece_units, -1, len(part.bricks))
+        and lie_within(part.sides[:, 0], 0, 3 * faces)
+        and lie_within(part.sides[:, 1:], 0, pieces)
+        and lie_within(part.seam_faces[:, 0], 0, faces)
+        and rise_by_pairs(part.foreign_bricks, part.foreign_numbers)
+        and _are_bounds(part.bounds, box)
+    )
+
+
+def _are_entries(part: PartSummary) -> bool:
+    """Tell whether the entries of each brick add up to what it counts."""
+    starts, own = part.entry_starts, part.entry_vertices
+    if not (starts[0] == 0 and starts[-1] == len(own) and (starts[1:] >= starts[:-1]).all()):
+        return False
+    vertices, faces, kinds = (
+        np.diff(starts_of(values)[starts]) for values in (own, part.entry_faces, own > 0)
+    )
+    return (
+        np.array_equal(vertices, part.vertex_counts)
+        and np.array_equal(faces, part.face_counts)
+        and bool((part.entry_supports <= own).all())
+        and int(part.vertex_counts[kinds > 1].sum(dtype=np.int64)) == len(part.mixed_labels)
+    )
+
+
+def _are_bounds(bounds: FloatArray, box: Box) -> bool:
+    """Tell whether boxes lie in another one; those around nothing are inside out."""
+    low, high = bounds[:, :3], bounds[:, 3:]
+    is_empty = (low == np.inf).all(axis=1) & (high == -np.inf).all(axis=1)
+    is_inside = (low >= box[0]).all(axis=1) & (low <= high).all(axis=1)
+    return bool((is_empty | (is_inside & (high <= box[1]).all(axis=1))).all())
+
+
+def judged_support(_part: Any, taken: TakenBricks, *_: Any) -> Declared:
+    """Return the pattern of what `opening.judge_support` counts."""
+    return Fixed(Whole(0, taken.vertices), Exactly(taken.vertices))
+
+
+def opening_seams(
+    _part: Any, taken: TakenBricks, _places: FloatArray, rim: IntArray, *_: Any
+) -> Declared:
+    """Return the pattern of what `opening.survey_support` finds."""
+
+    def agrees(seams: OpeningSeams) -> bool:
+        patches, ends = len(seams.loops), seams.edges
+        return (
+            lie_within(seams.foreign_labels, -1, patches)
+            and lie_within(seams.rim_labels, -1, patches)
+            and patches <= taken.vertices + len(seams.foreign_bricks)
+            and lie_within(ends[:, [1, 3]], 0, _VERTICES)
+            and lie_within(ends[:, 5], 0, _CUT_VERTICES)
+            and taken.holds(ends[:, 4])
+            and rise_by_pairs(seams.foreign_bricks, seams.foreign_numbers)
+            and _are_bounds(seams.loops, taken.box)
+        )
+
+    seams = Record(
+        OpeningSeams,
+        foreign_bricks=Array("<i8", "g", low=0),
+        foreign_numbers=_ints("g", high=_VERTICES - 1),
+        foreign_labels=_ints("g", low=-1),
+        rim_labels=_ints(len(rim), low=-1),
+        rim_numbers=_ints(len(rim), low=-1, high=_CUT_VERTICES - 1),
+        loops=Array("<f8", "c", 6, low=-np.inf, finite=False),
+        edges=Array("<i8", "m", 6, low=0),
+    )
+    # Only what is kept is surveyed by others.
+    return Fixed(Nothing(), Where(seams, agrees, "what it names lies in its bricks and patches"))

@@ -1,0 +1,196 @@
+"""What each task of a job declares: the truth passes, and most lies do not."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import recorded_tasks
+from lies import LIES
+from recorded_tasks import Answer, RecordedTasks
+
+from hpcapp.applications.surface.input import room
+from hpcapp.applications.surface.job import run, steps
+from hpcapp.applications.surface.job.run import run_job
+from hpcapp.applications.surface.paper.settings import Paper
+from hpcapp.applications.surface.settings import JobSettings
+from hpcapp.io import write_points
+from hpcapp.progress import SilentProgress
+from hpccomponent.errors import ProtocolError
+from hpccomponent.protocol.codec import encode_values
+from hpccomponent.protocol.declared import check_result
+from hpccomponent.runtime.tasks import TaskRegistry
+from hpccomponent.surface.types.points import PointCloud
+
+MOST_BYTES = 100 << 20  # that any answer of these jobs may have
+MOST_ANSWERS = 6  # of each task, about which all lies are told
+
+BELIEVED: dict[str, set[str]] = {
+    "zero": set(),
+    "plus one": {
+        "bound_range",  # how many points are near
+        "count_block_boxes",  # other boxes, beside those
+        "group_blocks",  # patches and links beside those, in a fog that has all sorts of them
+        "judge_blocks",  # the cells beside those that are stray
+        "sum_tile",  # how many finest cells a tile has, which is only reported
+        "survey_blocks",  # how many points are left when some are dropped
+    },
+    "times 1.001": {
+        "bound_range",
+        "group_blocks",  # where patches lie, and their noise
+        "mesh_gap",
+        "mesh_tile",
+        "open_part",
+        "sum_tile",
+        "survey_blocks",
+        "survey_range",  # the box and the sample of a file, which nobody else has read
+        "survey_support",
+    },
+    "permuted": {"fit_patches"},  # which patch has which quadric
+    "shifted": set(),
+    "giant": set(),
+}
+"""The lies that cannot be told from the truth by what the master knows: they are of possible size,
+and only another worker that does the same finds them out."""
+
+
+class Looked:
+    """Holds every answer, and every lie about it, against what its task declares."""
+
+    def __init__(self) -> None:
+        self.believed: dict[str, set[str]] = {lie: set() for lie in LIES}
+        self.refused: list[str] = []
+        self.limits: Counter[str] = Counter()
+        self._asked: Counter[str] = Counter()
+
+    def look(self, answer: Answer) -> None:
+        name, truth = answer.name, encode(answer.value)
+        self.limits[name] = max(self.limits[name], answer.limit_bytes)
+        for declared in answer.declared:
+            try:
+                check_result(declared, answer.value)
+            except ProtocolError as error:
+                self.refused.append(f"{name}: {error.problem}")
+        if len(truth) > answer.limit_bytes:
+            self.refused.append(f"{name}: {len(truth)} bytes of {answer.limit_bytes}")
+        self._asked[name] += 1
+        if self._asked[name] > MOST_ANSWERS:
+            return
+        for lie, tell in LIES.items():
+            value = tell(answer.value)
+            if (said := encode(value)) != truth and is_taken(answer, value, len(said)):
+                self.believed[lie].add(name)
+
+
+def is_taken(answer: Answer, value: object, size_bytes: int) -> bool:
+    """Tell whether a master would take a value for what a task returned."""
+    if size_bytes > answer.limit_bytes:
+        return False
+    try:
+        check_result(answer.declared[0], value)
+    except ProtocolError:
+        return False
+    return True
+
+
+def encode(value: object) -> bytes:
+    header, buffers = encode_values((value,))
+    return header + b"".join(buffers)
+
+
+def make_torus(points: int) -> PointCloud:
+    """With noise, outliers and a hole."""
+    rng = np.random.default_rng(2)
+    u, v = rng.uniform(0, 2 * np.pi, (2, points))
+    normals = np.stack([np.cos(u) * np.cos(v), np.sin(u) * np.cos(v), np.sin(v)], axis=1)
+    ring = np.stack([np.cos(u), np.sin(u), np.zeros_like(u)], axis=1)
+    positions = ring + (0.4 + 0.002 * rng.normal(size=(points, 1))) * normals
+    positions[:20] = rng.uniform(-2, 2, (20, 3))
+    kept = (positions[:, 0] < 0.9) | (np.abs(positions[:, 1]) > 0.3)
+    return PointCloud(positions[kept], normals[kept])
+
+
+def make_fog(points: int) -> PointCloud:
+    rng = np.random.default_rng(3)
+    normals = rng.normal(size=(points, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return PointCloud(rng.uniform(-1.0, 1.0, (points, 3)), normals)
+
+
+def spoil(cloud: PointCloud) -> PointCloud:
+    """Add points at the place of another, markers far away, NaN and a normal without length."""
+    assert cloud.normals is not None
+    added = np.array([[1e6, 0.0, 0.0], [0.0, -1e7, 3.0], [np.nan] * 3, [0.0, 0.0, 0.4]])
+    positions = np.concatenate([cloud.positions, cloud.positions[:200], added])
+    normals = np.concatenate([cloud.normals, cloud.normals[:200], np.eye(3), np.zeros((1, 3))])
+    return PointCloud(positions, normals)
+
+
+def open_view(points: int) -> PointCloud:
+    torus = make_torus(points)
+    return torus.take(np.flatnonzero(torus.positions[:, 2] > 0.0))
+
+
+def run_jobs(look: Callable[[Answer], None], folder: Path, patch: pytest.MonkeyPatch) -> None:
+    """Run one job after the other, whose points and tiles are in memory or in a folder."""
+
+    def start(cloud: PointCloud, sees: bool | None, **more: Any) -> None:
+        """In a folder that workers see, or do not see; with None in memory."""
+        recorder = RecordedTasks(look, sees=bool(sees))
+        patch.setattr(recorded_tasks, "make", lambda: recorder, raising=False)
+        write_points(folder / "scan.ply", cloud)
+        settings = {"output": str(folder / "mesh.ply"), "grid": 96, **more}
+        with pytest.MonkeyPatch.context() as small:
+            if sees is not None:  # so many points are too many for memory, and tiles are small
+                settings["temp_dir"] = str(folder / "room")
+                small.setattr(room, "fits_memory", lambda *_: False)
+                for module in (run, steps):
+                    small.setattr(module, "choose_tile", lambda *_: 3_000)
+            backend = "recorded_tasks:make"
+            run_job(JobSettings(folder / "scan.ply", backend=backend, **settings), SilentProgress())
+
+    scan = spoil(make_torus(12_000))
+    for sees in (None, True, False):
+        start(scan, sees)
+        start(replace(scan, normals=None), sees)
+        start(open_view(12_000), sees, grid=128, output=str(folder / f"{sees}.tiles"))
+        start(make_fog(5_000), sees, grid=64)
+    start(make_torus(3_000), None, grid=300)
+    start(make_torus(3_000), None, grid=32, method=Paper())
+
+
+@pytest.fixture(scope="module")
+def looked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Looked]:
+    """What was found of all tasks of some jobs."""
+    found = Looked()
+    with pytest.MonkeyPatch.context() as patch:
+        run_jobs(found.look, tmp_path_factory.mktemp("jobs"), patch)
+        yield found
+
+
+@pytest.mark.slow
+def test_the_truth_passes(looked: Looked) -> None:
+    assert looked.refused == []
+
+
+@pytest.mark.slow
+def test_every_task_is_looked_at(looked: Looked) -> None:
+    references = TaskRegistry().references()
+    tasks = {of.partition(":")[2] for name, of in references.items() if name.startswith("surface.")}
+    assert set(looked.limits) == tasks
+
+
+@pytest.mark.slow
+def test_no_answer_may_be_large(looked: Looked) -> None:
+    assert {name for name, limit in looked.limits.items() if limit > MOST_BYTES} == set()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lie", LIES)
+def test_only_lies_pass_that_nobody_can_tell(lie: str, looked: Looked) -> None:
+    assert looked.believed[lie] <= BELIEVED[lie]
