@@ -32,12 +32,16 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from hpcapp.dashboard.metrics import write_metrics
 from hpcapp.dashboard.news import Reader
 from hpcapp.dashboard.parts import pack_part
+from hpcapp.dashboard.strangers import Strangers
 from hpcapp.dashboard.watched_job import WatchedJob
 from hpccomponent.terminal import visible_line
 
-__all__ = ["make_app"]
+__all__ = ["MOST_REQUESTS", "make_app"]
 
 log = logging.getLogger(__name__)  # not the job's: the page shows that one
+
+MOST_REQUESTS = 64
+"""Of those who have the token, at once: an open page is one."""
 
 LOOK_S = 0.5  # between two looks at the job, for each page
 MOST_FACES = 600_000  # of all parts together
@@ -55,6 +59,7 @@ IMPORTS = {
     "three/addons/controls/OrbitControls.js": "three/OrbitControls.js",
     "hpcapp/viewer.js": "viewer.js",
 }
+CLOSE = {"connection": "close"}
 HEADERS = {
     b"cache-control": b"no-store",
     b"cross-origin-resource-policy": b"same-origin",
@@ -64,7 +69,7 @@ HEADERS = {
 }
 
 
-def make_app(job: WatchedJob, token: str) -> ASGIApp:
+def make_app(job: WatchedJob, token: str, strangers: Strangers) -> ASGIApp:
     """Return the application that shows a job.
 
     Parameters
@@ -72,6 +77,8 @@ def make_app(job: WatchedJob, token: str) -> ASGIApp:
     job : WatchedJob
     token : str
         Every request must name it: ``?token=...``, or ``Authorization: Bearer ...``.
+    strangers : Strangers
+        Whose connections have not had it yet.
 
     Returns
     -------
@@ -83,19 +90,21 @@ def make_app(job: WatchedJob, token: str) -> ASGIApp:
             Route("/", views.page),
             Route("/static/{name:path}", views.static),
             Route("/events", views.events),
-            Route("/parts/{number:int}", views.part),
+            Route("/parts/{number}", views.part),
             Route("/metrics", views.metrics),
         ],
-        middleware=[Middleware(_Guard, token=token)],
+        middleware=[Middleware(_Guard, token=token, strangers=strangers)],
     )
 
 
 class _Guard:
-    """Lets nobody in without the token, and adds headers to every answer."""
+    """Lets nobody in without the token, nor too many, and adds headers to every answer."""
 
-    def __init__(self, app: ASGIApp, token: str) -> None:
+    def __init__(self, app: ASGIApp, token: str, strangers: Strangers) -> None:
         self._app = app
         self._token = token.encode()
+        self._strangers = strangers
+        self._served = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -106,10 +115,19 @@ class _Guard:
                 message["headers"] = [*message["headers"], *HEADERS.items()]
             await send(message)
 
-        app = self._app
         if not self._is_allowed(HTTPConnection(scope)):
-            app = PlainTextResponse("this address lacks the token of the job\n", 403)
-        await app(scope, receive, send_guarded)
+            refusal = "this address lacks the token of the job\n"
+            await PlainTextResponse(refusal, 403, CLOSE)(scope, receive, send_guarded)
+            return
+        self._strangers.admit(scope["client"])
+        if self._served >= MOST_REQUESTS:
+            await PlainTextResponse("come later\n", 503, CLOSE)(scope, receive, send_guarded)
+            return
+        self._served += 1
+        try:
+            await self._app(scope, receive, send_guarded)
+        finally:
+            self._served -= 1
 
     def _is_allowed(self, request: HTTPConnection) -> bool:
         kind, _, bearer = request.headers.get("authorization", "").partition(" ")
@@ -178,8 +196,8 @@ class _Views:
 
     async def part(self, request: Request) -> Response:
         """Return a part of the mesh, which is packed when the first page asks for it."""
-        number = request.path_params["number"]
-        if number >= len(self._job.loads):
+        number = _read_number(request.path_params["number"])
+        if number is None or number >= len(self._job.loads):
             return PlainTextResponse("there is no such part\n", 404)
         try:
             return await self._send_part(number)
@@ -213,6 +231,11 @@ class _Views:
 def _name(request: Request) -> str:
     """Return the name of the page that asks."""
     return request.query_params.get("page", "")
+
+
+def _read_number(text: str) -> int | None:
+    """Return the number of a part; None where it is none, or has more digits than any."""
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 10 else None
 
 
 def _read(package: str, name: str) -> bytes:

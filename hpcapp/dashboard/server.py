@@ -9,7 +9,8 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any, cast
 
 from hpcapp.dashboard.watched_job import WatchedJob
 from hpccomponent.errors import UsageError
@@ -25,7 +26,7 @@ DEFAULT_ADDRESS = "127.0.0.1:0"
 """Any free port of loopback."""
 
 INSTALL = "pip install 'hpcapp[dashboard]'"
-CLIENTS = 64  # connections; more are told to come later
+BACKLOG = 64  # connections that are taken in at once
 FAREWELL_S = 2  # for pages to read the end
 LEAVE_S = 5.0
 
@@ -122,19 +123,21 @@ def _make_server(job: WatchedJob, token: str) -> uvicorn.Server:
         import uvicorn
 
         from hpcapp.dashboard.app import make_app
+        from hpcapp.dashboard.strangers import Door, Strangers
     except ImportError as error:
         raise UsageError(f"the dashboard is not installed here ({error})", INSTALL) from None
+    strangers = Strangers()
     config = uvicorn.Config(
-        make_app(job, token),
+        make_app(job, token, strangers),
         loop="asyncio",
-        http="h11",
+        http=cast(Any, partial(Door, strangers)),  # it is only called
         ws="none",
         lifespan="off",
         log_config=None,
         log_level="critical",
         access_log=False,  # addresses hold the token
         server_header=False,
-        limit_concurrency=CLIENTS,
+        backlog=BACKLOG,
         timeout_graceful_shutdown=FAREWELL_S,
     )
     return uvicorn.Server(config)

@@ -7,14 +7,16 @@ import logging
 import socket
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
-from hpcapp.dashboard.server import CLIENTS, open_dashboard, parse_address
+from hpcapp.dashboard.app import MOST_REQUESTS
+from hpcapp.dashboard.server import open_dashboard, parse_address
+from hpcapp.dashboard.strangers import MOST_STRANGERS
 from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
 from hpcapp.progress import SilentProgress
 from hpcapp.timeline import MASTER, Timeline, WorkerNow
@@ -186,7 +188,7 @@ def test_more_clients_than_it_serves_are_told_to_come_later(address: str) -> Non
     parts = urlsplit(path_of(address, "events"))
     ask = f"GET {parts.path}?{parts.query} HTTP/1.1\r\nHost: x\r\n\r\n".encode()
     clients, answers = [], []
-    for _ in range(CLIENTS + 1):
+    for _ in range(MOST_REQUESTS + 1):
         client = socket.create_connection((parts.hostname or "", parts.port or 0), timeout=30)
         client.sendall(ask)
         answers.append(client.recv(12))
@@ -195,6 +197,85 @@ def test_more_clients_than_it_serves_are_told_to_come_later(address: str) -> Non
         client.close()
     assert answers[0] == b"HTTP/1.1 200"
     assert answers[-1] == b"HTTP/1.1 503"
+
+
+@pytest.fixture
+def connect(address: str) -> Iterator[Callable[[], socket.socket]]:
+    """Connect to the dashboard, and say nothing."""
+    parts, clients = urlsplit(address), []
+
+    def connect() -> socket.socket:
+        client = socket.create_connection((parts.hostname or "", parts.port or 0), timeout=30)
+        clients.append(client)
+        return client
+
+    yield connect
+    for client in clients:
+        client.close()
+
+
+def test_whoever_has_the_token_is_served_beside_any_number_of_idle_connections(
+    address: str, connect: Callable[[], socket.socket]
+) -> None:
+    with urllib.request.urlopen(path_of(address, "events"), timeout=30) as watched:  # noqa: S310
+        idle = [connect() for _ in range(3 * MOST_STRANGERS)]
+        assert get(path_of(address, "metrics"))[0] == 200
+        assert watched.readline().startswith(b"data: ")
+    for client in idle[:MOST_STRANGERS]:  # the first have made room for the last
+        assert is_ended(client)
+
+
+def is_ended(client: socket.socket) -> bool:
+    """Wait until a connection is ended by the server; without a byte."""
+    try:
+        return client.recv(1) == b""
+    except ConnectionResetError:
+        return True
+
+
+@pytest.mark.slow
+def test_a_stranger_is_not_waited_for_long(connect: Callable[[], socket.socket]) -> None:
+    silent, slow = connect(), connect()
+    slow.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n")
+    assert is_ended(silent)
+    assert is_ended(slow)
+
+
+def test_who_lacks_the_token_is_told_so_and_left(connect: Callable[[], socket.socket]) -> None:
+    client = connect()
+    client.sendall(2 * b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+    with client.makefile("rb") as answer:
+        assert answer.read().count(b"HTTP/1.1 403") == 1
+
+
+ODD = ["0" * 5000, "9" * 5000, "-1", "+0", "0x0", "%00", "%ff", "%D9%A0", "1e3", " 0", "..%2f0"]
+
+
+@pytest.mark.parametrize(
+    "path", [f"{folder}/{name}" for folder in ("parts", "static") for name in ODD]
+)
+def test_an_odd_path_is_not_found(job: WatchedJob, address: str, path: str) -> None:
+    WatchedProgress(job, SilentProgress()).show_part(lambda: TETRAHEDRON)
+    assert get(path_of(address, path.replace(" ", "%20")))[0] == 404
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Authorization: Bearer \xff\xfe", "Authorization: " + "x" * 60_000, "Content-Length: -1",
+        "Content-Length: " + "9" * 5000, "Transfer-Encoding: junk", "Upgrade: websocket",
+        "Range: bytes=9-0", "Accept: \x80", "Host: " + "a" * 60_000, "If-Modified-Since: never",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("path", ["/", "/metrics", "/parts/0", "/static/page.css"])
+def test_an_odd_header_is_no_error_of_the_server(
+    address: str, connect: Callable[[], socket.socket], path: str, header: str
+) -> None:
+    client, token = connect(), address.partition("?")[2]
+    request = f"GET {path}?{token}&page=%00%ff HTTP/1.1\r\nHost: x\r\nConnection: close\r\n{header}"
+    client.sendall(f"{request}\r\n\r\n".encode("latin-1"))
+    with client.makefile("rb") as answer:
+        assert answer.read(10) in (b"HTTP/1.1 2", b"HTTP/1.1 4")
 
 
 @pytest.mark.parametrize("text", ["", "8080", ":8080", "localhost", "h:x", "127.0.0.1:70000"])
