@@ -21,7 +21,6 @@ import logging
 import os
 import re
 import secrets
-import shutil
 import signal
 import socket
 import tempfile
@@ -36,6 +35,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
+from hpcapp.backends.ray_watcher import watched
 from hpcapp.backends.retrying import RetryingExecutor
 from hpccomponent.errors import (
     HpcError,
@@ -45,6 +45,7 @@ from hpccomponent.errors import (
     UsageError,
     WorkerLostError,
 )
+from hpccomponent.files.held_folders import create_held, temporary_folder
 from hpccomponent.limits import available_cores
 from hpccomponent.runtime.process import THREAD_VARIABLES
 
@@ -411,12 +412,14 @@ def _joined(ray: Any, **options: Any) -> Iterator[None]:
     in_main = threading.current_thread() is threading.main_thread()
     before = signal.getsignal(signal.SIGTERM)
     try:
-        with _errors_of_init(), tempfile.TemporaryDirectory(prefix="hpcapp-") as nothing:
+        with _errors_of_init(), temporary_folder() as folder:
             runtime: dict[str, Any] = {"env_vars": ONE_THREAD}
             if not options["address"].startswith("ray://"):
                 # Else workers import from this process's folder, where a source tree may lie whose
                 # kernels are other ones.
-                runtime["working_dir"] = nothing
+                nothing = folder / "nothing"
+                nothing.mkdir()
+                runtime["working_dir"] = str(nothing)
             _init(ray, runtime_env=runtime, **options)
         if in_main:
             signal.signal(signal.SIGTERM, before)
@@ -488,11 +491,15 @@ def _environment(variables: dict[str, str]) -> Iterator[None]:
 
 @contextmanager
 def _private_place() -> Iterator[Path]:
-    """Make a folder that only this user can enter, with a short path, and remove it in the end."""
+    """Make a folder that only this user can enter, with a short path, and remove it in the end.
+
+    What lives in it ends with this process, even if that is killed.
+    """
     usual = tempfile.gettempdir()
-    folder = usual if len(usual) <= LONGEST_PLACE else SHORT_PLACE
-    parent = Path(tempfile.mkdtemp(prefix="hpcapp-", dir=folder))
+    parent = Path(usual if len(usual) <= LONGEST_PLACE else SHORT_PLACE)
+    held = create_held(parent / f"hpcapp-{secrets.token_hex(4)}")
     try:
-        yield parent / "ray"  # Ray opens its own folder to everybody
+        with watched(held.path):
+            yield held.path / "ray"  # Ray opens its own folder to everybody
     finally:
-        shutil.rmtree(parent, ignore_errors=True)
+        held.remove()

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from process_tree import are_gone, descendants
 
 from hpcapp.backends.names import RAY
 from hpcapp.backends.selection import Backend, open_executor
@@ -31,6 +32,15 @@ pytestmark = [
 ]
 
 StartCommand = Callable[..., "subprocess.Popen[str]"]
+PROGRAM = """
+import sys
+from hpcapp.backends.selection import open_executor
+
+if __name__ == "__main__":
+    with open_executor("ray", workers=2) as backend:
+        print(backend.executor.submit(pow, 2, 3).result(), flush=True)
+        sys.stdin.read()
+"""
 HIDE_RAY = """
 import sys
 
@@ -69,6 +79,25 @@ def test_the_command_gives_the_same_bytes_and_leaves_nothing(
         assert "raylet" not in printed + said
     assert (tmp_path / "ray.ply").read_bytes() == (tmp_path / "here.ply").read_bytes()
     assert not list(tmp_path.glob("hpcapp-*"))
+
+
+@pytest.mark.slow
+def test_nothing_is_left_of_a_killed_master() -> None:
+    with tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp") as folder:  # a short path
+        with subprocess.Popen(
+            [sys.executable, "-c", PROGRAM],
+            env={**os.environ, "TMPDIR": folder},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as master:
+            assert master.stdout is not None
+            assert master.stdout.readline() == "8\n"
+            below = descendants(master.pid)
+            master.kill()
+        assert len(below) > 4
+        assert are_gone(below)
+        assert os.listdir(folder) == []
 
 
 @pytest.mark.slow
