@@ -391,7 +391,7 @@ def turned_region(
 
 def grouped_region(points: tuple[Any, ...], low: FloatArray, spacing: float) -> Declared:
     """Return the pattern of what `normals.group_blocks` finds."""
-    own, reach = _Assigned.of(points), MARGIN * spacing
+    own, reach = _Assigned.of(points), 1.01 * MARGIN * spacing
     box = own.box[0] - reach, own.box[1] + reach
     patches = Record(
         Patches,

@@ -78,7 +78,7 @@ def estimate_blocks(
     return _put(region.pack_with(vectors), target)
 
 
-@declare(result=grouped_region, limit=region_bytes(512))
+@declare(result=grouped_region, limit=region_bytes(1024))
 def group_blocks(points: RegionPoints, low: FloatArray, spacing: float) -> tuple[Patches, Links]:
     """Find the patches of a region (a task); see `patches.find_patches`.
 

@@ -68,7 +68,7 @@ _ROUNDED = 1.0 + 1e-6
 # Bytes of a result for each square of the grid that the surface may fill, in coarse cells of two
 # finest ones: 6 to 16 are needed on surfaces and 46 in a fog, or up to 5 where the part is kept.
 _SENT_SQUARE, _KEPT_SQUARE = 128, 32
-_SUMMED_POINT = 256  # of what a tile sums, for each of its points: 20 to 70 are needed
+_SUMMED_POINT = 768  # of what a tile sums, for each of its points: most often 20 to 70
 _SENT_VERTEX, _KEPT_VERTEX = 256, 64  # of an open part, for each vertex of the closed one
 
 
