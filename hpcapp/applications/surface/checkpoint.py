@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hpccomponent.errors import JobError
+from hpccomponent.errors import JobError, ProtocolError
 from hpccomponent.files.private_files import make_private_folder
 from hpccomponent.protocol.codec import encode_values
+from hpccomponent.protocol.declared import Declared, check_result
 from hpccomponent.store.base import Store
 from hpccomponent.store.places import open_store
 
@@ -146,7 +147,31 @@ class Keeping:
         """
         return f"{self.job}/{SUMS}/{run}-{tile}"
 
-    def find(self, name: str) -> Any | None:
+    def get(self, name: str, declared: Declared) -> Any:
+        """Return what a worker has kept under a name.
+
+        Parameters
+        ----------
+        name : str
+        declared : Declared
+            What it must be.
+
+        Raises
+        ------
+        JobError
+            It is not there, or damaged, or something else.
+        """
+        kept = self.store.get(name)
+        try:
+            check_result(declared, kept)
+        except ProtocolError as error:
+            raise JobError(
+                f"{self.place}/{name}: what is kept there is wrong: {error.problem}",
+                "run the job again; it is a worker that has put it there",
+            ) from error
+        return kept
+
+    def find(self, name: str, declared: Declared) -> Any | None:
         """Return what is kept under a name, None where nothing is or where it is not wanted.
 
         What is damaged is taken away, and named: whoever asked makes it again.
@@ -155,6 +180,8 @@ class Keeping:
         ----------
         name : str
             See `name`.
+        declared : Declared
+            What it must be.
 
         Returns
         -------
@@ -164,7 +191,7 @@ class Keeping:
             return None
         try:
             if self.store.has(name):
-                return self.store.get(name)
+                return self.get(name, declared)
             if not (self.is_folder and os.path.lexists(Path(self.place, name))):
                 return None
             problem = f"{Path(self.place, name)} is not a file"

@@ -36,11 +36,13 @@ from hpcapp.simplification.mesh import Target
 from hpcapp.simplification.stream import simplify_stream
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.files.held_folders import temporary_folder
+from hpccomponent.protocol.declared import ANYTHING, Fixed
 from hpccomponent.runtime.background import Deferred
 from hpccomponent.store.base import FolderStore
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import PartSummary
 from hpccomponent.surface.tasks.shared_ply import write_kept, write_part
+from hpccomponent.surface.tasks.surface_patterns import kept_part
 from hpccomponent.surface.tasks.tile_ply import write_kept_tile
 from hpccomponent.surface.types.lattice import number_keys
 from hpccomponent.surface.types.mesh import Mesh
@@ -219,6 +221,7 @@ class PartSurface:
     crumb: int | None = None
     _plan: WeldPlan | None = None
     _topology: Deferred[Topology] | None = None
+    _checked: set[int] = field(default_factory=set)
 
     @property
     def plan(self) -> WeldPlan:
@@ -238,12 +241,21 @@ class PartSurface:
         Returns
         -------
         MeshPart
+
+        Raises
+        ------
+        JobError
+            What is kept is damaged, or not what its summary says.
         """
         part = self.parts[index]
         if isinstance(part, MeshPart):
             return part
         assert self.keeping is not None  # noqa: S101 - or there would be no names
-        kept: MeshPart = self.keeping.store.get(part)[0]
+        if index in self._checked:
+            return cast(MeshPart, self.keeping.store.get(part)[0])
+        declared = Fixed(kept_part(self.summaries[index]), ANYTHING, ANYTHING)
+        kept: MeshPart = self.keeping.get(part, declared)[0]
+        self._checked.add(index)
         return kept
 
     def check(self) -> Topology:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpccomponent.protocol.declared import (
     Array,
@@ -20,7 +21,7 @@ from hpccomponent.protocol.declared import (
     Where,
     Whole,
 )
-from hpccomponent.surface.cloud.arrangement import PackedPoints
+from hpccomponent.surface import kernels
 from hpccomponent.surface.extraction.opening import OpeningSeams
 from hpccomponent.surface.extraction.part_places import starts_of
 from hpccomponent.surface.extraction.parts import MeshPart
@@ -42,13 +43,16 @@ from hpccomponent.surface.tasks.result_patterns import (
     rise_by_pairs,
 )
 from hpccomponent.surface.tiles.plan import CoarseLattice, CoarseLevels, Plan, Samples
-from hpccomponent.surface.tiles.points import PointsThere, estimate_work
+from hpccomponent.surface.tiles.points import estimate_work
 from hpccomponent.surface.types.grid import BRICK
+from hpccomponent.surface.types.lattice import ancestor_keys, find_keys, unique_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = [
+    "coarse_lattice",
     "far_field",
     "judged_support",
+    "kept_part",
     "open_surface",
     "opened_bytes",
     "opening_seams",
@@ -64,6 +68,7 @@ _VERTICES, _FACES = 3 * BRICK**3, 5 * BRICK**3  # of a brick: one on each edge, 
 _CUT_VERTICES, _CUT_FACES = _VERTICES + 3 * _FACES, 2 * _FACES  # where each face may be cut
 _LARGEST_MOMENT = 4.0  # of a point in a cell of edge 1, around its middle
 _ROUNDED = 1.0 + 1e-6
+_PART_RULE = "bricks have as many vertices and faces as they count"
 
 # Bytes of a result for each square of the grid that the surface may fill, in coarse cells of two
 # finest ones: 6 to 16 are needed on surfaces and 46 in a fog, or up to 5 where the part is kept.
@@ -72,7 +77,7 @@ _SUMMED_POINT = 768  # of what a tile sums, for each of its points: most often 2
 _SENT_VERTEX, _KEPT_VERTEX = 256, 64  # of an open part, for each vertex of the closed one
 
 
-def surface_box(plan: Plan) -> Box:
+def surface_box(plan: Plan) -> tuple[FloatArray, FloatArray]:
     """Return the box in which all of the surface lies: the grid's, and a brick around it."""
     low, high = plan.grid.box
     return low - BRICK * plan.step, high + BRICK * plan.step
@@ -95,50 +100,79 @@ def far_field(plan: Plan, *_: Any) -> Declared:
 
 def summed_tile(
     plan: Plan,
-    points: Any,
+    _points: Any,
     _ticket: Any = None,
     keep: tuple[str, str] | None = None,
+    own: tuple[IntArray, IntArray] | None = None,
     *_: Any,
 ) -> Declared:
     """Return the pattern of what `tiles.sum_tile` returns, or keeps."""
+    total = _MOST if own is None else int(own[1].sum())
     if keep is not None:
         place, name = keep
-        patches = Whole(1, _count_cells(points) * 8**plan.coarse)
-        return Fixed(Nothing(), Exactly((place, f"{name}-far")), patches)
-    least, most = _count_points(points)
+        return Fixed(Nothing(), Exactly((place, f"{name}-far")), Whole(1, total))
 
     def agrees(found: tuple[CoarseLattice, Samples, int]) -> bool:
         lattice, samples, patches = found
-        counts, sampled = lattice.moments[:, 0], samples.sums[:, 0]
-        total = float(counts.sum())
+        sampled = samples.sums[:, 0]
+        parents = unique_keys(ancestor_keys(samples.cells, plan.coarse - plan.far))
         return (
-            least <= total <= most
-            and float(sampled.sum()) == total
+            np.array_equal(parents, lattice.cells)
+            and float(sampled.sum()) == float(lattice.moments[:, 0].sum())
+            and _lie_below(np.abs(samples.sums[:, 1:4]), 0.5 * _ROUNDED * sampled)
+            and _lie_below(np.abs(samples.sums[:, 4:]), _ROUNDED * sampled)
+            and len(samples.cells) <= patches
+        )
+
+    samples = Record(
+        Samples,
+        cells=cells_in("s", plan.grid.box, plan.origin, plan.cell_size * 2.0**plan.far),
+        sums=Array("<f8", "s", 7, low=_count_and(6)),
+    )
+    pattern = Fixed(coarse_lattice(plan, own), samples, Whole(1, total))
+    return Where(pattern, agrees, "cells have the sums of the tile's points")
+
+
+def coarse_lattice(plan: Plan, own: tuple[IntArray, IntArray] | None) -> Declared:
+    """Return the pattern of the lattice that a tile's points add to.
+
+    Parameters
+    ----------
+    plan : Plan
+    own : tuple of ndarray, or None
+        See `tiles.sum_tile`.
+
+    Returns
+    -------
+    Declared
+    """
+    box, size = plan.grid.box, plan.coarse_size
+
+    def agrees(lattice: CoarseLattice) -> bool:
+        counts, corners = lattice.moments[:, 0], lattice.vertices
+        inner, outer = (kernels.spread_keys(lattice.cells, *far) for far in ((0, 1), (-1, 2)))
+        return (
+            (own is None or all(map(np.array_equal, own, (lattice.cells, counts))))
             and _lie_below(np.abs(lattice.moments), _LARGEST_MOMENT * counts)
             and bool((lattice.squares >= counts).all())
             and bool((lattice.squares <= counts * counts).all())
-            and _lie_below(np.abs(samples.sums[:, 1:4]), 0.5 * _ROUNDED * sampled)
-            and _lie_below(np.abs(samples.sums[:, 4:]), _ROUNDED * sampled)
-            and len(samples.cells) <= patches <= total
+            and bool((find_keys(corners, inner) < len(corners)).all())
+            and bool((find_keys(outer, corners) < len(outer)).all())
         )
 
-    box, size = plan.grid.box, plan.coarse_size
-    least_moment = np.array([1.0, *[-np.inf] * (COLUMNS - 1)])
     lattice = Record(
         CoarseLattice,
         cells=cells_in("c", box, plan.origin, size),
-        moments=Array("<f8", "c", COLUMNS, low=least_moment),
+        moments=Array("<f8", "c", COLUMNS, low=_count_and(COLUMNS - 1)),
         squares=Array("<f8", "c"),
         vertices=cells_in("v", box, plan.origin, size, 3),
     )
-    samples = Record(
-        Samples,
-        cells=cells_in("s", box, plan.origin, plan.cell_size * 2.0**plan.far),
-        sums=Array("<f8", "s", 7, low=least_moment[:7]),
-    )
-    return Where(
-        Fixed(lattice, samples, Whole(0, _MOST)), agrees, "cells have the sums of the tile's points"
-    )
+    return Where(lattice, agrees, "moments are of the points that its cells hold")
+
+
+def _count_and(others: int) -> FloatArray:
+    """Return the least that columns of sums may be: the first one counts points."""
+    return np.array([1.0, *[-np.inf] * others])
 
 
 def summed_bytes(
@@ -146,22 +180,6 @@ def summed_bytes(
 ) -> int:
     """Return how large what `tiles.sum_tile` returns may be, in bytes."""
     return SMALL_BYTES + (0 if keep is not None else _SUMMED_POINT * int(estimate_work(points)))
-
-
-def _count_points(points: Any) -> tuple[int, int]:
-    """Return the least and the greatest number of points that a tile may have for its own."""
-    own = points[0] if isinstance(points, tuple) else points
-    if isinstance(own, PackedPoints):
-        return len(own), len(own)
-    sent = getattr(own, "size_bytes", None)  # of what stands for a shared value
-    return 1, _MOST if sent is None else sent
-
-
-def _count_cells(points: Any) -> int:
-    """Return how many coarse cells a tile may have at most, which reads its points itself."""
-    if isinstance(points, PointsThere):
-        return sum(map(len, points.groups))
-    return int(points.size_bytes) // 8  # keys, and what stands for a shared value
 
 
 def _lie_below(rows: FloatArray, most: FloatArray) -> bool:
@@ -209,6 +227,27 @@ def tile_surface(plan: Plan, keep: tuple[str, str] | None) -> Declared:
     bricks, exits = (keys_within(extent, first, last) for extent in ("b", "exits"))
     foreign = Array("<i8", "g", low=0)
     return _surface(bricks, foreign, exits, surface_box(plan), (_VERTICES, _FACES), keep)
+
+
+def kept_part(summary: PartSummary) -> Declared:
+    """Return the pattern of a part that a worker has kept, and told this summary of."""
+
+    def same(of: NDArray[Any]) -> Array:
+        return Array(of.dtype.str, *of.shape, low=of, high=of)
+
+    part = Record(
+        MeshPart,
+        bricks=same(summary.bricks),
+        guests=same(summary.guests),
+        vertex_counts=same(summary.vertex_counts),
+        face_counts=same(summary.face_counts),
+        vertices=Array("<f8", "v", 3),
+        faces=_ints("f", 3, low=None),
+        foreign_bricks=same(summary.foreign_bricks),
+        foreign_numbers=same(summary.foreign_numbers),
+        supported=Array("|b1", "v"),
+    )
+    return Where(part, _is_part, _PART_RULE)
 
 
 def open_surface(taken: TakenBricks, keep: tuple[str, str] | None) -> Declared:
@@ -279,10 +318,9 @@ def _surface(
         rim=Array("<i4", "r", low=0, rises=True),
         rim_places=Array("<f8", "r", 3, low=low, high=high),
     )
-    parts = "bricks have as many vertices and faces as they count"
     named = "what it names lies among its bricks, vertices, faces and components"
     return Fixed(
-        Where(part, _is_part, parts) if keep is None else Nothing(),
+        Where(part, _is_part, _PART_RULE) if keep is None else Nothing(),
         Where(summary, lambda found: _is_summary(found, box), named),
         exits,
     )

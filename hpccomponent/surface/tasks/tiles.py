@@ -91,6 +91,7 @@ def sum_tile(
     points: CellPoints,
     ticket: str | None = None,
     keep: tuple[str, str] | None = None,
+    own: tuple[IntArray, IntArray] | None = None,
     threads: int = 1,
 ) -> tuple[CoarseLattice | None, Samples | tuple[str, str], int]:
     """Sum the moments of a tile's points in the cells of the coarse level (a task).
@@ -108,6 +109,9 @@ def sum_tile(
         A store (see `store.places`) and a name, under which the lattice is put there, and
         the samples beside it, if nothing has that name: a tile that is summed twice must not
         replace what is being read.
+    own : tuple of ndarray of int64, optional
+        Keys of the coarse cells that hold the tile's own points, and how many each holds: whoever
+        knows them holds the lattice against these.
     threads : int
         The result does not depend on it.
 
@@ -121,26 +125,27 @@ def sum_tile(
     patches : int
         The finest cells with points.
     """
+    del own  # it is for who declares, and checks
     prepared = PreparedTile(plan, points, threads)
     if ticket is not None:
         TILES.put(ticket, prepared)
         worker_background.add(partial(TILES.advance, ticket))
     finest, coarse = prepared.levels[0], prepared.levels[-1]
-    own = finest.cells[prepared.groups == 0]
-    marks = mark_ancestors(own, plan.coarse, coarse.cells)
+    held = finest.cells[prepared.groups == 0]
+    marks = mark_ancestors(held, plan.coarse, coarse.cells)
     at, vertices = np.flatnonzero(marks), corners_at(coarse.cells, marks)
     moments = coarse.points.sum(slice(0, len(coarse.cells)))[at]
     sampled = prepared.levels[plan.far]
-    samples = sample_cells(sampled, np.flatnonzero(mark_ancestors(own, plan.far, sampled.cells)))
+    samples = sample_cells(sampled, np.flatnonzero(mark_ancestors(held, plan.far, sampled.cells)))
     lattice = CoarseLattice(coarse.cells[at], moments, coarse.squares[at], vertices)
     del prepared.levels[plan.coarse :]  # `mesh_tile` is told what all tiles make of them
     if keep is None:
-        return lattice, samples, len(own)
+        return lattice, samples, len(held)
     place, name = keep
     beside, store = f"{name}-far", hold_store(place)
     for one, value in ((name, lattice), (beside, samples)):
         store.put(one, value, replaces=False)
-    return None, (place, beside), len(own)
+    return None, (place, beside), len(held)
 
 
 def sample_cells(level: Level, rows: IntArray | None = None) -> Samples:

@@ -22,6 +22,7 @@ from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import JobError
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import PartSummary
+from hpccomponent.surface.tasks.surface_patterns import tile_surface
 from hpccomponent.surface.tasks.tiles import mesh_gap, mesh_tile
 from hpccomponent.surface.tiles.plan import Plan
 from hpccomponent.surface.types.grid import BRICK
@@ -65,7 +66,8 @@ class _Regions:
         ----------
         task : callable
         tiles : iterable of (str, tuple)
-            The name of each and what the task is called with, made when there is room for it.
+            The name of each and what the task is called with, the plan first, made when there is
+            room for it.
         count : int
             Of the tiles.
         advance : callable
@@ -77,7 +79,8 @@ class _Regions:
         def batches() -> Iterator[tuple[Any, ...]]:
             for index, (name, arguments) in enumerate(tiles):
                 names.append(name)
-                kept = self._keeping.find(name) if self._keeping else None
+                declared = tile_surface(arguments[0], None)
+                kept = self._keeping.find(name, declared) if self._keeping else None
                 if kept is not None:
                     found[index] = (None, *kept[1:])
                     self._show(name, None)

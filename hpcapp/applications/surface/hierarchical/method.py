@@ -42,10 +42,11 @@ from hpccomponent.surface.cloud.arranged import ArrangedCloud
 from hpccomponent.surface.cloud.arrangement import choose_arrangement
 from hpccomponent.surface.fitting.far_field import FEWEST_NODES, choose_nodes
 from hpccomponent.surface.fitting.pyramid import count_levels
+from hpccomponent.surface.tasks.surface_patterns import coarse_lattice
 from hpccomponent.surface.tasks.tiles import sum_tile
 from hpccomponent.surface.tiles.plan import CoarseLattice, Plan, Samples
 from hpccomponent.surface.types.grid import BRICK, Grid
-from hpccomponent.surface.types.points import FloatArray, PointCloud
+from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = [
     "HierarchicalMethod",
@@ -203,17 +204,21 @@ class HierarchicalMethod:
         keeping = None if workforce.in_process else self._find_shared(partition.cloud)
         run = secrets.token_hex(8)  # nothing that an earlier one has left is taken
 
+        def own(index: int) -> tuple[IntArray, IntArray]:
+            return tiling.own(index), tiling.counts(index)
+
         def batches() -> Iterator[tuple[Any, ...]]:
             for index, ticket in enumerate(tiling.tickets):
                 keep = None if keeping is None else (keeping.place, keeping.name_sums(run, index))
-                yield plan, tiling.core(index), ticket, keep
+                yield plan, tiling.core(index), ticket, keep, own(index)
 
         lattices: list[CoarseLattice] = []
         samples: list[Samples | tuple[str, str]] = []
         for index, found in stream_batches(workforce, sum_tile, batches(), 2 * workforce.workers):
             lattice, sampled, patches = found
             if keeping is not None:
-                lattice = keeping.store.get(keeping.name_sums(run, index))
+                name = keeping.name_sums(run, index)
+                lattice = keeping.get(name, coarse_lattice(plan, own(index)))
             assert lattice is not None  # noqa: S101 - it comes back where it is not kept
             lattices.append(lattice)
             samples.append(sampled)

@@ -74,6 +74,7 @@ class Tiling:
         order = np.argsort(self._tile_of, kind="stable")
         ends = np.cumsum(np.bincount(self._tile_of))
         self._own: list[IntArray] = np.split(self.cells[order], ends[:-1])
+        self._counts: list[IntArray] = np.split(counts[order], ends[:-1])
         self._share = workforce.share
         self._are_read = are_read
         self._shared: dict[int, Any] = {}
@@ -101,6 +102,20 @@ class Tiling:
             Sorted keys.
         """
         return self._own[index]
+
+    def counts(self, index: int) -> IntArray:
+        """Return how many points each of the coarse cells of a tile holds.
+
+        Parameters
+        ----------
+        index : int
+            Of the tile.
+
+        Returns
+        -------
+        ndarray of int64, shape (k,)
+        """
+        return self._counts[index]
 
     def core(self, index: int) -> CellPoints:
         """Return the points of a tile, as `sum_tile` is given them.
