@@ -9,6 +9,7 @@ import click
 
 from hpccomponent.errors import OutdatedError
 from hpcdeploy.cli.asking import ask_to_go_on, name_foreign, say
+from hpcdeploy.spec.names import MOST_WORKERS
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
@@ -66,7 +67,7 @@ def down(file: Path, yes: bool, name: str) -> None:
 
 @click.command()
 @click.argument("file", type=FILE)
-@click.argument("workers", type=click.IntRange(0, 1000))
+@click.argument("workers", type=click.IntRange(0, MOST_WORKERS))
 @YES
 @KEEP
 @UNCHECKED

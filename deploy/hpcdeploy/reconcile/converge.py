@@ -162,12 +162,15 @@ def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) 
     ------
     CloudError
         The head does not run, the cloud refuses, or another command is changing the cluster.
+    UsageError
+        So many workers may cost more than the file allows.
     """
     observed = cluster.provider.observe(cluster.spec.cluster)
     cluster = as_desired(cluster, observed, report)
     live = {machine.name.node for machine in observed.machines if machine.state in LIVE}
     if set(cluster.spec.nodes()) <= live and not is_unfinished(cluster.spec.cluster):
         return cluster  # and no other command finds the journal locked
+    check_limits(cluster.spec, estimate_cost(cluster.spec))
     with open_journal(cluster.spec.cluster) as journal:
         effort = Effort(cluster, journal, report, pace or Pace(), only_replace=True)
         with journal.command("replace lost workers"):

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from hpccomponent.config.reader import ConfigModel, read_config
 from hpccomponent.units import parse_duration
 from hpcdeploy.spec.checks import find_misfits
-from hpcdeploy.spec.names import HEAD, NAME_PATTERN
+from hpcdeploy.spec.names import HEAD, MOST_WORKERS, NAME_PATTERN
 from hpcdeploy.spec.provider import (
     JUMP,
     USER_NAME,
@@ -170,7 +170,7 @@ class Workers(ConfigModel):
     """
 
     profile: str | None = None
-    count: int | None = Field(default=None, ge=0, le=1000)
+    count: int | None = Field(default=None, ge=0, le=MOST_WORKERS)
     min: int | None = Field(default=None, ge=0)
 
 

@@ -22,6 +22,7 @@ __all__ = [
     "INCARNATION_TAG",
     "LEASE_TAG",
     "MADE_TAG",
+    "MOST_WORKERS",
     "NAME_PATTERN",
     "NOBODY",
     "NODE_TAG",
@@ -44,6 +45,7 @@ __all__ = [
 ]
 
 PREFIX = "hpcapp-"
+MOST_WORKERS = 1000
 NAME_PATTERN = r"^[a-z][a-z0-9-]{0,39}$"
 """Of clusters: it becomes part of every name in the cloud."""
 
@@ -151,7 +153,7 @@ def read_owner(text: str) -> Owner:
 
 
 def read_desired(text: str) -> Desired | None:
-    """Return what the text of the tag says; None where an older release made the head.
+    """Return what the text of the tag says; None where it says nothing that we have written.
 
     Parameters
     ----------
@@ -167,7 +169,9 @@ def read_desired(text: str) -> Desired | None:
     Desired(revision=7, workers=3)
     """
     match = re.fullmatch(r"(\d{1,9}), revision (\d{1,9})", text.strip(), re.ASCII)
-    return Desired(int(match[2]), int(match[1])) if match else None
+    if match is None or int(match[1]) > MOST_WORKERS:
+        return None
+    return Desired(int(match[2]), int(match[1]))
 
 
 def this_user() -> str:

@@ -16,7 +16,7 @@ from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.reconcile.converge import bring_up, replace_lost, take_down
 from hpcdeploy.spec.cluster import Limits
-from hpcdeploy.spec.names import Desired, NodeName
+from hpcdeploy.spec.names import Desired, NodeName, read_desired
 
 CHANGES = {
     "create_group", "create_key_pair", "allow", "set_desired", "launch", "extend", "terminate",
@@ -289,6 +289,23 @@ def test_who_watches_goes_by_the_last_number_of_workers(simulation: Simulation, 
     said = f"cluster bunny {word} from 3 to {count} workers, by the last hpcapp scale or up"
     assert simulation.lines.count(said) == 1
     assert watched.spec.worker_count == count
+
+
+def test_who_watches_holds_the_limits_of_the_own_file(simulation: Simulation) -> None:
+    """Somebody who shares the key has scaled, by another file."""
+    simulation.up(8)
+    frugal = make_spec(1).model_copy(update={"limits": Limits(max_hourly_cost=0.5)})
+    simulation.cloud.interrupt("worker-2")
+    simulation.calls.clear()
+    with pytest.raises(UsageError, match="max_hourly_cost"):
+        replace_lost(make_cluster(frugal, simulation.cloud), simulation.lines.append)
+    assert not CHANGES & simulation.calls.keys()
+
+
+def test_a_tag_that_asks_for_more_than_a_file_may_is_none_of_ours() -> None:
+    assert read_desired(str(Desired(7, 1000))) == Desired(7, 1000)
+    for text in ("1001, revision 7", "3", "-1, revision 7", "3, revision x", ""):
+        assert read_desired(text) is None
 
 
 def test_who_watches_keeps_nobody_from_a_change_while_nothing_is_lost(
