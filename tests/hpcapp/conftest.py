@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 import subprocess
@@ -20,11 +21,13 @@ import pytest
 import zmq
 from stopping import SITECUSTOMIZE
 
+from hpcapp.cli import _run
 from hpcapp.io import write_points
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 WriteCloud = Callable[..., Path]
 StartCommand = Callable[..., "subprocess.Popen[str]"]
+Run = Callable[..., tuple[int, str, str]]
 
 TASKS = str(Path(__file__).parents[1] / "helpers")
 
@@ -201,3 +204,21 @@ def run_mpi(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
         return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
 
     return run
+
+
+@pytest.fixture
+def run(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Run]:
+    """Run the command in this process; return its exit code, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        code = _run(list(arguments), debug=False)
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    yield run
+    logging.captureWarnings(False)
+    logging.raiseExceptions = True
+    logging.getLogger().handlers.clear()

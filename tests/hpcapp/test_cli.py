@@ -8,8 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from itertools import pairwise
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -19,7 +18,7 @@ from process_tree import are_gone
 from stopping import await_stop, go_on
 
 from hpcapp import cli
-from hpcapp.cli import _run, main
+from hpcapp.cli import main
 from hpcapp.io import read_mesh
 from hpccomponent.errors import CloudError, ConfigError, TaskError
 from hpccomponent.surface.types.points import PointCloud
@@ -28,24 +27,6 @@ from hpccomponent.terminal import echo
 StartCommand = Callable[..., "subprocess.Popen[str]"]
 WriteCloud = Callable[..., Path]
 Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def run(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Run]:
-    """Run the command in this process; return its exit code, stdout and stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        code = _run(list(arguments), debug=False)
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    yield run
-    logging.captureWarnings(False)
-    logging.raiseExceptions = True
-    logging.getLogger().handlers.clear()
 
 
 def said(stderr: str) -> str:
@@ -296,75 +277,6 @@ def test_a_mesh_goes_to_standard_output(
     assert p.returncode == 0
     assert len(read_mesh(tmp_path / "piped.ply").faces)
     assert left_in(tmp_path) == {"sphere.ply", "piped.ply"}
-
-
-def test_file_names_are_bytes(start_command: StartCommand, sphere_file: Path) -> None:
-    odd = os.fsdecode(b"\xff sph\xe9re.ply")
-    sphere_file.rename(sphere_file.with_name(odd))
-    with start_command("reconstruct", odd, "-o", os.fsdecode(b"\xfe.ply"), "--grid", "16") as p:
-        p.communicate()
-    assert p.returncode == 0
-    assert left_in(sphere_file.parent) == {odd, os.fsdecode(b"\xfe.ply")}
-
-
-ODD = os.fsdecode(b"\xff\xfe")
-NAMED = [
-    ("in.xyz", "-o", f"{ODD}.ply", "--report", "m.html"),
-    ("in.xyz", "-o", "m.ply", "--report", f"{ODD}.html", "--png", f"{ODD}.png"),
-    (f"{ODD}.xyz", "-o", f"{ODD}.glb", "--trace", f"{ODD}.json", "--events", f"{ODD}.ev", "--json"),
-    (f"{ODD}.xyz", "-o", f"{ODD}.3dtiles", "--temp-dir", "d"),
-    (f"{ODD}.xyz", "-o", f"{ODD}.d/m.tiles", "--report", "m.html", "--json", "--details"),
-    (f"{ODD}.xyz", "-o", "m.ply", "--resume", "--temp-dir", "d"),
-    (f"{ODD}.xyz", "-o", f"{ODD}.ply", "--backend", "zmq", "--workers", "1", "--temp-dir", "d"),
-]
-
-
-@pytest.mark.parametrize("words", NAMED)
-def test_every_output_may_have_a_name_that_is_not_utf_8(
-    words: tuple[str, ...], run: Run, tmp_path: Path
-) -> None:
-    points = np.random.default_rng(7).normal(size=(1500, 3))
-    np.savetxt("in.xyz", points / np.linalg.norm(points, axis=1, keepdims=True))
-    Path(f"{ODD}.xyz").write_bytes(Path("in.xyz").read_bytes())
-    Path(f"{ODD}.d").mkdir()
-    Path("d").mkdir()
-    code, out, err = run("reconstruct", "--grid", "16", *words)
-    assert code == 0, err
-    if "--json" in words:
-        assert json.loads(out)["input"]["files"] == [f"{ODD}.xyz"]
-    for flag, name in pairwise(words):
-        assert not flag.startswith("-o") or Path(name).exists()
-        assert not flag.startswith("--report") or b"3D" in Path(name).read_bytes()
-
-
-def test_a_folder_of_which_workers_cannot_be_told_is_named(run: Run) -> None:
-    np.savetxt("in.xyz", np.random.default_rng(7).normal(size=(1500, 3)))
-    code, _, err = run("reconstruct", "in.xyz", "-o", "m.ply", "--temp-dir", f"{ODD}.d")
-    assert code == 2
-    assert said(err).startswith(r"hpcapp: --temp-dir \xff\xfe.d: its path is not UTF-8")
-
-
-@pytest.mark.parametrize("suffix", [".ply", ".xyz", ".las", ".laz", ".e57", ".npz"])
-def test_points_of_every_format_may_have_such_names(run: Run, suffix: str) -> None:
-    np.savetxt("in.xyz", np.random.default_rng(7).normal(size=(100, 3)))
-    Path(ODD).mkdir()
-    place = f"{ODD}/{ODD}{suffix}"
-    for words in (
-        ("convert", "in.xyz", "-o", place),
-        ("info", place, "--png", f"{ODD}.png"),
-        ("convert", place, "-o", "m.ply"),
-    ):
-        code, _, err = run(*words)
-        assert code == 0, err
-
-
-def test_a_path_that_is_printed_can_be_opened(start_command: StartCommand, tmp_path: Path) -> None:
-    np.savetxt(tmp_path / "in.xyz", np.random.default_rng(7).normal(size=(100, 3)))
-    with start_command(
-        "view", "in.xyz", "-o", f"{ODD}.html", "--no-open", errors="surrogateescape"
-    ) as p:
-        out, _ = p.communicate()
-    assert (tmp_path / out.rstrip("\n")).exists()
 
 
 ORDERS = "\x1b]0;title\x07 \x9b2J \u202e \x7f"  # set the title, clear the screen, turn the line
