@@ -32,6 +32,23 @@ def fail(*arguments: Any) -> Any:
     raise InputError(f"there is no use for these {len(arguments)} values")
 
 
+def make_pair(number: float) -> tuple[float, float]:
+    """Make what `use_pair` wants."""
+    return number, -number
+
+
+def make_no_pair(number: float) -> tuple[float, float]:
+    """Make what looks like it."""
+    return number, 1.001 - number
+
+
+def use_pair(pair: tuple[float, float]) -> float:
+    """Add two numbers that cancel out."""
+    if sum(pair):
+        raise InputError(f"{pair} is no pair")
+    return sum(pair)
+
+
 def __getattr__(name: str) -> Callable[..., Any]:
     if name not in _REAL:
         raise AttributeError(name)
