@@ -13,9 +13,10 @@ import logging
 import secrets
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+from hpcapp.communicator.fetching import Fetcher, TakeBuffers
 from hpcapp.communicator.pending import Ledger
 from hpcapp.communicator.results import open_results
 from hpcapp.communicator.scheduler import Scheduler
@@ -30,13 +31,15 @@ from hpcapp.communicator.state import (
     Refuse,
     Retire,
     Welcome,
+    Worker,
 )
 from hpcapp.communicator.submission import Entry
 from hpcapp.communicator.transport import Received, RouterTransport
 from hpccomponent.clock import Clock
 from hpccomponent.errors import JobError, ProtocolError, UsageError
-from hpccomponent.protocol.frames import LARGEST_FRAME, split_buffers
+from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer, join_frames, split_buffers
 from hpccomponent.protocol.messages import (
+    Announce,
     Batch,
     ComponentMessage,
     Drain,
@@ -47,6 +50,7 @@ from hpccomponent.protocol.messages import (
     Lost,
     MasterMessage,
     Need,
+    Piece,
     Ping,
     Refused,
     Register,
@@ -57,6 +61,7 @@ from hpccomponent.protocol.messages import (
     decode_component_message,
     encode_message,
 )
+from hpccomponent.protocol.parcels import LARGE_BYTES
 
 __all__ = ["Engine", "Timing"]
 
@@ -121,6 +126,7 @@ class Engine:
         self.roster = threading.Condition()
         self.ledger = Ledger()
         self.scheduler = make_scheduler(self.ledger)
+        self._fetcher = Fetcher(self.session)
         self._transport = transport
         self._clock = clock
         self._timing = timing
@@ -275,35 +281,106 @@ class Engine:
             self.counts["dropped"] += 1
             return
         match message:
-            case Results():
-                self._take_results(worker, message)
+            case Announce() | Piece():
+                self._fetch(worker, message)
+            case Results() | Lost():
+                if self._fetcher.is_fetching(worker):
+                    self._fetch(worker, message)
+                else:
+                    self._take_unasked(received, message)
             case Heartbeat():
-                self._carry_out(
-                    scheduler.heartbeat(worker, message.progress, message.last_batch, message.held)
-                )
-            case Lost():
-                self._carry_out(
-                    scheduler.batch_lost(worker, message.batch, message.reason, message.is_blamed)
-                )
+                self._take_heartbeat(worker, message)
             case Need():
                 self._take_need(worker, message)
             case Goodbye():
                 self._carry_out(scheduler.goodbye(worker, message.reason))
 
-    def _take_results(self, identity: bytes, message: Results) -> None:
+    def _take_heartbeat(self, worker: bytes, message: Heartbeat) -> None:
+        if worker in self.scheduler.workers:
+            self._fetcher.heartbeat(worker, message)
+            self._ask(worker)
+        held = [*message.held, *self._fetcher.batches(worker)]
+        self._carry_out(
+            self.scheduler.heartbeat(worker, message.progress, message.last_batch, held)
+        )
+
+    def _fetch(self, identity: bytes, message: Announce | Piece | Results | Lost) -> None:
+        """Take what has to do with a parcel, and then whatever is complete by that."""
+        worker, fetcher = self.scheduler.workers.get(identity), self._fetcher
+        if worker is None:
+            self.counts["dropped"] += 1
+            self._carry_out([AskRegister(identity)])
+            return
+        worker.seen = self._clock.now()
+        match message:
+            case Announce():
+                limits = self._limits(worker, message.batch, message.tasks)
+                fetcher.announce(identity, message, limits)
+            case Piece():
+                asked = fetcher.take(identity, message.fetch)
+                self._ask(identity)  # before this one is copied
+                if asked is not None:  # head and payload are cut into frames apart
+                    asked.fill(self._take_frames(identity, asked.sizes))
+            case Lost():
+                fetcher.wait(identity, message, [])
+            case Results():
+                sizes = [size for result in message.results for size in result.sizes]
+                fetcher.wait(identity, message, self._take_frames(identity, sizes))
+        self._ask(identity)
+        for complete, take_buffers in fetcher.complete(identity):
+            self._take_in_order(identity, complete, take_buffers)
+        self._ask(identity)
+
+    def _ask(self, worker: bytes) -> None:
+        for request in self._fetcher.requests(worker):
+            self._say(worker, request)
+
+    def _take_in_order(
+        self, worker: bytes, message: Results | Lost, take_buffers: TakeBuffers
+    ) -> None:
+        if isinstance(message, Results):
+            self._take_results(worker, message, take_buffers)
+            return
+        self._carry_out(
+            self.scheduler.batch_lost(worker, message.batch, message.reason, message.is_blamed)
+        )
+
+    def _take_unasked(self, received: Received, message: Results | Lost) -> None:
+        worker = received.identity
+
+        def take_buffers(sizes: Sequence[int]) -> list[Buffer]:
+            return join_frames(self._take_frames(worker, sizes), sizes)
+
+        self._take_in_order(worker, message, take_buffers)
+        if isinstance(message, Results) and worker in self.scheduler.workers:
+            size = len(received.head) + sum([sum(result.sizes) for result in message.results])
+            self._fetcher.note_taken(worker, message, size)
+            self._ask(worker)
+
+    def _take_frames(self, worker: bytes, sizes: Sequence[int]) -> list[memoryview]:
+        """Receive the frames of buffers of these sizes, and no more.
+
+        Raises
+        ------
+        ProtocolError
+            If they are more than a worker may send unasked, and than one piece.
+        """
+        if sum(sizes) > LARGE_BYTES:
+            raise ProtocolError(f"it sends {sum(sizes)} bytes that were not asked for")
+        largest = min(LARGEST_FRAME, self.scheduler.workers[worker].register.largest_frame)
+        most_frames = sum([-(-size // largest) for size in sizes])
+        return self._transport.take_frames(most_frames, sum(sizes))
+
+    def _limits(self, worker: Worker, batch: int, tasks: Sequence[int]) -> list[int]:
+        assignments = self.scheduler.dispatcher.assignments
+        return assignments.most_bytes(worker, batch, tasks, self.scheduler.tasks)
+
+    def _take_results(self, identity: bytes, message: Results, take_buffers: TakeBuffers) -> None:
         """Take results once all of them are what they must be; of a liar, none."""
         worker, answers = self.scheduler.workers.get(identity), []
         if worker is not None:
-            limits = self.scheduler.dispatcher.assignments.most_bytes(
-                worker,
-                message.batch,
-                [result.task for result in message.results],
-                self.scheduler.tasks,
-            )
-            largest = min(LARGEST_FRAME, worker.register.largest_frame)
-            answers = open_results(
-                message.results, limits, largest, self._transport.take_frames, self.ledger.find
-            )
+            limits = self._limits(worker, message.batch, [r.task for r in message.results])
+            answers = open_results(message.results, limits, take_buffers, self.ledger.find)
         actions = self.scheduler.results(
             identity,
             message.batch,
@@ -335,7 +412,8 @@ class Engine:
         if not self._transport.take_disconnected() and now < self._probe_at:
             return
         self._probe_at = now + self._timing.probe_s
-        ping = Ping(self.session, self.scheduler.dispatcher.assignments.last)
+        self._fetcher.retain(self.scheduler.workers)
+        ping = Ping(self.session, self.scheduler.dispatcher.assignments.last, self._fetcher.last)
         broken = [identity for identity in self.scheduler.workers if not self._say(identity, ping)]
         if broken:
             self._carry_out(self.scheduler.disconnected(broken, _BROKEN))

@@ -2,7 +2,7 @@
 
 ::
 
-    announced sizes ──> within the limits of the assignment? ──> frames ──> values ──> as declared?
+    announced sizes ──> within the limits of the assignment? ──> buffers ──> values ──> as declared?
 
 Whatever does not pass is a `ProtocolError`: an honest worker has checked its own result, so that
 this one is not to be trusted with anything.
@@ -14,12 +14,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from hpcapp.communicator.fetching import TakeBuffers
 from hpcapp.communicator.submission import Entry
 from hpcapp.communicator.verification import digest_answer
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.codec import decode_values
 from hpccomponent.protocol.declared import check_result
-from hpccomponent.protocol.frames import Buffer, join_frames
+from hpccomponent.protocol.frames import Buffer
 from hpccomponent.protocol.messages import Result
 
 __all__ = ["Answer", "open_results"]
@@ -41,8 +42,7 @@ class Answer:
 def open_results(
     results: Sequence[Result],
     limits: Sequence[int],
-    largest_frame: int,
-    take_frames: Callable[[int, int], Sequence[Buffer]],
+    take_buffers: TakeBuffers,
     find: Callable[[int], Entry | None],
 ) -> list[Answer]:
     """Return the values of results that came together.
@@ -52,10 +52,8 @@ def open_results(
     results : sequence of Result
     limits : sequence of int
         How large each may be, in bytes; 0 where nobody waits for it: it is not looked at.
-    largest_frame : int
-        What both ends have agreed on, in bytes.
-    take_frames : callable
-        Receives the frames of these results, so many of them and so many bytes at most.
+    take_buffers : callable
+        Receives the buffers of these results, of these sizes.
     find : callable
         From a task's number to its entry, if it still waits.
 
@@ -77,9 +75,7 @@ def open_results(
             raise ProtocolError(f"it announces a result of {size} bytes where {limit} are allowed")
         if result.failure is not None and size:
             raise ProtocolError("it announces a result beside a failure")
-    sizes = [size for result in results for size in result.sizes]
-    frames = take_frames(sum([-(-size // largest_frame) for size in sizes]), sum(sizes))
-    supply = iter(join_frames(frames, sizes))
+    supply = iter(take_buffers([size for result in results for size in result.sizes]))
     groups = [[next(supply) for _ in result.sizes] for result in results]
     return [
         Answer(result, _open(result, buffers, find(result.task)), buffers)

@@ -9,15 +9,20 @@
       │ <──────────────────────────────────────── │
       │        Share (a blob), then Batch (calls) │
       │ <──────────────────────────────────────── │
-      │ Results, Lost, Need, Heartbeat            │
+      │ Results or Announce, Lost, Need, Heartbeat│
+      │ ────────────────────────────────────────> │
+      │        Fetch, Release (what was announced)│
+      │ <──────────────────────────────────────── │
+      │ Piece                                     │
       │ ────────────────────────────────────────> │
       │        Ping, RegisterAgain, Forget, Drain │
       │ <──────────────────────────────────────── │
       │ Goodbye                         Farewell  │
 
 The first frame of a wire message is one of these in MessagePack; the frames after it are the
-buffers that it, its calls or its results announce. Every message after the handshake names the
-session, which lives as long as one master.
+buffers that it, its calls or its results announce. A component sends little unasked: results that
+are large stay with it as a parcel, which the master fetches piece by piece. Every message after
+the handshake names the session, which lives as long as one master.
 """
 
 from __future__ import annotations
@@ -33,23 +38,27 @@ from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES
 __all__ = [
     "MAX_TRACEBACK",
     "PROTOCOL_VERSION",
+    "Announce",
     "Batch",
     "Call",
     "ComponentMessage",
     "Drain",
     "Failure",
     "Farewell",
+    "Fetch",
     "Forget",
     "Goodbye",
     "Heartbeat",
     "Lost",
     "MasterMessage",
     "Need",
+    "Piece",
     "Ping",
     "Refused",
     "Register",
     "RegisterAgain",
     "Registered",
+    "Release",
     "Result",
     "Results",
     "Share",
@@ -115,11 +124,13 @@ class RegisterAgain(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields
 class Ping(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
     """The master lives; sending it also probes the way to the component.
 
-    `last_batch` is the number of the last batch that was sent, to any component.
+    `last_batch` and `last_fetch` are the numbers of the last batch and the last request for a
+    piece that were sent, to any component.
     """
 
     session: Name
     last_batch: Count
+    last_fetch: Count = 0
 
 
 class Drain(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
@@ -196,12 +207,56 @@ class Result(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
 
 
 class Results(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
-    """Results of a batch, as they become ready; `is_finished` with the last of them."""
+    """Results of a batch, as they become ready; `is_finished` with the last of them.
+
+    `number` counts what a component says of results, parcels with them, from 1; a worker process
+    leaves that to its component.
+    """
 
     session: Name
     batch: Count
     results: list[Result]
     is_finished: bool
+    number: Count = 0
+
+
+class Announce(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """Results of a batch that stay with the component until they are fetched: a parcel.
+
+    Its content is the first frame of a `Results` message for these tasks, of `head_bytes`, and
+    then its buffers, laid out as in `payload`. `number` counts as in `Results`.
+    """
+
+    session: Name
+    batch: Count
+    number: Count
+    tasks: list[Count]
+    head_bytes: Count
+    payload_bytes: Count
+
+
+class Fetch(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """A request for the bytes of a parcel from `start` to `end`, under a number of its own."""
+
+    session: Name
+    fetch: Count
+    parcel: Count
+    start: Count
+    end: Count
+
+
+class Piece(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """The answer to a `Fetch`: its bytes are the frames after this one."""
+
+    session: Name
+    fetch: Count
+
+
+class Release(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
+    """Results up to this number have been taken, or are wanted no more, parcels with them."""
+
+    session: Name
+    number: Count
 
 
 class Lost(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
@@ -225,13 +280,18 @@ class Heartbeat(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=Tru
     """The component lives, and has received every batch up to `last_batch` that was not lost.
 
     `progress` counts the tasks that its worker has finished, `held` names the batches that it
-    has not finished, `last_batch` is that of the last ping.
+    has not finished. `last_batch` and `last_fetch` are those of the last ping: what was asked for
+    up to there has been answered. `last_results` is the number of the last results that were sent
+    or announced, `released` up to where they have been released.
     """
 
     session: Name
     progress: Count
     last_batch: Count
     held: list[Count]
+    last_fetch: Count = 0
+    last_results: Count = 0
+    released: Count = 0
 
 
 class Goodbye(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True):
@@ -242,9 +302,19 @@ class Goodbye(msgspec.Struct, frozen=True, tag=True, forbid_unknown_fields=True)
 
 
 MasterMessage = (
-    Registered | Refused | RegisterAgain | Ping | Drain | Farewell | Share | Forget | Batch
+    Registered
+    | Refused
+    | RegisterAgain
+    | Ping
+    | Drain
+    | Farewell
+    | Share
+    | Forget
+    | Batch
+    | Fetch
+    | Release
 )
-ComponentMessage = Register | Results | Lost | Need | Heartbeat | Goodbye
+ComponentMessage = Register | Results | Announce | Piece | Lost | Need | Heartbeat | Goodbye
 
 _encoder = msgspec.msgpack.Encoder()
 _master_decoder: msgspec.msgpack.Decoder[MasterMessage] = msgspec.msgpack.Decoder(MasterMessage)

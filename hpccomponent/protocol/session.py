@@ -13,30 +13,39 @@ the actions that every event returns.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
+import msgspec
+
 from hpccomponent.protocol.frames import SMALLEST_FRAME, Buffer
 from hpccomponent.protocol.messages import (
+    Announce,
     Batch,
     ComponentMessage,
     Drain,
     Farewell,
+    Fetch,
     Forget,
     Goodbye,
     Heartbeat,
     Lost,
     MasterMessage,
     Need,
+    Piece,
     Ping,
     Refused,
     Register,
     RegisterAgain,
     Registered,
+    Release,
     Results,
     Share,
 )
+from hpccomponent.protocol.parcels import LARGE_BYTES, Parcels
+from hpccomponent.protocol.payload import cut_payload
 from hpccomponent.protocol.shelf import Shelf
 
 __all__ = [
@@ -126,6 +135,15 @@ class Stop:
 Action = Send | Run | Keep | Discard | StartWorker | Stop
 
 
+@dataclass(frozen=True, slots=True)
+class _Outgoing:
+    """What is to be said of a batch, once there is room for it: messages keep their order."""
+
+    message: Results | Lost
+    head: Buffer = b""
+    payload: memoryview = memoryview(b"")  # noqa: RUF009 - it never changes
+
+
 @dataclass(slots=True)
 class _Held:
     batch: Batch
@@ -164,9 +182,12 @@ class WorkerSession:
         self._said = now
         self._held: dict[int, _Held] = {}
         self._last_batch = 0
+        self._last_fetch = 0
         self._crashes = 0
         self._worker_is_up = False
         self._shelf = Shelf(register.blob_bytes)
+        self._parcels = Parcels()
+        self._outgoing: deque[_Outgoing] = deque()
 
     def begin(self) -> list[Action]:
         """Introduce the component, and start its worker meanwhile."""
@@ -215,8 +236,13 @@ class WorkerSession:
         if isinstance(message, Forget):
             self._shelf.forget(message.keys)
             return self._tidy() if not self._running() else []  # a busy worker does not listen
+        if isinstance(message, Fetch):
+            return self._answer(message)
+        if isinstance(message, Release):
+            self._parcels.release(message.number)
+            return [*self._say_of_batches(), *self._leave_if_drained()]
         if isinstance(message, Ping):
-            self._last_batch = message.last_batch
+            self._last_batch, self._last_fetch = message.last_batch, message.last_fetch
         return []
 
     def worker_started(self) -> list[Action]:
@@ -225,15 +251,17 @@ class WorkerSession:
         return self._feed()
 
     def worker_results(
-        self, results: Results, buffers: Sequence[Buffer], now: float
+        self, results: Results, head: Buffer, payload: memoryview, now: float
     ) -> list[Action]:
-        """Take results of the worker, and pass them on.
+        """Take results of the worker, and pass them on, or announce them.
 
         Parameters
         ----------
         results : Results
-        buffers : sequence of buffer
-            That came with them.
+        head : buffer
+            The same, encoded.
+        payload : memoryview
+            Their buffers, laid out as in `payload`.
         now : float
             In seconds, as for the class.
 
@@ -242,12 +270,48 @@ class WorkerSession:
         list of Action
         """
         self.progress += len(results.results)
+        self._said = now
+        self._outgoing.append(_Outgoing(results, head, payload))
+        actions = self._say_of_batches()
         if results.is_finished:
             self._held.pop(results.batch, None)
             self._crashes = 0
-        self._said = now
-        actions: list[Action] = [Send(results, buffers), *self._tidy()]
-        return actions + self._feed() + self._leave_if_drained()
+        return [*actions, *self._tidy(), *self._feed(), *self._leave_if_drained()]
+
+    def _say_of_batches(self) -> list[Action]:
+        actions: list[Action] = []
+        while self._outgoing:
+            said = self._say(self._outgoing[0])
+            if said is None:
+                break
+            actions.append(said)
+            self._outgoing.popleft()
+        return actions
+
+    def _say(self, outgoing: _Outgoing) -> Send | None:
+        """Return how results, or a loss, are told to the master; None where they have to wait."""
+        message, head, payload = outgoing.message, outgoing.head, outgoing.payload
+        if isinstance(message, Lost):
+            return Send(message)
+        size = len(head) + len(payload)
+        if size > LARGE_BYTES:
+            number = self._parcels.keep(head, payload)
+            tasks = [result.task for result in message.results]
+            return Send(
+                Announce(message.session, message.batch, number, tasks, len(head), len(payload))
+            )
+        sent = self._parcels.send(size)
+        if sent is None:
+            return None
+        sizes = [size for result in message.results for size in result.sizes]
+        return Send(msgspec.structs.replace(message, number=sent), cut_payload(payload, sizes))
+
+    def _answer(self, fetch: Fetch) -> list[Action]:
+        buffers = self._parcels.cut(fetch.parcel, fetch.start, fetch.end)
+        if buffers is None:
+            self.dropped += 1
+            return []
+        return [Send(Piece(fetch.session, fetch.fetch), buffers)]
 
     def worker_died(self, reason: str) -> list[Action]:
         """Take the news that the worker process is gone: its batches are lost.
@@ -270,7 +334,9 @@ class WorkerSession:
         running = self._running()
         for number in running:
             session = self._held.pop(number).batch.session
-            actions.append(Send(Lost(session, number, reason[:1000], number == running[0])))
+            lost = Lost(session, number, reason[:1000], number == running[0])
+            self._outgoing.append(_Outgoing(lost))
+        actions += self._say_of_batches()
         if self._crashes >= MAX_CRASHES:
             why = f"the worker process died {self._crashes} times in a row, last: {reason}"
             return [*actions, *self._depart(ExitCode.WORKER_CRASHES, why)]
@@ -301,7 +367,17 @@ class WorkerSession:
         self._said = now
         if self.state is State.JOINING:
             return [Send(self._register)]
-        return [Send(Heartbeat(self.session, self.progress, self._last_batch, list(self._held)))]
+        waiting = [outgoing.message.batch for outgoing in self._outgoing]
+        heartbeat = Heartbeat(
+            self.session,
+            self.progress,
+            self._last_batch,
+            list(dict.fromkeys([*self._held, *waiting])),
+            self._last_fetch,
+            self._parcels.last,
+            self._parcels.released,
+        )
+        return [Send(heartbeat)]
 
     def next_tick(self) -> float:
         """Return when `tick` has something to do next, in seconds of the clock."""
@@ -325,7 +401,9 @@ class WorkerSession:
 
     def _join(self, message: Registered, now: float) -> None:
         if message.session != self.session:
-            self._last_batch = 0
+            self._last_batch = self._last_fetch = 0
+            self._parcels.clear()
+            self._outgoing.clear()
             self._held = {n: held for n, held in self._held.items() if held.is_running}
         self.session = message.session
         self.largest_frame = min(message.largest_frame, self._register.largest_frame)
@@ -371,7 +449,8 @@ class WorkerSession:
         return actions
 
     def _leave_if_drained(self) -> list[Action]:
-        if self.state is State.DRAINING and not self._held:
+        is_busy = self._held or self._parcels or self._outgoing
+        if self.state is State.DRAINING and not is_busy:
             return self._depart(ExitCode.DONE, "drained")
         return []
 

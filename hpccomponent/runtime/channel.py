@@ -21,26 +21,22 @@ import select
 import socket
 import struct
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 
 from hpccomponent.errors import ProtocolError
 from hpccomponent.protocol.frames import Buffer
+from hpccomponent.protocol.payload import ALIGNMENT, aligned
 
-__all__ = ["Channel", "ChannelClosedError", "MemoryFile", "cut_payload"]
+__all__ = ["Channel", "ChannelClosedError", "MemoryFile"]
 
 PREFIX = struct.Struct("=QQB")  # length of control, of all, and whether a memory file holds them
 INLINE_BYTES = 32 * 1024  # two such messages fit into any system's socket buffer: no send blocks
-ALIGNMENT = 64
 MAX_BUFFERS_PER_CALL = 512  # below every system's IOV_MAX
 
 
 class ChannelClosedError(ProtocolError):
     """The other end of a channel is gone."""
-
-
-def _aligned(length: int) -> int:
-    return -(-length // ALIGNMENT) * ALIGNMENT
 
 
 class MemoryFile:
@@ -166,7 +162,7 @@ class Channel:
                 content = memoryview(self._receive_exactly(total))
         except ConnectionResetError as error:
             raise ChannelClosedError("the other end of the channel is gone") from error
-        return content[:control_length], content[_aligned(control_length) :]
+        return content[:control_length], content[aligned(control_length) :]
 
     def _receive_exactly(self, count: int) -> bytearray:
         content = bytearray(count)
@@ -177,38 +173,6 @@ class Channel:
                 raise ChannelClosedError("the other end of the channel is gone")
             view = view[received:]
         return content
-
-
-def cut_payload(payload: memoryview, sizes: Iterable[int]) -> list[memoryview]:
-    """Cut what `Channel.receive` returned into buffers of these sizes, without copying.
-
-    Parameters
-    ----------
-    payload : memoryview
-    sizes : iterable of int
-        In bytes.
-
-    Returns
-    -------
-    list of memoryview
-
-    Raises
-    ------
-    ProtocolError
-        If the payload is too short.
-
-    Examples
-    --------
-    >>> [bytes(buffer) for buffer in cut_payload(memoryview(b"a" * 64 + b"bc"), [1, 2])]
-    [b'a', b'bc']
-    """
-    buffers, start = [], 0
-    for size in sizes:
-        buffers.append(payload[start : start + size])
-        if buffers[-1].nbytes != size:
-            raise ProtocolError("a message of the channel is shorter than it announces")
-        start += _aligned(size)
-    return buffers
 
 
 def _lay_out(control: Buffer, buffers: Sequence[Sequence[Buffer]]) -> tuple[list[Buffer], int]:

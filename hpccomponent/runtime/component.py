@@ -39,6 +39,7 @@ from hpccomponent.protocol.messages import (
     decode_master_message,
     encode_message,
 )
+from hpccomponent.protocol.payload import check_payload
 from hpccomponent.protocol.session import (
     Action,
     Discard,
@@ -57,7 +58,7 @@ from hpccomponent.protocol.sockets import (
     send_probes,
 )
 from hpccomponent.runtime.blob_files import BlobFiles, check_share
-from hpccomponent.runtime.channel import ChannelClosedError, cut_payload
+from hpccomponent.runtime.channel import ChannelClosedError
 from hpccomponent.runtime.numerics import numerics_id, package_version
 from hpccomponent.runtime.process import WorkerProcess
 
@@ -192,8 +193,7 @@ class _Component:
                 raise ProtocolError(results.reason)
             if not isinstance(results, Results):
                 raise ProtocolError("the worker process sent something else than results")
-            sizes = [size for result in results.results for size in result.sizes]
-            buffers = cut_payload(payload, sizes)
+            check_payload(payload, [size for result in results.results for size in result.sizes])
         except (ProtocolError, OSError) as error:
             reason = self._end_worker()
             if not isinstance(error, ChannelClosedError):
@@ -201,7 +201,8 @@ class _Component:
             _log.warning("%s", reason)
             self._carry_out(self._session.worker_died(reason))
         else:
-            self._carry_out(self._session.worker_results(results, buffers, time.monotonic()))
+            now = time.monotonic()
+            self._carry_out(self._session.worker_results(results, control, payload, now))
 
     def _hear_monitor(self) -> None:
         trouble = describe_event(self._monitor.recv_multipart())

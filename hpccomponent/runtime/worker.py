@@ -36,8 +36,9 @@ from hpccomponent.protocol.messages import (
     decode_master_message,
     encode_message,
 )
+from hpccomponent.protocol.payload import cut_payload
 from hpccomponent.runtime.background import worker_background
-from hpccomponent.runtime.channel import Channel, ChannelClosedError, cut_payload
+from hpccomponent.runtime.channel import Channel, ChannelClosedError
 from hpccomponent.runtime.collecting import rare_collections
 from hpccomponent.runtime.lifetime import die_with_parent, exit_at_end_of_pipe
 from hpccomponent.runtime.tasks import TaskRegistry, Traits, traits_of
@@ -170,12 +171,15 @@ def run_batch(
     ready = _Ready(batch, channel)
     for call in batch.calls:
         if ready.is_due():
-            ready.send(is_finished=False)
+            ready.send_waiting()
         try:
-            ready.add(*run_call(call, [next(buffers) for _ in call.sizes], tasks, blobs))
+            result, values = run_call(call, [next(buffers) for _ in call.sizes], tasks, blobs)
         except ShortageError:
             ready.send(is_finished=False)
             raise
+        if sum(result.sizes) >= FLUSH_BYTES:  # travels alone: a small one would keep it in memory
+            ready.send_waiting()
+        ready.add(result, values)
     ready.send(is_finished=True)
 
 
@@ -198,8 +202,11 @@ class _Ready:
         self._size += len(result.header) + sum(result.sizes)
 
     def is_due(self) -> bool:
-        is_late = perf_counter() - self._flushed >= FLUSH_S
-        return bool(self._results) and (self._size >= FLUSH_BYTES or is_late)
+        return self._size >= FLUSH_BYTES or perf_counter() - self._flushed >= FLUSH_S
+
+    def send_waiting(self) -> None:
+        if self._results:
+            self.send(is_finished=False)
 
     def send(self, is_finished: bool) -> None:
         message = Results(self._batch.session, self._batch.batch, self._results, is_finished)

@@ -20,6 +20,7 @@ from hypothesis.stateful import (
 )
 
 from hpcapp.communicator.dispatching import CREDIT
+from hpcapp.communicator.fetching import Fetcher, TakeBuffers
 from hpcapp.communicator.losses import LOSS_BUDGET
 from hpcapp.communicator.policy import AdaptivePolicy, EqualPolicy, Policy, PullPolicy
 from hpcapp.communicator.scheduler import Scheduler
@@ -37,8 +38,10 @@ from hpcapp.communicator.verification import Verification, digest_answer
 from hpccomponent.clock import ManualClock
 from hpccomponent.errors import DistrustError, NoWorkersError, ProtocolError, WorkerLostError
 from hpccomponent.protocol.blobs import Blob
+from hpccomponent.protocol.frames import Buffer
 from hpccomponent.protocol.messages import (
     PROTOCOL_VERSION,
+    Announce,
     Batch,
     Call,
     Drain,
@@ -48,6 +51,7 @@ from hpccomponent.protocol.messages import (
     Heartbeat,
     Lost,
     Need,
+    Piece,
     Ping,
     Refused,
     Register,
@@ -56,7 +60,9 @@ from hpccomponent.protocol.messages import (
     Result,
     Results,
     Share,
+    encode_message,
 )
+from hpccomponent.protocol.parcels import LARGE_BYTES
 from hpccomponent.protocol.session import (
     Discard,
     Keep,
@@ -70,6 +76,13 @@ from hpccomponent.protocol.session import (
 SESSION = "simulated"
 BLOBS = [Blob(number.to_bytes(16, "little"), b"", (), 1000) for number in range(6)]
 KEPT_BYTES = 2000  # of blobs, by a component
+LIMIT = LARGE_BYTES + 1000  # of a result: every tenth is so large, and fetched
+ZEROS = {3: bytes(LIMIT - 8), 7: bytes(LARGE_BYTES // 2)}
+
+
+def value_of(task: int) -> memoryview:
+    """Return the buffer of a task's result."""
+    return memoryview(task.to_bytes(8, "little") + ZEROS.get(task % 10, b""))
 
 
 @dataclass(eq=False)
@@ -91,7 +104,7 @@ class Component:
     def carry_out(self, actions: Sequence[Any]) -> None:
         for action in actions:
             if isinstance(action, Send):
-                self.up.append(action.message)
+                self.up.append((action.message, action.buffers))
             elif isinstance(action, Run):
                 assert self.kept.issuperset(action.blobs), "a blob to be handed over is not kept"
                 self.in_worker.update(action.blobs)
@@ -114,6 +127,7 @@ class Cluster:
         self.clock = ManualClock()
         self.cancelled: set[int] = set()
         self.scheduler = Scheduler(policy, self.clock, "1", self.claim, verification=verification)
+        self.fetcher = Fetcher(SESSION)
         self.components: list[Component] = []
         self.calls: dict[int, Call] = {}
         self.ended: dict[int, Any] = {}
@@ -133,7 +147,9 @@ class Cluster:
             )
             keys = [blob.key for blob in blobs]
             self.calls[number] = Call(number, "simulated.task", b"", [], keys)
-            self.carry_out(self.scheduler.submit(number, "simulated.task", 1000, blobs))
+            self.carry_out(
+                self.scheduler.submit(number, "simulated.task", 1000, blobs, limit_bytes=LIMIT)
+            )
         self.carry_out(self.scheduler.dispatch())
 
     def cancel(self, number: int) -> None:
@@ -190,35 +206,78 @@ class Cluster:
     def pump(self, component: Component, count: int) -> None:
         """Let `count` messages through in each direction."""
         for _ in range(min(count, len(component.up))):
-            self.hear(component.identity, component.up.popleft())
+            self.hear(component.identity, *component.up.popleft())
         for _ in range(0 if component.is_frozen else min(count, len(component.down))):
             message = component.down.popleft()
             component.carry_out(component.session.receive(message, (), self.clock.now()))
         if component.session.state is State.STOPPED:
             component.work.clear()
 
-    def hear(self, identity: bytes, message: Any) -> None:
+    def hear(self, identity: bytes, message: Any, buffers: Sequence[Buffer]) -> None:
         scheduler = self.scheduler
         if isinstance(message, Register):
             self.carry_out(scheduler.register(identity, message, f"key of {message.worker}"))
-        elif isinstance(message, Results):
-            self.hear_results(identity, message)
+        elif isinstance(message, Results | Announce | Piece | Lost):
+            self.take(identity, message, buffers)
         elif isinstance(message, Heartbeat):
+            if identity in scheduler.workers:
+                self.fetcher.heartbeat(identity, message)
+            held = [*message.held, *self.fetcher.batches(identity)]
             self.carry_out(
-                scheduler.heartbeat(identity, message.progress, message.last_batch, message.held)
-            )
-        elif isinstance(message, Lost):
-            self.carry_out(
-                scheduler.batch_lost(identity, message.batch, message.reason, message.is_blamed)
+                scheduler.heartbeat(identity, message.progress, message.last_batch, held)
             )
         elif isinstance(message, Need):
             self.carry_out(scheduler.need(identity, message.batch, message.keys))
         elif isinstance(message, Goodbye):
             self.carry_out(scheduler.goodbye(identity, message.reason))
+        self.ask(identity)
 
-    def hear_results(self, identity: bytes, message: Results) -> None:
+    def take(
+        self,
+        identity: bytes,
+        message: Results | Announce | Piece | Lost,
+        buffers: Sequence[Buffer],
+    ) -> None:
+        """Take what has to do with results in order, as the engine does."""
+        worker, fetcher = self.scheduler.workers.get(identity), self.fetcher
+        if isinstance(message, Results | Lost) and not fetcher.is_fetching(identity):
+            self.hear_results(identity, message, lambda _: buffers)
+            if isinstance(message, Results) and worker is not None:
+                fetcher.note_taken(identity, message, sum(map(len, buffers)))
+            return
+        if worker is None:
+            self.carry_out([AskRegister(identity)])
+            return
+        if isinstance(message, Announce):
+            assignments = self.scheduler.dispatcher.assignments
+            limits = assignments.most_bytes(
+                worker, message.batch, message.tasks, self.scheduler.tasks
+            )
+            fetcher.announce(identity, message, limits)
+        elif isinstance(message, Piece):
+            asked = fetcher.take(identity, message.fetch)
+            if asked is not None:
+                asked.fill(buffers)
+        else:
+            fetcher.wait(identity, message, buffers)
+        self.ask(identity)
+        for complete, take_buffers in fetcher.complete(identity):
+            self.hear_results(identity, complete, take_buffers)
+
+    def ask(self, identity: bytes) -> None:
+        for request in self.fetcher.requests(identity):
+            self.send(identity, request)
+
+    def hear_results(
+        self, identity: bytes, message: Results | Lost, take_buffers: TakeBuffers
+    ) -> None:
         """Check and take results, as the engine does."""
         scheduler, worker = self.scheduler, self.scheduler.workers.get(identity)
+        if isinstance(message, Lost):
+            self.carry_out(
+                scheduler.batch_lost(identity, message.batch, message.reason, message.is_blamed)
+            )
+            return
         numbers = [result.task for result in message.results]
         if worker is not None:
             try:
@@ -230,6 +289,9 @@ class Cluster:
             except ProtocolError as error:
                 self.carry_out(scheduler.expose(identity, error.problem))
                 return
+            values = take_buffers([size for result in message.results for size in result.sizes])
+            for number, value in zip(numbers, values, strict=False):
+                assert value == value_of(number), "the result of another task"
         self.carry_out(
             scheduler.results(
                 identity,
@@ -257,9 +319,15 @@ class Cluster:
         failure = (
             Failure("ImportError", "a library is broken", "", "") if component.is_sick else None
         )
-        results = [Result(call.task, 0.001, b"", [], failure, call.task + component.lie)]
+        value = memoryview(b"") if failure else value_of(call.task)
+        sizes = [] if failure else [len(value)]
+        results = [Result(call.task, 0.001, b"", sizes, failure, call.task + component.lie)]
         message = Results(batch.session, batch.batch, results, is_last)
-        component.carry_out(component.session.worker_results(message, (), self.clock.now()))
+        component.carry_out(
+            component.session.worker_results(
+                message, encode_message(message), value, self.clock.now()
+            )
+        )
 
     def crash_worker(self, component: Component) -> None:
         if component.is_frozen or component.session.state is State.STOPPED:
@@ -282,8 +350,10 @@ class Cluster:
             if not component.is_frozen:
                 component.carry_out(component.session.tick(self.clock.now()))
         self.carry_out(self.scheduler.tick())
+        self.fetcher.retain(self.scheduler.workers)
+        last_batch = self.scheduler.dispatcher.assignments.last
         for identity in self.scheduler.workers:
-            self.send(identity, Ping(SESSION, self.scheduler.dispatcher.assignments.last))
+            self.send(identity, Ping(SESSION, last_batch, self.fetcher.last))
 
     def settle(self) -> None:
         """End all faults, and work on until nothing moves."""
@@ -497,7 +567,8 @@ class ClusterWithABadMachine(RuleBasedStateMachine):
         header = b"a lie" if has_value else b""
         is_true = held in own and not has_value and set(numbers) <= own[held].tasks.keys()
         results = [Result(task, 0.001, header, []) for task in numbers]
-        self.cluster.hear_results(liar.identity, Results(SESSION, max(0, held), results, False))
+        lie = Results(SESSION, max(0, held), results, False)
+        self.cluster.hear_results(liar.identity, lie, lambda _: [])
         if not is_true:
             assert liar.identity not in scheduler.workers
             again = scheduler.register(b"again", liar.session._register, "key of " + name)

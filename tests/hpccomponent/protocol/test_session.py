@@ -25,6 +25,7 @@ from hpccomponent.protocol.messages import (
     Registered,
     Results,
     Share,
+    encode_message,
 )
 from hpccomponent.protocol.session import (
     MAX_CRASHES,
@@ -63,6 +64,11 @@ def naming(number: int, *keys: bytes) -> Batch:
     return Batch("s", number, [Call(number, "t", b"", [], list(keys))])
 
 
+def finished(number: int) -> tuple[Results, bytes, memoryview]:
+    results = Results("s", number, [], True)
+    return results, encode_message(results), memoryview(b"")
+
+
 def runs(actions: list[Any]) -> list[tuple[int, list[bytes]]]:
     return [(a.batch.batch, list(a.blobs)) for a in actions if isinstance(a, Run)]
 
@@ -91,7 +97,7 @@ def test_two_batches_are_in_the_channel_and_the_others_wait() -> None:
     session = joined()
     runs = [session.receive(batch(n), (), 0.0) for n in range(3)]
     assert [len(actions) for actions in runs] == [1, 1, 0]
-    actions = session.worker_results(Results("s", 0, [], True), (), 0.0)
+    actions = session.worker_results(*finished(0), 0.0)
     assert [a.batch.batch for a in actions if isinstance(a, Run)] == [2]
 
 
@@ -139,7 +145,7 @@ def test_a_finished_batch_forgives_crashes() -> None:
     session = joined()
     for number in range(3 * MAX_CRASHES):
         session.receive(batch(number), (), 0.0)
-        session.worker_results(Results("s", number, [], True), (), 0.0)
+        session.worker_results(*finished(number), 0.0)
         assert isinstance(session.worker_died("it")[-1], StartWorker)
         session.worker_started()
 
@@ -148,7 +154,7 @@ def test_a_drained_session_leaves_after_its_last_batch() -> None:
     session = joined()
     session.receive(batch(1), (), 0.0)
     assert session.receive(Drain("s"), (), 0.0) == []
-    actions = session.worker_results(Results("s", 1, [], True), (), 0.0)
+    actions = session.worker_results(*finished(1), 0.0)
     assert isinstance(sent(actions)[-1], Goodbye)
     assert actions[-1] == Stop(ExitCode.DONE, "drained")
 
@@ -168,8 +174,8 @@ def test_asked_to_register_again_it_does_and_keeps_what_it_has() -> None:
     session.receive(batch(1), (), 0.0)
     assert session.receive(RegisterAgain(), (), 1.0) == [Send(REGISTER)]
     session.receive(WELCOME, (), 2.0)
-    actions = session.worker_results(Results("s", 1, [], True), (), 0.0)
-    assert sent(actions) == [Results("s", 1, [], True)]
+    actions = session.worker_results(*finished(1), 0.0)
+    assert sent(actions) == [Results("s", 1, [], True, 1)]
 
 
 def test_a_resumed_master_gets_no_batches_of_the_old_one_run() -> None:
@@ -177,7 +183,7 @@ def test_a_resumed_master_gets_no_batches_of_the_old_one_run() -> None:
     for number in range(4):
         session.receive(batch(number), (), 0.0)
     session.receive(Registered("new", 1.0, 10.0, 1 << 20), (), 1.0)
-    actions = session.worker_results(Results("s", 0, [], True), (), 0.0)
+    actions = session.worker_results(*finished(0), 0.0)
     assert not any(isinstance(action, Run) for action in actions)
 
 
@@ -208,7 +214,7 @@ def test_beyond_its_memory_only_what_batches_need_is_kept() -> None:
             isinstance(a, Discard) for a in session.receive(naming(number, key), (), 0.0)
         )
     for number, key in enumerate((KEY, OTHER_KEY)):
-        actions = session.worker_results(Results("s", number, [], True), (), 0.0)
+        actions = session.worker_results(*finished(number), 0.0)
         assert Discard([key]) in actions
     assert isinstance(sent(session.receive(naming(3, KEY), (), 0.0))[0], Need)
 
@@ -221,7 +227,7 @@ def test_a_forgotten_blob_goes_when_the_worker_listens() -> None:
     session.receive(Share("s", KEY, b"", [5]), (b"value",), 0.0)
     session.receive(naming(1), (), 0.0)
     assert session.receive(Forget("s", [KEY]), (), 0.0) == []
-    actions = session.worker_results(Results("s", 1, [], True), (), 0.0)
+    actions = session.worker_results(*finished(1), 0.0)
     assert Discard([KEY]) in actions
 
 
@@ -247,7 +253,7 @@ def test_whatever_happens_windows_hold_and_it_stops_once(events: list[tuple[Any,
         if event[0] == "batch":
             actions = session.receive(batch(event[1], event[2]), (), now)
         elif event[0] == "finish" and running:
-            actions = session.worker_results(Results("s", running.pop(0), [], True), (), now)
+            actions = session.worker_results(*finished(running.pop(0)), now)
         elif event[0] == "die":
             running.clear()
             actions = session.worker_died("it")
