@@ -66,6 +66,7 @@ from hpccomponent.protocol.parcels import LARGE_BYTES
 __all__ = ["Engine", "Timing"]
 
 _BROKEN = "its connection broke"
+_FLOODS = "it sent a message without end, or more of them than can be taken"
 
 _log = logging.getLogger(__name__)
 
@@ -233,6 +234,7 @@ class Engine:
                 self._transport.wait(0.0 if self._inbox else min(patience_s, 0.5))
                 self._is_asleep = False
                 self._take_inbox()
+                self._turn_flooders_away()
                 self._take_messages()
                 self._keep_time()
             for identity in self.scheduler.workers:
@@ -253,6 +255,12 @@ class Engine:
         while self._inbox:
             self._carry_out(self._inbox.popleft()())
         self._carry_out(self.scheduler.dispatch())
+
+    def _turn_flooders_away(self) -> None:
+        for key in self._transport.take_flooders():
+            for worker in list(self.scheduler.workers.values()):
+                if worker.key == key:
+                    self._carry_out(self.scheduler.expose(worker.identity, _FLOODS))
 
     def _take_messages(self) -> None:
         for _ in range(MESSAGES_PER_ROUND):

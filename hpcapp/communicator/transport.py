@@ -6,6 +6,7 @@
     components ── CURVE ──> ROUTER ───────┤
     libzmq ── ZAP: may this key in? ──────┼── wait() ──> receive(), take_disconnected()
     libzmq ── monitor: what failed ───────┘
+                 └──> ConnectionWatch: who sends without end ──> take_flooders()
 
 Everything but `RouterTransport.wake` is for one thread only.
 """
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 import logging
 import socket
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from dataclasses import dataclass
 import zmq
 from zmq.utils import z85
 
+from hpcapp.communicator.watch import ConnectionWatch, wire_bytes
 from hpccomponent.errors import ProtocolError, UsageError
 from hpccomponent.protocol.frames import LARGEST_FRAME, Buffer
 from hpccomponent.protocol.keys import KeyPair
@@ -30,6 +32,7 @@ from hpccomponent.protocol.sockets import (
     bound_socket,
     describe_event,
     open_monitor,
+    read_event,
 )
 
 __all__ = ["Received", "RouterTransport"]
@@ -80,6 +83,9 @@ class RouterTransport:
         self._is_allowed = is_allowed
         self._was_disconnected = False
         self._has_more = False  # of the message that is being received
+        self._source, self._key, self._wire_bytes = 0, "", 0  # likewise
+        self._flooders: deque[str] = deque()
+        self._turned_away: set[str] = set()
         with ExitStack() as stack:
             reading, self._writing = (stack.enter_context(end) for end in socket.socketpair())
             reading.setblocking(False)
@@ -90,7 +96,8 @@ class RouterTransport:
             self._zap.setsockopt(zmq.LINGER, 0)
             self._zap.bind(ZAP_ENDPOINT)
             self._router = stack.enter_context(context.socket(zmq.ROUTER))
-            _guard(self._router, keys)
+            is_watched = ConnectionWatch.is_possible and bind.startswith("tcp:")
+            _guard(self._router, keys, is_watched)
             self._monitor = stack.enter_context(open_monitor(self._router))
             try:
                 self._router.bind(bind)
@@ -100,6 +107,9 @@ class RouterTransport:
                     "give an address of this machine and a free port, as in tcp://127.0.0.1:0",
                 ) from error
             self.endpoint: str = self._router.get_string(zmq.LAST_ENDPOINT)
+            port = int(self.endpoint.rpartition(":")[2]) if is_watched else 0
+            self._watch = ConnectionWatch(port, self._take_flooder)
+            stack.callback(self._watch.close)
             self._poller = zmq.Poller()
             for source in (self._router, self._zap, self._monitor, reading):
                 self._poller.register(source, zmq.POLLIN)
@@ -123,10 +133,12 @@ class RouterTransport:
         ready = dict(self._poller.poll(max(0, int(timeout_s * 1000.0))))
         if self._waking.fileno() in ready:
             self._waking.recv(4096)
+        if self._monitor in ready or self._zap in ready:
+            # Before a connection may send messages, the watch has to know of it.
+            while self._hear_monitor() and self._zap in ready:
+                pass
         if self._zap in ready:
             self._judge()
-        if self._monitor in ready:
-            self._hear_monitor()
 
     def receive(self) -> Received | None:
         """Return the beginning of the next message that has come, if any.
@@ -136,15 +148,20 @@ class RouterTransport:
         while self._has_more:
             self._receive_frame()
         if not self._router.poll(0):  # cheaper than to catch Again
+            self._watch.taken_all()
             return None
-        identity, head = self._receive_frame(), None
+        identity, head = self._router.recv(zmq.NOBLOCK, copy=False), None
+        self._has_more = identity.more
+        self._wire_bytes = 0
+        try:
+            self._key = str(identity.get("User-Id"))
+            self._source = int(identity.get(zmq.SRCFD))
+        except zmq.ZMQError:
+            self._key, self._source = "", -1  # no handshake, no key: nobody's
         if self._has_more:
             head = self._receive_frame()
-        try:
-            key = str((head or identity).get("User-Id"))
-        except zmq.ZMQError:
-            key = ""  # no handshake, no key: nobody's
-        return Received(identity.bytes, key, head.buffer if head is not None else memoryview(b""))
+        buffer = head.buffer if head is not None else memoryview(b"")
+        return Received(identity.bytes, self._key, buffer)
 
     def take_frames(self, most_frames: int, most_bytes: int) -> list[memoryview]:
         """Return the frames after the first one of the message that `receive` has returned last.
@@ -177,6 +194,9 @@ class RouterTransport:
         frame = self._router.recv(zmq.NOBLOCK, copy=False)
         self._has_more = frame.more
         self.bytes_received += len(frame)
+        self._wire_bytes += wire_bytes(len(frame))
+        if not self._has_more:
+            self._watch.take(self._source, self._key, self._wire_bytes)
         return frame
 
     def send(self, identity: bytes, frames: Sequence[Buffer]) -> bool:
@@ -208,6 +228,26 @@ class RouterTransport:
         was_disconnected, self._was_disconnected = self._was_disconnected, False
         return was_disconnected
 
+    def take_flooders(self) -> list[str]:
+        """Return the keys, since the last call, whose connections were ended: they never rest.
+
+        A message that has no end, or more of them than can be taken; no connection is taken under
+        these keys any more.
+        """
+        keys = set()
+        while self._flooders:
+            key = self._flooders.popleft()
+            if key:
+                keys.add(key)
+                self._turned_away.add(key)
+            else:
+                self._note("a connection that sent without end was closed; its key is not known")
+        return sorted(keys)
+
+    def _take_flooder(self, key: str) -> None:
+        self._flooders.append(key)
+        self.wake()
+
     def close(self) -> None:
         """Close all sockets, after half a second at most for what is on its way."""
         self._stack.close()
@@ -220,21 +260,27 @@ class RouterTransport:
         key = ""
         if mechanism == b"CURVE" and len(credentials) == 1:
             key = z85.encode(credentials[0]).decode()
-        if key and self._is_allowed(key):
+        if key and key not in self._turned_away and self._is_allowed(key):
             self._zap.send_multipart([version, request, b"200", b"OK", key.encode(), b""])
             return
         self._note(f"a peer at {address.decode()} was refused: its key is not on the list")
         self._zap.send_multipart([version, request, b"400", b"key not on the list", b"", b""])
 
-    def _hear_monitor(self) -> None:
+    def _hear_monitor(self) -> bool:
+        """Take what the monitor says; True where there is more."""
         for _ in range(EVENTS_PER_ROUND):  # however many knock, messages have their turn
             if not self._monitor.poll(0):
-                return
-            trouble = describe_event(self._monitor.recv_multipart())
-            if trouble is None:
-                self._was_disconnected = True
-            else:
+                return False
+            event, descriptor = read_event(self._monitor.recv_multipart())
+            trouble = describe_event(event)
+            if event == zmq.Event.ACCEPTED:
+                self._watch.accepted(descriptor)
+            elif trouble is not None:
                 self._note(trouble)
+            else:
+                self._watch.closed(descriptor)
+                self._was_disconnected = True
+        return True
 
     def _note(self, trouble: str) -> None:
         self.troubles[trouble] += 1
@@ -242,8 +288,12 @@ class RouterTransport:
             _log.warning("%s", trouble)
 
 
-def _guard(router: zmq.Socket[bytes], keys: KeyPair) -> None:
+def _guard(router: zmq.Socket[bytes], keys: KeyPair, is_watched: bool) -> None:
     bound_socket(router, LARGEST_FRAME)
+    if is_watched:
+        # libzmq aborts the process when a peer leaves behind a full queue, and probes in it
+        # ("Assertion failed: !_io_error"). What the queue holds is bounded by the watch.
+        router.setsockopt(zmq.RCVHWM, 0)
     accept_probes(router)
     # Without it a message to nobody is lost without a word, and a full queue drops silently.
     router.setsockopt(zmq.ROUTER_MANDATORY, 1)

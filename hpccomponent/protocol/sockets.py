@@ -8,7 +8,14 @@ from contextlib import contextmanager
 
 import zmq
 
-__all__ = ["accept_probes", "bound_socket", "describe_event", "open_monitor", "send_probes"]
+__all__ = [
+    "accept_probes",
+    "bound_socket",
+    "describe_event",
+    "open_monitor",
+    "read_event",
+    "send_probes",
+]
 
 HIGH_WATER_MARK = 1000  # messages; the credit window stays far below, so that it is never reached
 LINGER_MS = 500  # long enough for a farewell on a live link, short enough not to be felt on exit
@@ -23,6 +30,7 @@ MONITORED_EVENTS = (
     | zmq.Event.HANDSHAKE_FAILED_NO_DETAIL
     | zmq.Event.HANDSHAKE_FAILED_PROTOCOL
     | zmq.Event.DISCONNECTED
+    | zmq.Event.ACCEPTED
 )
 _WORDS = {
     zmq.Event.HANDSHAKE_FAILED_AUTH: "a peer was refused: its key is not on the list",
@@ -80,7 +88,7 @@ def send_probes(socket: zmq.Socket[bytes]) -> None:
 
 @contextmanager
 def open_monitor(socket: zmq.Socket[bytes]) -> Iterator[zmq.Socket[bytes]]:
-    """Watch a socket's connections; give the socket from which `describe_event` reads.
+    """Watch a socket's connections; give the socket whose messages `read_event` takes.
 
     libzmq's own thread waits for room where a monitor's queue is full or its reader is gone, and
     everything else with it, the end too. So the queue has no bound, and the watch ends first.
@@ -107,18 +115,18 @@ def open_monitor(socket: zmq.Socket[bytes]) -> Iterator[zmq.Socket[bytes]]:
             socket.disable_monitor()
 
 
-def describe_event(frames: Sequence[bytes]) -> str | None:
-    """Say in words what a socket monitor reported.
+def read_event(frames: Sequence[bytes]) -> tuple[zmq.Event, int]:
+    """Return what a socket monitor reported, with its value: a connection's descriptor, mostly.
 
     Parameters
     ----------
     frames : sequence of bytes
         A message from a monitor socket: event and value, then the endpoint.
-
-    Returns
-    -------
-    str or None
-        None for a disconnection, which is no failure by itself.
     """
-    number, _ = struct.unpack("=hi", frames[0])
-    return _WORDS.get(zmq.Event(number))
+    number, value = struct.unpack("=hi", frames[0])
+    return zmq.Event(number), value
+
+
+def describe_event(event: zmq.Event) -> str | None:
+    """Say in words what has failed; None where nothing has, as for a disconnection by itself."""
+    return _WORDS.get(event)

@@ -55,6 +55,7 @@ from hpccomponent.protocol.sockets import (
     bound_socket,
     describe_event,
     open_monitor,
+    read_event,
     send_probes,
 )
 from hpccomponent.runtime.blob_files import BlobFiles, check_share
@@ -205,7 +206,7 @@ class _Component:
             self._carry_out(self._session.worker_results(results, control, payload, now))
 
     def _hear_monitor(self) -> None:
-        trouble = describe_event(self._monitor.recv_multipart())
+        trouble = describe_event(read_event(self._monitor.recv_multipart())[0])
         if trouble is not None:
             _log.warning("the connection to %s failed: %s", self._endpoint, trouble)
             # ZeroMQ tries no more, but the master may learn of this worker a little later.

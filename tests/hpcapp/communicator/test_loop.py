@@ -34,6 +34,9 @@ class Wire:
     def receive(self) -> None:
         return None
 
+    def take_flooders(self) -> list[str]:
+        return []
+
     def take_disconnected(self) -> bool:
         return False
 
