@@ -102,11 +102,6 @@ class Dispatcher:
         self.queue.pop(number, None)
         self.lost.pop(number, None)
 
-    def clear(self) -> None:
-        """Have nothing wait any more."""
-        self.queue.clear()
-        self.lost.clear()
-
     def dispatch(self, everyone: Iterable[Worker]) -> list[Assign]:
         """Place what waits, and send what the credit windows allow.
 

@@ -39,9 +39,9 @@ from hpcapp.communicator.state import (
     Welcome,
     Worker,
 )
-from hpcapp.communicator.verification import Verdict, Verification
+from hpcapp.communicator.verification import Verdict, Verification, explain_dispute
 from hpccomponent.clock import Clock
-from hpccomponent.errors import DistrustError, JobError
+from hpccomponent.errors import DistrustError, HpcError
 from hpccomponent.protocol.blobs import Blob
 from hpccomponent.protocol.frames import LARGEST_FRAME
 from hpccomponent.protocol.messages import Failure, Register, Result
@@ -120,13 +120,12 @@ class Scheduler:
     ) -> list[Action]:
         """Take a new task; call `dispatch` after the last of several."""
         task = Task(number, name, size_bytes, blobs, work, can_split, limit_bytes)
+        self.tasks[number] = task
         if self.verification.distrust:
-            self.tasks[number] = task
             return self._distrust()
         if self._gone is not None and self._is_alone():
-            self.tasks[number] = task
             return self._give_up(self._gone)
-        self.tasks[number] = self.dispatcher.queue[number] = task
+        self.dispatcher.queue[number] = task
         if self._is_alone() and self._alone_since is None:
             self._alone_since = self._clock.now()
         return []
@@ -205,10 +204,7 @@ class Scheduler:
         is_finished: bool,
         digest: Callable[[int], bytes] = lambda _: b"",
     ) -> list[Action]:
-        """Take results of tasks that it was given (see `Assignments`); of those done, drop them.
-
-        `digest` returns what tells one of them, by its index, from another answer.
-        """
+        """Take results of tasks that it was given; `digest` tells one from another answer."""
         worker = self.workers.get(identity)
         if worker is None:
             return self._stranger(identity)
@@ -363,7 +359,7 @@ class Scheduler:
     def _is_alone(self) -> bool:
         return all(worker.is_retired for worker in self.workers.values())
 
-    # -- lies ----------------------------------------------------------------------------------
+    # -- lying and losing ---------------------------------------------------------------------
 
     def _hear(
         self,
@@ -380,17 +376,14 @@ class Scheduler:
         verdict, lying = self.verification.hear(task, machine, others, digest)
         if lying and result.written:  # what a liar has written may be what others read
             self.verification.answers.update(lying)
-        for name in lying:
-            liars[name] = f"its answer to {task.name!r} is not that of the other machines"
+        liars |= dict.fromkeys(lying, f"its answer to {task.name!r} is not that of the others")
         if verdict is Verdict.BELIEVED:
             return None
         task.places.pop(worker.identity, None)
         if verdict is Verdict.UNDECIDED:
             del self.tasks[task.number]
             self._withdraw(task)
-            names = " and ".join(sorted(task.answers))
-            problem = f"{names} gave different answers to {task.name!r}, and no machine can decide"
-            return [Fail(task.number, JobError(problem, "give the job another machine"))]
+            return [Fail(task.number, explain_dispute(task))]
         if not task.places:
             self.dispatcher.requeue([task])
         return []
@@ -403,20 +396,18 @@ class Scheduler:
         for task in self.tasks.values():
             task.answers.pop(machine, None)
         same = [w for w in self.workers.values() if w.machine == machine or (key and w.key == key)]
-        actions = self._turn_away(same, why)
-        return actions + self._distrust() if self.verification.distrust else actions
+        return self._turn_away(same, why) + (self._distrust() if self.verification.distrust else [])
 
     def _distrust(self) -> list[Action]:
         """Give up all tasks, because answers that have been used may be lies."""
-        error = DistrustError(self.verification.distrust, "begin the work anew")
-        actions: list[Action] = []
-        for task in list(self.tasks.values()):
+        return self._fail_all(DistrustError(self.verification.distrust, "begin the work anew"))
+
+    def _fail_all(self, error: HpcError) -> list[Action]:
+        actions: list[Action] = [Fail(number, error) for number in self.tasks]
+        for task in self.tasks.values():
             self._withdraw(task)
-            actions.append(Fail(task.number, error))
         self.tasks.clear()
         return actions
-
-    # -- losing --------------------------------------------------------------------------------
 
     def _lose(self, worker: Worker, reason: str, is_blamed: bool) -> list[Action]:
         del self.workers[worker.identity]
@@ -501,12 +492,8 @@ class Scheduler:
                 worker.backlog.pop(task.number, None)
 
     def _give_up(self, reason: str) -> list[Action]:
-        error = self._losses.explain_absence(len(self.tasks), reason)
-        actions: list[Action] = [Fail(number, error) for number in self.tasks]
-        self.tasks.clear()
-        self.dispatcher.clear()
         self._alone_since = None
-        return actions
+        return self._fail_all(self._losses.explain_absence(len(self.tasks), reason))
 
     def _stranger(self, identity: bytes) -> list[Action]:
         self.counts["dropped"] += 1

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 from hpccomponent.errors import (
     CloudError,
     DistrustError,
+    JobError,
     NoWorkersError,
     UsageError,
     WorkerLostError,
@@ -36,7 +37,14 @@ if TYPE_CHECKING:  # a job in one process does not wait for what speaks to other
     from hpccomponent.protocol.frames import Buffer
     from hpccomponent.protocol.messages import Result
 
-__all__ = ["CLUSTER_SHARE", "LEAST_MACHINES", "Verdict", "Verification", "digest_answer"]
+__all__ = [
+    "CLUSTER_SHARE",
+    "LEAST_MACHINES",
+    "Verdict",
+    "Verification",
+    "digest_answer",
+    "explain_dispute",
+]
 
 CLUSTER_SHARE = 0.02
 """Of the answers of a cluster's workers, where nothing else is asked for."""
@@ -207,6 +215,22 @@ class Verification:
             "liars": sorted(set(self.liars.values())),
             "repeats": self.repeats,
         }
+
+
+def explain_dispute(task: Task) -> JobError:
+    """Return the error of a task to which machines gave different answers, and no other is left.
+
+    Parameters
+    ----------
+    task : Task
+
+    Returns
+    -------
+    JobError
+    """
+    names = " and ".join(sorted(task.answers))
+    problem = f"{names} gave different answers to {task.name!r}, and no machine can decide"
+    return JobError(problem, "give the job another machine")
 
 
 def digest_answer(result: Result, buffers: Sequence[Buffer]) -> bytes:

@@ -26,9 +26,9 @@ from hpcdeploy.spec.cluster import ClusterSpec
 
 BOOKWORM = Kind("x86_64", "glibc", (2, 36), (3, 11))
 ALPINE = Kind("x86_64", "musl", (1, 2), (3, 11))
-# Imported inside functions only: by the numpy oracle of what the master does, for a bucket, and for
-# bars and lines on a terminal, which no worker has.
-OPTIONAL = {"scipy", "boto3", "botocore", "click", "rich"}
+# Imported inside functions only: by the numpy oracle of what the master does, for a bucket, for
+# bars and lines on a terminal, which no worker has, and where a master's files are decoded.
+OPTIONAL = {"scipy", "boto3", "botocore", "click", "rich", "laszip", "lazrs", "pye57"}
 OURS = {"hpccomponent", "hpcloader"}
 
 
