@@ -57,6 +57,7 @@ def _cut(cloud: PointCloud, start: int, stop: int) -> PointCloud:
 
 
 def _join(clouds: list[PointCloud]) -> PointCloud:
+    clouds = [cloud for cloud in clouds if len(cloud)] or clouds[:1]
     if len(clouds) == 1:
         return clouds[0]
     normals = [cloud.normals for cloud in clouds if cloud.normals is not None]

@@ -38,8 +38,9 @@ __all__ = ["Decoder", "Refuse", "open_decoder"]
 Refuse = Callable[[str], InputError]
 """Makes the error that refuses a file, of why."""
 
-_LEAST_S = 5.0
+_LEAST_S = 5.0  # of computing, which the kernel counts: a busy machine is no fault of the file
 _BYTES_PER_S = 50_000  # of the file: good ones are decoded a hundred times as fast
+_PATIENCE_S = 60.0  # for one answer, beside that: only who waits for ever takes so long
 _LEAST_MEMORY = 1 << 30  # bytes
 _FILE_SIZES = 4  # of memory, beside that
 _LONGEST_ANSWER = 4096  # bytes
@@ -57,8 +58,10 @@ class Decoder:
         The file.
     memory : ndarray of uint8
         Shared: each answer overwrites it.
-    allowed_s : float
-        How long it may take for all of its answers.
+    computing_s : float
+        How long it may compute, for all of its answers.
+    patience_s : float
+        How long one answer may take.
     refuse : callable
     """
 
@@ -67,7 +70,8 @@ class Decoder:
         process: subprocess.Popen[bytes],
         path: Path,
         memory: NDArray[np.uint8],
-        allowed_s: float,
+        computing_s: float,
+        patience_s: float,
         refuse: Refuse,
     ) -> None:
         assert process.stdin is not None  # noqa: S101 - for mypy: both are pipes
@@ -75,7 +79,7 @@ class Decoder:
         self.memory = memory
         self._process, self._path = process, path
         self._requests, self._answers = process.stdin.fileno(), process.stdout.fileno()
-        self._allowed_s = self._left_s = allowed_s
+        self._computing_s, self._patience_s = computing_s, patience_s
         self._refuse = refuse
 
     def ask(self, *words: str | int) -> int:
@@ -113,20 +117,16 @@ class Decoder:
         """Return the next line that it says."""
         poll = select.poll()
         poll.register(self._answers, select.POLLIN)
-        deadline = time.monotonic() + self._left_s
+        deadline = time.monotonic() + self._patience_s
         line = b""
         while not line.endswith(b"\n"):
             if not poll.poll(max(deadline - time.monotonic(), 0) * 1000):
-                raise self._too_slow()
+                raise self._refuse(f"its decoder gave no answer for {self._patience_s:.0f} s")
             part = os.read(self._answers, _LONGEST_ANSWER)
             if not part or len(line) > _LONGEST_ANSWER:
                 raise self._ended()
             line += part
-        self._left_s = max(deadline - time.monotonic(), 0)
         return line.decode("utf-8", "replace").strip()
-
-    def _too_slow(self) -> InputError:
-        return self._refuse(f"its decoder takes more than {self._allowed_s:.0f} s")
 
     def _ended(self) -> InputError | JobError:
         """Say how it ended."""
@@ -137,14 +137,20 @@ class Decoder:
         if code == signal.SIGKILL:
             return JobError(f"{self._path}: its decoder was killed", "is memory short?")
         if code == signal.SIGXCPU:
-            return self._too_slow()
+            return self._refuse(f"its decoder takes more than {self._computing_s:.0f} s")
         how = signal.Signals(code).name if code > 0 else f"exit code {-code}"
         return self._refuse(f"its decoder was ended by {how}")
 
 
 @contextmanager
 def open_decoder(
-    module: str, path: Path, size: int, arguments: Sequence[str], refuse: Refuse
+    module: str,
+    path: Path,
+    size: int,
+    arguments: Sequence[str],
+    refuse: Refuse,
+    *,
+    patience_s: float = _PATIENCE_S,
 ) -> Iterator[Decoder]:
     """Start the process that decodes a file.
 
@@ -159,6 +165,8 @@ def open_decoder(
     arguments : sequence of str
         As the module takes them.
     refuse : callable
+    patience_s : float
+        How long one answer may take, beside the time that it may compute.
 
     Yields
     ------
@@ -171,10 +179,10 @@ def open_decoder(
         The process cannot be started, or the file is not there.
     """
     file_size = path.stat().st_size
-    allowed_s = _LEAST_S + file_size / _BYTES_PER_S
+    computing_s = _LEAST_S + file_size / _BYTES_PER_S
     with _open_shared(max(size, 1)) as shared:
         memory = np.frombuffer(mmap.mmap(shared, max(size, 1)), np.uint8)
-        limits = [_LEAST_MEMORY + _FILE_SIZES * file_size, int(allowed_s) + 1]
+        limits = [_LEAST_MEMORY + _FILE_SIZES * file_size, round(computing_s)]
         program = f"from hpccomponent.decoding.{module} import main; main()"
         command = [sys.executable, "-P", "-S", "-c", program]  # -m would import twice as much
         process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
@@ -188,7 +196,7 @@ def open_decoder(
             process_group=0,  # Ctrl-C in a terminal is for this process
         )
     try:
-        yield Decoder(process, path, memory, allowed_s, refuse)
+        yield Decoder(process, path, memory, computing_s, computing_s + patience_s, refuse)
     finally:
         process.kill()
         with process:  # closes its pipes, and waits

@@ -26,7 +26,7 @@ def serve(open_file: Callable[[str, memoryview, list[str]], Answer]) -> None:
     """Answer requests until there are no more, or until one fails.
 
     The command line is: path, descriptor of the shared memory, its size in bytes, limits of memory
-    in bytes and of time in seconds of one core; then arguments of `open_file`.
+    in bytes and of computing time in seconds; then arguments of `open_file`.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def serve(open_file: Callable[[str, memoryview, list[str]], Answer]) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what libraries print
     _limit(resource.RLIMIT_CORE, 0)
     _limit(resource.RLIMIT_DATA, int(most_bytes))
-    _limit(resource.RLIMIT_CPU, int(most_s) * (os.cpu_count() or 1))  # of an orphan, too
+    _limit(resource.RLIMIT_CPU, int(most_s))
     memory = memoryview(mmap.mmap(int(shared), int(size)))
     answer: Answer | None = None
     while request := sys.stdin.buffer.readline().decode():

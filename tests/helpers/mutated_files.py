@@ -257,7 +257,7 @@ def _read(path: Path) -> tuple[str, str]:
             return f"exit code {error.exit_code}", said
         if "decoder was ended" in said:
             return "refused: the decoder died", said
-        if "decoder takes more" in said:
+        if "decoder takes more" in said or "no answer" in said:
             return "refused: the decoder hung", said
         return "refused", said
     except BaseException as error:

@@ -11,24 +11,27 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.io.batches import batch_points
 from hpcapp.io.las.decompression import Take, find_library, open_decompressor
 from hpcapp.io.las.header import LasHeader, find_crs, read_header
 from hpcapp.io.las.layout import LasLayout, find_layout
 from hpcapp.io.points.point_source import Findings, PointSource, Scan, keep_small
 from hpccomponent.errors import InputError
+from hpccomponent.limits import available_cores
 from hpccomponent.surface.types.points import ByteArray, PointCloud
 
 __all__ = ["open_las"]
 
 _COORDINATES = 12  # bytes of a point that hold its coordinates
+_A_CORE = 1 << 17  # compressed points that are taken at once: some chunks, which stay in the cache
 
 
 def open_las(path: Path) -> PointSource:
     """Open the points of a LAS, LAZ or COPC file.
 
     Points that are flagged as withheld, and those of the classes for noise, are left out and
-    counted; a part that has none left is passed over. Waveforms are passed over. COPC is read in
-    the order of the file, which is that of its octree.
+    counted. Waveforms are passed over. COPC is read in the order of the file, which is that of its
+    octree.
 
     Parameters
     ----------
@@ -59,7 +62,11 @@ def open_las(path: Path) -> PointSource:
 
     def scan(rows: int) -> Iterator[PointCloud]:
         findings.dropped.clear()  # they are counted anew
-        some = False
+        at_once = _A_CORE * available_cores() if header.is_compressed else rows
+        return batch_points(decode_parts(min(rows, at_once)), rows)
+
+    def decode_parts(rows: int) -> Iterator[PointCloud]:
+        yield layout.decode(np.empty(0, layout.dtype))
         for points in _read_points(path, header, layout, rows):
             withheld, noise = layout.select(points)
             left_out = withheld | noise
@@ -68,10 +75,7 @@ def open_las(path: Path) -> PointSource:
                 findings.drop("noise", int(noise.sum()))
                 points = points[~left_out]
             if len(points):
-                some = True
                 yield layout.decode(points)
-        if not some:
-            yield layout.decode(np.empty(0, layout.dtype))
 
     source = PointSource(
         path,
