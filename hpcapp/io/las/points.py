@@ -63,19 +63,8 @@ def open_las(path: Path) -> PointSource:
     def scan(rows: int) -> Iterator[PointCloud]:
         findings.dropped.clear()  # they are counted anew
         at_once = _A_CORE * available_cores() if header.is_compressed else rows
-        return batch_points(decode_parts(min(rows, at_once)), rows)
-
-    def decode_parts(rows: int) -> Iterator[PointCloud]:
-        yield layout.decode(np.empty(0, layout.dtype))
-        for points in _read_points(path, header, layout, rows):
-            withheld, noise = layout.select(points)
-            left_out = withheld | noise
-            if left_out.any():
-                findings.drop("withheld", int(withheld.sum()))
-                findings.drop("noise", int(noise.sum()))
-                points = points[~left_out]
-            if len(points):
-                yield layout.decode(points)
+        parts = _read_points(path, header, layout, min(rows, at_once))
+        return batch_points(_decode_parts(parts, layout, findings), rows)
 
     source = PointSource(
         path,
@@ -91,6 +80,22 @@ def open_las(path: Path) -> PointSource:
         findings=findings,
     )
     return keep_small(source) if header.is_compressed else source
+
+
+def _decode_parts(
+    parts: Iterator[NDArray[np.void]], layout: LasLayout, findings: Findings
+) -> Iterator[PointCloud]:
+    """Yield the points that are some; first, a part without points."""
+    yield layout.decode(np.empty(0, layout.dtype))
+    for points in parts:
+        withheld, noise = layout.select(points)
+        left_out = withheld | noise
+        if left_out.any():
+            findings.drop("withheld", int(withheld.sum()))
+            findings.drop("noise", int(noise.sum()))
+            points = points[~left_out]
+        if len(points):
+            yield layout.decode(points)
 
 
 def _describe(header: LasHeader) -> str:
