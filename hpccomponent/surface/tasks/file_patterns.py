@@ -24,6 +24,7 @@ from hpccomponent.surface.types.points import FloatArray
 __all__ = ["arranged_range", "bounded_range", "range_bytes", "surveyed_range"]
 
 _BLOCKS = 66  # along each side of an arrangement, at most: see `choose_arrangement`
+_SPARE = 4  # on either side: the box is what others have told of the file, and may be a little off
 
 
 def range_bytes(points: Any, *_: Any) -> int:
@@ -69,12 +70,12 @@ def arranged_range(
 ) -> Declared:
     """Return the pattern of what `file_ranges.arrange_range` writes."""
     (low, edges, one_in), most = boxes, len(points)
-    first = np.zeros(3, np.int64)
-    box = arrangement.origin, arrangement.origin + _BLOCKS * arrangement.edge
+    first, last = (np.full(3, place) for place in (-_SPARE, _BLOCKS + _SPARE))
+    box = np.stack([arrangement.origin + arrangement.edge * place for place in (first, last + 1)])
     counted = [sampled_boxes(most, cells_in("c", box, low, edge)) for edge in edges]
     counts = Array("<i8", "b", low=1, total=(0, most))
     return Where(
-        Fixed(keys_within("b", first, first + _BLOCKS), counts, EachOf(counted)),
+        Fixed(keys_within("b", first, last), counts, EachOf(counted)),
         lambda found: all(is_share(int(found[1].sum()), one_in, n) for n, _ in found[2]),
         "the boxes hold points of the blocks",
     )
