@@ -54,11 +54,19 @@ class RecordedTasks(Executor):
         As how many it appears.
     sees : bool
         Whether it says that workers see the files of this machine.
+    tell : callable
+        From each `Answer` to what is said instead of its value.
     """
 
-    def __init__(self, look: Callable[[Answer], None], workers: int = 3, sees: bool = True) -> None:
+    def __init__(
+        self,
+        look: Callable[[Answer], None],
+        workers: int = 3,
+        sees: bool = True,
+        tell: Callable[[Answer], Any] = lambda answer: answer.value,
+    ) -> None:
         self.workers = workers
-        self._look, self._sees = look, sees
+        self._look, self._sees, self._tell = look, sees, tell
         self._blobs: dict[bytes, Blob] = {}
 
     def share(self, value: Any) -> Blob:
@@ -87,5 +95,6 @@ class RecordedTasks(Executor):
         value = decode_values(header, [bytes(buffer) for buffer in buffers])[0]
         size_bytes = len(header) + sum(map(len, buffers))
         declared = asked, traits.result_of(received)
-        self._look(Answer(task.__name__, arguments, value, size_bytes, limit_bytes, declared))
-        return value
+        answer = Answer(task.__name__, arguments, value, size_bytes, limit_bytes, declared)
+        self._look(answer)
+        return self._tell(answer)

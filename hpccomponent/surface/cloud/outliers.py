@@ -9,6 +9,7 @@ import numpy as np
 from hpccomponent.surface import kernels
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import (
+    BITS,
     ancestor_keys,
     number_keys,
     pack_places,
@@ -129,7 +130,9 @@ def coarsen(keys: IntArray, counts: IntArray, wanted: int | None = None) -> list
         From the finest.
     """
     levels = [Level(keys, counts, np.arange(len(keys)))]
-    while len(levels) < wanted if wanted else len(levels[-1].keys) > 1:
+    # Cells on both sides of 0 never merge: there are none, unless the cloud's box is not its own.
+    most = wanted or BITS
+    while len(levels) < most and (wanted or len(levels[-1].keys) > 1):
         below = levels[-1]
         merged, rows = number_keys(ancestor_keys(below.keys))
         levels.append(Level(merged, _sum_rows(rows, below.counts, len(merged)), rows[below.row_of]))

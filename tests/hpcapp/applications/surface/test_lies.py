@@ -71,11 +71,7 @@ class Looked:
     def look(self, answer: Answer) -> None:
         name, truth = answer.name, encode(answer.value)
         self.limits[name] = max(self.limits[name], answer.limit_bytes)
-        for declared in answer.declared:
-            try:
-                check_result(declared, answer.value)
-            except ProtocolError as error:
-                self.refused.append(f"{name}: {error.problem}")
+        self.refused += find_refusals(answer)
         if len(truth) > answer.limit_bytes:
             self.refused.append(f"{name}: {len(truth)} bytes of {answer.limit_bytes}")
         self._asked[name] += 1
@@ -85,6 +81,17 @@ class Looked:
             value = tell(answer.value)
             if (said := encode(value)) != truth and is_taken(answer, value, len(said)):
                 self.believed[lie].add(name)
+
+
+def find_refusals(answer: Answer) -> list[str]:
+    """Return what the worker, and the master, have against the truth."""
+    refused = []
+    for declared in answer.declared:
+        try:
+            check_result(declared, answer.value)
+        except ProtocolError as error:
+            refused.append(f"{answer.name}: {error.problem}")
+    return refused
 
 
 def is_taken(answer: Answer, value: object, size_bytes: int) -> bool:
@@ -141,10 +148,11 @@ def run_small(
     folder: Path,
     cloud: PointCloud,
     sees: bool | None,
+    tell: Callable[[Answer], Any] = lambda answer: answer.value,
     **more: Any,
 ) -> None:
     """Run a job through a folder that workers see, or do not see; with None in memory."""
-    recorder = RecordedTasks(look, sees=bool(sees))
+    recorder = RecordedTasks(look, sees=bool(sees), tell=tell)
     write_points(folder / "scan.ply", cloud)
     settings = {"output": str(folder / "mesh.ply"), "grid": 96, **more}
     with pytest.MonkeyPatch.context() as patch:
@@ -206,3 +214,27 @@ def test_what_a_worker_has_kept_is_looked_at(task: str, kept: int, tmp_path: Pat
 
     with pytest.raises(JobError, match="what is kept there is wrong: the result"):
         run_small(spoil_kept, tmp_path, make_torus(8_000), True, output=str(tmp_path / "m.obj"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lie", ["plus one", "times 1.001"])
+@pytest.mark.parametrize("has_normals", [True, False])
+def test_lies_that_pass_are_blamed_on_nobody_else(
+    has_normals: bool, lie: str, tmp_path: Path
+) -> None:
+    """Whoever works honestly on what a liar has said is not refused."""
+    refused: list[str] = []
+    told: set[str] = set()
+
+    def tell(answer: Answer) -> Any:
+        value = LIES[lie](answer.value)
+        if not is_taken(answer, value, len(encode(value))):
+            return answer.value
+        told.add(answer.name)
+        return value
+
+    cloud = spoil(open_view(10_000))
+    given = cloud if has_normals else replace(cloud, normals=None)
+    run_small(lambda answer: refused.extend(find_refusals(answer)), tmp_path, given, True, tell)
+    assert refused == []
+    assert told >= {"survey_blocks"}
