@@ -3,7 +3,7 @@
 Each job is a small reconstruction on three components, of which one multiplies every number of
 half of its answers by 1.001. Beside the share of the jobs in which it was found out stands the one
 that follows from how many wrong answers it gives: 1 - (1 - share)^n, in the mean over as many jobs
-in which nothing is verified.
+in which nothing is verified. It is also found out where it is asked about an answer of the others.
 """
 
 from __future__ import annotations
