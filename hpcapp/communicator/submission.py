@@ -18,6 +18,7 @@ from hpccomponent.runtime.tasks import PLAIN, Traits, each_result
 __all__ = ["Entry", "each_traits", "make_entry", "split_entry"]
 
 MAX_TASK_BLOBS = 256  # of one task: a component keeps a file open for each
+ITEM_BYTES = 64  # of what stands around each value in a list, at most
 
 
 @dataclass(slots=True, eq=False)
@@ -121,7 +122,11 @@ def each_traits(traits: Traits) -> Traits:
     def join(results: list[list[Any]]) -> list[Any]:
         return [value for part in results for value in part]
 
-    return Traits(cost, split, join, each_result(traits))
+    def limit(*columns: list[Any]) -> int:
+        total = sum(traits.limit_of(item) for item in zip(*columns, strict=True))
+        return min(DEFAULT_RESULT_BYTES, total + ITEM_BYTES * len(columns[0]))
+
+    return Traits(cost, split, join, each_result(traits), limit)
 
 
 def split_entry(entry: Entry) -> list[Entry]:

@@ -8,6 +8,7 @@ import pytest
 
 from hpcapp.communicator.submission import Entry, each_traits, make_entry, split_entry
 from hpccomponent.errors import TaskError, UsageError
+from hpccomponent.protocol.frames import DEFAULT_RESULT_BYTES
 from hpccomponent.runtime.tasks import Traits
 
 
@@ -83,3 +84,9 @@ def test_a_part_of_a_map_costs_as_its_items_and_is_halved() -> None:
     both = traits.split([1, 2, 3, 4], list("abcd"))
     assert both == [([1, 2], ["a", "b"]), ([3, 4], ["c", "d"])]
     assert traits.join([[1], [2, 3]]) == [1, 2, 3]
+
+
+def test_tasks_that_are_mapped_may_answer_as_much_as_each_may() -> None:
+    traits = each_traits(Traits(limit=lambda number: 100 * number))
+    assert 600 < traits.limit_of(([1, 2, 3],)) < 1000
+    assert each_traits(Traits()).limit_of(([1, 2, 3],)) == DEFAULT_RESULT_BYTES
