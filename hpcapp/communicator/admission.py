@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from hpcapp.communicator.state import Worker
@@ -31,7 +31,7 @@ class Admission:
     numerics: str | None
     banned: Mapping[str, str]
 
-    def objection(self, register: Register, key: str, workers: Iterable[Worker]) -> str | None:
+    def objection(self, register: Register, key: str, workers: Collection[Worker]) -> str | None:
         """Return why a component cannot join `workers`, or None if it can.
 
         Parameters
@@ -40,7 +40,7 @@ class Admission:
             What it says of itself.
         key : str
             The public key (Z85) that it came under.
-        workers : iterable of Worker
+        workers : collection of Worker
             Those that are registered.
 
         Returns
@@ -61,6 +61,9 @@ class Admission:
             )
         if register.largest_frame < SMALLEST_FRAME:
             return f"its largest frame is {register.largest_frame} bytes, below {SMALLEST_FRAME}"
+        others = (worker for worker in workers if worker.register.worker != register.worker)
+        if key and any(worker.key == key for worker in others):
+            return "its key is at work under another name"
         namesakes = (worker for worker in workers if worker.register.worker == register.worker)
         if any(worker.key != key for worker in namesakes):
             return f"another key is at work under the name {register.worker!r}"

@@ -18,18 +18,22 @@ _log = logging.getLogger(__name__)
 
 
 @contextmanager
-def attempt(verification: Verification) -> Iterator[None]:
+def attempt(
+    verification: Verification, is_callers: Callable[[Exception], bool] = lambda _: False
+) -> Iterator[None]:
     """Raise a `DistrustError` in place of what may come of a lie, and of a result that does.
 
     Parameters
     ----------
     verification : Verification
         Of the job.
+    is_callers : callable, optional
+        Tells of an error whether the caller has raised it, so that it is no lie.
     """
     try:
         yield
     except Exception as error:
-        reason = verification.suspect(error)
+        reason = "" if is_callers(error) else verification.suspect(error)
         if not reason:
             raise
         raise DistrustError(reason) from error
@@ -54,9 +58,11 @@ def repeat_until_trusted(verification: Verification, run: Callable[[bool], Outco
     object
         What `run` returns.
     """
+    verification.begin_job()
     while True:
         try:
             return run(not verification.repeats)
         except DistrustError as error:
             _log.warning("the work begins anew: %s", error.problem)
             verification.repeats.append(error.problem)
+            verification.begin()

@@ -87,6 +87,7 @@ class Dispatcher:
         for task in reversed(list(tasks)):
             task.places.clear()
             if task.losses or task.answers:
+                self.queue.pop(task.number, None)
                 self.lost[task.number] = task
                 continue
             self.queue[task.number] = task
@@ -124,6 +125,7 @@ class Dispatcher:
         if self.queue:
             self._estimate(workers)
         while self.queue and workers:
+            name = next(iter(self.queue.values())).name
             placement = self._policy.place(len(self.queue), workers)
             if placement is None:
                 break
@@ -140,7 +142,8 @@ class Dispatcher:
                 worker.placed += len(batch)
                 actions += self._send(worker, batch)
                 if self.queue:
-                    self._estimate([worker])
+                    is_same = next(iter(self.queue.values())).name == name
+                    self._estimate([worker] if is_same else workers)
         for worker in workers:
             while worker.backlog and len(worker.batches) < CREDIT:
                 actions += self._send(worker, self._cutter.cut(worker.backlog, MAX_TASKS, worker))

@@ -176,6 +176,7 @@ class Engine:
                 entry.work,
                 can_split,
                 entry.limit_bytes,
+                entry.traits.is_verified,
             )
         )
         if self._end is not None:  # nobody would ever answer

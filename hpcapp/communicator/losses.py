@@ -139,7 +139,7 @@ class Losses:
         """Return the workers that may have a task that was lost: of the best kind that is there.
 
         First those on machines that have neither lost nor answered it, nor lost another one just
-        now; then those on machines that have neither; then all.
+        now; then those on machines that have neither; then those that have not lost it; then all.
 
         Parameters
         ----------
@@ -152,10 +152,10 @@ class Losses:
         list of Worker
             Empty only where there are none.
         """
-        known = {*task.losses, *task.answers}
-        others = [worker for worker in workers if worker.machine not in known]
+        whole = [worker for worker in workers if worker.machine not in task.losses]
+        others = [worker for worker in whole if worker.machine not in task.answers]
         steady = [worker for worker in others if not self._record(worker).is_shaken]
-        return steady or others or list(workers)
+        return steady or others or whole or list(workers)
 
     def is_spent(self, task: Task, workers: Iterable[Worker]) -> bool:
         """Tell whether a task is to be given up, with these workers left.

@@ -152,6 +152,7 @@ class Ledger:
                     part.work,
                     can_split=True,
                     limit_bytes=part.limit_bytes,
+                    is_verified=part.traits.is_verified,
                 )
             )
         return tasks

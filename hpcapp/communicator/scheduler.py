@@ -117,9 +117,10 @@ class Scheduler:
         work: float = 1.0,
         can_split: bool = False,
         limit_bytes: int = 0,
+        is_verified: bool = True,
     ) -> list[Action]:
         """Take a new task; call `dispatch` after the last of several."""
-        task = Task(number, name, size_bytes, blobs, work, can_split, limit_bytes)
+        task = Task(number, name, size_bytes, blobs, work, can_split, limit_bytes, is_verified)
         self.tasks[number] = task
         if self.verification.distrust:
             return self._distrust()
@@ -371,7 +372,9 @@ class Scheduler:
     ) -> list[Action] | None:
         """Judge an answer; None where it is believed, else what is to be done about it."""
         machine = worker.machine
-        others = {other.machine for other in self._open_workers()} - {machine, *task.answers}
+        known = {machine, *task.answers, *task.losses}
+        others = {other.machine for other in self._open_workers()} - known
+        task.has_written |= bool(result.written)
         self.verification.seconds += result.seconds if task.answers else 0.0
         verdict, lying = self.verification.hear(task, machine, others, digest)
         if lying and result.written:  # what a liar has written may be what others read
@@ -392,9 +395,8 @@ class Scheduler:
         """Ban a machine and all that came under its key, and with it what its answers led to."""
         self.counts["lies"] += 1
         why = f"{machine} works for this job no more: {reason}"
-        self.verification.accuse((machine, key), machine, why)
-        for task in self.tasks.values():
-            task.answers.pop(machine, None)
+        names = {machine, *(name for name, own in self._keys.items() if key and own == key)}
+        self.verification.accuse(names, key, why, self.tasks.values())
         same = [w for w in self.workers.values() if w.machine == machine or (key and w.key == key)]
         return self._turn_away(same, why) + (self._distrust() if self.verification.distrust else [])
 

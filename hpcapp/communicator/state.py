@@ -36,7 +36,8 @@ class Task:
     believed (`has_failed`); a task is claimed once, right before it first
     leaves. `places` are the workers that hold it, with the batch: two where it is run again because
     the first lags; the first answer counts, and then it is done. `answers` are the digests of those
-    that wait for another machine to give the same, by machine (see `verification`).
+    that wait for another machine to give the same, by machine (see `verification`); `has_written`
+    tells whether one of these machines has written something that others may read.
     """
 
     number: int
@@ -46,12 +47,14 @@ class Task:
     work: float = 1.0
     can_split: bool = False
     limit_bytes: int = 0
+    is_verified: bool = True
     losses: Counter[str] = field(default_factory=Counter)
     has_failed: bool = False
     is_claimed: bool = False
     is_done: bool = False
     places: dict[bytes, int] = field(default_factory=dict)
     answers: dict[str, bytes] = field(default_factory=dict)
+    has_written: bool = False
 
     def lacking_bytes(self, worker: Worker) -> int:
         """Return the size of those of its blobs that are not known to be on `worker`.

@@ -126,7 +126,7 @@ def each_traits(traits: Traits) -> Traits:
         total = sum(traits.limit_of(item) for item in zip(*columns, strict=True))
         return min(DEFAULT_RESULT_BYTES, total + ITEM_BYTES * len(columns[0]))
 
-    return Traits(cost, split, join, each_result(traits), limit)
+    return Traits(cost, split, join, each_result(traits), limit, traits.is_verified)
 
 
 def split_entry(entry: Entry) -> list[Entry]:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from random import SystemRandom
@@ -81,6 +81,8 @@ class Verification:
         Names and keys of machines that have lied, and what they did.
     answers : Counter of str
         How many answers of each machine have been used in this attempt without a second one.
+    everything : bool
+        Whether every answer is asked for again, whatever the share.
     machines : int
         How many could answer at once, at most.
     distrust : str
@@ -97,6 +99,7 @@ class Verification:
     draw: Callable[[], float] = SystemRandom().random
     liars: dict[str, str] = field(default_factory=dict)
     answers: Counter[str] = field(default_factory=Counter)
+    everything: bool = False
     machines: int = 0
     distrust: str = ""
     verified: int = 0
@@ -104,6 +107,12 @@ class Verification:
     disagreements: int = 0
     seconds: float = 0.0
     repeats: list[str] = field(default_factory=list)
+
+    def begin_job(self) -> None:
+        """Begin a job: all that is known of earlier ones is who has lied."""
+        self.machines = self.verified = self.unverified = self.disagreements = 0
+        self.seconds, self.repeats, self.everything = 0.0, [], False
+        self.begin()
 
     def begin(self) -> None:
         """Begin an attempt: no answer has been used yet."""
@@ -134,7 +143,7 @@ class Verification:
         """
         is_first = not task.answers
         self.machines = max(self.machines, len(others) + is_first)
-        if is_first and (len(others) < LEAST_MACHINES - 1 or self.draw() >= (self.share or 0.0)):
+        if is_first and not (task.is_verified and self._is_drawn(len(others))):
             self.answers[machine] += 1
             return Verdict.BELIEVED, []
         own, known = digest(), task.answers.get(machine)
@@ -155,21 +164,33 @@ class Verification:
         self.answers[machine] += 1
         return Verdict.BELIEVED, []
 
-    def accuse(self, names: Sequence[str], machine: str, reason: str) -> None:
+    def _is_drawn(self, others: int) -> bool:
+        share = 1.0 if self.everything else self.share or 0.0
+        return others >= LEAST_MACHINES - 1 and self.draw() < share
+
+    def accuse(
+        self, names: Collection[str], key: str, reason: str, tasks: Iterable[Task] = ()
+    ) -> None:
         """Note that a machine has lied.
 
         Parameters
         ----------
-        names : sequence of str
-            Its name and its key.
-        machine : str
-            Its name.
+        names : collection of str
+            Its name, and others that its key has had.
+        key : str
+            Empty where it has none.
         reason : str
             What it did.
+        tasks : iterable of Task
+            All that are open: its answers to them count no more.
         """
-        self.liars.update(dict.fromkeys(filter(None, names), reason))
-        if count := self.answers[machine]:
-            self.distrust = f"{reason}; {count} answers of {machine} had been used before"
+        for task in tasks:
+            for name in task.answers.keys() & set(names):
+                del task.answers[name]
+                self.answers[name] += task.has_written  # others may leave it, and read it
+        self.liars.update(dict.fromkeys(filter(None, [*names, key]), reason))
+        if count := sum(self.answers[name] for name in names):
+            self.distrust = f"{reason}; {count} of its answers had been used before"
 
     def suspect(self, error: Exception) -> str:
         """Return why an attempt that ends with an error is to be made again; empty where not.
@@ -187,15 +208,10 @@ class Verification:
         """
         if self.distrust or isinstance(error, DistrustError):
             return self.distrust or str(error)
-        is_own = isinstance(
-            error, UsageError | CloudError | NoWorkersError | WorkerLostError | OSError
-        )
-        can_tell = (
-            self.machines >= LEAST_MACHINES and self.answers and 0.0 < (self.share or 0.0) < 1
-        )
-        if is_own or not can_tell:
+        can_tell = self.machines >= LEAST_MACHINES and bool(self.share) and not self.everything
+        if isinstance(error, _NO_LIES) or not (can_tell and self.answers):
             return ""
-        self.share = 1.0
+        self.everything = True
         return f"every answer is verified, because this may come of a wrong one: {error}"
 
     def describe(self) -> str:

@@ -137,6 +137,7 @@ def _make_server(job: WatchedJob, token: str) -> uvicorn.Server:
         log_level="critical",
         access_log=False,  # addresses hold the token
         server_header=False,
+        proxy_headers=False,  # a connection is known by its own address
         backlog=BACKLOG,
         timeout_graceful_shutdown=FAREWELL_S,
     )

@@ -56,6 +56,8 @@ class Traits:
     limit : int or callable, optional
         How large the encoded result may be, in bytes, or a function from the arguments to it; by
         default `DEFAULT_RESULT_BYTES`.
+    is_verified : bool
+        Whether honest machines give the same answer: not where it is about the machine itself.
 
     Notes
     -----
@@ -67,6 +69,7 @@ class Traits:
     join: Callable[[list[Any]], Any] | None = None
     result: Declared | Callable[..., Declared] = ANYTHING
     limit: int | Callable[..., int] = DEFAULT_RESULT_BYTES
+    is_verified: bool = True
 
     def result_of(self, arguments: tuple[Any, ...]) -> Declared:
         """Return what the result of one call must be.
@@ -113,12 +116,13 @@ def declare(
     join: Callable[[list[Any]], Any] | None = None,
     result: Declared | Callable[..., Declared] = ANYTHING,
     limit: int | Callable[..., int] = DEFAULT_RESULT_BYTES,
+    is_verified: bool = True,
 ) -> Callable[[FunctionT], FunctionT]:
     """Declare what a task costs, returns, and how to split it; the function stays what it is.
 
     Parameters
     ----------
-    cost, split, join, result, limit
+    cost, split, join, result, limit, is_verified
         See `Traits`.
 
     Returns
@@ -139,7 +143,7 @@ def declare(
     >>> traits_of(count_up).cost([1, 2, 3])
     3
     """
-    traits = Traits(cost, split, join, result, limit)
+    traits = Traits(cost, split, join, result, limit, is_verified)
 
     def mark(function: FunctionT) -> FunctionT:
         function.task_traits = traits  # type: ignore[attr-defined]

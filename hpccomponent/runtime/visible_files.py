@@ -10,7 +10,7 @@ from hpccomponent.runtime.tasks import declare
 __all__ = ["sees_files"]
 
 
-@declare(result=Flag(), limit=4096)
+@declare(result=Flag(), limit=4096, is_verified=False)
 def sees_files(*files: tuple[str, int]) -> bool:
     """Tell whether some files are there (a task).
 

@@ -38,7 +38,7 @@ from hpcapp.io import drop_unusable
 from hpcapp.io.frame import to_local
 from hpcapp.io.points.usable import Dropped, refuse_too_few
 from hpcapp.pages.shown_mesh import Mesh
-from hpcapp.progress import Progress, SilentProgress, StageClock
+from hpcapp.progress import Progress, StageClock
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.surface.attributes.labels import find_labels
 from hpccomponent.surface.types.mesh import Mesh as TriangleMesh
@@ -158,9 +158,10 @@ def reconstruct(
     _check_settings(settings)
     checked = settings.attributes.select(_check_cloud(points, normals), "the cloud")
     labels = find_labels(checked.attributes)
-    clock = StageClock(SilentProgress() if progress is None else _Calls(progress))
+    calls = _Calls(progress)
+    clock = StageClock(calls)
     given = None if isinstance(executor, str) else executor
-    verification = getattr(given, "verification", None) or Verification(verify)
+    verification = _choose_verification(given, verify)
     with approach_workers(settings, verification=verification) as opener:
         cloud, cleaned = arrange_usable(settings, checked, clock)
         del checked  # makes room
@@ -176,7 +177,7 @@ def reconstruct(
 
         def run(_is_first: bool) -> TriangleMesh:
             with (
-                attempt(verification),
+                attempt(verification, lambda error: error is calls.raised),
                 run_memory(settings, loaded, opener, clock, executor=given) as outcome,
             ):
                 carrying = carry_from_memory(settings, loaded, outcome, clock)
@@ -186,12 +187,36 @@ def reconstruct(
     return Mesh.of(replace(mesh, vertices=mesh.vertices + mesh.origin, origin=np.zeros(3)))
 
 
+def _choose_verification(given: object, verify: float | None) -> Verification:
+    """Return what a job finds out about machines: where an Executor is lent, it belongs to that."""
+    own: Verification | None = getattr(given, "verification", None)
+    if own is None:
+        if given is not None and verify:
+            raise UsageError(
+                f"a {type(given).__name__} does not say which machine gives an answer",
+                "leave verify out, or give the file of a cluster or 'zmq'",
+            )
+        return Verification(verify)
+    if verify is not None:
+        own.share = verify
+    return own
+
+
 class _Calls(Progress):
     """Calls a function with the stage and how far it has come, from none to all of its parts."""
 
-    def __init__(self, report: Report) -> None:
-        self._report = report
+    def __init__(self, report: Report | None) -> None:
+        self.raised: Exception | None = None
+        self._call = report
         self._stage, self._done, self._total = "", 0, 1
+
+    def _report(self, stage: str, done: int, total: int) -> None:
+        try:
+            if self._call is not None:
+                self._call(stage, done, total)
+        except Exception as error:
+            self.raised = error
+            raise
 
     def begin(self, stage: str) -> None:
         """Report that nothing of `stage` is done."""

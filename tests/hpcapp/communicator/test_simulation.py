@@ -814,3 +814,47 @@ def test_a_batch_or_a_result_that_got_lost_is_made_good() -> None:
         assert isinstance(cluster.ended[0], Result)
         assert cluster.scheduler.counts["resent"] == 1
         assert cluster.scheduler.counts["losses"] == 0
+
+
+@pytest.mark.parametrize("policy", [EqualPolicy(), PullPolicy(), AdaptivePolicy()])
+def test_who_lost_a_task_is_not_waited_for_to_verify_it(policy: Policy) -> None:
+    cluster = Cluster(policy, Verification(1.0))
+    components = [cluster.start_component() for _ in range(3)]
+    for component in components:
+        cluster.pump(component, 10)
+    cluster.submit(1)
+    steady: Component | None = None
+    for _ in range(100):
+        for component in components:
+            cluster.pump(component, 100)
+            if component.work and steady in (None, component):
+                steady = component
+                cluster.work(component)
+            elif component.work:
+                cluster.crash_worker(component)
+    assert isinstance(cluster.ended[0], Result)
+
+
+def test_tasks_of_two_kinds_that_wait_together_are_placed() -> None:
+    cluster = Cluster(AdaptivePolicy())
+    components = [cluster.start_component() for _ in range(2)]
+    for component in components:
+        cluster.pump(component, 10)
+    for number, name in enumerate(["a"] * 5 + ["b"] * 14):
+        cluster.calls[number] = Call(number, name, b"", [])
+        cluster.carry_out(cluster.scheduler.submit(number, name, 10, limit_bytes=LIMIT))
+    cluster.carry_out(cluster.scheduler.dispatch())
+    for _ in range(200):
+        for component in components:
+            cluster.pump(component, 100)
+            cluster.work(component)
+        cluster.pass_time(0.5)
+    assert cluster.ended.keys() == set(range(19))
+
+
+def test_a_key_is_at_work_under_one_name() -> None:
+    cluster = Cluster(AdaptivePolicy())
+    [first, second] = [cluster.start_component() for _ in range(2)]
+    cluster.carry_out(cluster.scheduler.register(first.identity, first.session._register, "key"))
+    actions = cluster.scheduler.register(second.identity, second.session._register, "key")
+    assert [type(action) for action in actions] == [Refuse]

@@ -10,7 +10,7 @@ import pytest
 from hpcapp.communicator.attempts import attempt, repeat_until_trusted
 from hpcapp.communicator.state import Task
 from hpcapp.communicator.verification import Verdict, Verification, digest_answer
-from hpccomponent.errors import DistrustError, NoWorkersError, TaskError
+from hpccomponent.errors import ConfigError, DistrustError, NoWorkersError, TaskError
 from hpccomponent.protocol.messages import Result
 
 
@@ -91,13 +91,13 @@ def test_work_that_has_used_a_liars_answer_begins_anew() -> None:
         verification.begin()
         with attempt(verification):
             verification.answers["a"] += is_first
-            verification.accuse(("a", "key"), "a", "it lied")
+            verification.accuse({"a"}, "key", "it lied")
         return "true"
 
     assert repeat_until_trusted(verification, run) == "true"
     assert runs == [True, False]
     assert verification.liars == {"a": "it lied", "key": "it lied"}
-    assert "1 answers of a had been used" in verification.repeats[0]
+    assert "1 of its answers had been used" in verification.repeats[0]
 
 
 def test_what_a_task_finds_impossible_is_made_again_once_with_every_answer_verified() -> None:
@@ -107,7 +107,7 @@ def test_what_a_task_finds_impossible_is_made_again_once_with_every_answer_verif
     def run(is_first: bool) -> None:
         del is_first
         verification.begin()
-        shares.append(verification.share)
+        shares.append(verification.everything)
         hear(verification, Task(1, "t", 1), "a", b"x")
         verification.answers["a"] += 1
         with attempt(verification):
@@ -115,7 +115,9 @@ def test_what_a_task_finds_impossible_is_made_again_once_with_every_answer_verif
 
     with pytest.raises(TaskError, match="no such block"):
         repeat_until_trusted(verification, run)
-    assert shares == [0.02, 1.0]
+    assert shares == [False, True]
+    verification.begin_job()
+    assert not verification.everything
 
 
 @pytest.mark.parametrize("error", [NoWorkersError("none"), OSError("full"), KeyboardInterrupt()])
@@ -131,6 +133,46 @@ def test_what_no_lie_can_cause_is_not_made_again(error: BaseException) -> None:
 def test_an_error_after_a_lie_came_out_is_laid_to_the_lie() -> None:
     verification = Verification()
     verification.answers["a"] += 1
-    verification.accuse(("a",), "a", "it lied")
+    verification.accuse({"a"}, "", "it lied")
     with pytest.raises(DistrustError, match="it lied"), attempt(verification):
         raise IndexError(7)
+
+
+def test_an_answer_that_is_about_the_machine_is_not_asked_for_again() -> None:
+    task = Task(1, "t", 1, is_verified=False)
+    assert hear(Verification(1.0), task, "a", b"x") == (Verdict.BELIEVED, [])
+
+
+def test_what_a_liar_has_written_for_a_pending_answer_is_distrusted() -> None:
+    verification = Verification(1.0)
+    plain, written = Task(1, "t", 1), Task(2, "t", 1, has_written=True)
+    hear(verification, plain, "a", b"x")
+    verification.accuse({"a"}, "", "it lied", [plain])
+    assert not verification.distrust
+    assert not plain.answers
+    hear(verification, written, "a", b"x")
+    verification.accuse({"a"}, "", "it lied", [written])
+    assert verification.distrust
+
+
+def test_what_the_caller_raises_is_no_lie() -> None:
+    verification = Verification(0.5)
+    hear(verification, Task(1, "t", 1), "a", b"x")
+    verification.answers["a"] += 1
+    own = RuntimeError("enough")
+    with pytest.raises(RuntimeError, match="enough"), attempt(verification, lambda e: e is own):
+        raise own
+
+
+def test_an_error_before_the_next_attempt_has_begun_ends_the_job() -> None:
+    verification = Verification(0.5)
+
+    def run(is_first: bool) -> None:
+        with attempt(verification):
+            if not is_first:
+                raise ConfigError("the inventory is gone")
+            verification.answers["a"] += 1
+            verification.accuse({"a"}, "", "it lied")
+
+    with pytest.raises(ConfigError, match="gone"):
+        repeat_until_trusted(verification, run)

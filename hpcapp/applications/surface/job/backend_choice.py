@@ -309,6 +309,7 @@ class Opener:
     def _gather(self) -> Backend:
         """Wait for the cluster's workers."""
         cluster = self._listen()
-        workers = cluster.gather(WAIT_S, WAIT_S)
+        is_again = bool(self._verification.repeats)  # they have just been told farewell
+        workers = cluster.gather(None if is_again else WAIT_S, WAIT_S)
         cluster.executor.start_over()
         return wrap_communicator("cluster", cluster.executor, workers, self._settings.policy)

@@ -85,7 +85,7 @@ def run_job(
         return _run_once(again, StageClock(progress, timeline), ready, verification)
 
     report = repeat_until_trusted(verification, run)
-    if verification.share or verification.liars:
+    if verification.machines or verification.liars:
         report["verification"] = verification.to_json()
     if verification.verified or verification.liars:
         log.info("%s", verification.describe())
