@@ -18,7 +18,7 @@ from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import expand_home
 from hpccomponent.protocol.keys import KeyPair
 from hpcdeploy.machine.host_keys import HostKeys, parse_console
-from hpcdeploy.machine.journal import begun_lives, read_set_up
+from hpcdeploy.machine.journal import peek_journal
 from hpcdeploy.machine.local_shell import LocalShell
 from hpcdeploy.machine.node_keys import NodeKeys
 from hpcdeploy.machine.ownership import Held, cloud_fingerprints, fingerprint
@@ -95,7 +95,7 @@ class Access:
         A cloud's machines let in whoever has the cluster's SSH key. Hosts let in their users'
         own keys; there the key is that of the cluster's master, which no other user has.
         """
-        lives = begun_lives(self._spec.cluster)
+        lives = peek_journal(self._spec.cluster).lives
         if not self._spec.provider.makes_machines:
             pair = NodeKeys.read(self._folder / "keys.json")
             return Held(Owner(this_user(), _curve_print(pair) if pair else ""), lives=lives)
@@ -171,7 +171,7 @@ class Access:
 
     def _boot_left_s(self, machine: MachineSeen) -> float:
         """Return how long a machine may still take until it lets us in."""
-        if machine.id in read_set_up(self._spec.cluster):
+        if machine.id in peek_journal(self._spec.cluster).set_up:
             return KNOWN_S
         age = utc_now() - machine.launched if machine.launched is not None else timedelta()
         return max(KNOWN_S, self._spec.limits.boot - age.total_seconds())

@@ -10,6 +10,7 @@ changes the cluster from this machine.
 from __future__ import annotations
 
 import fcntl
+import io
 import json
 import os
 import threading
@@ -33,11 +34,8 @@ __all__ = [
     "Attempt",
     "Journal",
     "Step",
-    "begun_lives",
-    "is_unfinished",
-    "known_places",
     "open_journal",
-    "read_set_up",
+    "peek_journal",
 ]
 
 Launched = tuple[str, NodeName]
@@ -102,7 +100,7 @@ class Attempt:
 
 
 class Journal:
-    """An open journal; see `open_journal`."""
+    """A journal that is open or was read; see `open_journal` and `peek_journal`."""
 
     def __init__(self, file: IO[bytes], entries: list[Entry]) -> None:
         self._file = file
@@ -222,7 +220,7 @@ class Journal:
     @property
     def lives(self) -> frozenset[str]:
         """The incarnations of the cluster that were begun or used from here."""
-        return _lives(self._entries)
+        return frozenset(entry["incarnation"] for entry in self._entries if "incarnation" in entry)
 
     def note_places(self, places: Iterable[str]) -> None:
         """Remember where something is about to be made.
@@ -248,7 +246,14 @@ class Journal:
     @property
     def places(self) -> tuple[str, ...]:
         """Where something was made that was not taken down since, the earliest first."""
-        return _places(self._entries)
+        found: dict[str, None] = {}
+        for entry in self._entries:
+            match entry:
+                case {"place": place}:
+                    found[place] = None
+                case {"cleared": place}:
+                    found.pop(place, None)
+        return tuple(found)
 
     def unfinished(self) -> list[str]:
         """Return what was begun and neither done nor refused, in the order in which it was begun.
@@ -256,7 +261,16 @@ class Journal:
         What has failed is among it: the call may have come about and its answer been lost, and
         what a command made before it failed may not be listed yet.
         """
-        return _unfinished(self._entries)
+        pending: list[str] = []
+        for entry in self._entries:
+            match entry:
+                case {"intent": what}:
+                    pending = [*(other for other in pending if other != what), what]
+                case {"done": what, "is_command": True} if what in pending:
+                    pending = pending[pending.index(what) + 1 :]
+                case {"done": what} | {"refused": what}:
+                    pending = [other for other in pending if other != what]
+        return pending
 
     def attempt(self, incarnation: str, name: NodeName) -> Attempt | None:
         """Return the launch of a node that was asked for last, unless it was refused.
@@ -326,8 +340,8 @@ def open_journal(cluster: str) -> Iterator[Journal]:
         yield Journal(file, _read(file, path))
 
 
-def begun_lives(cluster: str) -> frozenset[str]:
-    """Return the incarnations of a cluster that were begun or used from here; takes no lock.
+def peek_journal(cluster: str) -> Journal:
+    """Return what the journal of a cluster says now, for who only reads; takes no lock.
 
     Parameters
     ----------
@@ -335,93 +349,18 @@ def begun_lives(cluster: str) -> frozenset[str]:
 
     Returns
     -------
-    frozenset of str
+    Journal
+        Nothing can be written to it. A line that another command has half written is left out.
     """
-    return _lives(_peek(cluster))
-
-
-def read_set_up(cluster: str) -> frozenset[str]:
-    """Return the ids of a cluster's machines that were set up from here; takes no lock.
-
-    Parameters
-    ----------
-    cluster : str
-
-    Returns
-    -------
-    frozenset of str
-    """
-    return frozenset(i for entry in _peek(cluster) for i in entry.get("set up", ()))
-
-
-def known_places(cluster: str) -> tuple[str, ...]:
-    """Return where something of a cluster was made that was not taken down since; takes no lock.
-
-    Parameters
-    ----------
-    cluster : str
-
-    Returns
-    -------
-    tuple of str
-        The earliest first.
-    """
-    return _places(_peek(cluster))
-
-
-def is_unfinished(cluster: str) -> bool:
-    """Tell whether something was begun from here and neither done nor refused; takes no lock.
-
-    Parameters
-    ----------
-    cluster : str
-
-    Returns
-    -------
-    bool
-    """
-    return bool(_unfinished(_peek(cluster)))
-
-
-def _peek(cluster: str) -> list[Entry]:
-    """Return the entries of a journal that another command may be writing."""
     try:
         lines = (state_folder(cluster) / "journal.jsonl").read_bytes().splitlines()
     except OSError:
-        return []
+        lines = []
     entries = []
     for line in lines:
-        with suppress(ValueError):  # the last one may be half written
+        with suppress(ValueError):
             entries.append(decode(line, Entry))
-    return entries
-
-
-def _unfinished(entries: Iterable[Entry]) -> list[str]:
-    pending: list[str] = []
-    for entry in entries:
-        match entry:
-            case {"intent": what}:
-                pending = [*(other for other in pending if other != what), what]
-            case {"done": what, "is_command": True} if what in pending:
-                pending = pending[pending.index(what) + 1 :]
-            case {"done": what} | {"refused": what}:
-                pending = [other for other in pending if other != what]
-    return pending
-
-
-def _places(entries: Iterable[Entry]) -> tuple[str, ...]:
-    found: dict[str, None] = {}
-    for entry in entries:
-        match entry:
-            case {"place": place}:
-                found[place] = None
-            case {"cleared": place}:
-                found.pop(place, None)
-    return tuple(found)
-
-
-def _lives(entries: Iterable[Entry]) -> frozenset[str]:
-    return frozenset(entry["incarnation"] for entry in entries if "incarnation" in entry)
+    return Journal(io.BytesIO(), entries)
 
 
 def _is_ours(file: IO[bytes]) -> bool:

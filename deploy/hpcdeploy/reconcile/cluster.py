@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, OutdatedError
-from hpcdeploy.machine.journal import known_places
+from hpcdeploy.machine.journal import peek_journal
 from hpcdeploy.machine.ownership import Held, foreign_owner
 from hpcdeploy.machine.provider import GroupSeen, MachineSeen, Observed, Provider, State
 from hpcdeploy.providers.clouds import places_of
@@ -269,7 +269,8 @@ def describe_elsewhere(cluster: Cluster) -> str:
     str
         As far as the journal of this machine tells; empty where it knows of no other place.
     """
-    name, file, known = cluster.spec.cluster, cluster.path, known_places(cluster.spec.cluster)
+    name, file = cluster.spec.cluster, cluster.path
+    known = peek_journal(name).places
     here = places_of(cluster.spec) if known else ()
     others = [place for place in known if place not in here]
     if not others:

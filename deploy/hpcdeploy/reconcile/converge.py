@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, HpcError, LeftoverError, OutdatedError
-from hpcdeploy.machine.journal import Journal, is_unfinished, open_journal
+from hpcdeploy.machine.journal import Journal, open_journal, peek_journal
 from hpcdeploy.machine.ownership import Held, ours
 from hpcdeploy.machine.provider import Observed, State
 from hpcdeploy.providers.bucket import open_bucket
@@ -29,13 +29,11 @@ from hpcdeploy.reconcile.cluster import (
 )
 from hpcdeploy.reconcile.cost import check_limits, estimate_cost
 from hpcdeploy.reconcile.effort import Effort, Report
-from hpcdeploy.reconcile.plan import LIVE, Plan, make_plan
+from hpcdeploy.reconcile.plan import LIVE, Plan
 from hpcdeploy.reconcile.removal import remove
 from hpcdeploy.reconcile.termination import Proof, Reason
 from hpcdeploy.spec.layout import forget_cluster
-from hpcdeploy.spec.names import draw_incarnation
 from hpcdeploy.spec.polling import Pace
-from hpcdeploy.spec.ssh_networks import ssh_networks
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
@@ -59,17 +57,8 @@ def look_ahead(cluster: Cluster) -> Plan:
     CloudError
         The cluster was made elsewhere.
     """
-    pace = Pace()
-    observed = cluster.provider.observe(cluster.spec.cluster)
-    require_ours(cluster, observed)
-    return make_plan(
-        cluster.spec,
-        observed,
-        pace.now(),
-        draw_incarnation(pace.now()),
-        ssh_networks(cluster.spec),
-        owner=cluster.access.held().owner,
-    )
+    journal = peek_journal(cluster.spec.cluster)
+    return Effort(cluster, journal, lambda _: None, Pace()).plan()
 
 
 def bring_up(
@@ -168,7 +157,7 @@ def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) 
     observed = cluster.provider.observe(cluster.spec.cluster)
     cluster = as_desired(cluster, observed, report)
     live = {machine.name.node for machine in observed.machines if machine.state in LIVE}
-    if set(cluster.spec.nodes()) <= live and not is_unfinished(cluster.spec.cluster):
+    if set(cluster.spec.nodes()) <= live and not peek_journal(cluster.spec.cluster).unfinished():
         return cluster  # and no other command finds the journal locked
     check_limits(cluster.spec, estimate_cost(cluster.spec))
     with open_journal(cluster.spec.cluster) as journal:

@@ -92,7 +92,7 @@ class Effort:
         """Return what is to be done, once the cloud lists what an earlier command asked for."""
         if self._is_unsettled:
             self._pace.sleep(self._pace.settle_s)
-        return self._plan()
+        return self.plan()
 
     def converge(self, plan: Plan) -> None:
         """Go round until every node is set up or given up; see the module's diagram.
@@ -116,7 +116,7 @@ class Effort:
                     self._dismiss(machine, reason)
             self._check_enough()
             workers = self._spec.worker_count
-            plan = self._plan()
+            plan = self.plan()
             if not failed and self._is_settled(plan) and workers == self._spec.worker_count:
                 break
         for node, error in self._given_up.items():
@@ -228,7 +228,8 @@ class Effort:
         unlisted = tuple(self._unlisted.values()) if self._provider.makes_machines else ()
         return replace(seen, machines=seen.machines + unlisted)
 
-    def _plan(self) -> Plan:
+    def plan(self) -> Plan:
+        """Look at the cloud, and return what is to be done now; nothing is changed."""
         observed = self._seen = self._observe()
         require_ours(self._cluster, observed, self._pace.now())
         self._follow(observed)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hpccomponent.config.reader import parse_config
-from hpcdeploy.machine.journal import begun_lives
+from hpcdeploy.machine.journal import peek_journal
 from hpcdeploy.machine.ownership import Held, fingerprint
 from hpcdeploy.machine.provider import MachineSeen
 from hpcdeploy.providers.memory import MemoryProvider
@@ -116,7 +116,7 @@ class Keyring:
         return Owner(self.user, fingerprint(self.public_key()))
 
     def held(self) -> Held:
-        lives = begun_lives(self.cluster)
+        lives = peek_journal(self.cluster).lives
         if self.public is None and not (state_folder(self.cluster) / "id").exists():
             return Held(Owner(self.user), lives=lives)
         return Held(self.owner(), frozenset({self.public_key()}), lives)

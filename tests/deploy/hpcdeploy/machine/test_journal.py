@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from hpccomponent.errors import CapacityError, CloudError, OutputError
-from hpcdeploy.machine.journal import Attempt, Journal, begun_lives, open_journal
+from hpcdeploy.machine.journal import Attempt, Journal, open_journal, peek_journal
 from hpcdeploy.machine.provider import LaunchChoice
 from hpcdeploy.spec.layout import clusters_folder, forget_cluster, state_folder
 from hpcdeploy.spec.names import NodeName
@@ -209,7 +209,7 @@ def test_a_line_that_is_none_is_named_once(lie: str) -> None:
     path.parent.mkdir(parents=True)
     text = f'{{"incarnation": "life"}}\n{lie}\n'.encode(errors="surrogateescape")
     path.write_bytes(text)
-    assert begun_lives("bunny") == {"life"}
+    assert peek_journal("bunny").lives == {"life"}
     with (
         pytest.raises(CloudError, match=r"journal\.jsonl:2: not a line of the journal") as caught,
         open_journal("bunny"),

@@ -14,7 +14,8 @@ from hpcdeploy.machine.journal import open_journal
 from hpcdeploy.machine.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.cluster import Cluster
-from hpcdeploy.reconcile.converge import bring_up, replace_lost, take_down
+from hpcdeploy.reconcile.converge import bring_up, look_ahead, replace_lost, take_down
+from hpcdeploy.reconcile.plan import LaunchNode, Terminate
 from hpcdeploy.spec.cluster import Limits
 from hpcdeploy.spec.names import Desired, NodeName, read_desired
 
@@ -181,6 +182,26 @@ def test_kept_machines_stay(simulation: Simulation, set_up: SetUp) -> None:
         bring_up(cluster, simulation.lines.append, keep=True, pace=simulation.time.pace())
     assert "head" in simulation.alive()
     assert "hpcapp down cluster.yaml ends it" in simulation.lines[-1]
+
+
+def test_what_up_does_is_what_was_shown_before(simulation: Simulation, set_up: SetUp) -> None:
+    """A machine that was left and is known to be of no use is replaced, so it is asked about."""
+    set_up.broken_nodes = {"worker-1"}
+    cluster = make_cluster(make_spec(1, 1), simulation.cloud)
+    with pytest.raises(CloudError, match="worker-1 cannot be had"):
+        bring_up(cluster, simulation.lines.append, keep=True, pace=simulation.time.pace())
+    simulation.time.sleep(60)
+    assert simulation.alive() == ["head", "worker-1"]
+    set_up.broken_nodes = set()
+    ahead = look_ahead(cluster)
+    asked = [str(action) for action in ahead.actions if isinstance(action, Terminate | LaunchNode)]
+    assert [line.split(" (")[0] for line in asked] == [
+        "terminate worker-1",
+        "launch worker-1 as c6i.xlarge",
+    ]
+    bring_up(cluster, simulation.lines.append, pace=simulation.time.pace(), agreed=ahead)
+    assert simulation.alive() == ["head", "worker-1"]
+    assert not any(isinstance(a, Terminate | LaunchNode) for a in look_ahead(cluster).actions)
 
 
 def test_a_machine_that_cannot_be_set_up_is_replaced(simulation: Simulation, set_up: SetUp) -> None:
