@@ -119,7 +119,7 @@ class Effort:
             plan = self.plan()
             if not failed and self._is_settled(plan) and workers == self._spec.worker_count:
                 break
-        for node, error in self._given_up.items():
+        for node, error in self._lost().items():
             self._report(f"going without {node}: {error.problem}")
 
     def _is_settled(self, plan: Plan) -> bool:
@@ -416,9 +416,14 @@ class Effort:
         doctor = f"look at hpcapp doctor {self._cluster.path}{others}"
         self._given_up[machine.name.node] = CloudError(reason, advice or doctor)
 
+    def _lost(self) -> dict[str, CloudError]:
+        """Return why nodes were given up, of those that are still wanted."""
+        wanted = self._spec.nodes()
+        return {node: error for node, error in self._given_up.items() if node in wanted}
+
     def _check_enough(self) -> None:
         """Fail where the nodes that are left make no cluster."""
-        lost = self._given_up
+        lost = self._lost()
         workers = self._spec.worker_count - len(lost.keys() - {HEAD})
         if HEAD in lost or (workers < self._spec.worker_min and not self._only_replace):
             node = HEAD if HEAD in lost else min(lost)

@@ -403,6 +403,23 @@ def test_an_up_that_another_command_outdates_does_what_the_later_one_wants(
     assert simulation.alive() == ["head", "worker-1", "worker-2"]
 
 
+def test_a_worker_that_was_given_up_does_not_count_once_nobody_wants_it(
+    simulation: Simulation, set_up: SetUp
+) -> None:
+    def scale_once_it_is_given_up() -> None:
+        if "worker-3" not in set_up.calls[-1]:
+            machines = simulation.cloud.observe(None).machines
+            [head] = [m for m in machines if m.name.node == "head"]
+            simulation.cloud.set_desired(head, Desired(2, 1))
+
+    set_up.broken_nodes = {"worker-3"}
+    set_up.during = scale_once_it_is_given_up
+    simulation.up(3, least=1)
+    simulation.time.sleep(60)
+    assert simulation.alive() == ["head", "worker-1"]
+    assert not any(line.startswith("going without") for line in simulation.lines)
+
+
 def test_a_failed_growth_is_not_made_good_by_who_watches(
     simulation: Simulation, set_up: SetUp
 ) -> None:
