@@ -38,7 +38,7 @@ from hpcdeploy.machine.probe import (
     probe,
 )
 from hpcdeploy.machine.provider import MachineSeen, Problem
-from hpcdeploy.machine.shell import Shell
+from hpcdeploy.machine.shell import MOST_REASON, Shell
 from hpcdeploy.machine.user_data import extend_lease
 from hpcdeploy.machine.wheels.requirements import Needs, choose_release, find_problems, needs_of
 from hpcdeploy.spec.cluster import ClusterSpec
@@ -272,11 +272,10 @@ class _SetUp:
         command = f"cd {self._folder} && venv/bin/python -P -m hpcloader facts >/dev/null"
         done = shell.run(f"{command} && {RELEASE_COMMAND}", timeout_s=CHECK_S)
         if done.exit_code:
-            last = (done.errors.strip().splitlines() or ["no reason given"])[-1]
-            raise CloudError(f"the installed loader does not start: {last}")
+            raise CloudError(f"the installed loader does not start: {done.reason}")
         if (release := done.output.strip()) not in (package_version(), DAMAGED):
             raise CloudError(
-                f"hpcapp {release} is installed, here runs {package_version()}",
+                f"hpcapp {release[:MOST_REASON]} is installed, here runs {package_version()}",
                 "let env.package be auto, or the same release",
             )
 

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.shell import Shell
+from hpcdeploy.machine.shell import MOST_REASON, Shell
 from hpcdeploy.machine.wheels.requirements import Needs
 
 __all__ = ["install", "install_here", "prepare", "stamp_of", "write_text"]
@@ -176,5 +176,5 @@ def _last(text: str) -> str:
     for mark in ("No space left", "Disk quota", "ERROR:"):
         for line in lines:
             if mark in line:
-                return line
-    return lines[-1] if lines else "no reason given"
+                return line[:MOST_REASON]
+    return lines[-1][:MOST_REASON] if lines else "no reason given"

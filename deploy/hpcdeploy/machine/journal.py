@@ -1,10 +1,11 @@
 """The journal: what `up` and `down` were about to do, written before they do it.
 
 It tells the user what was under way when a command was cut short or failed, and lets the next one
-ask the cloud again with the very same token. Nothing that exists is found by it: that is the
-cloud's own list, see `provider.Provider.observe`. One line of JSON for each intent and each
-outcome, synced to the disk; the last line may be torn. While a journal is open no other command
-changes the cluster from this machine.
+ask the cloud again with the very same token. It also remembers which machines are set up or of no
+use, and where something was made. What exists is found by the cloud's own lists alone, see
+`provider.Provider.observe`. One line of JSON for each intent and each outcome, synced to the disk;
+the last line may be torn. While a journal is open no other command changes the cluster from this
+machine.
 """
 
 from __future__ import annotations
@@ -45,6 +46,8 @@ Step = Callable[[str], AbstractContextManager[object]]
 """Writes an intent, lets it be carried out, writes how it went; see `Journal.step`."""
 
 
+MOST_WHY = 1000
+"""Characters of a reason: a machine may say anything, and nobody reads more."""
 Text = Annotated[str, Meta(max_length=1 << 16)]
 Entry = TypedDict(
     "Entry",
@@ -53,7 +56,7 @@ Entry = TypedDict(
         "done": Text,
         "refused": Text,
         "failed": Text,
-        "why": Text,
+        "why": str,
         "is_command": bool,
         "bad": Text,
         "set up": list[Text],
@@ -146,10 +149,10 @@ class Journal:
         try:
             yield
         except CapacityError as error:
-            self._write({"refused": what, "why": str(error), **about})
+            self._write({"refused": what, "why": str(error)[:MOST_WHY], **about})
             raise
         except Exception as error:
-            self._write({"failed": what, "why": str(error), **about})
+            self._write({"failed": what, "why": str(error)[:MOST_WHY], **about})
             raise
         self._write({"done": what, **about})
 
@@ -160,9 +163,9 @@ class Journal:
         ----------
         machine_id : str
         reason : str
-            One line.
+            One line; the beginning of it is written.
         """
-        self._write({"bad": machine_id, "why": reason})
+        self._write({"bad": machine_id, "why": reason[:MOST_WHY]})
 
     @property
     def known_bad(self) -> frozenset[str]:
@@ -386,6 +389,7 @@ def _read(file: IO[bytes], path: Path) -> list[Entry]:
         except ValueError:
             raise CloudError(
                 f"{path}:{number}: not a line of the journal",
-                "move the file away: nothing is found by it, the cloud's own lists are",
+                "move the file away: machines are found by the cloud's own lists, but which of "
+                "them were never set up and what an earlier file made is not known then",
             ) from None
     return entries

@@ -196,5 +196,4 @@ def start_loader(
         command = stop_command(cluster, folder) + _START
     done = shell.run(command, stdin=text.encode(), timeout_s=START_S)
     if done.exit_code:
-        reason = (done.errors.strip().splitlines() or ["no reason given"])[-1]
-        raise CloudError(f"{shell.node}: the loader cannot be started: {reason}")
+        raise CloudError(f"{shell.node}: the loader cannot be started: {done.reason}")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.machine.loader_service import is_running_command
-from hpcdeploy.machine.shell import Shell
+from hpcdeploy.machine.shell import MOST_REASON, Shell
 from hpcdeploy.machine.wheels.wheelhouse import Kind
 
 __all__ = ["DAMAGED", "RELEASE_COMMAND", "Probed", "check_this_python", "no_python", "probe"]
@@ -145,9 +145,9 @@ def probe(
     if libc is None or not all(
         re.fullmatch(form, said.get(key, "")) for key, form in _FORMS.items()
     ):
-        said_instead = (done.errors or done.output).strip().splitlines() or ["nothing"]
+        said_instead = ((done.errors or done.output).strip().splitlines() or ["nothing"])[-1]
         raise CloudError(
-            f"{shell.node}: no Linux system with a shell (it says {said_instead[-1]!r})"
+            f"{shell.node}: no Linux system with a shell (it says {said_instead[:MOST_REASON]!r})"
         )
     pythons = [
         value.split() for key, value in lines if key == "python" and _PYTHON.fullmatch(value)

@@ -8,7 +8,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-__all__ = ["Completed", "Shell", "part_of"]
+__all__ = ["MOST_REASON", "Completed", "Shell", "part_of"]
+
+MOST_REASON = 500
+"""Characters of what a machine says that stand in a message: it may say anything."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +31,9 @@ class Completed:
 
     @property
     def reason(self) -> str:
-        """The last line that it wrote to stderr; never empty."""
+        """The last line that it wrote to stderr, or the beginning of it; never empty."""
         lines = self.errors.strip().splitlines()
-        return lines[-1].strip() if lines else f"exit code {self.exit_code}"
+        return lines[-1].strip()[:MOST_REASON] if lines else f"exit code {self.exit_code}"
 
 
 class Shell(Protocol):

@@ -14,7 +14,7 @@ from typing import BinaryIO, Protocol
 import paramiko
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.shell import Shell, part_of
+from hpcdeploy.machine.shell import MOST_REASON, Shell, part_of
 
 __all__ = ["fetch_file", "send_file"]
 
@@ -205,7 +205,7 @@ def _remote_digest(shell: Shell, path: str) -> str:
     found = re.findall(r"^\\?([0-9a-f]{64})\b", done.output, re.MULTILINE)
     if done.exit_code or not found:
         last = (done.errors.strip().splitlines() or ["no sha256sum and no python3"])[-1]
-        raise CloudError(f"{shell.node}: {path}: its checksum cannot be had ({last})")
+        raise CloudError(f"{shell.node}: {path}: its checksum cannot be had ({last[:MOST_REASON]})")
     return str(found[-1])
 
 

@@ -119,6 +119,20 @@ def test_a_torn_last_line_is_left_out(length: int) -> None:
         assert journal.known_bad == {"i-1"}
 
 
+def test_what_a_machine_says_makes_no_journal_unreadable() -> None:
+    words = "head: no Linux system with a shell (it says " + "x" * 70_000
+    path = state_folder("bunny") / "journal.jsonl"
+    with open_journal("bunny") as journal:
+        journal.note_bad("i-1", words)
+        for error in (CloudError(words), CapacityError(words)):
+            with pytest.raises(CloudError), journal.step("set up worker-1"):
+                raise error
+    assert path.stat().st_size < 10_000
+    path.write_text(path.read_text() + json.dumps({"bad": "i-2", "why": words}) + "\n")
+    with open_journal("bunny") as journal:  # an earlier release wrote all of it
+        assert journal.known_bad == {"i-1", "i-2"}
+
+
 def test_a_damaged_line_is_named() -> None:
     path = state_folder("bunny") / "journal.jsonl"
     path.parent.mkdir(parents=True)

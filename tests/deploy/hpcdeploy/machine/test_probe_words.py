@@ -53,6 +53,15 @@ def test_a_machine_that_says_nonsense_is_one_line(
     assert "\n" not in str(caught.value)
 
 
+def test_a_machine_that_says_much_is_quoted_in_part(shell: LocalShell, tmp_path: Path) -> None:
+    say(tmp_path, "date", "x" * 70_000)
+    command = tmp_path / "bin/date"
+    command.write_text(command.read_text().rstrip() + " >&2\n")
+    with pytest.raises(CloudError, match=r"it says 'x+'\)") as caught:
+        probe(shell, "lab", "hpcapp/lab", ">=3.11")
+    assert len(str(caught.value)) < 1000
+
+
 @pytest.mark.parametrize("words", ["three True", "3.12 True more"])
 def test_an_interpreter_that_says_nonsense_is_none(
     shell: LocalShell, tmp_path: Path, words: str
