@@ -42,6 +42,8 @@ def adopt(file: Path, key: Path | None, yes: bool) -> None:
             try:
                 take_over(cluster, observed, keys, key, say)
             except OutdatedError as error:
+                if yes:
+                    raise
                 say(error.problem)
                 continue
             return

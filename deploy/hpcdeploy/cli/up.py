@@ -59,6 +59,8 @@ def down(file: Path, yes: bool, name: str) -> None:
             try:
                 take_down(cluster, say, named=named)
             except OutdatedError as error:
+                if name:
+                    raise
                 say(error.problem)
                 continue
             say(f"cluster {cluster.spec.cluster}: nothing is left")

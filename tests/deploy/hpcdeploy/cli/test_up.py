@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 from simulated import FILE, START, SetUp
 
 from hpcapp.cli import hpcapp
-from hpccomponent.errors import CloudError, LeftoverError, UsageError
+from hpccomponent.errors import CloudError, LeftoverError, OutdatedError, UsageError
 from hpcdeploy.machine.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.spec.names import NOBODY, NodeName, Owner
@@ -154,15 +154,21 @@ def make_foreign(cloud: MemoryProvider, user: str, life: str) -> Callable[[], ob
     return make
 
 
+def change_hands(cloud: MemoryProvider, user: str) -> Callable[[], object]:
+    """Return what makes another the owner of the cluster that there is."""
+
+    def change() -> None:
+        seen = cloud.observe("bunny")
+        running = [machine for machine in seen.machines if machine.state is State.RUNNING]
+        cloud.mark(running, seen.groups, Owner(user, f"SHA256:{user}"))
+
+    return change
+
+
 def test_down_takes_away_only_the_cluster_that_was_named(cloud: MemoryProvider, file: str) -> None:
     """Anna's cluster is named; when it comes to it, her name is Ben's."""
     make_foreign(cloud, "anna@lab", "first")()
-
-    def change_hands() -> None:
-        [anna] = [m for m in cloud.observe("bunny").machines if m.state is State.RUNNING]
-        cloud.mark([anna], cloud.observe("bunny").groups, Owner("ben@lab", "SHA256:ben"))
-
-    Meanwhile(cloud, 2, change_hands)
+    Meanwhile(cloud, 2, change_hands(cloud, "ben@lab"))
     refused = run("down", file, typed="bunny\n")
     assert isinstance(refused.exception, UsageError)
     assert refused.exception.advice == "give --name bunny to take it away"
@@ -171,6 +177,33 @@ def test_down_takes_away_only_the_cluster_that_was_named(cloud: MemoryProvider, 
     assert alive(cloud) == ["head"]
     run("down", file, typed="bunny\n")
     assert alive(cloud) == []
+
+
+@pytest.mark.parametrize("options", [(), ("-y",)])
+def test_down_by_name_takes_nothing_else_that_has_come_meanwhile(
+    cloud: MemoryProvider, file: str, options: tuple[str, ...]
+) -> None:
+    make_foreign(cloud, "anna@lab", "first")()
+    Meanwhile(cloud, 2, change_hands(cloud, "ben@lab"))
+    refused = run("down", *options, "--name", "bunny", file)
+    assert isinstance(refused.exception, OutdatedError)
+    assert refused.exception.advice == "run the command again"
+    assert alive(cloud) == ["head"]
+    assert run("down", *options, "--name", "bunny", file).exception is None
+    assert alive(cloud) == []
+
+
+def test_adopt_unasked_takes_over_nothing_else_that_has_come_meanwhile(
+    cloud: MemoryProvider, file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cloud.create_group("bunny", "first", Owner("anna@lab", "SHA256:anna@lab"))
+    monkeypatch.setattr(  # no machine is there to log in to
+        "hpcdeploy.reconcile.adoption.check_way_in",
+        lambda cluster, key: (cluster.provider.observe("bunny"), {}),
+    )
+    Meanwhile(cloud, 2, change_hands(cloud, "ben@lab"))
+    assert isinstance(run("adopt", "-y", file).exception, OutdatedError)
+    assert [group.owner.user for group in cloud.observe("bunny").groups] == ["ben@lab"]
 
 
 def test_up_again_asks_nothing_where_nothing_is_to_be_done(
