@@ -18,7 +18,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpccomponent.errors import CloudError, HpcError, OutputError
+from hpccomponent.errors import CloudError, HpcError, OutputError, UsageError
 from hpccomponent.files.paths import new_file_here
 from hpcdeploy.jobs.display import ForwardingDisplay, open_display
 from hpcdeploy.jobs.queries import Jobs, open_jobs
@@ -298,11 +298,18 @@ def _replacing_lost(cluster: Cluster) -> Iterator[None]:
             raise _OverError
 
     def look(present: Cluster) -> None:
+        warned = ""
         while not is_over.wait(LOOK_S):
             try:
-                present = replace_lost(present, log.info, pace=Pace(sleep=sleep))
+                seen = present.provider.observe(present.spec.cluster)
+                present = as_desired(present, seen, log.info)  # also where the rest fails
+                present = replace_lost(present, log.info, pace=Pace(sleep=sleep), seen=seen)
             except _OverError:
                 return  # what was begun stands in the journal
+            except UsageError as error:
+                if warned != str(error):
+                    log.warning("warning: lost workers are not replaced: %s", error)
+                warned = str(error)
             except HpcError as error:
                 log.debug("lost workers are not replaced: %s", error)
 

@@ -129,7 +129,9 @@ def bring_up(
             raise
 
 
-def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) -> Cluster:
+def replace_lost(
+    cluster: Cluster, report: Report, *, pace: Pace | None = None, seen: Observed | None = None
+) -> Cluster:
     """Start new machines for workers that have vanished, and set them up.
 
     Nothing else is changed, so that it may be called while a job runs; a worker that is not to be
@@ -141,6 +143,8 @@ def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) 
     report : callable
         Takes lines for the user.
     pace : Pace, optional
+    seen : Observed, optional
+        The cluster as it was just now; by default it is looked at.
 
     Returns
     -------
@@ -154,9 +158,9 @@ def replace_lost(cluster: Cluster, report: Report, *, pace: Pace | None = None) 
     UsageError
         So many workers may cost more than the file allows.
     """
-    observed = cluster.provider.observe(cluster.spec.cluster)
-    cluster = as_desired(cluster, observed, report)
-    live = {machine.name.node for machine in observed.machines if machine.state in LIVE}
+    seen = seen or cluster.provider.observe(cluster.spec.cluster)
+    cluster = as_desired(cluster, seen, report)
+    live = {machine.name.node for machine in seen.machines if machine.state in LIVE}
     if set(cluster.spec.nodes()) <= live and not peek_journal(cluster.spec.cluster).unfinished():
         return cluster  # and no other command finds the journal locked
     check_limits(cluster.spec, estimate_cost(cluster.spec))

@@ -24,7 +24,7 @@ from hpcdeploy.machine.local_shell import LocalShell
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.converge import bring_up
 from hpcdeploy.spec.job_folder import JobState, JobStatus
-from hpcdeploy.spec.names import NodeName
+from hpcdeploy.spec.names import Desired, NodeName
 
 PATIENCE_S = 60.0
 OPTIONS = ("--grid", "32")
@@ -396,6 +396,47 @@ def test_an_unfinished_job_cannot_be_fetched(
     status = jobs.submit("reconstruct", points, "mesh.ply", ON_WORKERS)
     with pytest.raises(JobError, match="hpcapp attach"):
         jobs.fetch(status, tmp_path / "mesh.ply")
+
+
+def test_who_watches_is_told_once_of_workers_that_the_limits_forbid(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr(cluster_job, "LOOK_S", 0.01)
+    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", SetUp())
+    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!")
+    cloud, spec = MemoryProvider(), make_spec(1)
+    limits = spec.limits.model_copy(update={"max_hourly_cost": 0.5})
+    cluster = make_cluster(spec.model_copy(update={"limits": limits}), cloud)
+    bring_up(cluster, print)
+    [head] = [machine for machine in cluster.machines() if machine.name == NodeName("head")]
+    cloud.set_desired(head, Desired(2, 5))
+    looked, look = os.pipe()
+    ended = JobStatus("1", JobState.DONE)
+
+    class Watched:
+        def follow(self, job: str, display: JobDisplay) -> JobStatus:
+            for _ in range(10):
+                os.read(looked, 1)
+            return ended
+
+    def note(moment: str, call: str) -> None:
+        if call == "observe":
+            os.write(look, b".")
+
+    cloud.hook = note
+    jobs: Any = Watched()
+    with caplog.at_level("INFO", "hpcapp"):
+        assert cluster_job.watch(cluster, jobs, JobStatus("1", JobState.RUNNING)) == ended
+    cloud.hook = None
+    os.close(looked)
+    os.close(look)
+    said = [(record.levelname, record.getMessage()) for record in caplog.records]
+    grew = "cluster bunny grew from 1 to 5 workers, by the last hpcapp scale or up"
+    assert said.count(("INFO", grew)) == 1
+    [warning] = [line for level, line in said if level == "WARNING"]
+    assert warning.startswith("warning: lost workers are not replaced: ")
+    assert "max_hourly_cost" in warning
 
 
 def test_a_worker_that_vanishes_is_replaced_while_somebody_watches(
