@@ -132,6 +132,34 @@ def test_a_host_that_vanished_counts_as_stopped_with_the_reason(
             cluster.provider.launch(Launch("lab", "life", NodeName("worker-1"), owner=owner))
 
 
+@pytest.mark.parametrize("is_silent", [False, True])
+def test_a_host_does_not_become_the_head_by_its_claim(
+    file: Path, hosts: tuple[Server, Server], machines: Machines, is_silent: bool
+) -> None:
+    with open_cluster(file) as cluster:
+        claim(cluster)
+        place = hosts[1].home / FOLDER / "machine.json"
+        lie = {"node": "head", "generation": 1 << 30}
+        place.write_text(json.dumps(json.loads(place.read_text()) | lie))
+        if is_silent:
+            machines.stop(hosts[0])
+        named = {m.id: m.name.node for m in cluster.provider.observe("lab").machines}
+        assert list(named.values()) == ["head", "worker-1"]
+        assert list(named) == [host.id for host in cluster.provider.hosts()]
+        assert not [a for a in look_ahead(cluster).actions if isinstance(a, Terminate)]
+
+
+def test_hosts_that_changed_places_in_the_file_keep_their_names(file: Path) -> None:
+    with open_cluster(file) as cluster:
+        claim(cluster)
+    spec = json.loads(file.read_text())
+    spec["provider"]["hosts"].reverse()
+    file.write_text(json.dumps(spec))
+    with open_cluster(file) as cluster:
+        seen = cluster.provider.observe("lab").machines
+        assert [machine.name.node for machine in seen] == ["worker-1", "head"]
+
+
 def test_down_names_a_host_that_does_not_answer_and_leaves_the_others_clean(
     file: Path, hosts: tuple[Server, Server], machines: Machines
 ) -> None:

@@ -7,7 +7,7 @@ loader and to remove that folder; nothing else on a host is touched.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -92,11 +92,12 @@ class SshHosts(StandingMachines):
         hidden = [seen for seen in found if isinstance(seen, ReachError)]
         if len(hidden) == len(found) and all(error.reach in UNASKED for error in hidden):
             raise hidden[0]
-        machines = (
-            self._hidden(node, seen) if isinstance(seen, ReachError) else seen
+        seen_by_node = {
+            node: self._hidden(node, seen) if isinstance(seen, ReachError) else seen
             for node, seen in zip(self._hosts, found, strict=True)
-        )
-        return Observed(tuple(machine for machine in machines if machine is not None))
+            if seen is not None
+        }
+        return Observed(_without_usurpers(seen_by_node))
 
     def launch(self, launch: Launch) -> MachineSeen:
         """Claim the host of a node.
@@ -197,3 +198,18 @@ class SshHosts(StandingMachines):
                 f"{done.reason}",
                 f"remove ~/{self._folder} there by hand",
             )
+
+
+def _without_usurpers(seen_by_node: Mapping[str, MachineSeen]) -> tuple[MachineSeen, ...]:
+    """Return the hosts, none by the name of another that the file names so and that bears it.
+
+    After a change of the file a host may well claim to be another node. But whoever claims to be
+    the head beside the head would have it ended, and be given its keys.
+    """
+    borne = {node for node, seen in seen_by_node.items() if seen.name.node == node}
+    return tuple(
+        replace(seen, name=NodeName(node, seen.name.generation))
+        if seen.name.node in borne - {node}
+        else seen
+        for node, seen in seen_by_node.items()
+    )
