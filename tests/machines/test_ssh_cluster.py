@@ -132,6 +132,27 @@ def test_a_host_that_vanished_counts_as_stopped_with_the_reason(
             cluster.provider.launch(Launch("lab", "life", NodeName("worker-1"), owner=owner))
 
 
+def test_a_host_whose_claim_is_damaged_is_named_and_the_others_are_served(
+    file: Path, hosts: tuple[Server, Server]
+) -> None:
+    with open_cluster(file) as cluster:
+        claim(cluster)
+    place = hosts[1].home / FOLDER / "machine.json"
+    place.write_text("{")
+    done = CliRunner().invoke(hpcapp, ["exec", str(file), "--all", "echo here"])
+    assert (done.exit_code, done.stdout) == (4, "head: here\n")
+    why = "cannot be looked at: hpcapp/lab/machine.json cannot be read"
+    [told] = [line for line in done.stderr.splitlines() if why in line]
+    assert told.startswith("worker-1")
+    table = CliRunner().invoke(hpcapp, ["status", str(file), "--offline"]).output.splitlines()
+    assert table[0] == "cluster lab (ssh): up, worker-1 cannot be looked at"
+    with open_cluster(file) as cluster, pytest.raises(LeftoverError, match="worker-1") as caught:
+        take_down(cluster, print, pace=Pace(poll_s=0.01))
+    assert "machine.json cannot be read" in caught.value.problem
+    assert not (hosts[0].home / FOLDER).exists()
+    assert place.exists()
+
+
 @pytest.mark.parametrize("is_silent", [False, True])
 def test_a_host_does_not_become_the_head_by_its_claim(
     file: Path, hosts: tuple[Server, Server], machines: Machines, is_silent: bool

@@ -30,7 +30,7 @@ from hpcdeploy.machine.ssh.target import host_address, host_id
 from hpcdeploy.providers.fixed import CLAIM, Claim, StandingMachines
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import machine_folder
-from hpcdeploy.spec.names import HEAD, NodeName, Owner
+from hpcdeploy.spec.names import HEAD, NodeName, Owner, without_node
 from hpcdeploy.spec.provider import Host
 
 __all__ = ["SshHosts", "open_ssh_hosts"]
@@ -89,11 +89,11 @@ class SshHosts(StandingMachines):
         if cluster not in (None, self._spec.cluster):
             return Observed()
         found = run_parallel(self._look, list(self._hosts), connections_at_once(), "hosts")
-        hidden = [seen for seen in found if isinstance(seen, ReachError)]
-        if len(hidden) == len(found) and all(error.reach in UNASKED for error in hidden):
-            raise hidden[0]
+        unasked = [s for s in found if isinstance(s, ReachError) and s.reach in UNASKED]
+        if len(unasked) == len(found):
+            raise unasked[0]
         seen_by_node = {
-            node: self._hidden(node, seen) if isinstance(seen, ReachError) else seen
+            node: self._hidden(node, seen) if isinstance(seen, CloudError) else seen
             for node, seen in zip(self._hosts, found, strict=True)
             if seen is not None
         }
@@ -159,30 +159,29 @@ class SshHosts(StandingMachines):
             private_address=host.private_address or address,
         )
 
-    def _hidden(self, node: str, error: ReachError) -> MachineSeen:
+    def _hidden(self, node: str, error: CloudError) -> MachineSeen:
         """Return a host of which nothing is known but why."""
-        machine = self._machine(node)
-        words = str(error).removeprefix(f"{node} ({machine.id}): ").removeprefix(f"{node}: ")
-        reason = f"{error.reach}: {words.removeprefix(f'{error.reach}: ')}"
-        return replace(machine, state=State.UNKNOWN, reason=reason)
+        reason = without_node(str(error), node)
+        if isinstance(error, ReachError):
+            reason = f"{error.reach}: {reason.removeprefix(f'{error.reach}: ')}"
+        return replace(self._machine(node), state=State.UNKNOWN, reason=reason)
 
-    def _look(self, node: str) -> MachineSeen | ReachError | None:
+    def _look(self, node: str) -> MachineSeen | CloudError | None:
         machine = self._machine(node)
         try:
             with self._access.open(machine, LOOK_S) as shell:
                 done = shell.run(f"cat {shlex.quote(self._folder)}/{CLAIM}", timeout_s=LOOK_S)
-        except ReachError as error:
+            return None if done.exit_code else self._read_claim(machine, done.output).mark(machine)
+        except CloudError as error:  # the others are served nevertheless
             return error
-        if done.exit_code:
-            return None
-        return self._read_claim(machine, done.output).mark(machine)
 
     def _read_claim(self, machine: MachineSeen, text: str) -> Claim:
         try:
             return Claim.from_json(text)
         except ValueError as error:
             raise CloudError(
-                f"{machine.id}: {self._folder}/{CLAIM} cannot be read ({error})",
+                f"{machine.name.node} ({machine.id}): {self._folder}/{CLAIM} cannot be read "
+                f"({error})",
                 f"remove ~/{self._folder} there",
             ) from None
 
