@@ -11,12 +11,12 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from hpccomponent.errors import CloudError, HpcError, OutputError, UsageError
 from hpccomponent.files.paths import new_file_here
@@ -71,22 +71,29 @@ def run_on_cluster(
     with open_cluster(path) as cluster:
         cluster, is_ours = _bring_up_if_needed(cluster)
         stays, start = False, time.monotonic()
+        replacements = _replacing_lost(cluster)
         try:
             jobs = open_jobs(cluster)
             status = submit(jobs, verb, points, target.name, options)
             try:
-                status = watch(cluster, jobs, status, has_page="--dashboard" in options)
+                with replacements:
+                    status = _follow(cluster, jobs, status, has_page="--dashboard" in options)
             except (KeyboardInterrupt, CloudError):
                 stays = True
                 if is_ours:
                     log.info("the cluster stays up for it: hpcapp down %s ends it", path)
                 raise
+            if not is_ours:
+                replacements.wait()
             report = fetch(jobs, status, target)
             return report | _describe_cost(cluster, time.monotonic() - start)
         finally:
             if is_ours and not stays:
                 from hpcdeploy.reconcile.converge import take_down
 
+                if cluster.provider.makes_machines:
+                    cluster.access.close()  # a worker that is being set up is not needed any more
+                replacements.wait()  # it holds the journal
                 take_down(cluster, log.info)
 
 
@@ -261,9 +268,17 @@ def watch(cluster: Cluster, jobs: Jobs, status: JobStatus, *, has_page: bool = F
     KeyboardInterrupt
         The user has seen enough; the job goes on.
     """
+    with _replacing_lost(cluster) as replacements:
+        ended = _follow(cluster, jobs, status, has_page=has_page)
+    replacements.wait()
+    return ended
+
+
+def _follow(cluster: Cluster, jobs: Jobs, status: JobStatus, *, has_page: bool) -> JobStatus:
+    """Show a job until it has ended; say how to go on where that is not seen from here."""
     again = f"hpcapp attach {cluster.path} {status.job}"
     try:
-        with _replacing_lost(cluster), open_display(sys.stderr) as display:
+        with open_display(sys.stderr) as display:
             if not has_page or status.state.is_over:
                 return jobs.follow(status.job, display)
             forwarding = ForwardingDisplay(display, jobs.forward)
@@ -285,9 +300,33 @@ class _OverError(Exception):
     """Nobody watches any more."""
 
 
-@contextmanager
-def _replacing_lost(cluster: Cluster) -> Iterator[None]:
-    """Replace workers that vanish, now and then, while the block runs."""
+@dataclass(frozen=True, slots=True)
+class _Replacements:
+    """Replaces lost workers while a block runs; what it has begun then stands in the journal."""
+
+    is_over: threading.Event
+    thread: threading.Thread
+    is_needed: bool
+
+    def __enter__(self) -> Self:
+        if self.is_needed:
+            self.thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.is_over.set()  # who has interrupted is let go at once
+
+    def wait(self) -> None:
+        """Wait until nothing is being replaced any more, for a while."""
+        if self.thread.is_alive():
+            self.thread.join(QUICK_S)
+        if self.thread.is_alive():
+            log.info("waiting until a lost worker is replaced, %.0f s at most", LEAVE_S)
+            self.thread.join(LEAVE_S)
+
+
+def _replacing_lost(cluster: Cluster) -> _Replacements:
+    """Return what replaces workers that vanish, now and then."""
     from hpcdeploy.reconcile.converge import replace_lost
     from hpcdeploy.spec.polling import Pace
 
@@ -313,16 +352,5 @@ def _replacing_lost(cluster: Cluster) -> Iterator[None]:
             except HpcError as error:
                 log.debug("lost workers are not replaced: %s", error)
 
-    if not cluster.provider.makes_machines:
-        yield
-        return
     thread = threading.Thread(target=look, args=(cluster,), name="replacements", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        is_over.set()
-    thread.join(QUICK_S)  # but who has interrupted is let go at once
-    if thread.is_alive():
-        log.info("waiting until a lost worker is replaced, %.0f s at most", LEAVE_S)
-        thread.join(LEAVE_S)  # what it has begun stands in the journal
+    return _Replacements(is_over, thread, cluster.provider.makes_machines)

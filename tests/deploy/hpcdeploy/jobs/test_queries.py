@@ -8,21 +8,24 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from simulated import SetUp, make_cluster, make_spec
+from simulated import FILE, Failure, SetUp, make_cluster, make_spec
 
 from hpccomponent.errors import CloudError, InputError, JobError, UsageError
 from hpcdeploy.jobs import cluster_job
 from hpcdeploy.jobs.display import JobDisplay, JobEvent
 from hpcdeploy.jobs.queries import Jobs
+from hpcdeploy.machine.access import Access
 from hpcdeploy.machine.local_shell import LocalShell
+from hpcdeploy.machine.provider import MachineSeen, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.converge import bring_up
+from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.job_folder import JobState, JobStatus
 from hpcdeploy.spec.names import Desired, NodeName
 
@@ -471,3 +474,49 @@ def test_a_worker_that_vanishes_is_replaced_while_somebody_watches(
     names = {machine.name for machine in cluster.machines()}
     assert names == {NodeName("head"), NodeName("worker-1", 2), NodeName("worker-2")}
     assert "worker-1" in set_up.calls[-1]
+
+
+def test_a_cluster_is_taken_away_from_under_a_worker_that_is_being_set_up(
+    jobs: Jobs,
+    points: Path,
+    held: subprocess.Popen[bytes],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """A machine that does not let us in is waited for, and the journal held, for many minutes."""
+    cloud = MemoryProvider()
+
+    def set_up(
+        spec: ClusterSpec, machines: Sequence[MachineSeen], access: Access, report: object
+    ) -> list[Failure]:
+        late = [machine for machine in machines if machine.name.generation > 1]
+        if late:
+            jobs.cancel("1")
+            with pytest.raises(CloudError, match="no longer waited for"):
+                access.open(late[0], timeout_s=600.0)
+        return [Failure(machine, "it does not let us in") for machine in late]
+
+    def interrupt(record: logging.LogRecord) -> bool:
+        if WAITING in record.getMessage():
+            cloud.interrupt("worker-1")
+        return True
+
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr(cluster_job, "LOOK_S", 0.05)
+    monkeypatch.setattr(cluster_job, "open_jobs", lambda cluster: jobs)
+    monkeypatch.setattr("hpcdeploy.providers.open_provider", lambda spec, base: cloud)
+    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", set_up)
+    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!")
+    file = tmp_path / "cluster.yaml"
+    file.write_text(FILE.format(cluster="bunny", count=1, least=0, market="on_demand"))
+    with caplog.at_level("INFO", "hpcapp"):
+        caplog.handler.addFilter(interrupt)
+        with pytest.raises(JobError, match="job 1 was cancelled"):
+            cluster_job.run_on_cluster(
+                file, "reconstruct", points, tmp_path / "mesh.ply", ON_WORKERS
+            )
+        caplog.handler.removeFilter(interrupt)
+    seen = cloud.observe("bunny")
+    assert not seen.groups
+    assert {machine.state for machine in seen.machines} == {State.GONE}
