@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, TextIO
-from urllib.parse import urlsplit
 
 from msgspec import Meta
 
@@ -19,9 +18,10 @@ __all__ = ["ForwardingDisplay", "JobDisplay", "JobEvent", "open_display"]
 log = logging.getLogger("hpcapp")
 
 _Amount = Annotated[int, Meta(ge=0, le=1 << 60)]
+_PORT = "([1-9][0-9]{0,3}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])"
 _Address = Annotated[
     str,
-    Meta(pattern=r"^http://[0-9A-Za-z.:\[\]-]{1,260}:[0-9]{1,5}/\?token=[0-9A-Za-z_-]{1,200}\Z"),
+    Meta(pattern=rf"^http://[0-9A-Za-z.:\[\]-]{{1,260}}:{_PORT}/\?token=[0-9A-Za-z_-]{{1,200}}\Z"),
 ]
 
 
@@ -133,18 +133,18 @@ class ForwardingDisplay(JobDisplay):
         self._display.show_log(line)
 
     def show_event(self, event: JobEvent) -> None:
-        """Show how far a stage has come, or where the page is.
+        """Show how far a stage has come, or where the page is; a job has one.
 
         Parameters
         ----------
         event : JobEvent
         """
-        if event.dashboard is None:
+        if event.dashboard is None or self.has_page:
             self._display.show_event(event)
             return
-        parts = urlsplit(event.dashboard)
-        port = self._forward(parts.port or 0)
-        log.info("dashboard: http://127.0.0.1:%d/?%s", port, parts.query)
+        place, _, query = event.dashboard.partition("/?")
+        port = self._forward(int(place.rpartition(":")[2]))
+        log.info("dashboard: http://127.0.0.1:%d/?%s", port, query)
         self.has_page = True
 
 

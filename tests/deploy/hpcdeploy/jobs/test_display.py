@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from hpccomponent.foreign_json import decode
 from hpcdeploy.jobs.display import ForwardingDisplay, JobDisplay, JobEvent
 
 
@@ -40,3 +41,19 @@ def test_the_port_changes_and_the_token_stays(caplog: pytest.LogCaptureFixture) 
     assert caplog.messages == ["dashboard: http://127.0.0.1:4321/?token=a-b_c"]
     assert display.has_page
     assert shown.said == [stage, "a line"]
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "[::1]", "[a", "a]", "[", "::", "[1]", "x:1:y"])
+@pytest.mark.parametrize("port", [1, 80, 9999, 10000, 59999, 64999, 65499, 65529, 65535])
+def test_whatever_host_a_head_names_its_page_is_led_to_by_one_way(host: str, port: int) -> None:
+    asked: list[int] = []
+
+    def forward(port: int) -> int:
+        asked.append(port)
+        return 4321
+
+    display = ForwardingDisplay(Shown(), forward)
+    event = decode(f'{{"dashboard": "http://{host}:{port}/?token=a"}}', JobEvent)
+    display.show_event(event)
+    display.show_event(event)
+    assert asked == [port]
