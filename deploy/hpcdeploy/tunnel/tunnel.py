@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import math
 import queue
 import shlex
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -33,6 +35,7 @@ log = logging.getLogger("hpcapp")
 
 ANSWER_S = 60.0
 """Until the relay on the head says its port, or why it has none."""
+MOST_SHOWN = 200  # characters of a line
 
 Lead = Callable[[str], AbstractContextManager[None]]
 
@@ -106,11 +109,21 @@ def lead_workers(shell: Shell, folder: str, endpoint: str) -> Iterator[None]:
         The relay does not come up.
     """
     lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+    is_heard = threading.Event()
+
+    def put(line: str) -> None:
+        if not is_heard.is_set():  # what is said later nobody reads
+            lines.put(line)
+
     relay = threading.Thread(
-        target=_follow_relay, args=(shell, folder, lines.put), name="relay", daemon=True
+        target=_follow_relay, args=(shell, folder, put), name="relay", daemon=True
     )
     relay.start()
-    port = shell.forward("127.0.0.1", _wait_for_port(lines))  # interrupted, it ends with the shell
+    try:
+        inside = _wait_for_port(lines)  # interrupted, the relay ends with the shell
+    finally:
+        is_heard.set()
+    port = shell.forward("127.0.0.1", inside)
     loop = asyncio.new_event_loop()
     try:
         control = loop.run_until_complete(asyncio.open_connection("127.0.0.1", port))
@@ -143,19 +156,23 @@ def _follow_relay(shell: Shell, folder: str, put: Callable[[str], None]) -> None
 def _wait_for_port(lines: queue.SimpleQueue[str]) -> int:
     """Read what the relay says up to its port."""
     said: deque[str] = deque(maxlen=5)
-    limit_s: float | None = ANSWER_S
+    deadline = time.monotonic() + ANSWER_S
     while True:
+        left_s = deadline - time.monotonic()
         try:
-            line = lines.get(timeout=limit_s)
+            line = lines.get(timeout=max(0.0, left_s) if left_s < math.inf else None)
         except queue.Empty:
+            left_s = 0.0
+        if left_s <= 0.0:  # however much it says
             raise CloudError(
-                f"the relay on the head has said nothing for {ANSWER_S:.0f} s",
+                f"the relay on the head has not said its port within {ANSWER_S:.0f} s",
                 "run 'hpcapp doctor'",
-            ) from None
+                "\n".join(said),
+            )
         try:
             told = decode(line, _Told)
         except ValueError:
-            said.append(line)
+            said.append(line[:MOST_SHOWN])
             continue
         if told.port is not None:
             return told.port
@@ -165,7 +182,7 @@ def _wait_for_port(lines: queue.SimpleQueue[str]) -> int:
             raise CloudError(f"{told.error}{last}", "run 'hpcapp doctor'", excerpt)
         if told.waiting is not None:
             log.info("the cluster is in use by another program; waiting for it to end")
-            limit_s = None  # its jobs may take hours, and Ctrl-C ends the waiting
+            deadline = math.inf  # its jobs may take hours, and Ctrl-C ends the waiting
 
 
 def _run(loop: asyncio.AbstractEventLoop, tunnel: asyncio.Task[None]) -> None:

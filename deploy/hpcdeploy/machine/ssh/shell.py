@@ -6,8 +6,10 @@ import os
 import shlex
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from itertools import chain
 from pathlib import Path
 from textwrap import shorten
 from types import TracebackType
@@ -31,6 +33,7 @@ BEGIN = "hpcapp: here begins what the command says"
 FILES_S = 120.0  # a request for a piece of a file that takes longer will never be answered
 MOST_OUTPUT = 1 << 28  # bytes that a command may say: an answer is read as a whole
 LONGEST_LINE = 1 << 20  # bytes of a line that is followed; of a longer one come pieces
+MOST_GREETING = 20  # lines before `BEGIN` that are kept
 _CHUNK = 1 << 16
 _NO_CODE = 128  # a signal ended the shell itself, and SSH's answer to paramiko does not say which
 
@@ -86,13 +89,13 @@ class SshShell:
         ):
             channel.shutdown_write()
             lines = _read_lines(output)
-            greeting: list[str] = []
+            greeting: deque[str] = deque(maxlen=MOST_GREETING)
             for line in lines:
                 if line.endswith(BEGIN):
                     break
                 greeting.append(line)
             else:  # no shell ran it: what was said instead tells why
-                for line in (*greeting, *_read_lines(channel.makefile_stderr("rb"))):
+                for line in chain(greeting, _read_lines(channel.makefile_stderr("rb"))):
                     on_line(line)
             for line in lines:
                 on_line(line)

@@ -11,6 +11,7 @@ import struct
 import sys
 import threading
 import urllib.request
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -123,10 +124,58 @@ def test_a_relay_that_says_nothing_is_given_up(
     monkeypatch.setattr(tunnel, "ANSWER_S", 0.2)
     (head.home / FOLDER / "venv/bin/python").write_text("#!/bin/sh\nexec sleep 1000\n")
     with (
-        pytest.raises(CloudError, match="the relay on the head has said nothing for 0 s"),
+        pytest.raises(CloudError, match="the relay on the head has not said its port within 0 s"),
         lead_workers(shell, FOLDER, "tcp://127.0.0.1:1"),
     ):
         pass
+
+
+def test_a_relay_that_says_something_else_without_an_end_is_given_up(
+    shell: SshShell, head: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tunnel, "ANSWER_S", 0.2)
+    (head.home / FOLDER / "venv/bin/python").write_text("#!/bin/sh\nexec yes no port\n")
+    with (
+        pytest.raises(CloudError, match="not said its port within 0 s") as caught,
+        lead_workers(shell, FOLDER, "tcp://127.0.0.1:1"),
+    ):
+        pass
+    assert set(caught.value.excerpt.splitlines()) == {"no port"}
+
+
+class Line(str):
+    """A line whose end can be seen."""
+
+
+class Talkative(LocalShell):
+    """A head whose relay goes on talking once it has said its port."""
+
+    def __init__(self, home: Path, port: int) -> None:
+        super().__init__("head", home)
+        self._port = port
+        self.is_led, self.has_talked, self.is_over = (threading.Event() for _ in range(3))
+        self.lines: list[weakref.ref[Line]] = []
+
+    def follow(self, command: str, on_line: Callable[[str], None]) -> int:
+        on_line(json.dumps({"port": self._port}))
+        self.is_led.wait(60)
+        for _ in range(1000):
+            line = Line("talk")
+            self.lines.append(weakref.ref(line))
+            on_line(line)
+        del line
+        self.has_talked.set()
+        self.is_over.wait(60)
+        return 0
+
+
+def test_what_a_relay_says_besides_is_not_kept(relay: socket.socket, tmp_path: Path) -> None:
+    shell = Talkative(tmp_path, relay.getsockname()[1])
+    with lead_workers(shell, FOLDER, "tcp://127.0.0.1:9"), relay.accept()[0]:
+        shell.is_led.set()
+        assert shell.has_talked.wait(60)
+        assert all(line() is None for line in shell.lines)
+        shell.is_over.set()
 
 
 def test_a_master_elsewhere_waits_for_its_turn(

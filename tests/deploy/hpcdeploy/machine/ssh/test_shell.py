@@ -99,6 +99,20 @@ def test_a_line_without_an_end_comes_in_pieces(
     assert [len(line) for line in lines] == [1000, 1000, 500, 5]
 
 
+def test_of_a_greeting_without_an_end_the_last_lines_are_kept(
+    shell: SshShell, server: Server
+) -> None:
+    no_shell = server.home / "bin/sh"
+    no_shell.parent.mkdir()
+    no_shell.write_text("#!/bin/sh\nseq 1000; echo why >&2; exit 3\n")
+    no_shell.chmod(0o755)
+    server.path = f"{server.home}/bin:{server.path}"
+    lines: list[str] = []
+    assert shell.follow("true", lines.append) == 3
+    kept = [str(number) for number in range(1001 - ssh_shell.MOST_GREETING, 1001)]
+    assert lines == [*kept, "why"]
+
+
 def test_a_signal_is_told_as_a_shell_does(shell: SshShell) -> None:
     assert shell.run("sh -c 'kill -TERM $$'").exit_code == 128 + 15
 
