@@ -287,7 +287,7 @@ def test_adopt_says_which_jobs_run_and_which_option_answers_for_the_user(
     with open_cluster(file) as cluster:
         claim(cluster)
     folder = hosts[0].home / FOLDER
-    python = folder / "venv/bin/python"
+    place, python = folder / "machine.json", folder / "venv/bin/python"
     python.parent.mkdir(parents=True)
     python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
     python.chmod(0o755)
@@ -297,6 +297,13 @@ def test_adopt_says_which_jobs_run_and_which_option_answers_for_the_user(
     try:
         asked = CliRunner().invoke(hpcapp, ["adopt", str(file)], input="", standalone_mode=False)
         assert "job 1 (scan.ply) is queued; it goes on" in asked.output
+        for path, key in ((folder / "jobs/1/status.json", "title"), (place, "owner")):
+            path.write_text(
+                json.dumps(json.loads(path.read_text()) | {key: "a\nnobody-uses-it\nb"})
+            )
+        lied = CliRunner().invoke(hpcapp, ["adopt", str(file)], input="", standalone_mode=False)
+        assert lied.output.count("nobody-uses-it") == 2
+        assert "nobody-uses-it" not in lied.output.splitlines()
     finally:
         os.close(lock)
     assert isinstance(asked.exception, UsageError)

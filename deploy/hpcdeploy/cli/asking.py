@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
@@ -19,6 +20,8 @@ __all__ = ["ask_name", "ask_to_go_on", "name_foreign", "say"]
 
 T = TypeVar("T")
 
+_NEWLINE_OF_OTHERS = re.compile(r"\n(?! {4})")
+
 
 def say(line: str) -> None:
     """Tell the user something that no script reads.
@@ -26,8 +29,11 @@ def say(line: str) -> None:
     Parameters
     ----------
     line : str
+        May have a block of somebody else's words below it, see `write_block`. Any other newline
+        comes from a machine that would say a line of ours, right before a question perhaps: it is
+        written out.
     """
-    echo(line, err=True)
+    echo(_NEWLINE_OF_OTHERS.sub(r"\\n", line), err=True)
 
 
 def ask_to_go_on(cluster: Cluster) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hpccomponent.terminal import echo, echo_json
+from hpccomponent.terminal import echo, echo_json, visible_line
 
 if TYPE_CHECKING:
     from hpcdeploy.machine.provider import Problem
@@ -59,7 +59,8 @@ def plan(file: Path, as_json: bool) -> None:
         found = _as_json(spec.cluster, ahead, cost, missing, decided)
         echo_json(found | {"drift": drift, "elsewhere": elsewhere})
     else:
-        echo("\n".join(_lines(spec.cluster, ahead, cost, missing, [*drift, *decided])))
+        lines = _lines(spec.cluster, ahead, cost, missing, [*drift, *decided])
+        echo("\n".join(map(visible_line, lines)))
     check_limits(spec, cost)
     if spec.provider.is_here:  # other machines would have to be asked
         check_this_python(spec.env.python)

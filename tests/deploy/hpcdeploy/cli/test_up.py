@@ -12,6 +12,8 @@ from simulated import FILE, START, SetUp
 
 from hpcapp.cli import hpcapp
 from hpccomponent.errors import CloudError, LeftoverError, OutdatedError, UsageError
+from hpccomponent.terminal import write_block
+from hpcdeploy.cli.asking import say
 from hpcdeploy.machine.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.spec.names import NOBODY, NodeName, Owner
@@ -76,6 +78,18 @@ def test_up_without_a_terminal_says_how_to_go_on(cloud: MemoryProvider, file: st
         assert isinstance(refused.exception, UsageError)
         assert refused.exception.advice == "run it with -y"
     assert alive(cloud) == []
+
+
+def test_a_line_is_one_line_but_for_a_block_of_somebody_elses_words(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    block = write_block("one\ntwo")
+    say(f"worker-1: its console ends so:\n{block}")
+    say("worker-1 (gone)\ncluster bunny: nobody uses it\r")
+    assert capsys.readouterr().err == (
+        "worker-1: its console ends so:\n    one\n    two\n"
+        "worker-1 (gone)\\ncluster bunny: nobody uses it\\x0d\n"
+    )
 
 
 class Meanwhile:
