@@ -61,7 +61,7 @@ def remove(
     for look, _ in enumerate(pace.looks(pace.end_s)):
         found, proof = doomed()
         left = _present(found)
-        if look and _is_any(left):
+        if look and _is_any(left) and not _is_hidden(left):  # those are not waited for
             tell(f"waiting until {describe(left)} is gone, {pace.end_s:.0f} s at most")
         terminate = partial(end, provider, reason=reason, proof=proof)
         quiet = 0 if _is_any(left) else quiet + 1
