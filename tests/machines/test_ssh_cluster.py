@@ -170,6 +170,17 @@ def test_a_host_does_not_become_the_head_by_its_claim(
         assert not [a for a in look_ahead(cluster).actions if isinstance(a, Terminate)]
 
 
+def test_a_host_does_not_make_the_others_those_of_an_earlier_life(
+    file: Path, hosts: tuple[Server, Server]
+) -> None:
+    with open_cluster(file) as cluster:
+        claim(cluster)
+        place = hosts[1].home / FOLDER / "machine.json"
+        place.write_text(json.dumps(json.loads(place.read_text()) | {"incarnation": "z"}))
+        ended = [a.machines for a in look_ahead(cluster).actions if isinstance(a, Terminate)]
+    assert [machine.name.node for machines in ended for machine in machines] == ["worker-1"]
+
+
 def test_hosts_that_changed_places_in_the_file_keep_their_names(file: Path) -> None:
     with open_cluster(file) as cluster:
         claim(cluster)

@@ -303,8 +303,10 @@ def make_plan(
 
 
 def _latest_life(machines: Iterable[MachineSeen]) -> str:
-    """Return the incarnation of live machines whose group cannot be seen."""
-    return max((m.incarnation for m in machines if m.state in LIVE), default="")
+    """Return the incarnation of live machines whose group cannot be seen: the head's, if any."""
+    live = [machine for machine in machines if machine.state in LIVE]
+    heads = [machine for machine in live if machine.name.node == HEAD]
+    return max((machine.incarnation for machine in heads or live), default="")
 
 
 def _sort_out(
