@@ -85,7 +85,7 @@ def test_the_command_gives_the_same_bytes_and_leaves_nothing(
 def test_nothing_is_left_of_a_killed_master() -> None:
     with tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp") as folder:  # a short path
         with subprocess.Popen(
-            [sys.executable, "-c", PROGRAM],
+            [sys.executable, "-P", "-c", PROGRAM],
             env={**os.environ, "TMPDIR": folder},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
