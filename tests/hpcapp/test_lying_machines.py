@@ -126,7 +126,7 @@ def test_honest_machines_agree_on_every_answer(
 ) -> None:
     cluster = standing_cluster(names=("head", "worker-1", "worker-2"))
     found = check_lie(scan, truth, tmp_path, cluster, "folder", 1.0)
-    assert found["verified"] > 10
+    assert found["verified"] > 5
     assert not found["disagreements"]
 
 
