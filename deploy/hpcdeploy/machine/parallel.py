@@ -6,7 +6,8 @@ import resource
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from queue import SimpleQueue
+from contextlib import suppress
+from queue import Empty, SimpleQueue
 from typing import TypeVar
 
 __all__ = ["connections_at_once", "run_parallel"]
@@ -17,6 +18,7 @@ R = TypeVar("R")
 MOST = 256
 SPARE = 64  # descriptors that the program has open besides
 EACH = 4  # a socket, the agent, and as many for a machine on the way
+WAIT_S = 0.5
 
 
 def connections_at_once() -> int:
@@ -68,13 +70,20 @@ def run_parallel(
     try:
         _start(work, min(at_once, len(items)), name)
         for _ in items:
-            found = done.get()
+            found = _wait_for(done)
             if isinstance(found, BaseException):
                 raise found
             results[found[0]] = found[1]
     finally:
         todo.clear()
     return [results[number] for number in range(len(items))]
+
+
+def _wait_for(done: SimpleQueue[T]) -> T:
+    """Take the next result; a Ctrl-C in the moment before a wait does not end it, so wait anew."""
+    while True:
+        with suppress(Empty):
+            return done.get(timeout=WAIT_S)
 
 
 def _start(work: Callable[[], None], count: int, name: str) -> None:
