@@ -91,13 +91,7 @@ class RayGoneError(WorkerLostError):
 
 
 class Head:
-    """Where Ray's head listens, and whether it still does.
-
-    Parameters
-    ----------
-    host : str
-    port : int
-    """
+    """Where Ray's head listens, and whether it still does."""
 
     def __init__(self, host: str, port: int) -> None:
         self._address = (host, port)

@@ -203,7 +203,7 @@ class Scheduler:
         batch: int,
         results: Sequence[Result],
         is_finished: bool,
-        digest: Callable[[int], bytes] = lambda _: b"",
+        digest: Callable[[int], bytes],
     ) -> list[Action]:
         """Take results of tasks that it was given; `digest` tells one from another answer."""
         worker = self.workers.get(identity)
@@ -372,8 +372,7 @@ class Scheduler:
     ) -> list[Action] | None:
         """Judge an answer; None where it is believed, else what is to be done about it."""
         machine = worker.machine
-        known = {machine, *task.answers, *task.losses}
-        others = {other.machine for other in self._open_workers()} - known
+        others = {w.machine for w in self._open_workers()} - {machine, *task.answers, *task.losses}
         task.has_written |= bool(result.written)
         self.verification.seconds += result.seconds if task.answers else 0.0
         verdict, lying = self.verification.hear(task, machine, others, digest)
@@ -384,8 +383,7 @@ class Scheduler:
             return None
         task.places.pop(worker.identity, None)
         if verdict is Verdict.UNDECIDED:
-            del self.tasks[task.number]
-            self._withdraw(task)
+            self._withdraw(self.tasks.pop(task.number))
             return [Fail(task.number, explain_dispute(task))]
         if not task.places:
             self.dispatcher.requeue([task])

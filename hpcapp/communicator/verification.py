@@ -50,8 +50,6 @@ CLUSTER_SHARE = 0.02
 """Of the answers of a cluster's workers, where nothing else is asked for."""
 LEAST_MACHINES = 3
 """With fewer nobody could decide between two answers."""
-
-
 _NO_LIES = (UsageError, CloudError, NoWorkersError, WorkerLostError, OSError)
 
 

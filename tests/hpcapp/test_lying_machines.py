@@ -68,11 +68,15 @@ def reconstruct(
         cluster=cluster.inventory,
         backend="zmq",
         verify=verify,
+        report=folder / "page.html",
         **more,
     )
     report = run_job(settings, SilentProgress())
     assert not more or not list((folder / "temp").iterdir())
-    return mesh.read_bytes(), report["verification"]
+    found = report["verification"]
+    page = (folder / "page.html").read_text()
+    assert f"verified {found['verified']}, unverified" in page
+    return mesh.read_bytes(), found
 
 
 def check_lie(

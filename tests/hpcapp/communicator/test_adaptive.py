@@ -71,7 +71,7 @@ class Race:
         seconds = self.costs[number] * self.unit_s[worker]
         result = Result(number, seconds, b"", [])
         self.begin_next(worker)
-        self.carry_out(self.scheduler.results(worker, batch, [result], is_last))
+        self.carry_out(self.scheduler.results(worker, batch, [result], is_last, lambda _: b""))
 
     def carry_out(self, actions: Sequence[Action]) -> None:
         for action in actions:

@@ -48,9 +48,9 @@ def test_answers_that_come_together_ran_one_after_the_other(party: Party) -> Non
     other = assign_of(party.scheduler.dispatch())
     party.clock.advance(4.0)
     results = [Result(1, 1.5, b"ab", [5])]
-    party.scheduler.results(b"w", assign.batch, results, True)
+    party.scheduler.results(b"w", assign.batch, results, True, lambda _: b"")
     party.clock.advance(2.0)
-    party.scheduler.results(b"w", other.batch, [Result(2, 2.0, b"", [])], True)
+    party.scheduler.results(b"w", other.batch, [Result(2, 2.0, b"", [])], True, lambda _: b"")
     first, second = party.timeline.spans
     assert (first.begin, first.end, second.begin, second.end) == (2.5, 4.0, 4.0, 6.0)
     assert (first.bytes_in, first.bytes_out) == (7, 10 + blob.size_bytes)
@@ -69,7 +69,9 @@ def test_a_lost_worker_loses_its_tasks_and_another_does_them(party: Party) -> No
         (3.0, 3.0, "lost"),  # it had not begun
     ]
     for assign in [action for action in party.come("x") if isinstance(action, Assign)]:
-        party.scheduler.results(b"x", assign.batch, [Result(assign.tasks[0], 0.0, b"", [])], True)
+        party.scheduler.results(
+            b"x", assign.batch, [Result(assign.tasks[0], 0.0, b"", [])], True, lambda _: b""
+        )
     assert ("fit", "x", "done") in party.outcomes()
 
 
@@ -79,7 +81,7 @@ def test_a_second_answer_is_a_repeat(party: Party) -> None:
     assign = assign_of(party.scheduler.dispatch())
     task = party.scheduler.tasks.pop(1)
     task.is_done = True  # another worker has answered it
-    party.scheduler.results(b"w", assign.batch, [Result(1, 0.0, b"", [])], True)
+    party.scheduler.results(b"w", assign.batch, [Result(1, 0.0, b"", [])], True, lambda _: b"")
     assert party.outcomes() == [("fit", "w", "repeated")]
 
 
@@ -88,7 +90,9 @@ def test_a_task_that_raises_has_failed(party: Party) -> None:
     party.scheduler.submit(1, "fit", 10)
     assign = assign_of(party.scheduler.dispatch())
     failure = Failure("ValueError", "no", "", "")
-    party.scheduler.results(b"w", assign.batch, [Result(1, 0.0, b"", [], failure)], True)
+    party.scheduler.results(
+        b"w", assign.batch, [Result(1, 0.0, b"", [], failure)], True, lambda _: b""
+    )
     assert party.outcomes() == [("fit", "w", "failed")]
 
 

@@ -63,7 +63,7 @@ def assigned(actions: list[Action]) -> list[tuple[bytes, tuple[int, ...]]]:
 def finish(scheduler: Scheduler, assign: Action, seconds: float = OK) -> list[Action]:
     assert isinstance(assign, Assign)
     results = [Result(number, seconds, b"", []) for number in assign.tasks]
-    return scheduler.results(assign.worker, assign.batch, results, True)
+    return scheduler.results(assign.worker, assign.batch, results, True, lambda _: b"")
 
 
 def errors(actions: list[Action]) -> list[Exception]:
@@ -74,7 +74,7 @@ def fail(scheduler: Scheduler, assign: Action) -> list[Action]:
     assert isinstance(assign, Assign)
     failure = Failure("ValueError", "ValueError: a bad number", "", "")
     results = [Result(number, OK, b"", [], failure) for number in assign.tasks]
-    return scheduler.results(assign.worker, assign.batch, results, True)
+    return scheduler.results(assign.worker, assign.batch, results, True, lambda _: b"")
 
 
 def delivered(actions: list[Action]) -> list[bool]:

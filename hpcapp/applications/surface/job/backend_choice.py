@@ -252,6 +252,8 @@ class Opener:
                 backend = self._gather()
                 choice = replace(choice, workers=backend.workforce.workers)
             else:
+                if self._settings.verify and choice.backend != "zmq":
+                    log.info("--verify: this process does all the work, so nothing is verified")
                 self.standing.close()
                 backend = stack.enter_context(
                     open_executor(

@@ -85,8 +85,6 @@ def run_job(
         return _run_once(again, StageClock(progress, timeline), ready, verification)
 
     report = repeat_until_trusted(verification, run)
-    if verification.machines or verification.liars:
-        report["verification"] = verification.to_json()
     if verification.verified or verification.liars:
         log.info("%s", verification.describe())
     return report
@@ -130,7 +128,7 @@ def _run_in_memory(
         loaded = load_memory(settings, clock)
         loaded.report(settings.shown)
         with run_memory(settings, loaded, opener, clock, room.keeping) as outcome:
-            return _write(settings, loaded, outcome, target, clock)
+            return _write(settings, loaded, outcome, target, clock, verification)
 
 
 def _run_in_folder(
@@ -160,7 +158,7 @@ def _run_in_folder(
 
         grid = find_grid(settings, loaded.cloud)
         outcome = run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
-        return _write(settings, loaded, outcome, target, clock)
+        return _write(settings, loaded, outcome, target, clock, verification)
 
 
 def _load_there(
@@ -184,7 +182,12 @@ def _guess_job(settings: JobSettings) -> Job:
 
 
 def _write(
-    settings: JobSettings, loaded: Loaded, outcome: Outcome, target: Path, clock: StageClock
+    settings: JobSettings,
+    loaded: Loaded,
+    outcome: Outcome,
+    target: Path,
+    clock: StageClock,
+    verification: Verification,
 ) -> dict[str, Any]:
     """Write the mesh, and describe what came of the job."""
     carrying = carry_from_file(settings, loaded, outcome, clock)
@@ -212,6 +215,8 @@ def _write(
     report["normals"] = loaded.oriented.to_json()
     report["input"] = describe_input(settings)
     report["command"] = list(settings.command)
+    if verification.machines or verification.liars:
+        report["verification"] = verification.to_json()
     if settings.details:
         from hpcapp.applications.surface.job.report_page import find_owners
 
