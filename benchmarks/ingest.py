@@ -16,11 +16,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+from hpcapp.applications.surface.cloud_pass import FolderPass, make_cloud_folder
 from hpcapp.applications.surface.hierarchical.estimates import choose_scale
-from hpcapp.applications.surface.input.clean_regions import clean_regions
+from hpcapp.applications.surface.input.clean import clean_cloud
 from hpcapp.applications.surface.input.ingest import ingest_file
+from hpcapp.applications.surface.input.measure import measure_cloud, measure_spacing
 from hpcapp.applications.surface.method import TILE_POINTS
-from hpcapp.applications.surface.scans import Passes
+from hpcapp.applications.surface.point_workers import PointWorkers
 from hpcapp.backends.selection import open_executor
 from hpcapp.io import open_points
 
@@ -74,20 +76,18 @@ def run(path: Path, folder: Path, backend_name: str, workers: int | None) -> Non
         took = f"{spent[0]:8.2f} s {spent[1]:8.2f} CPU s {spent[2]:8.2f} in workers"
         print(f"{step:10}{took} {peak:8.0f} MB at most {held:8.0f} MB on disk", flush=True)
 
-    for name in ("arranged", "cleaned"):
-        (folder / name).mkdir(parents=True)
+    arranged = make_cloud_folder(folder)
     with open_executor(backend_name, workers=workers) as backend:
-        passes = Passes(backend.workforce, True, TILE_POINTS)
+        those = PointWorkers(backend.workforce, True, TILE_POINTS)
         source = open_points(path)
-        ingested = take("ingest", lambda: ingest_file(source, folder / "arranged", passes))
-        cloud, cleaned = take(
-            "clean",
-            lambda: clean_regions(ingested.cloud, folder / "cleaned", passes, ingested.boxes),
-        )
-        shutil.rmtree(folder / "arranged")
+        ingested = take("ingest", lambda: ingest_file(source, arranged, those))
+        read = FolderPass(ingested.cloud, folder, those)
+        spacing = take("spacing", lambda: measure_spacing(read))
+        kept, cleaned, spacing = take("clean", lambda: clean_cloud(read, spacing))
+        cloud = take("sample", lambda: measure_cloud(kept, spacing)).cloud
         scale = take("noise", lambda: choose_scale(cloud.measure(), 0.0, 1.0, 1.0))
         coarse = 16.0 * scale.cell_size
-        cells, _ = take("cells", lambda: passes.count_cells(cloud, cloud.low, coarse))
+        cells, _ = take("cells", lambda: those.count_cells(cloud, cloud.low, coarse))
         tell("all", totals)
     print(f"{len(cloud)} points in {len(cloud.keys)} blocks, {ingested.dropped}, {cleaned}")
     print(f"{scale}, {len(cells)} cells, {os.path.getsize(path) / 1e6:.0f} MB read")

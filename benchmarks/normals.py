@@ -11,13 +11,16 @@ import json
 import platform
 import subprocess
 import time
+from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hpcapp.applications.surface.input.normals import orient_cloud
+from hpcapp.applications.surface.cloud_pass import MemoryPass
+from hpcapp.applications.surface.input.measure import measure_spacing
+from hpcapp.applications.surface.input.normals import turn_normals
 from hpcapp.io import open_points, read_whole
 from hpccomponent.surface.cloud.arranged import arrange_cloud
 from hpccomponent.surface.types.points import FloatArray, PointCloud
@@ -35,19 +38,23 @@ def share_right(found: FloatArray, truth: FloatArray) -> float:
 
 def measure(path: Path, with_peer: bool) -> list[Any]:
     """Throw the normals of a scan away, and return a row of the table."""
-    scan = arrange_cloud(read_whole(open_points(path))).points
+    arranged = arrange_cloud(read_whole(open_points(path)))
+    scan = arranged.points
     if scan.normals is None:
         raise SystemExit(f"{path} has no normals to compare with")
     start = time.process_time()
-    found, oriented = orient_cloud(PointCloud(scan.positions, origin=scan.origin), None, True)
+    bare = MemoryPass(replace(arranged, points=PointCloud(scan.positions, origin=scan.origin)))
+    given = measure_spacing(bare), None
+    turned, sure, _ = turn_normals(bare, *given, keeps=False, attribute="confidence")
     spent = time.process_time() - start
+    found = turned.cloud.points
     assert found.normals is not None
     is_sure = found.attributes["confidence"] >= np.float32(0.3)
     row = [
         path.stem,
         len(scan),
         round(share_right(found.normals, scan.normals), 2),
-        round(100.0 * oriented.sure, 1),
+        round(100.0 * sure, 1),
         round(share_right(found.normals[is_sure], scan.normals[is_sure]), 2),
         round(spent, 2),
     ]

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from hpcapp.applications.surface.hierarchical.method import HierarchicalMethod
-from hpcapp.applications.surface.input.load import load_memory
+from hpcapp.applications.surface.input.load import load
 from hpcapp.applications.surface.job.run import JobSettings
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.progress import SilentProgress, StageClock
@@ -82,7 +82,7 @@ def count_bytes(values: Any) -> int:
 def measure(cloud: Path, tiles: int, grid: int) -> dict[str, Any]:
     """Run a job that is cut into some tiles, and count."""
     clock = StageClock(SilentProgress())
-    points = load_memory(JobSettings(cloud, "-"), clock).cloud
+    points = load(JobSettings(cloud, "-"), clock).cloud
     executor = CountingExecutor()
     method = HierarchicalMethod(grid)
     workforce = Workforce(executor, tiles)

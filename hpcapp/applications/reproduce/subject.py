@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hpcapp.applications.simulate.scanner import ScanSettings, simulate_scan
 from hpcapp.applications.simulate.shapes import find_shape
-from hpcapp.applications.surface.input.load import load_memory
+from hpcapp.applications.surface.input.load import load
 from hpcapp.applications.surface.method import MethodSettings
 from hpcapp.applications.surface.paper.settings import Paper
 from hpcapp.applications.surface.settings import JobSettings
@@ -88,7 +88,7 @@ def _read(points: Path) -> PointCloud:
     """Return usable points with normals: the file's, or estimated ones."""
     with gather_points([str(points)]) as path:
         settings = JobSettings(method=Paper(), points=path, output="-", inputs=(points,))
-        loaded = load_memory(settings, StageClock(SilentProgress()))
+        loaded = load(settings, StageClock(SilentProgress()))
     cloud = loaded.cloud.points
     assert cloud is not None  # noqa: S101 - it was loaded into memory
     return PointCloud(cloud.positions, cloud.normals, origin=cloud.origin)

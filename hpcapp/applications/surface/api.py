@@ -19,15 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpcapp.applications.surface.attributes.choice import parse_attributes
-from hpcapp.applications.surface.input.load import (
-    Loaded,
-    arrange_usable,
-    clean_points,
-    orient_points,
-)
+from hpcapp.applications.surface.input.load import prepare, take_points
 from hpcapp.applications.surface.job.backend_choice import approach_workers
-from hpcapp.applications.surface.job.carry import carry_from_memory
-from hpcapp.applications.surface.job.steps import run_memory
+from hpcapp.applications.surface.job.carry import carry_columns
+from hpcapp.applications.surface.job.steps import run_steps
 from hpcapp.applications.surface.method import MAX_GRID, MIN_GRID, MethodSettings
 from hpcapp.applications.surface.methods import DEFAULT_METHOD, find_method
 from hpcapp.applications.surface.options import option_names
@@ -163,24 +158,20 @@ def reconstruct(
     given = None if isinstance(executor, str) else executor
     verification = _choose_verification(given, verify)
     with approach_workers(settings, verification=verification) as opener:
-        cloud, cleaned = arrange_usable(settings, checked, clock)
+        read = take_points(settings, checked, labels, clock)
         del checked  # makes room
-        refuse_too_few(len(cloud), Dropped(0, 0), "points")
-        cloud, oriented = orient_points(settings, cloud, None, clock)
-        for warning in oriented.warnings:
+        refuse_too_few(len(read.cloud_pass.cloud), Dropped(0, 0), "points")
+        loaded = prepare(settings, read, clock)
+        del read
+        for warning in loaded.oriented.warnings:
             log.warning("warning: %s", warning)
-        cloud, cleaned = clean_points(settings, cloud, cleaned, clock)
-        columns = cloud.points.view(slice(0))
-        loaded = Loaded(
-            cloud, Dropped(0, 0), cleaned, oriented=oriented, columns=columns, labels=labels
-        )
 
         def run(_is_first: bool) -> TriangleMesh:
             with (
                 attempt(verification, lambda error: error is calls.raised),
-                run_memory(settings, loaded, opener, clock, executor=given) as outcome,
+                run_steps(settings, loaded, opener, clock, executor=given) as outcome,
             ):
-                carrying = carry_from_memory(settings, loaded, outcome, clock)
+                carrying = carry_columns(settings, loaded, outcome, clock)
                 return outcome.result.surface.mesh(carrying)
 
         mesh = repeat_until_trusted(verification, run)

@@ -150,6 +150,8 @@ class MemoryCloud:
         Block i holds the points offsets[i] to offsets[i + 1].
     low, high : ndarray of float64, shape (3,)
         Corners of the box around all points.
+    measured : Measured or None
+        What was found out about it before.
     """
 
     points: PointCloud
@@ -158,6 +160,7 @@ class MemoryCloud:
     offsets: IntArray
     low: FloatArray
     high: FloatArray
+    measured: Measured | None = None
 
     @classmethod
     def as_they_are(cls, points: PointCloud) -> MemoryCloud:
@@ -212,7 +215,7 @@ class MemoryCloud:
 
     def measure(self) -> Measured:
         """See `ArrangedCloud`."""
-        return measure_points(self.points)
+        return measure_points(self.points) if self.measured is None else self.measured
 
     def sample(self, points: int) -> PointCloud:
         """See `ArrangedCloud`."""

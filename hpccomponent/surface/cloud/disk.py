@@ -97,6 +97,10 @@ class Part:
         """
         return cls(_name_part(number), keys, counts, np.cumsum(counts) - counts)
 
+    def filled(self) -> Part:
+        """Return it without the blocks that hold no points."""
+        return self._take(np.flatnonzero(self.counts), self.file)
+
     def without(self, keys: IntArray, folder: str) -> Part:
         """Return it without some blocks, for an index from which its folder is called so.
 
@@ -112,8 +116,10 @@ class Part:
         Part
         """
         kept = np.flatnonzero(find_keys(keys, self.keys) == len(keys))
-        columns = (column[kept] for column in (self.keys, self.counts, self.starts))
-        return Part(os.path.join(folder, self.file), *columns)
+        return self._take(kept, os.path.normpath(os.path.join(folder, self.file)))
+
+    def _take(self, rows: IntArray, file: str) -> Part:
+        return Part(file, self.keys[rows], self.counts[rows], self.starts[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hpccomponent.protocol.records import record
 from hpccomponent.surface import kernels
 from hpccomponent.surface.cloud.outliers import (
     EDGE,
@@ -30,6 +31,7 @@ from hpccomponent.surface.cloud.outliers import (
     rank_cells,
 )
 from hpccomponent.surface.types.lattice import (
+    cells_of,
     find_keys,
     merge_counts,
     number_keys,
@@ -41,9 +43,9 @@ from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 __all__ = [
     "LOCAL_RANK",
     "MARGIN",
+    "DroppedCells",
     "Judgement",
     "RegionRanks",
-    "has_sparse",
     "judge_region",
     "judge_sparse",
     "rank_region",
@@ -75,6 +77,36 @@ class Judgement:
     base: int
     stray_cells: IntArray
     island_cells: IntArray
+
+
+@record("surface.dropped_cells")
+@dataclass(frozen=True, slots=True, eq=False)
+class DroppedCells:
+    """Cells whose points are outliers.
+
+    Parameters
+    ----------
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
+    spacing : float
+        Of the cloud: from both the cells follow.
+    strays, islands : ndarray of int64
+        Sorted keys of finest cells, and of cells of `ISLAND_LEVEL`.
+    """
+
+    low: FloatArray
+    spacing: float
+    strays: IntArray
+    islands: IntArray
+
+    def find_kept(self, positions: FloatArray) -> BoolArray:
+        """Tell which points, of shape (n, 3), do not lie in these cells."""
+        edge = EDGE * self.spacing
+        cells = np.floor(cells_of(positions, self.low, edge)).astype(np.int64)
+        kept: BoolArray = find_keys(self.strays, pack_places(cells)) == len(self.strays)
+        islands = pack_places(cells >> ISLAND_LEVEL)
+        kept &= find_keys(self.islands, islands) == len(self.islands)
+        return kept
 
 
 def rank_region(
@@ -111,22 +143,6 @@ def rank_region(
     held = coarse > 0
     keys = levels[0].keys[some]
     return by_rank, level.keys[held], coarse[held], keys, rank[some], counts[some]
-
-
-def has_sparse(ranks: RegionRanks) -> bool:
-    """Tell whether some of a region's own points lie in cells of higher ranks than most do.
-
-    Parameters
-    ----------
-    ranks : tuple
-        What `rank_region` returned.
-
-    Returns
-    -------
-    bool
-    """
-    by_rank = ranks[0]
-    return bool(by_rank[find_base(by_rank) + 1 :].any())
 
 
 def judge_sparse(regions: list[RegionRanks]) -> Judgement:

@@ -1,4 +1,15 @@
-"""Points that belong to no surface, found by counting points in cells of growing size."""
+"""Points that belong to no surface, found by counting points in cells of growing size.
+
+A point's level is the smallest l whose cells, of edge 2 spacings times 2^l, have 10 points in
+its neighbourhood of 27. Nearly all points of a scan have the same level, the base.
+
+- Two levels above the base or more: an outlier, unless ten points as sparse lie around it, on
+  a plane and it with them (the sparse end of an uneven scan).
+- One level above: an outlier where no cell of the base is within 6 spacings and fewer than
+  eight points as sparse lie around it.
+- Islands: pieces with less than 0.2 % of the points, in cells of 8 spacings, that lie farther
+  from larger pieces than twice their own extent.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpccomponent.surface import kernels
-from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import (
     BITS,
     ancestor_keys,
@@ -15,7 +25,7 @@ from hpccomponent.surface.types.lattice import (
     pack_places,
     unpack_keys,
 )
-from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
+from hpccomponent.surface.types.points import BoolArray, IntArray
 
 __all__ = [
     "EDGE",
@@ -24,8 +34,6 @@ __all__ = [
     "coarsen",
     "find_base",
     "find_islands",
-    "find_outliers",
-    "find_outlying_cells",
     "find_strays",
     "rank_cells",
 ]
@@ -50,68 +58,6 @@ class Level:
     keys: IntArray
     counts: IntArray
     row_of: IntArray
-
-
-def find_outliers(positions: FloatArray, spacing: float) -> BoolArray:
-    """Find the points that lie apart from every surface.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
-    spacing : float
-        Of the points, in the same units; see `spacing.estimate_spacing`.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-
-    Raises
-    ------
-    InputError, ValueError
-        The cloud spans more than 2^20 spacings.
-
-    Notes
-    -----
-    A point's level is the smallest l whose cells, of edge 2 spacings times 2^l, have 10 points in
-    its neighbourhood of 27. Nearly all points of a scan have the same level, the base.
-
-    - Two levels above the base or more: an outlier, unless ten points as sparse lie around it, on
-      a plane and it with them (the sparse end of an uneven scan).
-    - One level above: an outlier where no cell of the base is within 6 spacings and fewer than
-      eight points as sparse lie around it.
-    - Islands: pieces with less than 0.2 % of the points, in cells of 8 spacings, that lie farther
-      from larger pieces than twice their own extent.
-
-    The cost is a sort of the points by cell, and little for the few points above the base.
-    """
-    if len(positions) < _LEAST:
-        return np.zeros(len(positions), np.bool_)
-    low, _ = bound_points(positions)
-    keys, counts, cell_of = kernels.count_cells(positions, low, EDGE * spacing)
-    outside = find_outlying_cells(keys, counts)
-    found: BoolArray = outside[cell_of] if outside.any() else np.zeros(len(positions), np.bool_)
-    return found
-
-
-def find_outlying_cells(keys: IntArray, counts: IntArray) -> BoolArray:
-    """Find the finest cells whose points lie apart from every surface; see `find_outliers`.
-
-    Parameters
-    ----------
-    keys, counts : ndarray of int64, shape (c,)
-        Of all occupied cells, sorted, and the points in each; ten points or more.
-
-    Returns
-    -------
-    ndarray of bool, shape (c,)
-    """
-    levels = coarsen(keys, counts)
-    rank = rank_cells(levels, np.zeros(len(keys), np.int64))
-    base = find_base(np.bincount(rank, counts).astype(np.int64))
-    strays = find_strays(levels, rank, base, range(base + 1, len(levels)))
-    first = levels[min(ISLAND_LEVEL, len(levels) - 1)]
-    return strays | find_islands(coarsen(first.keys, first.counts))[first.row_of]
 
 
 def coarsen(keys: IntArray, counts: IntArray, wanted: int | None = None) -> list[Level]:
@@ -197,7 +143,7 @@ def find_base(points_by_rank: IntArray) -> int:
 
 
 def find_strays(levels: list[Level], rank: IntArray, base: int, numbers: range) -> BoolArray:
-    """Find the finest cells whose points are too few and far from others; see `find_outliers`.
+    """Find the finest cells whose points are too few and far from others; see the module.
 
     Parameters
     ----------
@@ -280,7 +226,7 @@ def _lie_on_surface(
 
 
 def find_islands(levels: list[Level]) -> BoolArray:
-    """Find the cells on small pieces far from larger ones; see `find_outliers`.
+    """Find the cells on small pieces far from larger ones; see the module.
 
     Parameters
     ----------

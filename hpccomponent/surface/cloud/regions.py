@@ -1,219 +1,267 @@
-"""Regions of an arranged cloud: whole blocks, and what of their surroundings a task must know."""
+"""Regions of a cloud: the points that a task works on, wherever they lie, and those around them.
+
+A task is given `RegionPoints`, takes a `Region` of them, and says what becomes of its own points in
+terms of the region. So it is written once, for points in memory and for blocks in a folder.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpccomponent.protocol.records import record
 from hpccomponent.surface.cloud.arrangement import Arrangement, PackedPoints, unpack_near
-from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud
-from hpccomponent.surface.cloud.outliers import EDGE, ISLAND_LEVEL
-from hpccomponent.surface.types.lattice import cells_of, find_keys, pack_places, unpack_keys
+from hpccomponent.surface.cloud.disk import DiskCloud, open_disk_cloud, write_part
+from hpccomponent.surface.types.lattice import find_keys, unpack_keys
 from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArray, IntArray
 
 __all__ = [
-    "DroppedCells",
+    "MemoryRegion",
     "Region",
     "RegionPoints",
+    "Replaced",
+    "ReplacedRows",
     "SentBlocks",
-    "find_kept",
+    "StoredBlocks",
     "pack_region",
-    "take_region",
 ]
 
 
-@record("surface.dropped_cells")
 @dataclass(frozen=True, slots=True, eq=False)
-class DroppedCells:
-    """Cells whose points are as if they were not there.
+class ReplacedRows:
+    """What becomes of some points in memory.
 
     Parameters
     ----------
-    low : ndarray of float64, shape (3,)
-        The least coordinates of the cloud.
-    spacing : float
-        Of the cloud: from both the cells follow.
-    strays, islands : ndarray of int64
-        The sorted keys of `Judgement.stray_cells` and of `Judgement.island_cells`.
+    rows : ndarray of int64, shape (m,), or slice
+        Which points of the cloud they are.
+    kept : ndarray of bool, shape (m,), or None
+        Those that stay; all by default.
+    normals : ndarray of float64 or float32, shape (m, 3), or None
+        In place of those that they had.
+    attributes : dict of str to ndarray, shape (m,)
+        To be added.
     """
 
-    low: FloatArray
-    spacing: float
-    strays: IntArray
-    islands: IntArray
+    rows: IntArray | slice
+    kept: BoolArray | None = None
+    normals: NDArray[Any] | None = None
+    attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+
+Replaced = ReplacedRows | PackedPoints | tuple[IntArray, IntArray]
+"""What becomes of a region's own points: of those in memory, or in a folder those blocks that have
+changed, written there (keys and counts) or to be sent. A block of which nothing is left has the
+count 0."""
+
+
+class Region(Protocol):
+    """The points of a region and those around it, in the order of the cloud."""
+
+    @property
+    def positions(self) -> FloatArray:
+        """Shape (n, 3), in length units of the input."""
+
+    @property
+    def normals(self) -> FloatArray | Float32Array:
+        """Shape (n, 3)."""
+
+    @property
+    def own(self) -> BoolArray:
+        """Shape (n,): which points are the region's own; m of them."""
+
+    def drop(self, dropped: BoolArray) -> Replaced | None:
+        """Leave out some of its own points, of shape (m,); None where there are none."""
+
+    def flip(self, turned: BoolArray) -> Replaced | None:
+        """Turn round the normals of some of its own points, of shape (m,); None where of none."""
+
+    def replace_normals(
+        self, normals: FloatArray | Float32Array, attributes: Mapping[str, NDArray[Any]]
+    ) -> Replaced:
+        """Give its own points other normals, of shape (m, 3).
+
+        Attributes are added as well, where the points lie in memory: in a folder they have none.
+        """
+
+
+class RegionPoints(Protocol):
+    """Where the points of a region are."""
+
+    def take(self) -> Region:
+        """Return the region; JobError where its folder is not there any more, or not whole."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MemoryRegion:
+    """A region of a cloud in memory.
+
+    Parameters
+    ----------
+    positions : ndarray of float64, shape (n, 3)
+    given : ndarray of float64 or float32, shape (n, 3), or None
+        The normals that there are.
+    own : ndarray of bool, shape (n,)
+    rows : ndarray of int64, shape (m,), or slice
+        Which points of the cloud are its own.
+    """
+
+    positions: FloatArray
+    given: FloatArray | Float32Array | None
+    own: BoolArray
+    rows: IntArray | slice
+
+    def take(self) -> Region:
+        """See `RegionPoints`."""
+        return self
+
+    @property
+    def normals(self) -> FloatArray | Float32Array:
+        """See `Region`."""
+        assert self.given is not None  # noqa: S101 - or there is nothing to ask
+        return self.given
+
+    def drop(self, dropped: BoolArray) -> Replaced | None:
+        """See `Region`."""
+        return ReplacedRows(self.rows, kept=~dropped) if dropped.any() else None
+
+    def flip(self, turned: BoolArray) -> Replaced | None:
+        """See `Region`."""
+        if not turned.any():
+            return None
+        own = self.normals if self.own.all() else self.normals[self.own]
+        return ReplacedRows(self.rows, normals=np.where(turned[:, None], -own, own))
+
+    def replace_normals(
+        self, normals: FloatArray | Float32Array, attributes: Mapping[str, NDArray[Any]]
+    ) -> Replaced:
+        """See `Region`."""
+        return ReplacedRows(self.rows, normals=normals, attributes=attributes)
 
 
 @record("surface.sent_blocks")
 @dataclass(frozen=True, slots=True, eq=False)
 class SentBlocks:
-    """Points in blocks that a worker is sent.
-
-    Parameters
-    ----------
-    arrangement : Arrangement
-    packed : PackedPoints
-    """
+    """Points in blocks that a worker is sent."""
 
     arrangement: Arrangement
     packed: PackedPoints
 
 
-RegionPoints = tuple[str | SentBlocks, IntArray, float, DroppedCells | None]
-"""The folder of a `DiskCloud` that the worker sees, or what it is sent; the sorted keys of the
-region's own blocks; the width of the margin in length units of the input; what is dropped."""
+@record("surface.stored_blocks")
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredBlocks:
+    """Where the points of a region are that is some blocks of a `DiskCloud`.
+
+    Parameters
+    ----------
+    where : str or SentBlocks
+        The folder, which the worker sees, or what it is sent.
+    blocks : ndarray of int64, shape (k,)
+        Sorted keys of the region's own blocks.
+    margin : float
+        No point is missing that is no farther from them, in length units of the input.
+    target : tuple of (str, int), or None
+        The folder, and the number of the part, that what changes is written to: see
+        `disk.write_part`. None where the worker does not see it.
+    """
+
+    where: str | SentBlocks
+    blocks: IntArray
+    margin: float
+    target: tuple[str, int] | None = None
+
+    def take(self) -> Region:
+        """See `RegionPoints`."""
+        if isinstance(self.where, SentBlocks):
+            arrangement, packed = self.where.arrangement, self.where.packed
+        else:
+            cloud = open_disk_cloud(Path(self.where))
+            arrangement, packed = cloud.arrangement, _take_near(cloud, self.blocks, self.margin)
+        box = _bound(arrangement, self.blocks, self.margin)
+        positions, rows = unpack_near(arrangement, packed, *box)
+        own = np.repeat(find_keys(self.blocks, packed.keys) < len(self.blocks), packed.counts)
+        own = own[rows] if len(rows) < len(own) else own
+        return _StoredRegion(positions, own, packed, rows, self.target)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Region:
-    """The points in some blocks and around them, in the order of the cloud.
+class _StoredRegion:
+    """A region of blocks; see `Region`.
 
     Parameters
     ----------
     positions : ndarray of float64, shape (n, 3)
     own : ndarray of bool, shape (n,)
-        Which of them lie in these blocks.
-    arrangement : Arrangement
     packed : PackedPoints
-        Those points and others.
+        These points and others.
     rows : ndarray of int64, shape (n,)
-        Where they are among these.
-    has_lost_own : bool
-        Whether points in these blocks are left out.
+        Where the points are among them.
+    target : tuple of (str, int), or None
+        See `StoredBlocks`.
     """
 
     positions: FloatArray
     own: BoolArray
-    arrangement: Arrangement
     packed: PackedPoints
     rows: IntArray
-    has_lost_own: bool
+    target: tuple[str, int] | None
 
     @property
     def normals(self) -> Float32Array:
-        """Of the points, of shape (n, 3)."""
         normals = self.packed.normals
         return normals if len(normals) == len(self.rows) else normals[self.rows]
 
-    def pack_own(self, turned: BoolArray) -> PackedPoints:
-        """Return the points in its blocks, with some normals turned round.
+    def drop(self, dropped: BoolArray) -> Replaced | None:
+        return self._put(self._take_own(), dropped, ~dropped) if dropped.any() else None
 
-        Parameters
-        ----------
-        turned : ndarray of bool, shape (n,)
-
-        Returns
-        -------
-        PackedPoints
-        """
+    def flip(self, turned: BoolArray) -> Replaced | None:
+        if not turned.any():
+            return None
         records = self._take_own()
-        records[np.flatnonzero(turned[self.own]), 3:] *= -1.0
-        return self._pack(records)
+        records[turned, 3:] *= -1.0
+        return self._put(records, turned)
 
-    def pack_with(self, normals: Float32Array) -> PackedPoints:
-        """Return the points in its blocks, with other normals.
-
-        Parameters
-        ----------
-        normals : ndarray of float32, shape (m, 3)
-            Of its own points, in their order.
-
-        Returns
-        -------
-        PackedPoints
-        """
+    def replace_normals(
+        self, normals: FloatArray | Float32Array, attributes: Mapping[str, NDArray[Any]]
+    ) -> Replaced:
+        del attributes
         records = self._take_own()
         records[:, 3:] = normals
-        return self._pack(records)
+        return self._put(records, np.ones(len(records), np.bool_))
 
     def _take_own(self) -> Float32Array:
-        rows = self.rows.take(np.flatnonzero(self.own))
-        return self.packed.to_records().take(rows, axis=0)
+        """Return a copy of the records of its own points, shape (m, 6)."""
+        return self.packed.to_records().take(self.rows[self.own], axis=0)
 
-    def _pack(self, records: Float32Array) -> PackedPoints:
-        """Put the records of its own points into blocks."""
-        rows = self.rows.take(np.flatnonzero(self.own))
-        ends = np.cumsum(self.packed.counts)
-        counts = np.diff(np.searchsorted(rows, ends), prepend=0)
-        held = counts > 0
-        return PackedPoints.from_records(self.packed.keys[held], counts[held], records)
+    def _put(
+        self, records: Float32Array, changed: BoolArray, kept: BoolArray | None = None
+    ) -> Replaced:
+        """Put the blocks of its own points in which some have changed where they belong."""
+        # (m,): the block of each own point, among those that were read
+        blocks = np.searchsorted(np.cumsum(self.packed.counts), self.rows[self.own], side="right")
+        is_changed = np.zeros(len(self.packed.keys), np.bool_)
+        is_changed[blocks[changed]] = True
+        chosen = is_changed[blocks] if kept is None else is_changed[blocks] & kept
+        counts = np.bincount(blocks[chosen], minlength=len(is_changed))[is_changed]
+        packed = PackedPoints.from_records(
+            self.packed.keys[is_changed],
+            counts.astype(np.int64),
+            records if chosen.all() else records[chosen],
+        )
+        if self.target is None:
+            return packed
+        return write_part(Path(self.target[0]), self.target[1], [packed])
 
 
 def pack_region(cloud: DiskCloud, blocks: IntArray, margin: float) -> SentBlocks:
-    """Return what a worker is sent of a region.
-
-    Parameters
-    ----------
-    cloud : DiskCloud
-    blocks : ndarray of int64, shape (k,)
-        Sorted keys.
-    margin : float
-        In length units of the input.
-
-    Returns
-    -------
-    SentBlocks
-    """
+    """Return what a worker is sent of a region: see `StoredBlocks`."""
     return SentBlocks(cloud.arrangement, _take_near(cloud, blocks, margin))
-
-
-def take_region(points: RegionPoints) -> Region:
-    """Take the points in some blocks of a cloud, and those around them.
-
-    Parameters
-    ----------
-    points : tuple
-        `RegionPoints`.
-
-    Returns
-    -------
-    Region
-        No point of the cloud within the margin is missing.
-
-    Raises
-    ------
-    JobError
-        The folder is not there any more, or not whole.
-    """
-    where, blocks, margin, dropped = points
-    if isinstance(where, SentBlocks):
-        arrangement, packed = where.arrangement, where.packed
-    else:
-        cloud = open_disk_cloud(Path(where))
-        arrangement, packed = cloud.arrangement, _take_near(cloud, blocks, margin)
-    positions, rows = unpack_near(arrangement, packed, *_bound(arrangement, blocks, margin))
-    own = np.repeat(find_keys(blocks, packed.keys) < len(blocks), packed.counts)
-    own = own[rows] if len(rows) < len(own) else own
-    owned = int(own.sum())
-    if dropped is not None:
-        kept = np.flatnonzero(find_kept(dropped, positions))
-        if len(kept) < len(positions):
-            positions, own, rows = positions.take(kept, axis=0), own[kept], rows[kept]
-    return Region(positions, own, arrangement, packed, rows, int(own.sum()) < owned)
-
-
-def find_kept(dropped: DroppedCells | None, positions: FloatArray) -> BoolArray:
-    """Tell which points do not lie in dropped cells.
-
-    Parameters
-    ----------
-    dropped : DroppedCells or None
-    positions : ndarray of float64, shape (n, 3)
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-    """
-    if dropped is None:
-        return np.ones(len(positions), np.bool_)
-    edge = EDGE * dropped.spacing
-    cells = np.floor(cells_of(positions, dropped.low, edge)).astype(np.int64)
-    strays, islands = dropped.strays, dropped.islands
-    kept: BoolArray = find_keys(strays, pack_places(cells)) == len(strays)
-    kept &= find_keys(islands, pack_places(cells >> ISLAND_LEVEL)) == len(islands)
-    return kept
 
 
 def _bound(

@@ -13,7 +13,7 @@ from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.lattice import cells_of, pack_places, unique_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
-__all__ = ["Count", "estimate_spacing", "guess_boxes", "sample_box_keys", "search_spacing"]
+__all__ = ["Count", "estimate_spacing", "sample_box_keys", "search_spacing"]
 
 Count = Callable[[float, int, bool], tuple[int, int]]
 """Given the edge of boxes, how many of them make one sampled, and whether points at one place count
@@ -50,16 +50,12 @@ def estimate_spacing(positions: FloatArray) -> float:
     Where smaller boxes do not hold fewer points, repeated points are counted once.
     """
     low, high = bound_points(positions)
-    edge, occupancy, is_stalled = _search_edge(
-        lambda edge, one_in: kernels.count_boxes(positions, low, edge, one_in),
-        len(positions),
-        float((high - low).max()),
-    )
-    if is_stalled:
-        distinct = np.unique(positions, axis=0)
-        if len(distinct) < len(positions):
-            return estimate_spacing(distinct)
-    return edge / sqrt(occupancy)
+
+    def count(edge: float, one_in: int, is_distinct: bool) -> tuple[int, int]:
+        counted = np.unique(positions, axis=0) if is_distinct else positions
+        return kernels.count_boxes(counted, low, edge, one_in)
+
+    return search_spacing(count, len(positions), low, high)
 
 
 def search_spacing(count: Count, points: int, low: FloatArray, high: FloatArray) -> float:
@@ -96,24 +92,6 @@ def search_spacing(count: Count, points: int, low: FloatArray, high: FloatArray)
         return edge / sqrt(occupancy)
 
     return search(points, False)
-
-
-def guess_boxes(points: int, longest: float) -> tuple[float, int]:
-    """Return the edge of boxes to begin with, and how many boxes make one sampled.
-
-    Parameters
-    ----------
-    points : int
-    longest : float
-        Longest side of the box around them, in length units of the input.
-
-    Returns
-    -------
-    edge : float
-        In length units of the input.
-    one_in : int
-    """
-    return longest * min(0.5, 3.0 / sqrt(points)), points // _SAMPLED_POINTS + 1
 
 
 def sample_box_keys(
@@ -164,7 +142,7 @@ def _search_edge(
     """
     if longest <= 0.0:
         raise InputError(f"all {points} points lie at one place", "scan something with an extent")
-    edge, one_in = guess_boxes(points, longest)
+    edge, one_in = longest * min(0.5, 3.0 / sqrt(points)), points // _SAMPLED_POINTS + 1
 
     def measure(edge: float) -> float:
         held, boxes = count(edge, one_in)

@@ -6,10 +6,10 @@ import numpy as np
 
 from hpccomponent.surface import kernels
 from hpccomponent.surface.kernels import UNSURE, WRONG, bound_points
-from hpccomponent.surface.types.lattice import cells_of, number_keys, pack_places
-from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArray
+from hpccomponent.surface.types.lattice import cells_of, find_first, number_keys, pack_places
+from hpccomponent.surface.types.points import BoolArray, Float32Array, FloatArray, PointCloud
 
-__all__ = ["MARGIN", "find_turned", "mend_normals", "share_opposed"]
+__all__ = ["MARGIN", "faces_inwards", "find_turned", "share_opposed"]
 
 
 _EDGE = 3.0  # of the cells, in spacings: some 28 neighbours lie within
@@ -18,33 +18,34 @@ _DRIFT = 0.5  # spacings between a sheet and the mean of those that oppose a nor
 _FEW = 8  # points, of which none is told
 _PAIRS = 8  # of each point, with those after it in its box
 _ROUNDS = 3  # each with cells of twice the size, for what the last left open
+_SAMPLE = 10_000  # points by which it is judged where normals face
+_FEWEST_JUDGED = 100  # of which it is judged
+_BOXES = 24  # along the longest side, whose mean normals count
+_INWARD = -0.1  # mean of n.(x - c) / |x - c|; a sphere seen from outside has 1, from inside -1
 
 MARGIN = _EDGE * (2.0**_ROUNDS - 1.0)
 """Spacings: as far as what decides over a normal lies, all rounds together."""
 
 
-def mend_normals(
-    positions: FloatArray, normals: FloatArray, spacing: float, threads: int = 1
-) -> tuple[FloatArray, int]:
-    """Turn round the normals that their neighbours on the same sheet contradict.
+def find_turned(
+    positions: FloatArray, normals: FloatArray | Float32Array, low: FloatArray, spacing: float
+) -> BoolArray:
+    """Find the normals that their neighbours on the same sheet contradict.
 
     Parameters
     ----------
     positions : ndarray of float64, shape (n, 3)
-        In length units of the input.
-    normals : ndarray of float64, shape (n, 3)
-        Unit length.
+        Of a cloud, or of a region of it and all points within `MARGIN` spacings.
+    normals : ndarray of float64 or float32, shape (n, 3)
+        Unit length. The result does not depend on how the same numbers are held.
+    low : ndarray of float64, shape (3,)
+        The least coordinates of the cloud.
     spacing : float
-        Of the points, in length units of the input.
-    threads : int
-        The result does not depend on it.
+        Of the cloud, in length units of the input.
 
     Returns
     -------
-    normals : ndarray of float64, shape (n, 3)
-        The input itself where nothing is wrong.
-    flipped : int
-        How many were turned round.
+    ndarray of bool, shape (n,)
 
     Raises
     ------
@@ -60,38 +61,6 @@ def mend_normals(
     say and none has the majority. What remains open is asked again at twice and at four times
     the size, where the opponents' mean offset must stay below 0.5 spacings.
     """
-    low, _ = bound_points(positions)
-    turned = find_turned(positions, normals, low, spacing, threads)
-    flipped = int(np.count_nonzero(turned))
-    return (np.where(turned[:, None], -normals, normals) if flipped else normals), flipped
-
-
-def find_turned(
-    positions: FloatArray,
-    normals: FloatArray | Float32Array,
-    low: FloatArray,
-    spacing: float,
-    threads: int = 1,
-) -> BoolArray:
-    """Find the normals that `mend_normals` turns round.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Of a cloud, or of a region of it and all points within `MARGIN` spacings.
-    normals : ndarray of float64 or float32, shape (n, 3)
-        The result does not depend on how the same numbers are held.
-    low : ndarray of float64, shape (3,)
-        The least coordinates of the cloud.
-    spacing : float
-        Of the cloud, in length units of the input.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-    """
     turned = np.zeros(len(positions), np.bool_)
     if len(positions) < _FEW:
         return turned
@@ -105,7 +74,7 @@ def find_turned(
         reach, tolerance = _EDGE * scale, _TOLERANCE * scale
         keys, _, cell_of = kernels.count_cells(positions, low, reach)
         verdicts = kernels.poll_normals(
-            positions, mended, keys, cell_of, asked, reach, tolerance, drift, threads
+            positions, mended, keys, cell_of, asked, reach, tolerance, drift, 1
         )
         wrong = verdicts == WRONG
         if wrong.any():
@@ -153,3 +122,34 @@ def share_opposed(
         pairs += int(np.count_nonzero(is_pair))
         opposed += int(np.count_nonzero(is_pair & (cosines < 0.0)))
     return opposed / max(pairs, 1)
+
+
+def faces_inwards(cloud: PointCloud) -> bool:
+    """Tell whether the normals of a cloud point to its middle, as those of a room do.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Finite positions and unit normals. Of fewer than a hundred points, none do.
+
+    Notes
+    -----
+    The mean of n . (x - c) / |x - c| is taken over boxes, each with the mean of its normals, so
+    that what is scanned more densely does not decide.
+    """
+    if cloud.normals is None or len(cloud) < _FEWEST_JUDGED:
+        return False
+    every = slice(None, None, -(-len(cloud) // _SAMPLE))
+    positions, normals = cloud.positions[every], cloud.normals[every]
+    low, high = bound_points(positions)
+    size = float((high - low).max()) / min(_BOXES, max(1.0, np.sqrt(len(positions) / 24.0)))
+    keys = pack_places(np.floor((positions - low) / size).astype(np.int64))
+    order = np.argsort(keys, kind="stable")
+    _, first = find_first(keys[order])
+    counts = np.diff(np.append(first, len(keys)))[:, None]
+    # (b, 3): the middle of each box's points, and the mean of their normals
+    middles = np.add.reduceat(positions[order] - low, first) / counts
+    means = np.add.reduceat(normals[order], first) / counts
+    arms = middles - middles.mean(axis=0)
+    lengths = np.linalg.norm(arms, axis=1)
+    return bool(np.einsum("ij,ij->", arms, means) < _INWARD * lengths.sum())

@@ -144,21 +144,6 @@ class Sides:
     ranks: IntArray
     values: Float32Array
 
-    def take(self, wanted: Patches) -> Sides:
-        """Return those of some patches.
-
-        Parameters
-        ----------
-        wanted : Patches
-            Among those whose sides these are.
-
-        Returns
-        -------
-        Sides
-        """
-        rows = _find_names(self, wanted)
-        return Sides(self.keys[rows], self.ranks[rows], self.values[rows])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grouped:
@@ -179,7 +164,11 @@ class _Grouped:
 
 
 def find_patches(
-    positions: FloatArray, vectors: Float32Array, own: BoolArray, low: FloatArray, spacing: float
+    positions: FloatArray,
+    vectors: FloatArray | Float32Array,
+    own: BoolArray,
+    low: FloatArray,
+    spacing: float,
 ) -> tuple[Patches, Links]:
     """Find the patches that points belong to, and what these touch.
 
@@ -249,7 +238,7 @@ def merge_patches(found: Sequence[tuple[Patches, Links]]) -> tuple[Patches, Link
 
 def turn_points(
     positions: FloatArray,
-    vectors: Float32Array,
+    vectors: FloatArray | Float32Array,
     low: FloatArray,
     spacing: float,
     sides: Sides,
@@ -288,7 +277,7 @@ def turn_points(
 
 
 def _group_points(
-    positions: FloatArray, vectors: Float32Array, low: FloatArray, spacing: float
+    positions: FloatArray, vectors: FloatArray | Float32Array, low: FloatArray, spacing: float
 ) -> _Grouped:
     """Group the points of whole cells; what comes of cells that are not is no patch."""
     noise, normals = _split(vectors)
@@ -352,7 +341,7 @@ def _find_names(sides: Sides, wanted: Patches) -> IntArray:
     return find_keys(names, find_keys(keys, wanted.keys) * SHEETS + wanted.ranks)
 
 
-def _split(vectors: Float32Array) -> tuple[FloatArray, FloatArray]:
+def _split(vectors: FloatArray | Float32Array) -> tuple[FloatArray, FloatArray]:
     """Return the lengths of vectors, and the same ones of unit length."""
     wide = vectors.astype(np.float64)
     lengths = np.sqrt(_dot(wide, wide))

@@ -16,7 +16,6 @@ import numpy as np
 from hpccomponent.protocol.declared import (
     Array,
     Declared,
-    EachOf,
     Either,
     Fixed,
     Nothing,
@@ -24,12 +23,12 @@ from hpccomponent.protocol.declared import (
     Where,
     Whole,
 )
-from hpccomponent.surface.cloud.arranged import Place
+from hpccomponent.surface.cloud.arranged import ArrangedCloud, Place
 from hpccomponent.surface.cloud.arrangement import Arrangement, PackedPoints
 from hpccomponent.surface.cloud.disk import open_disk_cloud, open_place
-from hpccomponent.surface.cloud.outlier_regions import LOCAL_RANK, has_sparse
+from hpccomponent.surface.cloud.outlier_regions import LOCAL_RANK
 from hpccomponent.surface.cloud.outliers import EDGE, ISLAND_LEVEL
-from hpccomponent.surface.cloud.regions import SentBlocks
+from hpccomponent.surface.cloud.regions import SentBlocks, StoredBlocks
 from hpccomponent.surface.normals.patches import CELL, LINKED, MARGIN, SHEETS, Links, Patches
 from hpccomponent.surface.tasks.result_patterns import (
     BOX,
@@ -49,19 +48,19 @@ from hpccomponent.surface.types.points import FloatArray, IntArray
 
 __all__ = [
     "CONFIDENCE_BINS",
-    "cleaned_region",
+    "bounded_region",
     "counted_boxes",
     "counted_cells",
     "estimated_region",
     "grouped_region",
     "mended_region",
+    "ranked_region",
     "region_bytes",
     "run_bytes",
-    "sampled_blocks",
+    "sampled_region",
     "stray_cells",
-    "surveyed_blocks",
     "turned_region",
-    "without_repeated",
+    "without_points",
 ]
 
 CONFIDENCE_BINS = 100
@@ -85,28 +84,28 @@ class _Assigned:
         Of the task's own blocks, but for empty ones.
     sent : PackedPoints or None
         The points themselves, and others, where they are sent.
-    is_whole : bool
-        Whether none of them is dropped.
     """
 
     arrangement: Arrangement
     keys: IntArray
     counts: IntArray
     sent: PackedPoints | None = None
-    is_whole: bool = True
 
     @classmethod
-    def of(cls, points: tuple[Any, ...]) -> _Assigned:
-        """Return what is known of `RegionPoints`, or of `BlockPoints`."""
-        where, blocks, *_, dropped = points
-        if isinstance(where, SentBlocks):
-            found = cls.among(where.arrangement, where.packed, blocks)
-            return replace(found, sent=where.packed, is_whole=dropped is None)
-        cloud = open_disk_cloud(Path(where))
-        return replace(cls.among(cloud.arrangement, cloud, blocks), is_whole=dropped is None)
+    def of(cls, points: StoredBlocks) -> _Assigned:
+        """Return what is known of a region's own points."""
+        if isinstance(points.where, SentBlocks):
+            sent = points.where
+            return replace(
+                cls.among(sent.arrangement, sent.packed, points.blocks), sent=sent.packed
+            )
+        cloud = open_disk_cloud(Path(points.where))
+        return cls.among(cloud.arrangement, cloud, points.blocks)
 
     @classmethod
-    def among(cls, arrangement: Arrangement, cloud: Any, blocks: IntArray) -> _Assigned:
+    def among(
+        cls, arrangement: Arrangement, cloud: ArrangedCloud | PackedPoints, blocks: IntArray
+    ) -> _Assigned:
         """Return what is known of the points in some of a cloud's blocks."""
         rows = find_keys(cloud.keys, blocks)
         rows = rows[rows < len(cloud.keys)]
@@ -114,13 +113,13 @@ class _Assigned:
 
     @property
     def points(self) -> int:
-        """How many there are, or were before some of them were dropped."""
+        """How many there are."""
         return int(self.counts.sum())
 
     @property
     def total(self) -> tuple[int, int]:
-        """The least and the greatest number of points that are left."""
-        return self.points if self.is_whole else 0, self.points
+        """How many there are, as the bounds of a sum."""
+        return self.points, self.points
 
     @property
     def box(self) -> Box:
@@ -135,25 +134,44 @@ class _Assigned:
         """Return the pattern of keys of cells that hold points."""
         return cells_in(extent, self.box, low, size)
 
-    def written(self) -> Declared:
-        """Return the pattern of the blocks that were written."""
-        return Where(Fixed(*self._columns()), lambda blocks: self._holds(*blocks), _SAME_BLOCKS)
-
-    def packed(self, most: float, are_right: Callable[[Any], bool] = lambda _: True) -> Declared:
-        """Return the pattern of the points with other normals, which are up to `most` long."""
-        keys, counts = self._columns()
+    def replaced(
+        self,
+        target: tuple[str, int] | None,
+        most: float,
+        are_right: Callable[[Any], bool] = lambda _: True,
+        *,
+        is_all: bool = False,
+    ) -> Declared:
+        """Return the pattern of blocks, some or all, with other normals, up to `most` long."""
+        keys, counts = Array("<i8", "b", low=0, rises=True), Array("<i8", "b", low=1)
+        if target is not None:
+            return Where(
+                Fixed(keys, counts),
+                lambda written: self._hold(written[0], written[1], is_all),
+                _SAME_BLOCKS,
+            )
         offsets = Array("<f4", "p", 3, low=0.0, high=_BELOW_ONE)
         normals = Array("<f4", "p", 3, low=-most, high=most)
         return Where(
             Record(PackedPoints, keys=keys, counts=counts, offsets=offsets, normals=normals),
             lambda packed: (
-                self._holds(packed.keys, packed.counts)
+                self._hold(packed.keys, packed.counts, is_all)
                 and int(packed.counts.sum()) == len(packed)
                 and self._are_where_they_were(packed)
                 and are_right(packed.normals)
             ),
             _SAME_BLOCKS,
         )
+
+    def lacks(self, blocks: tuple[IntArray, IntArray] | None, points: int) -> bool:
+        """Tell whether blocks may be those that so many points were dropped from."""
+        if blocks is None:
+            return points == 0
+        rows = find_keys(self.keys, blocks[0])
+        if not lie_within(rows, 0, len(self.keys)):
+            return False
+        dropped = self.counts[rows] - blocks[1]
+        return bool((dropped > 0).all()) and int(dropped.sum()) == points
 
     def samples(self, positions: FloatArray, normals: FloatArray) -> bool:
         """Tell whether points in the blocks' box may be some of these, in their order."""
@@ -166,22 +184,17 @@ class _Assigned:
             and are_units(normals)
         )
 
-    def _columns(self) -> tuple[Array, Array]:
-        if self.is_whole:
-            keys, counts = self.keys, self.counts
-            same = (Array("<i8", len(some), low=some, high=some) for some in (keys, counts))
-            return next(same), next(same)
-        return Array("<i8", "b", low=0, rises=True), Array("<i8", "b", low=1, total=self.total)
-
-    def _holds(self, keys: IntArray, counts: IntArray) -> bool:
-        """Tell whether blocks with so many points are among these."""
+    def _hold(self, keys: IntArray, counts: IntArray, is_all: bool) -> bool:
+        """Tell whether blocks with so many points are among these, or all of them."""
+        if is_all and len(keys) != len(self.keys):
+            return False
         rows = find_keys(self.keys, keys)
-        return lie_within(rows, 0, len(self.keys)) and bool((counts <= self.counts[rows]).all())
+        return lie_within(rows, 0, len(self.keys)) and np.array_equal(counts, self.counts[rows])
 
     def _are_where_they_were(self, packed: PackedPoints) -> bool:
-        if self.sent is None or not self.is_whole:
+        if self.sent is None:
             return True
-        own = find_keys(self.keys, self.sent.keys) < len(self.keys)
+        own = find_keys(packed.keys, self.sent.keys) < len(packed.keys)
         return np.array_equal(packed.offsets, self.sent.offsets[np.repeat(own, self.sent.counts)])
 
 
@@ -220,43 +233,40 @@ def run_bytes(each: int) -> Callable[..., int]:
     return limit
 
 
-def surveyed_blocks(points: tuple[Any, ...]) -> Declared:
-    """Return the pattern of what `blocks.survey_blocks` finds."""
+def bounded_region(points: StoredBlocks) -> Declared:
+    """Return the pattern of what `blocks.bound_region` finds."""
     own = _Assigned.of(points)
-    return Where(
-        Fixed(Whole(*own.total), BOX),
-        lambda found: (
-            bounds_some(found[1], found[0]) and (not found[0] or lie_in(found[1], own.box))
-        ),
-        "the box lies in the blocks",
-    )
+    low, high = own.box
+    edge = own.arrangement.edge
+
+    def agrees(box: FloatArray) -> bool:
+        is_within = bounds_some(box, own.points) and lie_in(box, own.box)
+        return (
+            is_within and lie_in(box[0], (low, low + edge)) and lie_in(box[1], (high - edge, high))
+        )
+
+    return Where(BOX, agrees, "the box reaches from the first block to the last")
 
 
 def counted_boxes(
-    points: tuple[Any, ...],
-    low: FloatArray,
-    edges: tuple[float, ...],
-    one_in: int,
-    is_distinct: bool,
+    points: StoredBlocks, low: FloatArray, edge: float, one_in: int, is_distinct: bool
 ) -> Declared:
-    """Return the pattern of what `blocks.count_block_boxes` counts."""
+    """Return the pattern of what `blocks.count_boxes` counts."""
     own = _Assigned.of(points)
-    if is_distinct or not own.is_whole:
-        one_in = 0
     return Where(
-        EachOf([sampled_boxes(own.points, own.cells("c", low, edge)) for edge in edges]),
-        lambda found: all(is_share(own.points, one_in, n) for n, _ in found),
+        sampled_boxes(own.points, own.cells("c", low, edge)),
+        lambda counted: is_share(own.points, 0 if is_distinct else one_in, counted[0]),
         "the boxes hold points of the blocks",
     )
 
 
-def sampled_blocks(points: tuple[Any, ...], *_: Any) -> Declared:
-    """Return the pattern of what `blocks.sample_blocks` takes."""
+def sampled_region(points: StoredBlocks, *_: Any) -> Declared:
+    """Return the pattern of what `blocks.sample_region` takes."""
     own = _Assigned.of(points)
     low, high = own.box
     return Where(
         Fixed(Array("<f8", "s", 3, low=low, high=high), Array("<f8", "s", 3)),
-        lambda found: own.samples(*found),
+        lambda sample: own.samples(*sample),
         _SAME_BLOCKS,
     )
 
@@ -268,42 +278,21 @@ def counted_cells(place: Place, blocks: IntArray, origin: FloatArray, size: floa
     return Fixed(own.cells("c", origin, size), Array("<i8", "c", low=1, total=own.total))
 
 
-def without_repeated(folder: str, blocks: IntArray, _target: tuple[str, int]) -> Declared:
-    """Return the pattern of what `cleaning.drop_repeated_points` writes."""
-    own = _Assigned.of((folder, blocks, None))
-
-    def agrees(found: tuple[Any, ...]) -> bool:
-        repeated, keys, counts = found
-        rows = find_keys(own.keys, keys)
-        if not lie_within(rows, 0, len(own.keys)):
-            return False
-        lost = own.counts[rows] - counts
-        return bool((lost > 0).all()) and int(lost.sum()) == repeated
-
-    keys, counts = Array("<i8", "b", low=0, rises=True), Array("<i8", "b", low=1)
-    return Where(
-        Fixed(Whole(0, own.points), keys, counts), agrees, "blocks lack the points that are dropped"
-    )
-
-
-def cleaned_region(
-    points: tuple[Any, ...],
-    low: FloatArray,
-    spacing: float,
-    target: tuple[str, int] | None,
-    _sampled: tuple[float, int],
-) -> Declared:
-    """Return the pattern of what `cleaning.clean_blocks` returns."""
+def without_points(points: StoredBlocks, *_: Any) -> Declared:
+    """Return the pattern of what tasks write that drop points."""
     own = _Assigned.of(points)
-    ranks, mended = _ranks(own, low, EDGE * spacing), _mended(own, target)
+    written = Fixed(Array("<i8", "b", low=0, rises=True), Array("<i8", "b", low=0))
     return Where(
-        Fixed(ranks, Either(Nothing(), mended)),
-        lambda found: (found[1] is None) == has_sparse(found[0]),
-        "a region is mended where no cell is sparse",
+        Fixed(Either(Nothing(), written), Whole(0, own.points)),
+        lambda result: own.lacks(*result),
+        "blocks lack the points that are dropped",
     )
 
 
-def _ranks(own: _Assigned, low: FloatArray, size: float) -> Declared:
+def ranked_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Declared:
+    """Return the pattern of what `cleaning.rank_region` returns."""
+    own, size = _Assigned.of(points), EDGE * spacing
+
     def agrees(ranks: tuple[Any, ...]) -> bool:
         by_rank, sparse_ranks, sparse_counts = ranks[0], ranks[4], ranks[5]
         sparse = np.bincount(sparse_ranks, sparse_counts, LOCAL_RANK + 2)
@@ -322,8 +311,8 @@ def _ranks(own: _Assigned, low: FloatArray, size: float) -> Declared:
     )
 
 
-def stray_cells(points: tuple[Any, ...], low: FloatArray, spacing: float, _base: int) -> Declared:
-    """Return the pattern of what `cleaning.judge_blocks` finds."""
+def stray_cells(points: StoredBlocks, low: FloatArray, spacing: float, _base: int) -> Declared:
+    """Return the pattern of what `cleaning.judge_region` finds."""
     own = _Assigned.of(points)
     return Where(
         own.cells("s", low, EDGE * spacing),
@@ -332,65 +321,35 @@ def stray_cells(points: tuple[Any, ...], low: FloatArray, spacing: float, _base:
     )
 
 
-def mended_region(
-    points: tuple[Any, ...],
-    _low: FloatArray,
-    _spacing: float,
-    target: tuple[str, int] | None,
-    _sampled: tuple[float, int],
-) -> Declared:
-    """Return the pattern of what `cleaning.mend_blocks` returns."""
-    return _mended(_Assigned.of(points), target)
-
-
-def _mended(own: _Assigned, target: tuple[str, int] | None) -> Declared:
-    (low, high), most = own.box, np.full(3, _UNIT)
-
-    def agrees(mended: tuple[Any, ...]) -> bool:
-        replaced, flipped, sample = mended
-        is_same = replaced is None
-        return (
-            is_same == (flipped == 0) if own.is_whole else not (is_same and flipped)
-        ) and own.samples(*sample)
-
-    bounds = (np.stack(rows)[:, None] for rows in ((low, -most), (high, most)))
-    sample = Array("<f8", 2, "s", 3, low=next(bounds), high=next(bounds))
-    replaced = own.written() if target is not None else own.packed(_UNIT, are_units)
+def mended_region(points: StoredBlocks, *_: Any) -> Declared:
+    """Return the pattern of what `cleaning.mend_region` returns."""
+    own = _Assigned.of(points)
+    replaced = own.replaced(points.target, _UNIT, are_units)
     return Where(
-        Fixed(Either(Nothing(), replaced), Whole(0, own.points), sample),
-        agrees,
+        Fixed(Either(Nothing(), replaced), Whole(0, own.points)),
+        lambda result: (result[0] is None) == (result[1] == 0),
         "points are written where something of them has changed",
     )
 
 
 def estimated_region(
-    points: tuple[Any, ...],
-    _low: FloatArray,
-    spacing: float,
-    _keeps: bool,
-    target: tuple[str, int] | None,
+    points: StoredBlocks, _low: FloatArray, spacing: float, _keeps: bool
 ) -> Declared:
-    """Return the pattern of what `normals.estimate_blocks` returns."""
+    """Return the pattern of what `normals.estimate_region` returns."""
     own = _Assigned.of(points)
-    return own.packed(_MOST_NOISE * spacing) if target is None else own.written()
+    return Fixed(own.replaced(points.target, _MOST_NOISE * spacing, is_all=True))
 
 
-def turned_region(
-    points: tuple[Any, ...],
-    _low: FloatArray,
-    _spacing: float,
-    _sides: Any,
-    target: tuple[str, int] | None,
-) -> Declared:
-    """Return the pattern of what `normals.turn_blocks` returns."""
+def turned_region(points: StoredBlocks, *_: Any) -> Declared:
+    """Return the pattern of what `normals.turn_region` returns."""
     own = _Assigned.of(points)
-    replaced = own.packed(_UNIT, are_units) if target is None else own.written()
+    replaced = own.replaced(points.target, _UNIT, are_units, is_all=True)
     bins = Array("<i8", CONFIDENCE_BINS, low=0, total=own.total)
     return Fixed(replaced, Whole(0, own.points), bins)
 
 
-def grouped_region(points: tuple[Any, ...], low: FloatArray, spacing: float) -> Declared:
-    """Return the pattern of what `normals.group_blocks` finds."""
+def grouped_region(points: StoredBlocks, low: FloatArray, spacing: float) -> Declared:
+    """Return the pattern of what `normals.group_region` finds."""
     own, reach = _Assigned.of(points), 1.01 * MARGIN * spacing
     box = own.box[0] - reach, own.box[1] + reach
     patches = Record(

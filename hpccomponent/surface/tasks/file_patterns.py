@@ -6,18 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from hpccomponent.protocol.declared import Array, Declared, EachOf, Fixed, Where, Whole
-from hpccomponent.surface.cloud.arrangement import Arrangement
+from hpccomponent.protocol.declared import Array, Declared, Fixed, Where, Whole
 from hpccomponent.surface.cloud.validity import Reach
 from hpccomponent.surface.tasks.result_patterns import (
     BOX,
     SMALL_BYTES,
     bounds_some,
-    cells_in,
-    is_share,
     keys_within,
     lie_in,
-    sampled_boxes,
 )
 from hpccomponent.surface.types.points import FloatArray
 
@@ -60,22 +56,8 @@ def bounded_range(points: Any, _origin: FloatArray, reach: Reach) -> Declared:
     )
 
 
-def arranged_range(
-    points: Any,
-    _origin: FloatArray,
-    _reach: Reach | None,
-    arrangement: Arrangement,
-    _target: tuple[str, int],
-    boxes: tuple[FloatArray, tuple[float, ...], int],
-) -> Declared:
+def arranged_range(points: Any, *_: Any) -> Declared:
     """Return the pattern of what `file_ranges.arrange_range` writes."""
-    (low, edges, one_in), most = boxes, len(points)
     first, last = (np.full(3, place) for place in (-_SPARE, _BLOCKS + _SPARE))
-    box = np.stack([arrangement.origin + arrangement.edge * place for place in (first, last + 1)])
-    counted = [sampled_boxes(most, cells_in("c", box, low, edge)) for edge in edges]
-    counts = Array("<i8", "b", low=1, total=(0, most))
-    return Where(
-        Fixed(keys_within("b", first, last), counts, EachOf(counted)),
-        lambda found: all(is_share(int(found[1].sum()), one_in, n) for n, _ in found[2]),
-        "the boxes hold points of the blocks",
-    )
+    counts = Array("<i8", "b", low=1, total=(0, len(points)))
+    return Fixed(keys_within("b", first, last), counts)

@@ -3,7 +3,7 @@
 ::
 
     range ── survey_range ──> counts, boxes, a sample ──> master: frame, reach, arrangement
-    range ── arrange_range ──> points.N in the folder ──> its blocks, boxes that hold points
+    range ── arrange_range ──> points.N in the folder ──> its blocks
 """
 
 from __future__ import annotations
@@ -18,15 +18,9 @@ import numpy as np
 from hpccomponent.protocol.records import record
 from hpccomponent.runtime.tasks import declare
 from hpccomponent.surface import kernels
-from hpccomponent.surface.cloud.arrangement import (
-    Arrangement,
-    PackedPoints,
-    pack_snapped,
-    snap_points,
-)
+from hpccomponent.surface.cloud.arrangement import Arrangement, PackedPoints, pack_points
 from hpccomponent.surface.cloud.disk import write_part
 from hpccomponent.surface.cloud.point_records import PointRecords
-from hpccomponent.surface.cloud.spacing import sample_box_keys
 from hpccomponent.surface.cloud.validity import Dropped, Reach, are_usable, select_usable
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.tasks.file_patterns import (
@@ -36,11 +30,9 @@ from hpccomponent.surface.tasks.file_patterns import (
     surveyed_range,
 )
 from hpccomponent.surface.tasks.result_patterns import SMALL_BYTES
-from hpccomponent.surface.types.lattice import unique_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = [
-    "BoxCounts",
     "FilePoints",
     "FileRange",
     "SentRange",
@@ -114,9 +106,6 @@ class SentRange:
 
 
 FilePoints = FileRange | SentRange
-
-BoxCounts = list[tuple[int, IntArray]]
-"""For each size of boxes the points in a sample of them, and their keys: `sample_box_keys`."""
 
 
 @declare(result=surveyed_range, limit=range_bytes)
@@ -192,8 +181,7 @@ def arrange_range(
     reach: Reach | None,
     arrangement: Arrangement,
     target: tuple[str, int],
-    boxes: tuple[FloatArray, tuple[float, ...], int],
-) -> tuple[IntArray, IntArray, BoxCounts]:
+) -> tuple[IntArray, IntArray]:
     """Write the usable points of a range into a folder, arranged (a task).
 
     Parameters
@@ -206,15 +194,11 @@ def arrange_range(
     arrangement : Arrangement
     target : tuple of (str, int)
         The folder, and the number of the part: see `disk.write_part`.
-    boxes : tuple
-        The least coordinates of the arranged cloud, the edges of boxes to be counted, and how
-        many boxes make one sampled.
 
     Returns
     -------
     keys, counts : ndarray of int64, shape (b,)
         The blocks of the part, and the points in each.
-    counted : BoxCounts
 
     Raises
     ------
@@ -223,23 +207,12 @@ def arrange_range(
     OutputError
         The disk is full, or the folder cannot be written.
     """
-    low, edges, one_in = boxes
     pieces: list[PackedPoints] = []
-    counted: list[BoxCounts] = [[(0, np.zeros(0, np.int64))] * len(edges)]
     for near in _take_near(points, origin, reach):
         if len(near):
-            snapped = snap_points(arrangement, near.positions)
-            normals = np.zeros_like(snapped) if near.normals is None else near.normals
-            pieces.append(pack_snapped(arrangement, snapped, normals))
-            counted.append([sample_box_keys(snapped, low, edge, one_in) for edge in edges])
-    keys, counts = write_part(Path(target[0]), target[1], pieces)
-    return keys, counts, [_add_counts(of_edge) for of_edge in zip(*counted, strict=True)]
-
-
-def _add_counts(counted: tuple[tuple[int, IntArray], ...]) -> tuple[int, IntArray]:
-    """Return what was counted of several groups of points as one."""
-    points, keys = zip(*counted, strict=True)
-    return sum(points), unique_keys(np.concatenate(keys))
+            normals = np.zeros_like(near.positions) if near.normals is None else near.normals
+            pieces.append(pack_points(arrangement, near.positions, normals))
+    return write_part(Path(target[0]), target[1], pieces)
 
 
 def _take_near(points: FilePoints, origin: FloatArray, reach: Reach | None) -> Iterator[PointCloud]:

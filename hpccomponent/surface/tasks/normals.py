@@ -2,21 +2,17 @@
 
 ::
 
-    region ── estimate_blocks ──> folder: normals without a side, as long as the noise
-    region ── group_blocks ──> patches and links ──> master: their sides
-    region ── turn_blocks ──> folder: unit normals, each on its side
+    region ── estimate_region ──> normals without a side, as long as the noise
+    region ── group_region ──> patches and links ──> master: their sides
+    region ── turn_region ──> unit normals, each on its side
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from hpccomponent.runtime.tasks import declare
-from hpccomponent.surface.cloud.arrangement import PackedPoints
-from hpccomponent.surface.cloud.disk import write_part
-from hpccomponent.surface.cloud.regions import RegionPoints, take_region
+from hpccomponent.surface.cloud.regions import RegionPoints, Replaced
 from hpccomponent.surface.normals.estimation import estimate_normals, keep_directions
 from hpccomponent.surface.normals.patches import (
     Links,
@@ -34,111 +30,75 @@ from hpccomponent.surface.tasks.cloud_patterns import (
 )
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
-__all__ = ["CONFIDENCE_BINS", "Replaced", "estimate_blocks", "group_blocks", "turn_blocks"]
-
-Replaced = PackedPoints | tuple[IntArray, IntArray]
-"""The points of a region, or if they were written only their keys and counts."""
-
-Target = tuple[str, int] | None
-"""The folder, and the number of the part (see `disk.write_part`); None where the worker does not
-see it."""
+__all__ = ["CONFIDENCE_BINS", "estimate_region", "group_region", "turn_region"]
 
 
 @declare(result=estimated_region, limit=region_bytes(40))
-def estimate_blocks(
-    points: RegionPoints, low: FloatArray, spacing: float, keeps: bool, target: Target
-) -> Replaced:
+def estimate_region(
+    points: RegionPoints, low: FloatArray, spacing: float, keeps: bool
+) -> tuple[Replaced]:
     """Estimate the normals of a region (a task).
 
     Parameters
     ----------
-    points : tuple
-        `RegionPoints`, with a margin of `estimation.MARGIN` spacings.
+    points : RegionPoints
+        With a margin of `estimation.MARGIN` spacings.
     low, spacing
-        As for `estimation.estimate_normals`.
+        As for `estimation.estimate_normals`, whose result the normals are.
     keeps : bool
         Whether the directions that are there stay, and only lengths are estimated.
-    target : tuple of (str, int), or None
-        See `Target`.
-
-    Returns
-    -------
-    PackedPoints or tuple
-        See `Replaced`; with normals as `estimate_normals` returns them.
-
-    Raises
-    ------
-    OutputError
-        The disk is full, or the folder cannot be written.
     """
-    region = take_region(points)
+    region = points.take()
     vectors = estimate_normals(region.positions, region.own, low, spacing)
     if keeps:
         vectors = keep_directions(vectors, region.normals[region.own])
-    return _put(region.pack_with(vectors), target)
+    return (region.replace_normals(vectors, {}),)
 
 
 @declare(result=grouped_region, limit=region_bytes(1024))
-def group_blocks(points: RegionPoints, low: FloatArray, spacing: float) -> tuple[Patches, Links]:
-    """Find the patches of a region (a task); see `patches.find_patches`.
+def group_region(points: RegionPoints, low: FloatArray, spacing: float) -> tuple[Patches, Links]:
+    """Find the patches of a region (a task).
 
     Parameters
     ----------
-    points : tuple
-        `RegionPoints`, with a margin of `patches.MARGIN` spacings, of a cloud with estimated
-        normals.
+    points : RegionPoints
+        With a margin of `patches.MARGIN` spacings, of a cloud with estimated normals.
     low, spacing
-        As for `find_patches`, whose result this is.
-
-    Returns
-    -------
-    patches : Patches
-    links : Links
+        As for `patches.find_patches`, whose result this is.
     """
-    region = take_region(points)
+    region = points.take()
     return find_patches(region.positions, region.normals, region.own, low, spacing)
 
 
 @declare(result=turned_region, limit=region_bytes(40))
-def turn_blocks(
-    points: RegionPoints, low: FloatArray, spacing: float, sides: Sides, target: Target
+def turn_region(
+    points: RegionPoints, low: FloatArray, spacing: float, sides: Sides, attribute: str | None
 ) -> tuple[Replaced, int, IntArray]:
-    """Turn the normals of a region to their side (a task); see `patches.turn_points`.
+    """Turn the normals of a region to their side (a task).
 
     Parameters
     ----------
-    points : tuple
-        `RegionPoints`, with a margin of `patches.MARGIN` spacings, of a cloud with estimated
-        normals.
+    points : RegionPoints
+        With a margin of `patches.MARGIN` spacings, of a cloud with estimated normals.
     low, spacing, sides
-        As for `turn_points`.
-    target : tuple of (str, int), or None
-        See `Target`.
+        As for `patches.turn_points`; the sides of all patches.
+    attribute : str or None
+        By which name points in memory keep how sure their side is, 0 to 1.
 
     Returns
     -------
-    replaced : PackedPoints or tuple
-        See `Replaced`; with unit normals.
+    replaced : Replaced
+        With unit normals.
     turned : int
         How many of these are the opposites of what they were.
     confidences : ndarray of int64, shape (100,)
         How many points have a confidence of 0 to 0.01, 0.01 to 0.02 ...
-
-    Raises
-    ------
-    OutputError
-        The disk is full, or the folder cannot be written.
     """
-    region = take_region(points)
-    normals, is_turned, confidences = turn_points(
-        region.positions, region.normals, low, spacing, sides
-    )
-    own = region.own
-    bins = np.minimum((confidences[own] * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
+    region = points.take()
+    columns = turn_points(region.positions, region.normals, low, spacing, sides)
+    normals, is_turned, confidences = (column[region.own] for column in columns)
+    bins = np.minimum((confidences * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
     counts = np.bincount(bins, minlength=CONFIDENCE_BINS)
-    turned = int(np.count_nonzero(is_turned[own]))
-    return _put(region.pack_with(normals[own]), target), turned, counts
-
-
-def _put(packed: PackedPoints, target: Target) -> Replaced:
-    return packed if target is None else write_part(Path(target[0]), target[1], [packed])
+    attributes = {} if attribute is None else {attribute: confidences}
+    replaced = region.replace_normals(normals.astype(np.float64), attributes)
+    return replaced, int(np.count_nonzero(is_turned)), counts

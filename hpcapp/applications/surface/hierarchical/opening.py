@@ -26,17 +26,17 @@ from hpcapp.applications.surface.surface import PartSurface
 from hpcapp.workforce import Workforce, stream_batches
 from hpccomponent.errors import InputError
 from hpccomponent.surface.cloud.arranged import ArrangedCloud
-from hpccomponent.surface.cloud.measured import Measured
 from hpccomponent.surface.extraction.clearance import SupportRule
 from hpccomponent.surface.extraction.opening import OpeningSeams, OpeningSurvey
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.taken_bricks import TakenBricks
+from hpccomponent.surface.normals.consistency import faces_inwards
 from hpccomponent.surface.tasks.opening import Near, judge_support, open_part, survey_support
 from hpccomponent.surface.tasks.surface_patterns import surface_box
 from hpccomponent.surface.tiles.plan import Plan
 from hpccomponent.surface.types.grid import BRICK
 from hpccomponent.surface.types.lattice import unpack_keys
-from hpccomponent.surface.types.points import BoolArray, IntArray
+from hpccomponent.surface.types.points import BoolArray, IntArray, PointCloud
 
 __all__ = ["Closure", "OpeningSettings", "close_surface"]
 
@@ -53,7 +53,6 @@ _FILL = 4.0  # times the trim distance: loops that are filled
 _CRUMB = 3.0  # times the trim distance: pieces smaller than a square of this are dropped
 _FACES = 2.0  # of a piece as large as the side of a cell
 _ONE_WAY = 0.5  # length of the mean normal of what is seen from one side; a half sphere's
-_INWARD = -0.1  # mean of n.(x - c) / |x - c|; a sphere seen from inside has -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,13 +245,11 @@ def close_surface(
     reason, is_room = "open, as asked", False
     if not asked.is_asked:
         share = _find_bare_share(parts, SupportRule(chosen, chosen, _SPACINGS))
-        is_one_way, is_inward = (
-            _look_round(cloud.measure()) if share > ONE_WAY_SHARE else (False, False)
-        )
+        is_one_way = share > ONE_WAY_SHARE and _faces_one_way(cloud.measure().sample)
         if share <= (ONE_WAY_SHARE if is_one_way else BARE_SHARE):
             return surface, Closure(False, f"closed: points support {_percent(1.0 - share)} of it")
-        is_room = is_inward and not is_one_way
-        seen = "from inside, as a room" if is_inward else "in part"
+        is_room = not is_one_way and faces_inwards(cloud.measure().sample)
+        seen = "from inside, as a room" if is_room else "in part"
         seen = "from one side, as a view or a terrain" if is_one_way else seen
         reason = f"open: seen {seen}; no point supports {_percent(share)} of the closed surface"
     radius = chosen if asked.trim is None else asked.trim.of(spacing)
@@ -335,12 +332,8 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
 
 
-def _look_round(measured: Measured) -> tuple[bool, bool]:
-    """Tell whether the normals of a cloud face one way, and whether they face inwards."""
-    positions, normals = measured.sample.positions, measured.sample.normals
-    assert normals is not None  # noqa: S101 - they were measured
-    mean = normals.mean(axis=0)
-    away = positions - 0.5 * (positions.min(axis=0) + positions.max(axis=0))
-    lengths = np.maximum(np.sqrt((away * away).sum(axis=1)), 1e-300)
-    inward = float(((away * normals).sum(axis=1) / lengths).mean())
-    return float(np.sqrt((mean * mean).sum())) >= _ONE_WAY, inward <= _INWARD
+def _faces_one_way(sample: PointCloud) -> bool:
+    """Tell whether the normals of a cloud face one way."""
+    assert sample.normals is not None  # noqa: S101 - they were measured
+    mean = sample.normals.mean(axis=0)
+    return float(np.sqrt((mean * mean).sum())) >= _ONE_WAY

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.applications.surface.scans import Passes
+from hpcapp.applications.surface.point_workers import PointWorkers
 from hpcapp.workforce import Workforce
 from hpccomponent.surface.cloud.arranged import ArrangedCloud
+from hpccomponent.surface.cloud.cutting import cut_tiles
 from hpccomponent.surface.tasks.tiles import KEPT_TILES
 from hpccomponent.surface.tiles.halo import mark_near
 from hpccomponent.surface.tiles.plan import Plan
@@ -22,7 +23,7 @@ from hpccomponent.surface.types.grid import BRICK
 from hpccomponent.surface.types.lattice import unpack_keys
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
-__all__ = ["Tiling", "cut_tiles", "halo_cells", "weigh_cells"]
+__all__ = ["Tiling", "halo_cells", "weigh_cells"]
 
 _POINTS_AT_ONCE = 2_000_000
 # What a finest cell on the surface, and a cell of the grid there, take beside the points, in what a
@@ -65,8 +66,8 @@ class Tiling:
         are_read: bool,
         is_short: bool,
     ) -> None:
-        passes = Passes(workforce, are_read, _POINTS_AT_ONCE)
-        self.cells, counts = passes.count_cells(cloud, plan.origin, plan.coarse_size)
+        workers = PointWorkers(workforce, are_read, _POINTS_AT_ONCE)
+        self.cells, counts = workers.count_cells(cloud, plan.origin, plan.coarse_size)
         self._cloud = cloud
         self._plan = plan
         work = counts if is_short else weigh_cells(plan, counts)
@@ -237,46 +238,6 @@ def weigh_cells(plan: Plan, counts: IntArray) -> FloatArray:
     """
     each = _CELL_WORK + _STEP_WORK * (plan.cell_size / plan.step) ** 2
     return counts.astype(np.float64) + 4.0**plan.coarse * each
-
-
-def cut_tiles(cells: IntArray, work: IntArray | FloatArray, count: int) -> IntArray:
-    """Cut cells into compact tiles of equal work, by halving across the longest side.
-
-    Parameters
-    ----------
-    cells : ndarray of int64, shape (c,)
-        Keys of coarse cells.
-    work : ndarray of int64 or float64, shape (c,)
-        Of each, in any unit.
-    count : int
-        Of tiles, one or more.
-
-    Returns
-    -------
-    ndarray of int64, shape (c,)
-        The tile of each cell: numbers from 0 on, none left out.
-
-    Notes
-    -----
-    The halos of runs along a Morton curve hold a half more (`docs/explanation/tiles.md`).
-    """
-    places = unpack_keys(cells)
-    tiles = np.zeros(len(cells), np.int64)
-    pending = [(np.arange(len(cells)), 0, min(count, len(cells)))]
-    while pending:
-        rows, first, parts = pending.pop()
-        tiles[rows] = first
-        if parts == 1:
-            continue
-        near = places[rows]
-        axis = int(np.argmax(near.max(axis=0) - near.min(axis=0)))
-        rows = rows[np.argsort(near[:, axis], kind="stable")]
-        own, lower = work[rows], parts // 2
-        middles = np.cumsum(own) - 0.5 * own
-        cut = int(np.searchsorted(middles, own.sum() * (lower / parts)))
-        cut = min(max(cut, lower), len(rows) - (parts - lower))  # a cell for each tile
-        pending += [(rows[:cut], first, lower), (rows[cut:], first + lower, parts - lower)]
-    return tiles
 
 
 def halo_cells(plan: Plan, cells: IntArray) -> tuple[IntArray, IntArray]:

@@ -1,18 +1,25 @@
-"""What is done to every cloud before it is fitted: sorted, outliers out, normals turned round."""
+"""How a cloud is cleaned: far, repeated and outlying points dropped, wrong normals turned round.
+
+::
+
+    drop_far ── drop_repeated ── (normals) ── rank, judge ── outliers dropped ── normals mended
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from hpccomponent.surface.cloud.arranged import MemoryCloud
-from hpccomponent.surface.cloud.outliers import find_outliers
-from hpccomponent.surface.cloud.repeated import find_repeated
-from hpccomponent.surface.cloud.spacing import estimate_spacing
+from hpcapp.applications.surface.cloud_pass import CloudPass, PassT
+from hpcapp.applications.surface.input.measure import measure_spacing
+from hpccomponent.surface.cloud import outlier_regions
+from hpccomponent.surface.cloud.outlier_regions import DroppedCells
 from hpccomponent.surface.cloud.validity import Reach
 from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.normals.consistency import mend_normals
+from hpccomponent.surface.normals import consistency
+from hpccomponent.surface.tasks import cleaning as tasks
+from hpccomponent.surface.types.lattice import unique_keys
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = [
@@ -76,20 +83,13 @@ def drop_far(cloud: PointCloud) -> PointCloud:
     return cloud.take(reach.find_near(cloud.positions))
 
 
-def drop_repeated(cloud: MemoryCloud) -> MemoryCloud:
-    """Drop the points of a cloud that are at the place of another.
+def drop_repeated(cloud_pass: PassT) -> tuple[PassT, int]:
+    """Drop the points at the place of another, and return how many they were.
 
-    Parameters
-    ----------
-    cloud : MemoryCloud
-
-    Returns
-    -------
-    MemoryCloud
-        The first point of each place, in their order; the input itself where there are no others.
+    The first point of each place stays.
     """
-    repeated = find_repeated(cloud.points.positions)
-    return cloud.select(~repeated) if repeated.any() else cloud
+    cloud_pass, counts = cloud_pass.rewrite(tasks.drop_repeated)
+    return cloud_pass, sum(count for (count,) in counts)
 
 
 def even_step(points: int) -> int:
@@ -160,42 +160,46 @@ def find_reach(sample: FloatArray) -> Reach:
     return Reach(0.5 * (low + high), distance if distance > 0.0 else np.inf)
 
 
-def clean_cloud(cloud: MemoryCloud, threads: int = 1) -> tuple[MemoryCloud, Cleaned]:
+def clean_cloud(cloud_pass: PassT, spacing: float) -> tuple[PassT, Cleaned, float]:
     """Drop the points that belong to no surface and turn round the normals that point inwards.
 
     Parameters
     ----------
-    cloud : MemoryCloud
-        Finite positions; unit normals, or none.
-    threads : int
-        The result does not depend on it.
+    cloud_pass : CloudPass
+        Through ten points or more with unit normals. Far ones must have been dropped: see
+        `drop_far`.
+    spacing : float
+        In length units of the input.
 
     Returns
     -------
-    cloud : MemoryCloud
-        The points that remain, in their order; the input itself where nothing is wrong.
+    cloud_pass : CloudPass
+        Through the points that remain, in their order.
     cleaned : Cleaned
-
-    Raises
-    ------
-    InputError
-        All points are the same.
-
-    Notes
-    -----
-    Far points must have been dropped (see `drop_far`). See `find_outliers` and `mend_normals`
-    for the rest; `clean_regions` does the same to a cloud that is not in memory.
+    spacing : float
+        Of these.
     """
-    kept, positions = cloud, cloud.points.positions
-    spacing = estimate_spacing(positions)
-    strays = find_outliers(positions, spacing)
-    if strays.any():
-        kept = cloud.select(~strays)
-        positions = kept.points.positions
-        spacing = estimate_spacing(positions)
-    flipped = 0
-    if kept.points.normals is not None:
-        normals, flipped = mend_normals(positions, kept.points.normals, spacing, threads)
-        if flipped:
-            kept = replace(kept, points=replace(kept.points, normals=normals))
-    return kept, Cleaned(len(cloud) - len(kept), flipped)
+    outliers = 0
+    if (cells := _find_outliers(cloud_pass, spacing)) is not None:
+        cloud_pass, counts = cloud_pass.rewrite(tasks.drop_cells, cells)
+        outliers = sum(count for (count,) in counts)
+        spacing = measure_spacing(cloud_pass)
+    margin = consistency.MARGIN * spacing
+    cloud_pass, counts = cloud_pass.rewrite(
+        tasks.mend_region, cloud_pass.cloud.low, spacing, margin=margin
+    )
+    return cloud_pass, Cleaned(outliers, sum(count for (count,) in counts)), spacing
+
+
+def _find_outliers(cloud_pass: CloudPass, spacing: float) -> DroppedCells | None:
+    """Return the cells whose points lie apart from every surface; None where there are none."""
+    low, margin = cloud_pass.cloud.low, outlier_regions.MARGIN * spacing
+    ranks = cloud_pass.each(tasks.rank_region, low, spacing, margin=margin)
+    judged = outlier_regions.judge_sparse(ranks)
+    strays = [judged.stray_cells]
+    if any(by_rank[judged.base + 1 : -1].any() for by_rank, *_ in ranks):
+        strays += cloud_pass.each(tasks.judge_region, low, spacing, judged.base, margin=margin)
+    cells = unique_keys(np.concatenate(strays))
+    if not (len(cells) or len(judged.island_cells)):
+        return None
+    return DroppedCells(low, spacing, cells, judged.island_cells)

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from hpcapp.applications.surface.memory import count_most_points, fitting_tile
-from hpcapp.applications.surface.scans import Passes
+from hpcapp.applications.surface.point_workers import PointWorkers
 from hpcapp.applications.surface.settings import JobSettings, Settings, choose_steps, name_backend
 from hpcapp.backends import BACKENDS, IN_PROCESS
 from hpcapp.backends.selection import Backend
@@ -15,7 +15,7 @@ from hpcapp.io import open_points
 from hpccomponent.files.private_files import make_private_folder
 from hpccomponent.limits import available_cores
 
-__all__ = ["all_see_folder", "choose_tile", "may_pay_in_folder", "plan_passes"]
+__all__ = ["all_see_folder", "choose_tile", "find_point_workers", "may_pay_in_folder"]
 
 FOLDER_FROM_POINTS = 200_000
 """With fewer, what is saved by workers that read for themselves is less than what files cost."""
@@ -89,7 +89,7 @@ def all_see_folder(folder: Path, backend: Backend) -> bool:
         return backend.workforce.sees(Path(sign.name))
 
 
-def plan_passes(path: Path, folder: Path, backend: Backend, points: int) -> Passes:
+def find_point_workers(path: Path, folder: Path, backend: Backend, points: int) -> PointWorkers:
     """Find out who can go through a cloud in a folder.
 
     Parameters
@@ -104,12 +104,12 @@ def plan_passes(path: Path, folder: Path, backend: Backend, points: int) -> Pass
 
     Returns
     -------
-    Passes
+    PointWorkers
     """
     if backend.is_here:
-        return Passes(backend.workforce, True, points)
+        return PointWorkers(backend.workforce, True, points)
     make_private_folder(folder.parent)
     with tempfile.NamedTemporaryFile(dir=folder.parent) as sign:
         sees_both = backend.workforce.sees(Path(sign.name), path)
     sees = sees_both or all_see_folder(folder.parent, backend)
-    return Passes(backend.workforce, sees, points, sees_both)
+    return PointWorkers(backend.workforce, sees, points, sees_both)

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from hpcapp.applications.surface.input.clean import EvenSample, even_step, find_reach
-from hpcapp.applications.surface.scans import Boxes, Passes, merge_boxes, near_edges
+from hpcapp.applications.surface.point_workers import PointWorkers
 from hpcapp.io.frame import choose_origin
 from hpcapp.io.points.point_source import PointSource
 from hpcapp.io.points.usable import (
@@ -30,12 +30,10 @@ from hpcapp.io.points.usable import (
     refuse_too_few,
 )
 from hpccomponent.errors import InputError
-from hpccomponent.surface.cloud.arrangement import Arrangement, choose_arrangement, snap_points
+from hpccomponent.surface.cloud.arrangement import choose_arrangement, snap_points
 from hpccomponent.surface.cloud.disk import DiskCloud, Part, write_index
-from hpccomponent.surface.cloud.spacing import guess_boxes
 from hpccomponent.surface.cloud.validity import (
     Dropped,
-    Reach,
     select_usable,
 )
 from hpccomponent.surface.tasks.file_ranges import (
@@ -65,14 +63,11 @@ class Ingested:
         Points without a finite position, or without a normal where others have one.
     far : int
         Points that were dropped because they lie far away (see `cleaning.drop_far`).
-    boxes : Boxes
-        Boxes that hold points of the cloud, of the first sizes that its spacing is sought with.
     """
 
     cloud: DiskCloud
     dropped: Dropped
     far: int
-    boxes: Boxes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +82,7 @@ class _Survey:
 
 
 def ingest_file(
-    source: PointSource, folder: Path, passes: Passes, *, drop_far: bool = True
+    source: PointSource, folder: Path, workers: PointWorkers, *, drop_far: bool = True
 ) -> Ingested:
     """Arrange the usable points of a file in a folder.
 
@@ -96,7 +91,7 @@ def ingest_file(
     source : PointSource
     folder : Path
         Exists; 24 bytes a point are written.
-    passes : Passes
+    workers : PointWorkers
         The cloud does not depend on it.
     drop_far : bool
         Whether to drop points far from all others.
@@ -115,46 +110,50 @@ def ingest_file(
         The disk is full, or the folder cannot be written.
     """
     name = str(source.path)
-    if not passes.workers_see_input:
-        passes = replace(passes, workers_see=False)
-    found = _survey_records(source, passes) if source.records else _survey_parts(source, passes)
+    if not workers.workers_see_input:
+        workers = replace(workers, workers_see=False)
+    found = _survey_records(source, workers) if source.records else _survey_parts(source, workers)
     refuse_too_few(found.points, found.dropped, name)
     refuse_degenerate(found.box[0], found.box[1], found.points, name)
     refuse_line(
         lambda: [found.sample],
-        lambda: _usable_positions(source, passes.points, found.origin),
+        lambda: _usable_positions(source, workers.points, found.origin),
         found.points,
         name,
     )
     points, box, reach = found.points, found.box, None
     if drop_far and not (near := find_reach(found.sample)).holds(*box):
         reach = near
-        bounded = list(_run(source, passes, bound_range, lambda _: (found.origin, reach)))
+        bounded = list(_run(source, workers, bound_range, lambda _: (found.origin, reach)))
         points = sum(count for count, _ in bounded)
         box = unite_boxes([part for _, part in bounded])
     blocks = choose_arrangement(*box)
-    cloud, boxes = _arrange(source, passes, folder, found.origin, reach, blocks, points, box)
-    return Ingested(cloud, found.dropped, found.points - points, boxes)
+    low, high = snap_points(blocks, box)  # rounding leaves the least the least
+    common = found.origin, reach, blocks
+    written = _run(source, workers, arrange_range, lambda i: (*common, (str(folder), i)))
+    parts = [Part.whole(i, *arranged) for i, arranged in enumerate(written)]
+    cloud = write_index(folder, blocks, found.origin, (low, high), parts)
+    return Ingested(cloud, found.dropped, found.points - points)
 
 
-def _survey_records(source: PointSource, passes: Passes) -> _Survey:
+def _survey_records(source: PointSource, workers: PointWorkers) -> _Survey:
     """Survey a file range by range, wherever; most files have no unusable points."""
     assert source.records is not None  # noqa: S101 - or this would not be called
     source.check()
-    ranges = passes.cut_rows(source.records.count)
+    ranges = workers.cut_rows(source.records.count)
     before, step = [some.start for some in ranges], even_step(source.records.count)
-    found = list(_run(source, passes, survey_range, lambda i: (before[i], step)))
+    found = list(_run(source, workers, survey_range, lambda i: (before[i], step)))
     usable = [part[0] for part in found]
     true, true_step = [sum(usable[:i]) for i in range(len(usable))], even_step(sum(usable))
     if true_step != step or any((a - b) % step for a, b in zip(before, true, strict=True)):
-        found = list(_run(source, passes, survey_range, lambda i: (true[i], true_step)))
+        found = list(_run(source, workers, survey_range, lambda i: (true[i], true_step)))
     return _put_together(source, found, [part[5] for part in found])
 
 
-def _survey_parts(source: PointSource, passes: Passes) -> _Survey:
+def _survey_parts(source: PointSource, workers: PointWorkers) -> _Survey:
     """Survey a file that is parsed here."""
     sample, found = EvenSample(), []
-    for *counts, positions in _run(source, passes, survey_range, lambda _: (0, 1)):
+    for *counts, positions in _run(source, workers, survey_range, lambda _: (0, 1)):
         sample.add(positions)
         found.append(counts)
     return _put_together(source, found, [sample.positions])
@@ -175,46 +174,18 @@ def _put_together(source: PointSource, found: list[Any], samples: list[FloatArra
     return _Survey(usable, dropped, origin, box, sample)
 
 
-def _arrange(
-    source: PointSource,
-    passes: Passes,
-    folder: Path,
-    origin: FloatArray,
-    reach: Reach | None,
-    blocks: Arrangement,
-    points: int,
-    box: FloatArray,
-) -> tuple[DiskCloud, Boxes]:
-    """Write the parts of a cloud, and count boxes on the way."""
-    low, high = snap_points(blocks, box)  # rounding leaves the least the least
-    edge, one_in = guess_boxes(points, float((high - low).max()))
-    edges = near_edges(edge)
-    common = origin, reach, blocks
-    parts = list(
-        _run(
-            source,
-            passes,
-            arrange_range,
-            lambda i: (*common, (str(folder), i), (low, edges, one_in)),
-        )
-    )
-    written = [Part.whole(i, keys, counts) for i, (keys, counts, _) in enumerate(parts)]
-    cloud = write_index(folder, blocks, origin, (low, high), written)
-    return cloud, merge_boxes(edges, [counted for _, _, counted in parts])
-
-
 def _run(
-    source: PointSource, passes: Passes, task: Task, more: Callable[[int], tuple[Any, ...]]
+    source: PointSource, workers: PointWorkers, task: Task, more: Callable[[int], tuple[Any, ...]]
 ) -> Iterator[Any]:
     """Run a task for each range of a file, given more arguments; in the order of the file."""
     if source.records is not None:
         path = str(source.path.resolve())  # workers need not be where this process is
         records = replace(source.records, path=path)
-        ranges = passes.cut_rows(source.records.count)
+        ranges = workers.cut_rows(source.records.count)
         there = [FileRange(records, some.start, some.stop) for some in ranges]
-        yield from passes.map(task, [(points, *more(i)) for i, points in enumerate(there)])
+        yield from workers.map(task, [(points, *more(i)) for i, points in enumerate(there)])
         return
-    for i, part in enumerate(source.chunks(passes.points)):
+    for i, part in enumerate(source.chunks(workers.points)):
         yield task(
             SentRange(visible_text(str(source.path)), part.positions, part.normals), *more(i)
         )

@@ -9,18 +9,14 @@ import logging
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from hpcapp.applications.surface.scans import Passes
-from hpccomponent.surface.cloud.disk import DiskCloud
-from hpccomponent.surface.cloud.spacing import estimate_spacing
-from hpccomponent.surface.kernels import bound_points, sample_boxes
+from hpcapp.applications.surface.cloud_pass import CloudPass, PassT
+from hpcapp.applications.surface.input.measure import draw_boxes
+from hpcapp.progress import StageClock
 from hpccomponent.surface.normals import patches
 from hpccomponent.surface.normals.consistency import share_opposed
-from hpccomponent.surface.tasks.blocks import sample_blocks
-from hpccomponent.surface.types.points import PointCloud
+from hpccomponent.surface.types.points import FloatArray
 
-__all__ = ["FROM_FILE", "Oriented", "is_contradicting", "is_contradicting_there"]
+__all__ = ["Oriented", "is_contradicting", "orient_cloud"]
 
 log = logging.getLogger("hpcapp")
 
@@ -41,16 +37,25 @@ class Oriented:
         Share of the points whose side is sure, 0 to 1.
     turned : int
         How many normals of the file were turned round, patch by patch.
+    contradict : bool
+        Whether they contradict each other, and were taken as they are.
     """
 
     source: str
     sure: float
     turned: int = 0
+    contradict: bool = False
 
     @property
     def warnings(self) -> list[str]:
         """What should make the user doubt them."""
         found = []
+        if self.contradict:
+            found.append(
+                "normals of neighbouring points contradict each other, the mesh means little: "
+                "orient them consistently (e.g. in CloudCompare or MeshLab), or leave --normals "
+                "file out"
+            )
         if self.turned:
             found.append(
                 f"the normals contradict each other: {self.turned} were turned round, so that all "
@@ -82,51 +87,60 @@ class Oriented:
         return {"source": self.source, "sure": round(self.sure, 4), "turned": self.turned}
 
 
-FROM_FILE = Oriented("file", 1.0)
-"""They are those of the file."""
-
-
-def is_contradicting(cloud: PointCloud) -> bool:
-    """Tell whether the normals of points in memory contradict each other.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        Finite positions, and unit normals.
-
-    Returns
-    -------
-    bool
-        Whether more than a twentieth of them, or so, is turned round.
-    """
-    assert cloud.normals is not None  # noqa: S101 - or there is nothing to ask
-    spacing, (low, _) = estimate_spacing(cloud.positions), bound_points(cloud.positions)
-    edge = patches.CELL * spacing
-    rows = sample_boxes(cloud.positions, low, edge, _sample_step(len(cloud)))
-    some = cloud.positions[rows], cloud.normals[rows]
-    return share_opposed(*some, low, edge, spacing) > _CONTRADICTING
-
-
-def is_contradicting_there(cloud: DiskCloud, passes: Passes, spacing: float) -> bool:
-    """Tell of a cloud in a folder what `is_contradicting` tells of one in memory.
+def orient_cloud(
+    cloud_pass: PassT,
+    spacing: float,
+    wanted: str,
+    scanners: FloatArray | None,
+    clock: StageClock,
+    *,
+    has_normals: bool,
+    is_oriented: bool = True,
+    attribute: str | None = None,
+) -> tuple[PassT, Oriented]:
+    """Give points normals where they have none, or such that contradict each other.
 
     Parameters
     ----------
-    cloud : DiskCloud
-    passes : Passes
+    cloud_pass : CloudPass
     spacing : float
-        Of the cloud, in length units of the input.
+        Of its points, in length units of the input.
+    wanted : str
+        ``file``: they are taken as they are, where there are some.
+    scanners : ndarray of float64, shape (s, 3), or None
+        Where scanners stood, in the file's coordinates.
+    clock : StageClock
+    has_normals, is_oriented : bool
+        Whether the points have normals, and whether the file says that these have a side.
+    attribute : str, optional
+        By which name points in memory keep how sure their side is, 0 to 1.
 
     Returns
     -------
-    bool
+    cloud_pass : CloudPass
+        Through points with unit normals.
+    oriented : Oriented
     """
-    edge = patches.CELL * spacing
-    step = _sample_step(len(cloud))
-    found = passes.map_blocks(sample_blocks, cloud, None, cloud.low, edge, step)
-    positions, normals = (np.concatenate(column) for column in zip(*found, strict=True))
-    return share_opposed(positions, normals, cloud.low, edge, spacing) > _CONTRADICTING
+    if has_normals:
+        contradict = is_contradicting(cloud_pass, spacing)
+        if wanted == "file":
+            return cloud_pass, Oriented("file", 1.0, contradict=contradict)
+        if is_oriented and not contradict:
+            return cloud_pass, Oriented("file", 1.0)
+    from hpcapp.applications.surface.input.normals import turn_normals  # scipy takes its time
+
+    local = None if scanners is None else scanners - cloud_pass.cloud.origin
+    with clock.stage("normals"):
+        turned_pass, sure, turned = turn_normals(
+            cloud_pass, spacing, local, keeps=has_normals, attribute=attribute
+        )
+    if has_normals:
+        return turned_pass, Oriented("file", sure, turned)
+    return turned_pass, Oriented("estimated", sure)
 
 
-def _sample_step(points: int) -> int:
-    return points // _SAMPLE + 1
+def is_contradicting(cloud_pass: CloudPass, spacing: float) -> bool:
+    """Tell whether normals contradict each other: more than one in twenty, or so, is wrong."""
+    edge, points = patches.CELL * spacing, len(cloud_pass.cloud)
+    sample = draw_boxes(cloud_pass, edge, points // _SAMPLE + 1)
+    return share_opposed(*sample, cloud_pass.cloud.low, edge, spacing) > _CONTRADICTING

@@ -2,25 +2,24 @@
 
 ::
 
-    file ─> cloud in memory ──────────────┐
-      └───> cloud in a folder (workers) ──┴─> pipeline ─> surface in parts ─> file
+    file ─> cloud, in memory or in a folder ─> pipeline ─> surface in parts ─> file
 """
 
 from __future__ import annotations
 
 import logging
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpcapp.applications.surface.checkpoint import Keeping
-from hpcapp.applications.surface.input.folder import choose_tile, plan_passes
-from hpcapp.applications.surface.input.load import Loaded, load_folder, load_memory
+from hpcapp.applications.surface.input.folder import choose_tile, find_point_workers
+from hpcapp.applications.surface.input.load import Loaded, PointFolder, load
 from hpcapp.applications.surface.input.recognised import describe_input
 from hpcapp.applications.surface.input.room import Room, open_room
 from hpcapp.applications.surface.job.backend_choice import Job, approach_workers
-from hpcapp.applications.surface.job.carry import carry_from_file
-from hpcapp.applications.surface.job.resolution import find_grid, guess_grid
+from hpcapp.applications.surface.job.carry import carry_columns
+from hpcapp.applications.surface.job.resolution import guess_grid
 from hpcapp.applications.surface.memory import count_most_points
 from hpcapp.applications.surface.method import TILE_POINTS
 from hpcapp.applications.surface.settings import JobSettings
@@ -104,8 +103,7 @@ def _run_once(
         open_room(settings) as room,
         attempt(verification),
     ):
-        run = _run_in_memory if room.folder is None else _run_in_folder
-        report = run(settings, room, target, clock, machines, verification)
+        report = _run_in(settings, room, target, clock, machines, verification)
         if settings.details:
             report["timeline"] = clock.timeline.to_json()
         clock.progress.wait_for_viewers()  # what is kept goes with the room
@@ -113,7 +111,7 @@ def _run_once(
     return report
 
 
-def _run_in_memory(
+def _run_in(
     settings: JobSettings,
     room: Room,
     target: Path,
@@ -121,57 +119,34 @@ def _run_in_memory(
     machines: LocalMachines | None,
     verification: Verification,
 ) -> dict[str, Any]:
-    """Run a job whose points are in memory."""
-    from hpcapp.applications.surface.job.steps import run_memory  # see `loading.load_folder`
+    """Run a job that has room for its points.
 
-    with approach_workers(settings, _guess_job(settings), machines, verification) as opener:
-        loaded = load_memory(settings, clock)
+    Where they lie in a folder, workers are there before them, to go through them.
+    """
+    guess, keeping = _guess_job(settings), room.keeping
+    with approach_workers(settings, guess, machines, verification) as opener, ExitStack() as stack:
+        opened = folder = None
+        if room.folder is not None:
+            backend, choice = stack.enter_context(opener.open(guess))
+            opened = backend.record(clock.timeline), choice
+            if backend.workforce.in_process and not room.is_needed:
+                keeping = None if settings.temp_dir is None else keeping
+            else:
+                folder = _open_folder(settings, room.folder, opened[0])
+        loaded = load(settings, clock, folder)
         loaded.report(settings.shown)
-        with run_memory(settings, loaded, opener, clock, room.keeping) as outcome:
+        # Half of what a job imports: where workers went through the points, that is done by now.
+        from hpcapp.applications.surface.job.steps import run_steps
+
+        with run_steps(settings, loaded, opener, clock, keeping, opened=opened) as outcome:
             return _write(settings, loaded, outcome, target, clock, verification)
 
 
-def _run_in_folder(
-    settings: JobSettings,
-    room: Room,
-    target: Path,
-    clock: StageClock,
-    machines: LocalMachines | None,
-    verification: Verification,
-) -> dict[str, Any]:
-    """Run a job whose points are in a folder, if memory asks for it or other processes do."""
-    guess = _guess_job(settings)
-    with (
-        approach_workers(settings, machines=machines, verification=verification) as opener,
-        opener.open(guess) as (opened, choice),
-    ):
-        backend = opened.record(clock.timeline)
-        if backend.workforce.in_process and not room.is_needed:
-            keeping = None if settings.temp_dir is None else room.keeping
-            loaded = load_memory(settings, clock)
-        else:
-            loaded, keeping = _load_there(settings, room, backend, clock)
-        loaded.report(settings.shown)
-        from hpcapp.applications.surface.job.steps import (
-            run_loaded,  # imported by now: `load_folder`
-        )
-
-        grid = find_grid(settings, loaded.cloud)
-        outcome = run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
-        return _write(settings, loaded, outcome, target, clock, verification)
-
-
-def _load_there(
-    settings: JobSettings, room: Room, backend: Backend, clock: StageClock
-) -> tuple[Loaded, Keeping | None]:
-    """Put the points into the folder; return how tiles are kept where workers may not see it."""
-    assert room.folder is not None  # noqa: S101 - or this would not be called
-    log.info("the points are put into %s", room.folder)
+def _open_folder(settings: JobSettings, path: Path, backend: Backend) -> PointFolder:
+    """Return the folder that the points are put into."""
+    log.info("the points are put into %s", path)
     points = choose_tile(settings, backend) or TILE_POINTS
-    passes, keeping = plan_passes(settings.points, room.folder, backend, points), room.keeping
-    if keeping is not None and keeping.holds_files and not passes.workers_see:
-        keeping = replace(keeping, is_shared=False)
-    return load_folder(settings, room.folder, passes, clock), keeping
+    return PointFolder(path, find_point_workers(settings.points, path, backend, points))
 
 
 def _guess_job(settings: JobSettings) -> Job:
@@ -190,7 +165,7 @@ def _write(
     verification: Verification,
 ) -> dict[str, Any]:
     """Write the mesh, and describe what came of the job."""
-    carrying = carry_from_file(settings, loaded, outcome, clock)
+    carrying = carry_columns(settings, loaded, outcome, clock)
     with clock.stage("write"):
         outcome.result.surface.write(target, outcome.backend.workforce, carrying)
     with clock.stage("check"):  # most of it is done while workers write

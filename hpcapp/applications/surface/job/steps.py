@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,10 +17,9 @@ from hpcapp.applications.surface.input.load import Loaded
 from hpcapp.applications.surface.job.backend_choice import Choice, Job, Opener
 from hpcapp.applications.surface.job.diagnostics import (
     SAMPLE,
-    doubt_closure,
-    doubt_normals,
-    doubt_resolution,
-    doubt_sides,
+    check_closure,
+    check_resolution,
+    check_sides,
 )
 from hpcapp.applications.surface.job.resolution import find_grid
 from hpcapp.applications.surface.method import Resources
@@ -42,7 +41,7 @@ from hpccomponent.surface.types.points import FloatArray
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Outcome", "run_loaded", "run_memory"]
+__all__ = ["Outcome", "run_steps"]
 
 log = logging.getLogger("hpcapp")
 
@@ -72,15 +71,17 @@ class Outcome:
 
 
 @contextmanager
-def run_memory(
+def run_steps(
     settings: Settings,
     loaded: Loaded,
     opener: Opener,
     clock: StageClock,
     keeping: Keeping | None = None,
+    *,
+    opened: tuple[Backend, Choice] | None = None,
     executor: Executor | Client | None = None,
 ) -> Iterator[Outcome]:
-    """Choose where a cloud in memory is reconstructed, and do it.
+    """Choose where a cloud is reconstructed, and do it.
 
     Parameters
     ----------
@@ -90,23 +91,21 @@ def run_memory(
     clock : StageClock
     keeping : Keeping, optional
         Where finished tiles are kept.
+    opened : tuple of (Backend, Choice), optional
+        Where it is reconstructed, if that is open and recorded already.
     executor : concurrent.futures.Executor or distributed.Client, optional
-        What is open already.
-
-    Yields
-    ------
-    Outcome
+        What the user has opened.
     """
-    cloud = loaded.cloud
-    grid = find_grid(settings, cloud)
-    with opener.open(Job(len(cloud), grid), executor) as (opened, choice):
-        backend = opened.record(clock.timeline)
-        if keeping and keeping.holds_files and not all_see_folder(Path(keeping.where), backend):
+    grid = find_grid(settings, loaded.cloud)
+    job = Job(len(loaded.cloud), grid)
+    with nullcontext(opened) if opened else opener.open(job, executor) as (backend, choice):
+        recorded = backend if opened else backend.record(clock.timeline)
+        if keeping and keeping.holds_files and not all_see_folder(Path(keeping.where), recorded):
             keeping = replace(keeping, is_shared=False)
-        yield run_loaded(settings, loaded, grid, backend, choice, clock, keeping)
+        yield _run(settings, loaded, grid, recorded, choice, clock, keeping)
 
 
-def run_loaded(
+def _run(
     settings: Settings,
     loaded: Loaded,
     grid: int,
@@ -115,24 +114,7 @@ def run_loaded(
     clock: StageClock,
     keeping: Keeping | None,
 ) -> Outcome:
-    """Reconstruct a cloud, wherever it is, on an open backend.
-
-    Parameters
-    ----------
-    settings : Settings
-    loaded : Loaded
-    grid : int
-        Cells along the longest side.
-    backend : Backend
-    choice : Choice
-    clock : StageClock
-    keeping : Keeping or None
-        Where finished tiles are kept.
-
-    Returns
-    -------
-    Outcome
-    """
+    """Reconstruct a cloud on an open backend."""
     workforce, cloud = backend.workforce, loaded.cloud
     threads = choose_threads(workforce, len(cloud))
     tile_points = choose_tile(settings, backend)
@@ -143,9 +125,9 @@ def run_loaded(
         "method %s, grid %d, backend %s, workers %d, policy %s, kernels %s",
         settings.method.name, grid, backend.name, workforce.workers, settings.policy, kernel_id(),
     )  # fmt: skip
-    doubts = Deferred(partial(_doubt_points, grid, cloud))
-    result = run_pipeline(cloud, method, workforce, clock, choose_steps(settings), doubts)
-    warnings = _warn(settings, doubts(), result)
+    checks = Deferred(partial(_check_points, grid, cloud))
+    result = run_pipeline(cloud, method, workforce, clock, choose_steps(settings), checks)
+    warnings = _warn(settings, loaded, checks(), result)
     if settings.target.is_something:
         with clock.stage("simplify"):
             light = simplify_surface(result.surface, settings.target)
@@ -159,39 +141,40 @@ def run_loaded(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Doubts:
-    """What the points give to doubt of, and what their mesh is judged by; see `doubts`."""
+class _PointChecks:
+    """What is suspicious of the points, and what their mesh is judged by; see `diagnostics`."""
 
     resolution: list[str]
-    normals: list[str]
     sides: list[str]
     low: FloatArray
     high: FloatArray
     step: float
 
 
-def _doubt_points(grid: int, cloud: ArrangedCloud) -> _Doubts:
+def _check_points(grid: int, cloud: ArrangedCloud) -> _PointChecks:
     low, high, points = cloud.low, cloud.high, cloud.sample(SAMPLE)
     step = float((high - low).max()) / grid
-    resolution = doubt_resolution(points, step)
-    normals = [] if resolution else doubt_normals(points)
-    sides = [] if resolution or normals else doubt_sides(points)
-    return _Doubts(resolution, normals, sides, low, high, step)
+    resolution = check_resolution(points, step)
+    sides = [] if resolution else check_sides(points)
+    return _PointChecks(resolution, sides, low, high, step)
 
 
-def _warn(settings: Settings, found: _Doubts, result: Reconstruction) -> list[str]:
+def _warn(
+    settings: Settings, loaded: Loaded, checks: _PointChecks, result: Reconstruction
+) -> list[str]:
     """Log what should make the user doubt the mesh, and return it for the report."""
-    doubts = found.resolution + found.normals
+    warnings = [*checks.resolution]
     if not result.facts.get("open", False):
-        doubts += found.sides  # of an open mesh, nothing is guessed behind the points
+        if not loaded.oriented.contradict:
+            warnings += checks.sides  # of an open mesh, nothing is guessed behind the points
         # Too few cells explain a mesh that is too large.
-        if not found.resolution and settings.method.makes_closed_meshes:
-            doubts += doubt_closure(found.low, found.high, result.surface, found.step)
+        if not checks.resolution and settings.method.makes_closed_meshes:
+            warnings += check_closure(checks.low, checks.high, result.surface, checks.step)
     elif result.facts.get("room", False):
-        doubts.append(
+        warnings.append(
             "the points are taken for a room seen from inside, for their normals face inwards: "
             "if they are of an object, turn them around"
         )
-    for doubt in doubts:
-        log.warning("warning: %s", doubt)
-    return doubts
+    for warning in warnings:
+        log.warning("warning: %s", warning)
+    return warnings

@@ -35,19 +35,17 @@ BELIEVED: dict[str, set[str]] = {
     "zero": set(),
     "plus one": {
         "bound_range",  # how many points are near
-        "count_block_boxes",  # other boxes, beside those
-        "group_blocks",  # patches and links beside those, in a fog that has all sorts of them
-        "judge_blocks",  # the cells beside those that are stray
+        "group_region",  # patches and links beside those, in a fog that has all sorts of them
+        "judge_region",  # the cells beside those that are stray
         "sum_tile",  # how many finest cells a tile has, which is only reported
-        "survey_blocks",  # how many points are left when some are dropped
     },
     "times 1.001": {
         "bound_range",
-        "group_blocks",  # where patches lie, and their noise
+        "bound_region",  # the box around what is left when some are dropped
+        "group_region",  # where patches lie, and their noise
         "mesh_gap",
         "mesh_tile",
         "open_part",
-        "survey_blocks",
         "survey_range",  # the box and the sample of a file, which nobody else has read
         "survey_support",
     },
@@ -237,4 +235,4 @@ def test_lies_that_pass_are_blamed_on_nobody_else(
     given = cloud if has_normals else replace(cloud, normals=None)
     run_small(lambda answer: refused.extend(find_refusals(answer)), tmp_path, given, True, tell)
     assert refused == []
-    assert told >= {"survey_blocks"}
+    assert told >= {"bound_region"}

@@ -18,7 +18,7 @@ from hpcapp.applications.surface import surface
 from hpcapp.applications.surface.api import reconstruct
 from hpcapp.applications.surface.hierarchical import growth as regions
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.input import folder, room
+from hpcapp.applications.surface.input import folder, load, room
 from hpcapp.applications.surface.job import run, steps
 from hpcapp.applications.surface.job.run import run_job
 from hpcapp.applications.surface.memory import fitting_tile, parse_limit
@@ -175,7 +175,7 @@ def test_workers_read_a_cloud_that_memory_would_hold(
     scan: Path, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(folder, "FOLDER_FROM_POINTS", 10_000)
-    monkeypatch.setattr(run, "load_memory", None)
+    monkeypatch.setattr(load, "read_whole", None)
     output = tmp_path / "mesh.ply"
     run_job(JobSettings(scan, str(output), grid=96, backend="zmq", workers=2), SILENT)
     assert output.read_bytes() == whole

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from hpccomponent.surface.cloud import outlier_regions
-from hpccomponent.surface.cloud.outlier_regions import judge_region, judge_sparse, rank_region
-from hpccomponent.surface.cloud.outliers import EDGE, ISLAND_LEVEL, find_outliers
+from hpccomponent.surface.cloud.outlier_regions import (
+    DroppedCells,
+    judge_region,
+    judge_sparse,
+    rank_region,
+)
 from hpccomponent.surface.cloud.spacing import estimate_spacing
 from hpccomponent.surface.kernels import bound_points
-from hpccomponent.surface.types.lattice import cells_of, pack_places
-from hpccomponent.surface.types.points import FloatArray
+from hpccomponent.surface.types.points import BoolArray, FloatArray
 
 
 def _cloud(seed: int) -> FloatArray:
@@ -32,6 +35,19 @@ def _slabs(positions: FloatArray, count: int) -> list[np.ndarray]:
     return [slab == i for i in range(count)]
 
 
+Region = tuple[FloatArray, BoolArray, FloatArray, float]
+
+
+def _find_outliers(positions: FloatArray, spacing: float, regions: list[Region]) -> np.ndarray:
+    judged = judge_sparse([rank_region(*region) for region in regions])
+    strays = np.concatenate(
+        [judged.stray_cells, *(judge_region(*region, judged.base) for region in regions)]
+    )
+    low, _ = bound_points(positions)
+    cells = DroppedCells(low, spacing, np.unique(strays), judged.island_cells)
+    return ~cells.find_kept(positions)
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("factor", [0.06, 0.12, 0.25, 0.5, 1.0, 2.0])
 def test_any_rank_may_be_that_of_most_points(seed: int, factor: float) -> None:
@@ -44,16 +60,12 @@ def test_any_rank_may_be_that_of_most_points(seed: int, factor: float) -> None:
         x = positions[own, 0]
         near = (positions[:, 0] >= x.min() - margin) & (positions[:, 0] <= x.max() + margin)
         regions.append((positions[near], own[near], low, spacing))
-    judged = judge_sparse([rank_region(*region) for region in regions])
-    strays = np.concatenate(
-        [judged.stray_cells, *(judge_region(*region, judged.base) for region in regions)]
-    )
-    places = np.floor(cells_of(positions, low, EDGE * spacing)).astype(np.int64)
-    found = np.isin(pack_places(places), strays)
-    found |= np.isin(pack_places(places >> ISLAND_LEVEL), judged.island_cells)
-    expected = find_outliers(positions, spacing)
+    found = _find_outliers(positions, spacing, regions)
+    everything = (positions, np.ones(len(positions), np.bool_), low, spacing)
+    expected = _find_outliers(positions, spacing, [everything])
     assert found.tolist() == expected.tolist()
     if factor <= 1.0:
         assert expected.any()
     if factor == 0.06:
+        judged = judge_sparse([rank_region(*region) for region in regions])
         assert judged.base > outlier_regions.LOCAL_RANK

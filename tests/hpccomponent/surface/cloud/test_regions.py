@@ -9,12 +9,17 @@ import pytest
 from disk_clouds import DiskCloudWriter
 
 from hpccomponent.surface.cloud.arranged import MemoryCloud, arrange_cloud
+from hpccomponent.surface.cloud.arrangement import PackedPoints
 from hpccomponent.surface.cloud.disk import DiskCloud
-from hpccomponent.surface.cloud.outliers import EDGE, ISLAND_LEVEL
-from hpccomponent.surface.cloud.regions import DroppedCells, Region, pack_region, take_region
+from hpccomponent.surface.cloud.regions import (
+    MemoryRegion,
+    Region,
+    ReplacedRows,
+    StoredBlocks,
+    pack_region,
+)
 from hpccomponent.surface.cloud.spacing import estimate_spacing
 from hpccomponent.surface.normals.consistency import MARGIN, find_turned
-from hpccomponent.surface.types.lattice import pack_places
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 
@@ -42,7 +47,7 @@ def _cut(cloud: DiskCloud, pieces: int) -> list[np.ndarray]:
 
 def _take(cloud: DiskCloud, blocks: np.ndarray, margin: float, is_sent: bool) -> Region:
     where = pack_region(cloud, blocks, margin) if is_sent else str(cloud.folder)
-    return take_region((where, blocks, margin, None))
+    return StoredBlocks(where, blocks, margin).take()
 
 
 @pytest.mark.parametrize("is_sent", [True, False])
@@ -64,11 +69,16 @@ def test_turned_normals_of_regions_are_those_of_the_whole(tmp_path: Path, is_sen
         own = np.isin(rows, blocks)
         found = find_turned(r.positions, r.normals, arranged.low, spacing)
         turned[own] = found[r.own]
-        packed = r.pack_own(found)
-        assert not r.has_lost_own
-        assert packed.keys.tolist() == blocks.tolist()
-        assert packed.counts.tolist() == arranged.counts[np.isin(arranged.keys, blocks)].tolist()
-        mended = np.where(turned[own, None], -whole[1][own], whole[1][own])
+        packed = r.flip(found[r.own])
+        changed = np.unique(rows[own & turned])
+        if not len(changed):
+            assert packed is None
+            continue
+        assert isinstance(packed, PackedPoints)
+        assert packed.keys.tolist() == changed.tolist()
+        assert packed.counts.tolist() == arranged.counts[np.isin(arranged.keys, changed)].tolist()
+        lies = np.isin(rows, changed)
+        mended = np.where(turned[lies, None], -whole[1][lies], whole[1][lies])
         assert packed.normals.astype(np.float64).tobytes() == mended.tobytes()
     assert turned.tolist() == expected.tolist()
     assert turned.sum() > 100
@@ -91,21 +101,41 @@ def test_regions_know_their_margins(tmp_path: Path) -> None:
             assert len(taken) < len(cloud)
 
 
-def test_points_in_dropped_cells_are_not_there(tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_written", [True, False])
+def test_only_blocks_that_lose_points_are_replaced(tmp_path: Path, is_written: bool) -> None:
     arranged = arrange_cloud(PointCloud(_cloud(4), _cloud(4)))
     cloud = _write(arranged, tmp_path)
-    low, spacing = cloud.low, estimate_spacing(arranged.points.positions)
-    places = np.floor((arranged.points.positions - low) / (EDGE * spacing)).astype(np.int64)
-    strays = np.unique(pack_places(places))[::7]
-    islands = np.unique(pack_places(places >> ISLAND_LEVEL))[::40]
-    kept = ~np.isin(pack_places(places), strays)
-    kept &= ~np.isin(pack_places(places >> ISLAND_LEVEL), islands)
-    region = take_region(
-        (str(tmp_path), cloud.keys, 0.0, DroppedCells(low, spacing, strays, islands))
-    )
-    assert region.positions.tobytes() == arranged.points.positions[kept].tobytes()
-    packed = region.pack_own(np.zeros(int(kept.sum()), np.bool_))
-    held = np.repeat(cloud.keys, cloud.counts)[kept]
-    assert np.repeat(packed.keys, packed.counts).tolist() == held.tolist()
-    assert 0 < kept.sum() < len(kept)
-    assert region.has_lost_own
+    rows = np.repeat(cloud.keys, cloud.counts)
+    dropped = np.isin(rows, cloud.keys[::5]) & (np.arange(len(cloud)) % 3 > 0)
+    dropped |= rows == cloud.keys[2]  # all of a block
+    target = (str(tmp_path), 7) if is_written else None
+    region = StoredBlocks(str(tmp_path), cloud.keys, 0.0, target).take()
+    changed = np.unique(rows[dropped])
+    replaced = region.drop(dropped)
+    assert replaced is not None
+    keys, counts = replaced if isinstance(replaced, tuple) else (replaced.keys, replaced.counts)  # type: ignore[union-attr]
+    assert keys.tolist() == changed.tolist()
+    left = np.isin(rows, changed) & ~dropped
+    assert counts.tolist() == [int((rows[left] == key).sum()) for key in changed]
+    assert counts[list(keys).index(cloud.keys[2])] == 0
+    if is_written:
+        records = np.fromfile(tmp_path / "points.7", np.float32)[: 6 * int(counts.sum())]
+        expected = cloud.take_packed(cloud.keys).to_records()[left]
+        assert records.tobytes() == expected.tobytes()
+    assert region.drop(np.zeros(len(cloud), np.bool_)) is None
+
+
+def test_in_memory_the_points_themselves_are_replaced() -> None:
+    positions = _cloud(4)
+    every = np.ones(len(positions), np.bool_)
+    region = MemoryRegion(positions, positions, every, slice(None)).take()
+    assert region.flip(~every) is None
+    assert region.drop(~every) is None
+    wrong = np.arange(len(positions)) % 3 == 0
+    flipped, less = region.flip(wrong), region.drop(wrong)
+    assert isinstance(flipped, ReplacedRows)
+    assert isinstance(less, ReplacedRows)
+    assert flipped.normals is not None
+    assert less.kept is not None
+    assert (flipped.normals == np.where(wrong[:, None], -positions, positions)).all()
+    assert (less.kept == ~wrong).all()

@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpcapp.applications.surface.hierarchical.tiles import cut_tiles, weigh_cells
+from hpcapp.applications.surface.hierarchical.tiles import weigh_cells
+from hpccomponent.surface.cloud.cutting import cut_tiles
 from hpccomponent.surface.tiles.halo import mark_near
 from hpccomponent.surface.tiles.plan import Plan
 from hpccomponent.surface.types.lattice import pack_places, spread_keys, unique_keys

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from disk_clouds import DiskCloudWriter
-from recorder import Recorder
+from passes import alone, in_folder
 
 from hpcapp.applications.simulate.scanner import simulate_scan
 from hpcapp.applications.simulate.settings import ScanSettings
 from hpcapp.applications.simulate.shapes import SHAPES
+from hpcapp.applications.surface.cloud_pass import MemoryPass
 from hpcapp.applications.surface.hierarchical.estimates import choose_scale
 from hpcapp.applications.surface.input.clean import Cleaned, clean_cloud
-from hpcapp.applications.surface.input.clean_regions import clean_regions
-from hpcapp.applications.surface.scans import Passes
-from hpcapp.backends.serial import SerialExecutor
+from hpcapp.applications.surface.input.measure import measure_cloud, measure_spacing
+from hpcapp.applications.surface.point_workers import PointWorkers
 from hpcapp.workforce import Workforce
 from hpccomponent.surface.cloud.arranged import arrange_cloud
+from hpccomponent.surface.cloud.measured import measure_points
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 Random = np.random.Generator
@@ -95,20 +95,19 @@ CLOUDS: dict[str, Callable[[Random], PointCloud]] = {
 SPOILT = set(CLOUDS) - {"clean", "repeated", "fog"}
 
 
-def _assert_cleaned_alike(scan: PointCloud, folder: Path, passes: Passes) -> Cleaned:
-    arranged = arrange_cloud(scan)
-    kept, cleaned = clean_cloud(arranged)
-    expected = kept.points
-    there = folder / "arranged"
-    there.mkdir()
-    writer = DiskCloudWriter(there, arranged.arrangement, scan.origin)
-    assert scan.normals is not None
-    for some in np.array_split(np.arange(len(scan)), 5):
-        writer.add(scan.positions[some], scan.normals[some])
-    found, told = clean_regions(writer.finish(), folder, passes)
-    assert told == cleaned
+def _assert_cleaned_alike(scan: PointCloud, folder: Path, workers: PointWorkers) -> Cleaned:
+    arranged = MemoryPass(arrange_cloud(scan))
+    kept, cleaned, spacing = clean_cloud(arranged, measure_spacing(arranged))
+    kept, expected = measure_cloud(kept, spacing), kept.cloud.points
+    there = in_folder(scan, folder, workers)
+    there, told, same = clean_cloud(there, measure_spacing(there))
+    assert (told, same) == (cleaned, spacing)
+    found = measure_cloud(there, spacing).cloud
     assert choose_scale(found.measure(), 0.0, 1.0, 1.0) == choose_scale(
-        kept.measure(), 0.0, 1.0, 1.0
+        kept.cloud.measure(), 0.0, 1.0, 1.0
+    )
+    assert choose_scale(measure_points(expected), 0.0, 1.0, 1.0) == choose_scale(
+        kept.cloud.measure(), 0.0, 1.0, 1.0
     )
     assert found.low.tolist() == expected.positions.min(axis=0).tolist()
     assert found.high.tolist() == expected.positions.max(axis=0).tolist()
@@ -120,16 +119,12 @@ def _assert_cleaned_alike(scan: PointCloud, folder: Path, passes: Passes) -> Cle
     return cleaned
 
 
-def _serial(points: int) -> Passes:
-    return Passes(Workforce(SerialExecutor(), in_process=True), True, points)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CLOUDS)
 @pytest.mark.parametrize("points", [5_000, 100_000])
 def test_regions_of_any_size_are_the_whole(tmp_path: Path, name: str, points: int) -> None:
     cloud = CLOUDS[name](np.random.default_rng(5))
-    cleaned = _assert_cleaned_alike(cloud, tmp_path, _serial(points))
+    cleaned = _assert_cleaned_alike(cloud, tmp_path, alone(points))
     if name in SPOILT:
         assert cleaned.outliers or cleaned.flipped
 
@@ -145,7 +140,7 @@ def test_any_mixture_is_cleaned_alike(tmp_path: Path, seed: int) -> None:
         pieces.append(random.normal(size=(points, 3)) * extent + random.uniform(-1, 1, 3))
     positions = np.concatenate([*pieces, random.uniform(-3, 3, (50, 3))])
     cloud = _oriented(positions[random.permutation(len(positions))])
-    _assert_cleaned_alike(cloud, tmp_path, _serial(1_500))
+    _assert_cleaned_alike(cloud, tmp_path, alone(1_500))
 
 
 @pytest.mark.parametrize("workers_see", [True, False])
@@ -154,11 +149,12 @@ def test_only_regions_that_change_are_written(tmp_path: Path, workers_see: bool)
     cloud = _oriented(positions)
     assert cloud.normals is not None
     cloud.normals[np.flatnonzero(positions[:, 0] > 0.99)[::40]] *= -1.0  # a few, in one place
-    serial = _serial(3_000).workforce
-    passes = Passes(serial, workers_see, 3_000)
-    cleaned = _assert_cleaned_alike(cloud, tmp_path, passes)
+    cleaned = _assert_cleaned_alike(cloud, tmp_path, alone(3_000, sees=workers_see))
     assert 0 < cleaned.flipped < 100
-    written = list(tmp_path.glob("points.*"))
+    (changed,) = (
+        index.parent for index in tmp_path.glob("*/index") if "../" in index.read_text("latin-1")
+    )
+    written = list(changed.glob("points.*"))
     assert 1 <= len(written) <= 4  # of ten
     assert 0 < sum(path.stat().st_size for path in written) < 24 * 15_000
 
@@ -169,20 +165,5 @@ def test_only_regions_that_change_are_written(tmp_path: Path, workers_see: bool)
 def test_workers_do_not_show(tmp_path: Path, name: str, workers_see: bool) -> None:
     """Whether they see the folder, and write to it, or are sent points."""
     with ThreadPoolExecutor(3) as executor:
-        passes = Passes(Workforce(executor, 3, 4), workers_see, 4_000)
-        _assert_cleaned_alike(CLOUDS[name](np.random.default_rng(5)), tmp_path, passes)
-
-
-@pytest.mark.parametrize("workers_see", [True, False])
-@pytest.mark.parametrize(("name", "is_vain"), [("clean", False), ("islands", True)])
-def test_what_is_clear_is_read_once(
-    tmp_path: Path, name: str, is_vain: bool, workers_see: bool
-) -> None:
-    """Where points of others are dropped, regions are mended once more."""
-    with Recorder(3) as recorder:
-        passes = Passes(Workforce(recorder, 3, 4), workers_see, 4_000)
-        _assert_cleaned_alike(CLOUDS[name](np.random.default_rng(5)), tmp_path, passes)
-    names = [name for name, _ in recorder.tasks]
-    regions = names.count("clean_blocks")
-    assert regions > 1
-    assert names.count("mend_blocks") == (regions if is_vain else 0)
+        workers = PointWorkers(Workforce(executor, 3, 4), workers_see, 4_000)
+        _assert_cleaned_alike(CLOUDS[name](np.random.default_rng(5)), tmp_path, workers)

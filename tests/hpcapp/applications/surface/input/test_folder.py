@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.input import folder
-from hpcapp.applications.surface.input.folder import may_pay_in_folder, plan_passes
-from hpcapp.applications.surface.input.load import load_folder
-from hpcapp.applications.surface.scans import Passes
+from hpcapp.applications.surface.input.folder import find_point_workers, may_pay_in_folder
+from hpcapp.applications.surface.input.load import PointFolder, load
+from hpcapp.applications.surface.point_workers import PointWorkers
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.backends.selection import Backend
 from hpcapp.io import write_points
@@ -79,8 +79,8 @@ def test_workers_elsewhere_are_asked_what_they_see(
 
     with ThreadPoolExecutor(1) as executor:
         backend = Backend("dask", Elsewhere(executor))
-        passes = plan_passes(scan, tmp_path / "job" / "points", backend, 1_000)
-    assert (passes.workers_see, passes.workers_see_input) == seen
+        workers = find_point_workers(scan, tmp_path / "job" / "points", backend, 1_000)
+    assert (workers.workers_see, workers.workers_see_input) == seen
     assert list((tmp_path / "job").iterdir()) == []
 
 
@@ -103,8 +103,9 @@ def test_a_task_that_runs_again_late_changes_nothing(
     clouds = []
     for name, kind in (("once", ThreadPoolExecutor), ("twice", RunsTwice)):
         with kind(2) as executor:
-            passes = Passes(Workforce(executor, 2, 4), True, 100)
-            loaded = load_folder(settings, tmp_path / name, passes, StageClock(SilentProgress()))
+            workers = PointWorkers(Workforce(executor, 2, 4), True, 100)
+            there = PointFolder(tmp_path / name, workers)
+            loaded = load(settings, StageClock(SilentProgress()), there)
             clouds.append(loaded.cloud.take_blocks(loaded.cloud.keys))
     for once, twice in zip(*clouds, strict=True):
         np.testing.assert_array_equal(once, twice)

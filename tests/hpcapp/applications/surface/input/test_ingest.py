@@ -8,23 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from passes import alone
 
 from hpcapp.applications.surface.input import ingest
 from hpcapp.applications.surface.input.clean import EvenSample, drop_far
 from hpcapp.applications.surface.input.ingest import ingest_file
-from hpcapp.applications.surface.scans import Passes
-from hpcapp.backends.serial import SerialExecutor
+from hpcapp.applications.surface.point_workers import PointWorkers
 from hpcapp.io import drop_unusable, open_points, read_points, write_points
 from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError
 from hpccomponent.surface.cloud.arranged import arrange_cloud
-from hpccomponent.surface.kernels import count_boxes
 from hpccomponent.surface.tasks import file_ranges
 from hpccomponent.surface.types.points import FloatArray, PointCloud
-
-
-def _passes(points: int = 1 << 20) -> Passes:
-    return Passes(Workforce(SerialExecutor(), in_process=True), True, points)
 
 
 def _scan(points: int = 5_000) -> PointCloud:
@@ -64,7 +59,7 @@ def test_parts_arranged_on_disk_are_the_cloud_in_memory(
     near = drop_far(usable) if far else usable
     expected = arrange_cloud(near)
     (tmp_path / "parts").mkdir()
-    found = ingest_file(open_points(path), tmp_path / "parts", _passes(rows), drop_far=far)
+    found = ingest_file(open_points(path), tmp_path / "parts", alone(rows), drop_far=far)
     assert found.dropped == dropped
     assert found.far == len(usable) - len(near)
     assert found.cloud.arrangement.edge == expected.arrangement.edge
@@ -74,11 +69,6 @@ def test_parts_arranged_on_disk_are_the_cloud_in_memory(
         found.cloud.take_blocks(expected.keys), expected.take_blocks(expected.keys), strict=True
     ):
         assert mine.tobytes() == its.tobytes()
-    edges = list(found.boxes)
-    assert len(edges) == 2
-    for edge in edges:
-        counted = count_boxes(expected.points.positions, expected.low, edge, 1)
-        assert found.boxes[edge] == counted
 
 
 @pytest.mark.parametrize("workers_see", [True, False])
@@ -94,8 +84,8 @@ def test_workers_read_their_ranges(
     (tmp_path / "parts").mkdir()
     with ThreadPoolExecutor(4) as executor:
         workforce = Workforce(executor, 4, 4)
-        passes = Passes(workforce, True, 7_000, workers_see)
-        found = ingest_file(open_points(path), tmp_path / "parts", passes)
+        workers = PointWorkers(workforce, True, 7_000, workers_see)
+        found = ingest_file(open_points(path), tmp_path / "parts", workers)
     pieces = 12 if workers_see else 9  # three each, or as memory asks
     assert len(found.cloud.parts) == 2 * pieces
     one, other = (cloud.take_blocks(expected.keys) for cloud in (found.cloud, expected))
@@ -110,8 +100,8 @@ def test_the_sample_of_ranges_is_that_of_parts(
     write_points(tmp_path / "a.ply", _spoil(_scan(90_000)))
     source = open_points(tmp_path / "a.ply")
     monkeypatch.setattr(file_ranges, "_AT_ONCE", at_once)
-    ranges = ingest._survey_records(source, _passes(11_000))
-    parts = ingest._survey_parts(replace(source, records=None), _passes(11_000))
+    ranges = ingest._survey_records(source, alone(11_000))
+    parts = ingest._survey_parts(replace(source, records=None), alone(11_000))
     assert ranges.sample.tobytes() == parts.sample.tobytes()
     assert 10_000 < len(parts.sample) <= 20_000
 
@@ -150,7 +140,7 @@ def test_clouds_without_a_surface_are_refused_as_from_memory(
     with pytest.raises(InputError, match=said) as whole:
         drop_unusable(read_points(path), str(path))
     with pytest.raises(InputError, match=said) as parts:
-        ingest_file(open_points(path), tmp_path, _passes(7_000))
+        ingest_file(open_points(path), tmp_path, alone(7_000))
     assert str(parts.value) == str(whole.value)
 
 
@@ -158,4 +148,6 @@ def test_a_line_is_told_from_all_points_where_the_sample_does_not_tell(tmp_path:
     positions = _line(50_000)
     positions[1] += (0.0, 0.0, 0.5)  # is not in the sample, which has every fourth
     write_points(tmp_path / "a.ply", PointCloud(positions, np.ones_like(positions)))
-    assert len(ingest_file(open_points(tmp_path / "a.ply"), tmp_path, _passes()).cloud) == 50_000
+    assert (
+        len(ingest_file(open_points(tmp_path / "a.ply"), tmp_path, alone(1 << 20)).cloud) == 50_000
+    )

@@ -6,16 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from passes import alone
 
 from hpcapp.applications.surface.hierarchical.settings import Hierarchical
-from hpcapp.applications.surface.input.load import Loaded, load_folder, load_memory
+from hpcapp.applications.surface.input.load import Loaded, PointFolder, load
 from hpcapp.applications.surface.job.run import JobSettings, run_job
 from hpcapp.applications.surface.paper.settings import Paper
-from hpcapp.applications.surface.scans import Passes
-from hpcapp.backends.serial import SerialExecutor
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress, StageClock
-from hpcapp.workforce import Workforce
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.points import PointCloud
 
@@ -38,9 +36,9 @@ def write_repeated(path: Path, cloud: PointCloud, points: int) -> Path:
     return path
 
 
-def load(path: Path, *, clean: bool = True) -> Loaded:
+def load_clean(path: Path, *, clean: bool = True) -> Loaded:
     settings = JobSettings(path, "m.ply", method=Hierarchical(clean=clean))
-    return load_memory(settings, StageClock(SilentProgress()))
+    return load(settings, StageClock(SilentProgress()))
 
 
 def points_of(loaded: Loaded) -> tuple[bytes, bytes]:
@@ -55,18 +53,18 @@ def test_the_first_at_each_place_stays(
     tmp_path: Path, sphere_file: Path, sphere: PointCloud, repeated: int, rows: int, clean: bool
 ) -> None:
     path = write_repeated(tmp_path / "again.ply", sphere, repeated)
-    memory = load(path, clean=clean)
-    assert points_of(memory) == points_of(load(sphere_file, clean=clean))
+    memory = load_clean(path, clean=clean)
+    assert points_of(memory) == points_of(load_clean(sphere_file, clean=clean))
     assert memory.cleaned.repeated == repeated * (TIMES - 1)
     settings = JobSettings(path, "m.ply", method=Hierarchical(clean=clean))
-    passes = Passes(Workforce(SerialExecutor(), in_process=True), True, rows)
-    folder = load_folder(settings, tmp_path / "there", passes, StageClock(SilentProgress()))
+    there = PointFolder(tmp_path / "there", alone(rows))
+    folder = load(settings, StageClock(SilentProgress()), there)
     assert points_of(folder) == points_of(memory)
     assert folder.cleaned == memory.cleaned
     assert folder.cloud.measure().spacing == memory.cloud.measure().spacing
     assert len(folder.cloud) == len(sphere)
     kept = JobSettings(path, "m.ply", method=Hierarchical(clean=clean), resume=True)
-    again = load_folder(kept, tmp_path / "there", passes, StageClock(SilentProgress()))
+    again = load(kept, StageClock(SilentProgress()), there)
     assert points_of(again) == points_of(memory)
     assert again.cleaned == memory.cleaned
 
@@ -89,12 +87,11 @@ def test_the_mesh_is_that_of_the_cloud_itself(
 def test_too_few_places_are_refused(tmp_path: Path, sphere: PointCloud) -> None:
     some = sphere.take(np.arange(8))
     path = write_repeated(tmp_path / "a.ply", some, 8)
-    passes = Passes(Workforce(SerialExecutor(), in_process=True), True, 1000)
     settings = JobSettings(path, "m.ply", method=Hierarchical())
     with pytest.raises(InputError, match=r"a\.ply has 8 usable points"):
-        load(path)
+        load_clean(path)
     with pytest.raises(InputError, match=r"a\.ply has 8 usable points"):
-        load_folder(settings, tmp_path / "there", passes, StageClock(SilentProgress()))
+        load(settings, StageClock(SilentProgress()), PointFolder(tmp_path / "there", alone(1000)))
 
 
 def test_what_was_recognised_is_in_the_report(tmp_path: Path, sphere: PointCloud) -> None:

@@ -358,7 +358,9 @@ DAMAGES = [_cut, _flip, _empty, _make_folder, _make_pipe, _make_loop, _make_junk
 KINDS: dict[str, Callable[[Path], Iterable[Path]]] = {
     "tile": lambda place: _tiles(place),
     "note": lambda place: list(place.glob("*/points/loaded")),
-    "index": lambda place: list(place.glob("*/points/cleaned-*/index")),
+    "index": lambda place: [
+        max(place.glob("*/points/*/index"), key=lambda at: at.stat().st_mtime_ns)
+    ],
     "block file": lambda place: list(place.glob("*/points/*/points.*")),
     "lock": lambda place: list(place.glob("*/.owner")),
 }

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from hpcapp.applications.surface.checkpoint import Keeping
-from hpcapp.applications.surface.input.load import load_memory
+from hpcapp.applications.surface.input.load import load
 from hpcapp.applications.surface.job.backend_choice import approach_workers
-from hpcapp.applications.surface.job.steps import run_memory
+from hpcapp.applications.surface.job.steps import run_steps
 from hpcapp.applications.surface.settings import JobSettings
 from hpcapp.io import write_points
 from hpcapp.progress import SilentProgress, StageClock
@@ -59,12 +59,12 @@ def test_tiles_are_kept_by_who_sees_the_folder(tmp_path: Path, sees: bool) -> No
     there.mkdir()
     settings = JobSettings(tmp_path / "ball.ply", "-", grid=48, workers=2, temp_dir=str(here))
     clock = StageClock(SilentProgress())
-    loaded = load_memory(settings, clock)
+    loaded = load(settings, clock)
     keeping, machine = Keeping(str(here), "job"), OtherMachine(here, here if sees else there)
     keeping.make_folders()
     with (
         approach_workers(settings) as opener,
-        run_memory(settings, loaded, opener, clock, keeping, machine) as outcome,
+        run_steps(settings, loaded, opener, clock, keeping, executor=machine) as outcome,
     ):
         mesh = outcome.result.surface.mesh()
         assert list(there.iterdir()) == []

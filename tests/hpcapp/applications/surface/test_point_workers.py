@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpcapp.applications.surface.input.clean_regions import cut_regions
-from hpcapp.applications.surface.scans import Passes, cut_even
+from hpcapp.applications.surface.point_workers import PointWorkers
 from hpcapp.backends.serial import SerialExecutor
 from hpcapp.workforce import Workforce
 from hpccomponent.surface.cloud.arranged import arrange_cloud
+from hpccomponent.surface.cloud.cutting import cut_even, cut_regions
 from hpccomponent.surface.types.points import PointCloud
 
 
@@ -48,4 +48,4 @@ def test_pieces_follow_workers_and_memory(
     workers: int, in_process: bool, points: int, pieces: int
 ) -> None:
     workforce = Workforce(SerialExecutor(), workers, 4, in_process)
-    assert Passes(workforce, True, 1_500_000).count_pieces(points) == pieces
+    assert PointWorkers(workforce, True, 1_500_000).count_pieces(points) == pieces
