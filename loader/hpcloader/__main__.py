@@ -113,13 +113,8 @@ def component_argv(settings: LoaderSettings, choice: Choice) -> list[str]:
 
     Parameters
     ----------
-    settings : LoaderSettings
     choice : Choice
         Whose build the component is.
-
-    Returns
-    -------
-    list of str
     """
     connection = ["--connection", str(settings.connection), "--build", choice.build.name]
     tasks = [word for task in (*choice.build.tasks, *settings.tasks) for word in ("--task", task)]

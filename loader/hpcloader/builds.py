@@ -48,16 +48,7 @@ class Requirements:
     module: str | None = None
 
     def unmet(self, machine: Machine) -> Iterator[str]:
-        """Yield, in words, each thing that `machine` lacks.
-
-        Parameters
-        ----------
-        machine : Machine
-
-        Yields
-        ------
-        str
-        """
+        """Yield, in words, each thing that `machine` lacks."""
         if self.architecture and machine.architecture not in self.architecture:
             yield f"architecture is {machine.architecture}, not {' or '.join(self.architecture)}"
         missing = [flag for flag in self.cpu_flags if flag not in machine.cpu_flags]
@@ -134,13 +125,8 @@ def choose_build(builds: Sequence[Build], machine: Machine, wanted: str = "") ->
     ----------
     builds : sequence of Build
         Best first.
-    machine : Machine
     wanted : str
         Name of the only build to consider; by default all are.
-
-    Returns
-    -------
-    Choice
 
     Raises
     ------

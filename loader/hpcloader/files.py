@@ -32,14 +32,6 @@ _RULE, _ASKED = RestartRule(), Requirements()
 def read_settings(path: Path) -> LoaderSettings:
     """Read ``loader.yaml``; its paths, relative to it, come back absolute.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    LoaderSettings
-
     Raises
     ------
     ConfigError

@@ -57,10 +57,6 @@ def read_machine(root: Path = Path("/")) -> Machine:
     ----------
     root : Path
         Where ``proc`` and ``sys`` lie.
-
-    Returns
-    -------
-    Machine
     """
     return Machine(
         architecture=platform.machine(),

@@ -97,10 +97,6 @@ class RestartRule:
     def delay(self, quick_ends: int) -> float:
         """Return the delay after so many quick ends in a row, in seconds.
 
-        Parameters
-        ----------
-        quick_ends : int
-
         Returns
         -------
         float
@@ -169,7 +165,6 @@ class Supervisor:
         ----------
         now : float
             In seconds.
-        code : int
 
         Returns
         -------

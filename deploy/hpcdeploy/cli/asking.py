@@ -39,10 +39,6 @@ def say(line: str) -> None:
 def ask_to_go_on(cluster: Cluster) -> None:
     """Ask whether to go on.
 
-    Parameters
-    ----------
-    cluster : Cluster
-
     Raises
     ------
     click.Abort
@@ -58,7 +54,6 @@ def ask_name(cluster: Cluster, purpose: str, advice: str) -> None:
 
     Parameters
     ----------
-    cluster : Cluster
     purpose : str
         What is done to it, as an infinitive: "take it away".
     advice : str
@@ -86,7 +81,6 @@ def name_foreign(
 
     Parameters
     ----------
-    cluster : Cluster
     purpose : str
         What is done to it, as an infinitive: "take it away".
     is_asked : bool

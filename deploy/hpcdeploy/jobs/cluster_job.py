@@ -113,7 +113,6 @@ def check_job(
 
     Parameters
     ----------
-    cluster : Cluster
     verb : str
         Of `hpcapp`.
     points, target : pathlib.Path
@@ -160,7 +159,6 @@ def submit(jobs: Jobs, verb: str, points: Path, mesh: str, options: Sequence[str
 
     Parameters
     ----------
-    jobs : Jobs
     verb : str
         Of `hpcapp`.
     points : pathlib.Path
@@ -193,7 +191,6 @@ def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, Any]:
 
     Parameters
     ----------
-    jobs : Jobs
     status : JobStatus
         Of a job that has ended.
     target : pathlib.Path
@@ -221,10 +218,6 @@ def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, Any]:
 
 def new_mesh_here(status: JobStatus) -> Path:
     """Return the place in the present folder for a job's mesh, by the name that its head tells.
-
-    Parameters
-    ----------
-    status : JobStatus
 
     Returns
     -------

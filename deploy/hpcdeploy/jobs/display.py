@@ -52,21 +52,11 @@ class JobDisplay:
     """Shows what a job says, line by line."""
 
     def show_log(self, line: str) -> None:
-        """Show a line that the job has written.
-
-        Parameters
-        ----------
-        line : str
-        """
+        """Show a line that the job has written."""
         log.info("%s", line)
 
     def show_event(self, event: JobEvent) -> None:
-        """Show how far a stage has come.
-
-        Parameters
-        ----------
-        event : JobEvent
-        """
+        """Show how far a stage has come."""
 
     def show_bytes(self, stage: str, done: int, total: int) -> None:
         """Show how much of a file has been sent or fetched.
@@ -124,21 +114,11 @@ class ForwardingDisplay(JobDisplay):
         self.has_page = False
 
     def show_log(self, line: str) -> None:
-        """Show a line that the job has written.
-
-        Parameters
-        ----------
-        line : str
-        """
+        """Show a line that the job has written."""
         self._display.show_log(line)
 
     def show_event(self, event: JobEvent) -> None:
-        """Show how far a stage has come, or where the page is; a job has one.
-
-        Parameters
-        ----------
-        event : JobEvent
-        """
+        """Show how far a stage has come, or where the page is; a job has one."""
         if event.dashboard is None or self.has_page:
             self._display.show_event(event)
             return
@@ -151,10 +131,6 @@ class ForwardingDisplay(JobDisplay):
 @contextmanager
 def open_display(stream: TextIO) -> Iterator[JobDisplay]:
     """Yield the display that fits `stream`.
-
-    Parameters
-    ----------
-    stream : TextIO
 
     Yields
     ------

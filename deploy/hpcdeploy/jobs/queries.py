@@ -65,7 +65,6 @@ class Jobs:
     ----------
     head : Shell
         On the head.
-    cluster : str
     bucket : Bucket, optional
         Where points and meshes go in place of the shell.
     """
@@ -132,14 +131,6 @@ class Jobs:
 
     def find(self, number: str | None) -> JobStatus:
         """Return one job; the last where there is no number.
-
-        Parameters
-        ----------
-        number : str, optional
-
-        Returns
-        -------
-        JobStatus
 
         Raises
         ------
@@ -241,10 +232,6 @@ class Jobs:
         ----------
         number : str
             Of the job.
-
-        Returns
-        -------
-        JobStatus
         """
         return self._ask_status("cancel", number)
 
@@ -255,10 +242,6 @@ class Jobs:
         ----------
         status : JobStatus
             Of the job.
-
-        Returns
-        -------
-        dict
 
         Raises
         ------
@@ -369,14 +352,6 @@ def _said(lines: Iterable[str], code: int) -> tuple[str, str]:
 def open_jobs(cluster: Cluster) -> Jobs:
     """Return the jobs of a cluster that is up.
 
-    Parameters
-    ----------
-    cluster : Cluster
-
-    Returns
-    -------
-    Jobs
-
     Raises
     ------
     CloudError
@@ -389,10 +364,6 @@ def open_jobs(cluster: Cluster) -> Jobs:
 
 def raise_damage(statuses: Sequence[JobStatus]) -> None:
     """Raise CloudError where the status of a job cannot be read.
-
-    Parameters
-    ----------
-    statuses : sequence of JobStatus
 
     Raises
     ------
@@ -410,10 +381,6 @@ def raise_damage(statuses: Sequence[JobStatus]) -> None:
 
 def raise_failure(status: JobStatus) -> None:
     """Raise what ended a job, as the verb itself would have; nothing where it is done.
-
-    Parameters
-    ----------
-    status : JobStatus
 
     Raises
     ------

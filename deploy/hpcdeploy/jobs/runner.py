@@ -59,11 +59,6 @@ def start(folder: Path, order: JobOrder) -> JobStatus:
     ----------
     folder : Path
         Of the cluster, on the head.
-    order : JobOrder
-
-    Returns
-    -------
-    JobStatus
     """
     job, lock = create_job(folder, order)
     try:
@@ -90,7 +85,6 @@ def run(folder: Path, job: JobFolder, lock: int) -> None:
     ----------
     folder : Path
         Of the cluster, on the head.
-    job : JobFolder
     lock : int
         The descriptor that holds the job's lock; the verb inherits it.
     """
@@ -188,16 +182,7 @@ def _last_line(log: Path) -> str:
 
 
 def cancel(job: JobFolder) -> JobStatus:
-    """End a job that waits or runs, and return its status when it is gone.
-
-    Parameters
-    ----------
-    job : JobFolder
-
-    Returns
-    -------
-    JobStatus
-    """
+    """End a job that waits or runs, and return its status when it is gone."""
     status = job.read_status()
     deadline = time.monotonic() + KILL_S
     while job.is_alive() and not status.runner and time.monotonic() < deadline:
@@ -250,10 +235,6 @@ def main(words: Sequence[str] | None = None) -> int:
     ----------
     words : sequence of str, optional
         By default those of the command line.
-
-    Returns
-    -------
-    int
     """
     arguments = _arguments(words)
     try:

@@ -22,12 +22,7 @@ LOOK_S = 0.1  # between two looks at files that grow
 
 
 def follow(job: JobFolder) -> None:
-    """Print what the job says and how far it has come, until it has ended; last its status.
-
-    Parameters
-    ----------
-    job : JobFolder
-    """
+    """Print what the job says and how far it has come, until it has ended; last its status."""
     tails = [_Tail(job.log, _log_line), _Tail(job.events, _event_line)]
     listener = select.poll()
     listener.register(sys.stdout.fileno(), 0)  # tells only that nobody listens any more

@@ -61,9 +61,6 @@ class Access:
 
     Parameters
     ----------
-    spec : ClusterSpec
-    base : Path
-        The folder of the cluster file, which its paths are relative to.
     provider : Provider
         Whose console shows the host keys.
     """
@@ -126,7 +123,6 @@ class Access:
 
         Parameters
         ----------
-        machine : MachineSeen
         timeout_s : float, optional
             How long a cloud's machine is waited for until it answers; by default `limits.boot`
             from its launch, and `KNOWN_S` where that is over or it was set up before. A host is
@@ -275,15 +271,8 @@ def make_access(spec: ClusterSpec, base: Path, provider: Provider) -> Access:
 
     Parameters
     ----------
-    spec : ClusterSpec
-    base : Path
-        The folder of the cluster file, which its paths are relative to.
     provider : Provider
         Whose console shows the host keys.
-
-    Returns
-    -------
-    Access
     """
     return Access(spec, base, provider)
 

@@ -62,7 +62,6 @@ class Failure:
 
     Parameters
     ----------
-    machine : MachineSeen
     reason : str
         One line.
     """
@@ -90,10 +89,8 @@ def set_up(
 
     Parameters
     ----------
-    spec : ClusterSpec
     machines : sequence of MachineSeen
         All that run, the head among them.
-    access : Access
     report : callable
         Takes lines for the user, from several threads.
 
@@ -115,16 +112,6 @@ def set_up(
 
 def check_wheels(spec: ClusterSpec, base: Path) -> list[Problem]:
     """Return what is missing in the wheelhouse, one problem for each wheel.
-
-    Parameters
-    ----------
-    spec : ClusterSpec
-    base : Path
-        The folder of the cluster file, which its paths are relative to.
-
-    Returns
-    -------
-    list of Problem
 
     Raises
     ------

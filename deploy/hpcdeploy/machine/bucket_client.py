@@ -23,16 +23,7 @@ ATTEMPTS = 3
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal digits.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    str
-    """
+    """Return the SHA-256 of a file, in hexadecimal digits."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -42,7 +33,6 @@ def fetch_points(order: JobOrder, target: Path, say: Callable[[str], None]) -> N
 
     Parameters
     ----------
-    order : JobOrder
     target : pathlib.Path
         Named by the SHA-256 of its content.
     say : callable
@@ -98,13 +88,6 @@ def send_mesh(order: JobOrder, mesh: Path, say: Callable[[str], None]) -> str:
     ----------
     order : JobOrder
         Of the job: it has the address that the mesh is put to.
-    mesh : Path
-    say : callable
-        Takes lines for the user.
-
-    Returns
-    -------
-    str
     """
     say("sending the mesh to the bucket")
     reason = ""

@@ -63,10 +63,6 @@ class HostKeys:
     def find(self, machine_id: str) -> list[paramiko.PKey]:
         """Return the keys that are pinned for a machine.
 
-        Parameters
-        ----------
-        machine_id : str
-
         Returns
         -------
         list of paramiko.PKey
@@ -97,7 +93,6 @@ class HostKeys:
 
         Parameters
         ----------
-        machine_id : str
         keys : list of (str, str)
             The kind of each key, and the key in base64.
         """

@@ -46,16 +46,12 @@ def install(
 
     Parameters
     ----------
-    shell : Shell
     folder : str
         The cluster's, on the machine.
     python : str
         The interpreter to use.
-    needs : Needs
     setup : tuple of str
         The user's commands.
-    report : callable
-        Takes lines for the user.
 
     Raises
     ------
@@ -77,11 +73,8 @@ def prepare(shell: Shell, setup: tuple[str, ...], report: Callable[[str], None])
 
     Parameters
     ----------
-    shell : Shell
     setup : tuple of str
         The commands.
-    report : callable
-        Takes lines for the user.
 
     Raises
     ------
@@ -114,10 +107,8 @@ def write_text(shell: Shell, path: str, text: str, *, mode: str = "600") -> None
 
     Parameters
     ----------
-    shell : Shell
     path : str
         On the machine; its folder is made.
-    text : str
     mode : str
         As chmod takes it.
 

@@ -18,7 +18,6 @@ def end_jobs(head: Shell, cluster: str) -> None:
     ----------
     head : Shell
         On the head.
-    cluster : str
 
     Raises
     ------

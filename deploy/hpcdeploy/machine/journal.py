@@ -93,7 +93,6 @@ class Attempt:
 
     Parameters
     ----------
-    choice : LaunchChoice
     lease_until : datetime
         A repeated request must be the same in all its parts.
     """
@@ -161,7 +160,6 @@ class Journal:
 
         Parameters
         ----------
-        machine_id : str
         reason : str
             One line; the beginning of it is written.
         """
@@ -177,7 +175,6 @@ class Journal:
 
         Parameters
         ----------
-        machine_ids : iterable of str
         is_done : bool
             Whether they are set up, or it only begins.
         """
@@ -226,23 +223,13 @@ class Journal:
         return frozenset(entry["incarnation"] for entry in self._entries if "incarnation" in entry)
 
     def note_places(self, places: Iterable[str]) -> None:
-        """Remember where something is about to be made.
-
-        Parameters
-        ----------
-        places : iterable of str
-        """
+        """Remember where something is about to be made."""
         known = self.places
         for place in (place for place in places if place not in known):
             self._write({"place": place})
 
     def clear_places(self, places: Iterable[str]) -> None:
-        """Remember that nothing is left in some places.
-
-        Parameters
-        ----------
-        places : iterable of str
-        """
+        """Remember that nothing is left in some places."""
         for place in set(self.places).intersection(places):
             self._write({"cleared": place})
 
@@ -282,11 +269,6 @@ class Journal:
         ----------
         incarnation : str
             Of the cluster's life.
-        name : NodeName
-
-        Returns
-        -------
-        Attempt or None
         """
         of_node = {"incarnation": incarnation, "node": name.node, "generation": name.generation}
         for entry in reversed(self._entries):
@@ -310,14 +292,6 @@ class Journal:
 @contextmanager
 def open_journal(cluster: str) -> Iterator[Journal]:
     """Open the journal of a cluster, for this process alone.
-
-    Parameters
-    ----------
-    cluster : str
-
-    Yields
-    ------
-    Journal
 
     Raises
     ------
@@ -345,10 +319,6 @@ def open_journal(cluster: str) -> Iterator[Journal]:
 
 def peek_journal(cluster: str) -> Journal:
     """Return what the journal of a cluster says now, for who only reads; takes no lock.
-
-    Parameters
-    ----------
-    cluster : str
 
     Returns
     -------

@@ -113,30 +113,12 @@ echo "$pid $(sed 's/.*) //' /proc/$pid/stat | cut -d' ' -f20)" >loader.pid
 
 
 def is_running_command(cluster: str) -> str:
-    """Return the shell's condition that the loader runs, for use in the cluster's folder.
-
-    Parameters
-    ----------
-    cluster : str
-
-    Returns
-    -------
-    str
-    """
+    """Return the shell's condition that the loader runs, for use in the cluster's folder."""
     return f"{{ systemctl is-active -q {unit_name(cluster)} 2>/dev/null || {_IS_OURS}; }}"
 
 
 def unit_name(cluster: str) -> str:
-    """Return the name of the service of systemd.
-
-    Parameters
-    ----------
-    cluster : str
-
-    Returns
-    -------
-    str
-    """
+    """Return the name of the service of systemd."""
     return f"hpcapp-{cluster}.service"
 
 
@@ -145,13 +127,8 @@ def stop_command(cluster: str, folder: str) -> str:
 
     Parameters
     ----------
-    cluster : str
     folder : str
         Of the cluster, on the machine.
-
-    Returns
-    -------
-    str
     """
     unit = unit_name(cluster)
     path = f"/etc/systemd/system/{unit}"
@@ -168,8 +145,6 @@ def start_loader(
 
     Parameters
     ----------
-    shell : Shell
-    cluster : str
     folder : str
         Of the cluster, on the machine.
     user, home : str

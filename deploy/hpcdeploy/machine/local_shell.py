@@ -26,7 +26,6 @@ class LocalShell:
 
     Parameters
     ----------
-    node : str
     home : Path
         The node's home.
     """

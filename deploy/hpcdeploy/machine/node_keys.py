@@ -48,14 +48,6 @@ class NodeKeys:
     def read(cls, path: Path) -> KeyPair | None:
         """Return the master's, where there is one; nothing is made.
 
-        Parameters
-        ----------
-        path : Path
-
-        Returns
-        -------
-        KeyPair or None
-
         Raises
         ------
         CloudError
@@ -71,7 +63,6 @@ class NodeKeys:
         ----------
         path : Path
             Its folder is made.
-        pairs : mapping of str to KeyPair
         """
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_secret(path, json.dumps({name: asdict(pair) for name, pair in pairs.items()}))
@@ -82,16 +73,7 @@ class NodeKeys:
         return self._pairs[self.SERVER]
 
     def of(self, machine_id: str) -> KeyPair:
-        """Return those of a machine.
-
-        Parameters
-        ----------
-        machine_id : str
-
-        Returns
-        -------
-        KeyPair
-        """
+        """Return those of a machine."""
         return self._pairs[machine_id]
 
 

@@ -58,10 +58,6 @@ def fingerprint(public_key: str) -> str:
     public_key : str
         In OpenSSH's form.
 
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> fingerprint("ssh-ed25519 AAAA")
@@ -114,11 +110,6 @@ def ours(observed: Observed, held: Held) -> frozenset[str]:
     ----------
     observed : Observed
         Of one cluster.
-    held : Held
-
-    Returns
-    -------
-    frozenset of str
     """
     return frozenset(m.id for m in observed.machines if _is_ours(m, observed, held))
 
@@ -130,13 +121,8 @@ def foreign_owner(observed: Observed, held: Held, now: datetime) -> Owner | None
     ----------
     observed : Observed
         Of one cluster.
-    held : Held
     now : datetime
         In UTC.
-
-    Returns
-    -------
-    Owner or None
     """
     return next(_foreign(observed, held, now), None)
 

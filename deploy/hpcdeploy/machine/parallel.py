@@ -37,15 +37,8 @@ def run_parallel(
 
     Parameters
     ----------
-    function : callable
-    items : sequence
-    at_once : int
     name : str
         Of the threads.
-
-    Returns
-    -------
-    list
 
     Raises
     ------

@@ -81,7 +81,6 @@ class Probed:
         All interpreters that there are, as a user reads it.
     is_root_able, has_systemd : bool
         Whether sudo asks no password, and whether services are systemd's.
-    home, user : str
     clock : int
         Its time, in seconds since 1970.
     free : int
@@ -115,16 +114,10 @@ def probe(
 
     Parameters
     ----------
-    shell : Shell
     cluster, folder : str
         The cluster's name, and its folder on the machine.
     python : str
         Which interpreters will do, as ``env.python`` says it.
-    timeout_s : float
-
-    Returns
-    -------
-    Probed
 
     Raises
     ------
@@ -202,13 +195,8 @@ def no_python(probed: Probed, python: str) -> CloudError:
 
     Parameters
     ----------
-    probed : Probed
     python : str
         Which ones will do, as ``env.python`` says it.
-
-    Returns
-    -------
-    CloudError
     """
     return CloudError(
         f"no Python {python} with its venv module (found: {', '.join(probed.pythons) or 'none'})",

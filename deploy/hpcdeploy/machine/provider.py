@@ -43,7 +43,6 @@ class LaunchChoice(NamedTuple):
 
     Parameters
     ----------
-    instance_type : str
     market : str
         ``on_demand`` or ``spot``.
     place : str
@@ -67,11 +66,8 @@ class MachineSeen:
     ----------
     id : str
         The cloud's own.
-    cluster : str
-    name : NodeName
     incarnation : str
         Of the cluster's life that it was launched in.
-    state : State
     public_address, private_address : str
         Empty while there is none.
     instance_type, market, zone : str
@@ -116,10 +112,6 @@ class MachineSeen:
         ----------
         kind : str
             ``public``, ``private``, or ``auto``: the public address where there is one.
-
-        Returns
-        -------
-        str
         """
         known = {"public": (self.public_address,), "private": (self.private_address,)}
         return next(filter(None, known.get(kind, (self.public_address, self.private_address))), "")
@@ -131,7 +123,6 @@ class KeyPairSeen:
 
     Parameters
     ----------
-    cluster, name : str
     incarnation : str
         Of the cluster's life that it was made in.
     fingerprint : str
@@ -150,7 +141,6 @@ class GroupSeen:
 
     Parameters
     ----------
-    cluster, id, name : str
     incarnation : str
         Of the cluster: drawn when the group was made and written into its description. Making a
         group is the one step that a cloud lets only one of two hurried users take, so that both
@@ -180,8 +170,6 @@ class Observed:
     ----------
     machines : tuple of MachineSeen
         Those that are gone may still be listed.
-    key_pairs : tuple of KeyPairSeen
-    groups : tuple of GroupSeen
     """
 
     machines: tuple[MachineSeen, ...] = ()
@@ -189,16 +177,7 @@ class Observed:
     groups: tuple[GroupSeen, ...] = ()
 
     def desired(self, cluster: str) -> Desired | None:
-        """Return how many workers a cluster is to have; None where no head that lives says so.
-
-        Parameters
-        ----------
-        cluster : str
-
-        Returns
-        -------
-        Desired or None
-        """
+        """Return how many workers a cluster is to have; None where no head that lives says so."""
         heads = (m for m in self.machines if (m.cluster, m.name.node) == (cluster, HEAD))
         live = (m for m in heads if m.state in (State.PENDING, State.RUNNING))
         return max((m.desired for m in live if m.desired is not None), default=None)
@@ -210,9 +189,6 @@ class Launch:
 
     Parameters
     ----------
-    cluster : str
-    incarnation : str
-    name : NodeName
     profile : str
         A name in the file's ``profiles``; empty where the provider has none.
     instance_type : str
@@ -256,7 +232,6 @@ class Problem:
 
     Parameters
     ----------
-    what, advice : str
     is_fatal : bool
         Whether `up` would fail over it.
     excerpt : str
@@ -281,16 +256,7 @@ class Provider(Protocol):
     """Whether machines are made and paid for, or are there anyway."""
 
     def observe(self, cluster: str | None) -> Observed:
-        """Return all that exists of a cluster of ours, or of every one where None.
-
-        Parameters
-        ----------
-        cluster : str or None
-
-        Returns
-        -------
-        Observed
-        """
+        """Return all that exists of a cluster of ours, or of every one where None."""
         ...
 
     def hosts(self) -> tuple[MachineSeen, ...]:
@@ -306,15 +272,10 @@ class Provider(Protocol):
 
         Parameters
         ----------
-        cluster : str
         incarnation : str
             Of the cluster's life.
         public_key : str
             In OpenSSH's form.
-
-        Returns
-        -------
-        KeyPairSeen
         """
         ...
 
@@ -323,39 +284,21 @@ class Provider(Protocol):
 
         Parameters
         ----------
-        cluster : str
         incarnation : str
             Written into the description of a new group.
         owner : Owner
             Who makes it.
-
-        Returns
-        -------
-        GroupSeen
         """
         ...
 
     def mark(
         self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
     ) -> None:
-        """Write down whose some machines and groups are from now on.
-
-        Parameters
-        ----------
-        machines : sequence of MachineSeen
-        groups : sequence of GroupSeen
-        owner : Owner
-        """
+        """Write down whose some machines and groups are from now on."""
         ...
 
     def set_desired(self, head: MachineSeen, desired: Desired) -> None:
-        """Write on the head how many workers the cluster is to have from now on.
-
-        Parameters
-        ----------
-        head : MachineSeen
-        desired : Desired
-        """
+        """Write on the head how many workers the cluster is to have from now on."""
         ...
 
     def allow(
@@ -365,7 +308,6 @@ class Provider(Protocol):
 
         Parameters
         ----------
-        group : GroupSeen
         ssh_from : frozenset of str
             Networks (CIDR) that may reach the SSH port.
         internal_ports : frozenset of int
@@ -374,16 +316,7 @@ class Provider(Protocol):
         ...
 
     def launch(self, launch: Launch) -> MachineSeen:
-        """Start a machine; asked again with the same names, return the one that was started.
-
-        Parameters
-        ----------
-        launch : Launch
-
-        Returns
-        -------
-        MachineSeen
-        """
+        """Start a machine; asked again with the same names, return the one that was started."""
         ...
 
     def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
@@ -391,27 +324,17 @@ class Provider(Protocol):
 
         Parameters
         ----------
-        machines : sequence of MachineSeen
         lease_until : datetime
             In UTC.
         """
         ...
 
     def terminate(self, machines: Sequence[MachineSeen]) -> None:
-        """Begin to end some machines; those that have ended do not matter.
-
-        Parameters
-        ----------
-        machines : sequence of MachineSeen
-        """
+        """Begin to end some machines; those that have ended do not matter."""
         ...
 
     def delete_group(self, group: GroupSeen) -> bool:
         """Delete a group; False while it is in use.
-
-        Parameters
-        ----------
-        group : GroupSeen
 
         Returns
         -------
@@ -421,20 +344,11 @@ class Provider(Protocol):
         ...
 
     def delete_key_pair(self, key_pair: KeyPairSeen) -> None:
-        """Delete a key pair; one that is gone does not matter.
-
-        Parameters
-        ----------
-        key_pair : KeyPairSeen
-        """
+        """Delete a key pair; one that is gone does not matter."""
         ...
 
     def console(self, machine: MachineSeen) -> str:
         """Return what a machine has printed on its console so far.
-
-        Parameters
-        ----------
-        machine : MachineSeen
 
         Returns
         -------

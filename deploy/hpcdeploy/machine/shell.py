@@ -22,7 +22,6 @@ class Completed:
     ----------
     exit_code : int
         As a shell says it; a signal is 128 and its number.
-    output, errors : str
     """
 
     exit_code: int
@@ -50,15 +49,10 @@ class Shell(Protocol):
 
         Parameters
         ----------
-        command : str
         stdin : bytes
             What the command reads.
         timeout_s : float
             In seconds; past it `CloudError` is raised.
-
-        Returns
-        -------
-        Completed
         """
         ...
 
@@ -67,13 +61,8 @@ class Shell(Protocol):
 
         Parameters
         ----------
-        command : str
         on_line : callable
             Takes a line of output or errors, without its end.
-
-        Returns
-        -------
-        int
         """
         ...
 
@@ -84,10 +73,6 @@ class Shell(Protocol):
         ----------
         command : str
             Empty for a login shell.
-
-        Returns
-        -------
-        int
         """
         ...
 
@@ -162,14 +147,5 @@ class Shell(Protocol):
 
 
 def part_of(target: Path) -> Path:
-    """Return where a file lies here until all of it has come: a name that no user's file has.
-
-    Parameters
-    ----------
-    target : Path
-
-    Returns
-    -------
-    Path
-    """
+    """Return where a file lies here until all of it has come: a name that no user's file has."""
     return target.with_name(f".{target.name}.hpcapp-part")

@@ -33,15 +33,10 @@ def user_data(spec: ClusterSpec, market: str, lease_until: datetime) -> str:
 
     Parameters
     ----------
-    spec : ClusterSpec
     market : str
         ``on_demand`` or ``spot``: a spot machine that is told of its end drains its worker.
     lease_until : datetime
         When the machine ends by itself.
-
-    Returns
-    -------
-    str
     """
     values = {
         "LEASE_UNTIL": int(lease_until.timestamp()),

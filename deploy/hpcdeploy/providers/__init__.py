@@ -23,16 +23,6 @@ _OPENERS = {
 def open_provider(spec: ClusterSpec, base: Path) -> Provider:
     """Return the provider of a cluster; its module, and boto3 with it, is imported only now.
 
-    Parameters
-    ----------
-    spec : ClusterSpec
-    base : Path
-        The folder of the cluster file, which its paths are relative to.
-
-    Returns
-    -------
-    Provider
-
     Raises
     ------
     CloudError

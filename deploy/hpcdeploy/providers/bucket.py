@@ -38,7 +38,6 @@ class Bucket:
 
     Parameters
     ----------
-    client : boto3 client of S3
     url : str
         ``s3://bucket/prefix``.
     cluster : str
@@ -65,16 +64,10 @@ class Bucket:
 
         Parameters
         ----------
-        points : pathlib.Path
         digest : str
             Its SHA-256, which is part of the object's name.
-        order : JobOrder
         on_progress : callable, optional
             Told (bytes sent, bytes in all).
-
-        Returns
-        -------
-        JobOrder
 
         Raises
         ------
@@ -256,16 +249,6 @@ def open_bucket(spec: ClusterSpec, base: Path) -> Bucket | None:
     """Return the bucket that a cluster file names in ``data.s3``.
 
     None where it names none.
-
-    Parameters
-    ----------
-    spec : ClusterSpec
-    base : pathlib.Path
-        The folder of the cluster file.
-
-    Returns
-    -------
-    Bucket or None
 
     Raises
     ------

@@ -30,7 +30,6 @@ def places_of(spec: ClusterSpec, hosts: Collection[str] | None = None) -> tuple[
 
     Parameters
     ----------
-    spec : ClusterSpec
     hosts : collection of str, optional
         The ids of some of the file's; by default all.
 
@@ -60,14 +59,6 @@ def open_clouds(files: Sequence[Path]) -> list[tuple[str, Provider]]:
     """Return the clouds of some cluster files, each once, with a name to print.
 
     Without a file, the AWS account and region of the environment.
-
-    Parameters
-    ----------
-    files : sequence of Path
-
-    Returns
-    -------
-    list of (str, Provider)
 
     Raises
     ------

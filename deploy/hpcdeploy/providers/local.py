@@ -38,13 +38,8 @@ def open_local(spec: ClusterSpec, base: Path) -> LocalProvider:
 
     Parameters
     ----------
-    spec : ClusterSpec
     base : Path
         As every opener is given; not looked at.
-
-    Returns
-    -------
-    LocalProvider
     """
     del base
     return LocalProvider(spec.env.python)

@@ -205,7 +205,6 @@ class MemoryProvider:
 
         Parameters
         ----------
-        node : str
         reason : str
             Why, as the cloud says it.
         """

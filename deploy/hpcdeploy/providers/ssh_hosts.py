@@ -42,30 +42,12 @@ UNASKED = (Reach.NO_KEY, Reach.PASSPHRASE_NEEDED)
 
 
 def open_ssh_hosts(spec: ClusterSpec, base: Path) -> SshHosts:
-    """Return the provider of the hosts of a cluster file.
-
-    Parameters
-    ----------
-    spec : ClusterSpec
-    base : Path
-        The folder of the cluster file.
-
-    Returns
-    -------
-    SshHosts
-    """
+    """Return the provider of the hosts of a cluster file."""
     return SshHosts(spec, base)
 
 
 class SshHosts(StandingMachines):
-    """Hosts, and what we have put on them.
-
-    Parameters
-    ----------
-    spec : ClusterSpec
-    base : Path
-        The folder of the cluster file.
-    """
+    """Hosts, and what we have put on them."""
 
     name = "ssh"
 

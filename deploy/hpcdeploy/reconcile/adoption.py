@@ -54,7 +54,6 @@ def check_way_in(cluster: Cluster, key: Path | None) -> tuple[Observed, dict[str
 
     Parameters
     ----------
-    cluster : Cluster
     key : Path, optional
         The private key that its owner has handed over; by default what is held here.
 
@@ -157,14 +156,10 @@ def take_over(
 
     Parameters
     ----------
-    cluster : Cluster
-    observed : Observed
     keys : dict of str to KeyPair
         As `check_way_in` has found them.
     key : Path, optional
         The private key that was handed over.
-    report : callable
-        Takes lines for the user.
 
     Raises
     ------

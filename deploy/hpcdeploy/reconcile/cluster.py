@@ -47,8 +47,6 @@ class Cluster:
     ----------
     path : Path
         The file.
-    spec : ClusterSpec
-    provider : Provider
     access : Access
         Shells on its machines.
     """
@@ -105,10 +103,6 @@ class Cluster:
 def describe_silent(machine: MachineSeen) -> CloudError:
     """Return why nothing can be done on a machine that is there and is not seen to run.
 
-    Parameters
-    ----------
-    machine : MachineSeen
-
     Returns
     -------
     CloudError
@@ -128,15 +122,10 @@ def as_desired(
 
     Parameters
     ----------
-    cluster : Cluster
     observed : Observed
         Of that cluster.
     report : callable, optional
         Told where that is another number than before.
-
-    Returns
-    -------
-    Cluster
     """
     name, before = cluster.spec.cluster, cluster.spec.worker_count
     latest = observed.desired(name)
@@ -153,10 +142,6 @@ def as_desired(
 def node_order(machine: MachineSeen) -> tuple[bool, int, str, int]:
     """Order machines as people count them: worker-2 comes before worker-10.
 
-    Parameters
-    ----------
-    machine : MachineSeen
-
     Returns
     -------
     tuple
@@ -171,14 +156,6 @@ def open_cluster(path: Path) -> Iterator[Cluster]:
     """Read a cluster file and open its provider; close the shells at the end.
 
     Where the cluster lives elsewhere besides, that is said first, whatever the provider answers.
-
-    Parameters
-    ----------
-    path : Path
-
-    Yields
-    ------
-    Cluster
 
     Raises
     ------
@@ -208,7 +185,6 @@ def require_ours(cluster: Cluster, observed: Observed, now: datetime | None = No
 
     Parameters
     ----------
-    cluster : Cluster
     observed : Observed
         Of that cluster.
     now : datetime, optional
@@ -232,7 +208,6 @@ def require_same(cluster: Cluster, before: Observed, now: Observed) -> None:
 
     Parameters
     ----------
-    cluster : Cluster
     before, now : Observed
         Of that cluster: when the user was asked, and when it is to be done.
 
@@ -259,10 +234,6 @@ def _bearers(observed: Observed) -> set[tuple[str, str, str]]:
 
 def describe_elsewhere(cluster: Cluster) -> str:
     """Say where a cluster lives besides, after its file was changed.
-
-    Parameters
-    ----------
-    cluster : Cluster
 
     Returns
     -------
@@ -294,10 +265,6 @@ def describe_foreign(name: str, owner: Owner, held: Held) -> str:
         Of the cluster.
     held : Held
         What this machine holds of it.
-
-    Returns
-    -------
-    str
     """
     by = owner.user or "somebody"
     key = f"with the key {owner.key}" if owner.key else "without a trace of its key"

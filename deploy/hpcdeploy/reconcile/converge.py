@@ -44,14 +44,6 @@ __all__ = ["bring_up", "look_ahead", "replace_lost", "take_down"]
 def look_ahead(cluster: Cluster) -> Plan:
     """Return what `bring_up` would do now; nothing is changed.
 
-    Parameters
-    ----------
-    cluster : Cluster
-
-    Returns
-    -------
-    Plan
-
     Raises
     ------
     CloudError
@@ -73,12 +65,8 @@ def bring_up(
 
     Parameters
     ----------
-    cluster : Cluster
-    report : callable
-        Takes lines for the user.
     keep : bool
         Leave what was made where the cluster cannot be made whole.
-    pace : Pace, optional
     agreed : Plan, optional
         What the user has agreed to; by default to whatever is planned.
 
@@ -139,10 +127,6 @@ def replace_lost(
 
     Parameters
     ----------
-    cluster : Cluster
-    report : callable
-        Takes lines for the user.
-    pace : Pace, optional
     seen : Observed, optional
         The cluster as it was just now; by default it is looked at.
 
@@ -178,10 +162,6 @@ def take_down(
 
     Parameters
     ----------
-    cluster : Cluster
-    report : callable
-        Takes lines for the user.
-    pace : Pace, optional
     named : Observed, optional
         The cluster as it was when the user named it, so that it goes although it was made
         elsewhere.

@@ -21,7 +21,6 @@ class CostLine:
     ----------
     who : str
         ``head`` or ``workers``.
-    count : int
     profile, instance_type : str
         Of the profile's types the dearest.
     hourly : float, optional
@@ -75,7 +74,6 @@ def estimate_cost(spec: ClusterSpec, workers: int | None = None) -> Cost:
 
     Parameters
     ----------
-    spec : ClusterSpec
     workers : int, optional
         How many, by default as the file says.
 
@@ -116,7 +114,6 @@ def check_limits(spec: ClusterSpec, cost: Cost) -> None:
 
     Parameters
     ----------
-    spec : ClusterSpec
     cost : Cost
         Of the cluster.
 
@@ -147,16 +144,7 @@ def check_limits(spec: ClusterSpec, cost: Cost) -> None:
 
 
 def describe_cost(cost: Cost) -> list[str]:
-    """Return the lines in which people read it.
-
-    Parameters
-    ----------
-    cost : Cost
-
-    Returns
-    -------
-    list of str
-    """
+    """Return the lines in which people read it."""
     if not cost.lines:
         return ["cost: none that is known of: the machines are there anyway"]
     lines = [

@@ -24,11 +24,6 @@ _BY_DIGEST = ("image", "iam_instance_profile", "auth.ssh_user", "tags")
 def made_as(spec: ClusterSpec, node: str) -> str:
     """Return what a machine that is launched now is made by, beside what its cloud lists.
 
-    Parameters
-    ----------
-    spec : ClusterSpec
-    node : str
-
     Returns
     -------
     str
@@ -56,7 +51,6 @@ def find_drift(spec: ClusterSpec, machine: MachineSeen) -> list[str]:
 
     Parameters
     ----------
-    spec : ClusterSpec
     machine : MachineSeen
         Of the cluster.
 
@@ -78,10 +72,8 @@ def describe_drift(spec: ClusterSpec, machines: Sequence[MachineSeen], file: Pat
 
     Parameters
     ----------
-    spec : ClusterSpec
     machines : sequence of MachineSeen
         Those that stay.
-    file : Path
 
     Returns
     -------

@@ -32,8 +32,6 @@ class Visit:
 
     Parameters
     ----------
-    machine : MachineSeen
-    problems : tuple of Problem
     about : str
         What it is, where that is known: its Python, its architecture, its room.
     """
@@ -54,15 +52,10 @@ def examine(
 
     Parameters
     ----------
-    cluster : Cluster
     report : callable
         Takes a line for each thing that has been looked at.
     wait_s, answer_s : float
         How long a machine may take to let us in, and to answer.
-
-    Yields
-    ------
-    Problem
     """
     yield from _told("state folder", list(_state_problems(cluster)), "", report)
     machines = cluster.provider.hosts()
@@ -91,8 +84,6 @@ def visit(
 
     Parameters
     ----------
-    cluster : Cluster
-    machines : sequence of MachineSeen
     wait_s, answer_s : float
         How long a machine may take to let us in, and to answer, in seconds.
 

@@ -26,13 +26,7 @@ REMEMBERED = 20
 
 @dataclass(frozen=True, slots=True)
 class Shortage:
-    """A node whose machine is not to be had.
-
-    Parameters
-    ----------
-    node : str
-    error : CloudError
-    """
+    """A node whose machine is not to be had."""
 
     node: str
     error: CloudError
@@ -143,22 +137,17 @@ def launch_nodes(
 
     Parameters
     ----------
-    spec : ClusterSpec
-    provider : Provider
     journal : Journal
         Of the cluster.
-    actions : sequence of LaunchNode
     incarnation : str
         Of the cluster's life.
     owner : Owner
         Us.
     report : callable
         Takes lines for the user, from several threads.
-    pace : Pace
 
     Returns
     -------
-    list of MachineSeen
     list of Shortage
         The nodes whose machine is not to be had, and why.
     """

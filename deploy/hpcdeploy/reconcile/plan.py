@@ -72,8 +72,6 @@ class LaunchNode:
 
     Parameters
     ----------
-    name : NodeName
-    profile : str
     choices : tuple of LaunchChoice
         In the order in which they are tried.
     desired : Desired, optional
@@ -175,10 +173,6 @@ class Plan:
         ----------
         agreed : Plan
             What the user has agreed to.
-
-        Returns
-        -------
-        list of str
         """
         known = {step for action in agreed.actions for step in _steps(action)}
         return [str(action) for action in self.actions if not known.issuperset(_steps(action))]
@@ -212,7 +206,6 @@ def launch_choices(
 
     Parameters
     ----------
-    profile : Profile, optional
     has_spot : bool
         Of the cloud; where it has none, a fallback is all there is.
     subnets : tuple of str
@@ -250,7 +243,6 @@ def make_plan(
 
     Parameters
     ----------
-    spec : ClusterSpec
     observed : Observed
         What belongs to other clusters does not matter.
     now : datetime
@@ -265,10 +257,6 @@ def make_plan(
         Us, for what is ours and bears no key of an owner; without a key nothing is marked.
     known : Desired, optional
         The number of workers that was asked for last, where the cloud may not list it yet.
-
-    Returns
-    -------
-    Plan
     """
     machines = [machine for machine in observed.machines if machine.cluster == spec.cluster]
     actions: list[Action] = []

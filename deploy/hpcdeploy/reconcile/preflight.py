@@ -26,13 +26,10 @@ def check_ready(
 
     Parameters
     ----------
-    cluster : Cluster
     actions : sequence of Action
         Planned; only where nodes are launched is anything looked at.
     missing : sequence of Problem
         In the wheelhouse, see `bootstrap.check_wheels`; said already.
-    report : callable
-        Takes lines for the user.
 
     Raises
     ------

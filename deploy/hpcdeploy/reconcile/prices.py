@@ -47,8 +47,6 @@ class PriceTable(ConfigModel):
 
         Parameters
         ----------
-        instance_type : str
-        region : str
         disk_gb : int, optional
             Of the root disk, 10^9 bytes; by default what an image has that says nothing else.
 

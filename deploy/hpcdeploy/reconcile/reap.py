@@ -26,13 +26,6 @@ __all__ = ["overdue", "reap", "without_lease"]
 def reap(provider: Provider, report: Callable[[str], None], pace: Pace | None = None) -> None:
     """Remove what is overdue from a cloud, whoever made it.
 
-    Parameters
-    ----------
-    provider : Provider
-    report : callable
-        Takes lines for the user.
-    pace : Pace, optional
-
     Raises
     ------
     LeftoverError
@@ -97,13 +90,8 @@ def without_lease(observed: Observed, now: datetime) -> list[MachineSeen]:
 
     Parameters
     ----------
-    observed : Observed
     now : datetime
         In UTC.
-
-    Returns
-    -------
-    list of MachineSeen
     """
     return [
         machine

@@ -31,15 +31,10 @@ def remove(
 
     Parameters
     ----------
-    provider : Provider
     doomed : callable
         Looks at the cloud; returns what must go, and by which proof.
-    reason : Reason
     step : callable
         Writes intent and outcome, see `journal.Journal.step`.
-    report : callable
-        Takes lines for the user.
-    pace : Pace
     quiet_looks : int
         How often in a row nothing must be found: more than once where a machine may just have
         been asked for, which clouds list with a delay.
@@ -97,10 +92,6 @@ def _leftover(provider: Provider, left: Observed, trouble: str) -> LeftoverError
 
 def describe(observed: Observed) -> str:
     """Name all that was observed, in one line.
-
-    Parameters
-    ----------
-    observed : Observed
 
     Returns
     -------

@@ -33,13 +33,8 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> dict[str, A
 
     Parameters
     ----------
-    cluster : Cluster
     ask_machines : bool
         Whether to ask every machine for its loader, over SSH.
-
-    Returns
-    -------
-    dict
     """
     now = utc_now()
     seen = cluster.provider.observe(cluster.spec.cluster)
@@ -102,10 +97,6 @@ def list_clusters(where: str, observed: Observed) -> list[dict[str, Any]]:
 def write_table(found: dict[str, Any]) -> str:
     """Write what `describe_cluster` returns for people.
 
-    Parameters
-    ----------
-    found : dict
-
     Returns
     -------
     str
@@ -152,10 +143,6 @@ def _verdict(found: dict[str, Any]) -> str:
 
 def write_list(rows: list[dict[str, Any]]) -> str:
     """Write what `list_clusters` returns for people.
-
-    Parameters
-    ----------
-    rows : list of dict
 
     Returns
     -------

@@ -68,12 +68,6 @@ def may_terminate(machine: MachineSeen, reason: Reason, proof: Proof) -> bool:
     ----------
     machine : MachineSeen
         As the cloud describes it now.
-    reason : Reason
-    proof : Proof
-
-    Returns
-    -------
-    bool
     """
     is_ours = machine.id in proof.ours
     match reason:
@@ -98,13 +92,8 @@ def is_overdue(machine: MachineSeen, now: datetime) -> bool:
 
     Parameters
     ----------
-    machine : MachineSeen
     now : datetime
         In UTC.
-
-    Returns
-    -------
-    bool
     """
     if machine.state is State.STOPPED:
         is_old = machine.launched is not None and machine.launched + MAKING < now
@@ -114,13 +103,6 @@ def is_overdue(machine: MachineSeen, now: datetime) -> bool:
 
 def end(provider: Provider, machines: Sequence[MachineSeen], reason: Reason, proof: Proof) -> None:
     """Begin to end machines; nothing is ended where one of them may not be.
-
-    Parameters
-    ----------
-    provider : Provider
-    machines : sequence of MachineSeen
-    reason : Reason
-    proof : Proof
 
     Raises
     ------

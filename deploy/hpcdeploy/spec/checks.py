@@ -21,12 +21,6 @@ __all__ = ["find_misfits"]
 def find_misfits(spec: ClusterSpec, base: Path) -> Iterator[Misfit]:
     """Yield what does not fit together.
 
-    Parameters
-    ----------
-    spec : ClusterSpec
-    base : Path
-        The folder of the cluster file, which its paths are relative to.
-
     Yields
     ------
     Misfit

@@ -37,10 +37,6 @@ __all__ = [
 def parse_network(text: str) -> str:
     """Return a network as clouds write it; ``auto`` stays.
 
-    Parameters
-    ----------
-    text : str
-
     Returns
     -------
     str
@@ -69,14 +65,6 @@ def parse_network(text: str) -> str:
 def check_python(text: str) -> str:
     """Return a requirement of Python that hpcapp can do with; raise ValueError for another.
 
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    str
-
     Raises
     ------
     ValueError
@@ -90,14 +78,6 @@ def check_python(text: str) -> str:
 
 def check_tag(key: str) -> str:
     """Return the key of a user's own tag; raise ValueError where it is ours or the cloud's.
-
-    Parameters
-    ----------
-    key : str
-
-    Returns
-    -------
-    str
 
     Raises
     ------
@@ -114,14 +94,6 @@ Duration = Annotated[float, BeforeValidator(parse_duration)]
 
 def check_jump(text: str) -> str:
     """Return a machine on the way as it is; raise ValueError where it is none.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    str
 
     Raises
     ------
@@ -191,10 +163,8 @@ class Auth(ConfigModel):
 
     Parameters
     ----------
-    ssh_user : str
     ssh_private_key : str
         A file, or ``auto``: a key made for the cluster (for `ssh`: the user's own keys and agent).
-    ssh_port : int
     allow_from : tuple of str
         IPv4 networks (CIDR) that reach the SSH port; ``auto`` is this machine's public address.
     ssh_proxy_jump : str or tuple of str
@@ -297,16 +267,7 @@ class ClusterSpec(ConfigModel):
         return {} if cloud is None else cloud.profiles
 
     def profile_name(self, node: str) -> str:
-        """Return the profile of ``head`` or ``worker-1``, ...; empty where there are none.
-
-        Parameters
-        ----------
-        node : str
-
-        Returns
-        -------
-        str
-        """
+        """Return the profile of ``head`` or ``worker-1``, ...; empty where there are none."""
         chosen = self.head.profile if node == HEAD else self.workers.profile
         profiles = self.profiles()
         return (chosen or next(iter(profiles))) if profiles else ""
@@ -318,10 +279,6 @@ class ClusterSpec(ConfigModel):
         ----------
         node : str
             ``head`` or ``worker-1``, ...
-
-        Returns
-        -------
-        Profile or None
         """
         return self.profiles().get(self.profile_name(node))
 
@@ -339,16 +296,7 @@ class ClusterSpec(ConfigModel):
         return self.worker_count if self.workers.min is None else self.workers.min
 
     def scaled(self, workers: int) -> ClusterSpec:
-        """Return the file with another number of workers, all of which must come.
-
-        Parameters
-        ----------
-        workers : int
-
-        Returns
-        -------
-        ClusterSpec
-        """
+        """Return the file with another number of workers, all of which must come."""
         chosen = self.workers.model_copy(update={"count": workers, "min": None})
         return self.model_copy(update={"workers": chosen})
 
@@ -359,14 +307,6 @@ class ClusterSpec(ConfigModel):
 
 def read_spec(path: Path) -> ClusterSpec:
     """Read a cluster file, check that its values fit together and its files are there.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    ClusterSpec
 
     Raises
     ------

@@ -116,16 +116,7 @@ class JobOrder:
 
     @classmethod
     def from_json(cls, text: str | bytes) -> JobOrder:
-        """Read an order; ValueError, of one line, where it is none.
-
-        Parameters
-        ----------
-        text : str or bytes
-
-        Returns
-        -------
-        JobOrder
-        """
+        """Read an order; ValueError, of one line, where it is none."""
         return decode(text, cls)
 
 
@@ -137,7 +128,6 @@ class JobStatus:
     ----------
     job : str
         Its number.
-    state : JobState
     title, mesh : str
         What the user calls the input, and the output's name.
     submitted, started, ended : str
@@ -173,14 +163,6 @@ class JobStatus:
     def from_json(cls, text: str | bytes) -> JobStatus:
         """Read what `to_json` wrote; what a later release added is left out.
 
-        Parameters
-        ----------
-        text : str or bytes
-
-        Returns
-        -------
-        JobStatus
-
         Raises
         ------
         ValueError
@@ -195,12 +177,7 @@ def now() -> str:
 
 
 class JobFolder:
-    """One job's files.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    """
+    """One job's files."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -219,12 +196,7 @@ class JobFolder:
             raise JobError(f"{self._order}: is damaged ({error})", "submit the job again") from None
 
     def write_order(self, order: JobOrder) -> None:
-        """Write what the job is to do, for its owner only.
-
-        Parameters
-        ----------
-        order : JobOrder
-        """
+        """Write what the job is to do, for its owner only."""
         self._write(self._order, json.dumps(asdict(order)))
 
     def link_points(self, points: Path) -> str:
@@ -246,12 +218,7 @@ class JobFolder:
         return name
 
     def write_status(self, status: JobStatus) -> None:
-        """Replace the status as a whole.
-
-        Parameters
-        ----------
-        status : JobStatus
-        """
+        """Replace the status as a whole."""
         self._write(self._status, status.to_json())
 
     def read_status(self) -> JobStatus:
@@ -318,10 +285,6 @@ def all_jobs(folder: Path) -> list[JobFolder]:
     ----------
     folder : Path
         Of the cluster, on the head.
-
-    Returns
-    -------
-    list of JobFolder
     """
     found = [path for path in _numbered(folder / "jobs") if (path / "status.json").exists()]
     return [JobFolder(path) for path in sorted(found, key=lambda path: int(path.name))]
@@ -338,11 +301,9 @@ def create_job(folder: Path, order: JobOrder) -> tuple[JobFolder, int]:
     ----------
     folder : Path
         Of the cluster, on the head.
-    order : JobOrder
 
     Returns
     -------
-    job : JobFolder
     lock : int
         The descriptor that holds the job's lock. It was taken before any later job could look.
     """

@@ -39,16 +39,7 @@ _OURS = (
 
 
 def machine_folder(cluster: str) -> str:
-    """Return the folder of a cluster on a machine, relative to the login user's home.
-
-    Parameters
-    ----------
-    cluster : str
-
-    Returns
-    -------
-    str
-    """
+    """Return the folder of a cluster on a machine, relative to the login user's home."""
     return f"hpcapp/{cluster}"
 
 
@@ -67,26 +58,12 @@ def clusters_folder() -> Path:
 
 
 def state_folder(cluster: str) -> Path:
-    """Return the folder of a cluster on the user's own machine; it need not exist.
-
-    Parameters
-    ----------
-    cluster : str
-
-    Returns
-    -------
-    Path
-    """
+    """Return the folder of a cluster on the user's own machine; it need not exist."""
     return clusters_folder() / cluster
 
 
 def forget_cluster(cluster: str) -> None:
-    """Remove what this machine knows of a cluster that is gone; what is not ours stays there.
-
-    Parameters
-    ----------
-    cluster : str
-    """
+    """Remove what this machine knows of a cluster that is gone; what is not ours stays there."""
     folder = state_folder(cluster)
     for pattern in _OURS:
         for path in folder.glob(pattern):

@@ -110,7 +110,6 @@ class Desired:
     revision : int
         One more than that of the number before: of two numbers the later one counts, however late
         a cloud lists it.
-    workers : int
 
     Examples
     --------
@@ -133,14 +132,6 @@ NOBODY = Owner()
 def read_owner(text: str) -> Owner:
     """Return whom the text of the tag names; earlier releases wrote no key.
 
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    Owner
-
     Examples
     --------
     >>> read_owner("anna@lab SHA256:abc")
@@ -154,14 +145,6 @@ def read_owner(text: str) -> Owner:
 
 def read_desired(text: str) -> Desired | None:
     """Return what the text of the tag says; None where it says nothing that we have written.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    Desired or None
 
     Examples
     --------
@@ -184,16 +167,7 @@ def this_user() -> str:
 
 
 def group_name(cluster: str) -> str:
-    """Return the name of the security group of a cluster.
-
-    Parameters
-    ----------
-    cluster : str
-
-    Returns
-    -------
-    str
-    """
+    """Return the name of the security group of a cluster."""
     return PREFIX + cluster
 
 
@@ -205,13 +179,8 @@ def key_pair_name(cluster: str, incarnation: str) -> str:
 
     Parameters
     ----------
-    cluster : str
     incarnation : str
         Of the cluster's life.
-
-    Returns
-    -------
-    str
     """
     return f"{PREFIX}{cluster}-{incarnation}"
 
@@ -239,16 +208,7 @@ def draw_incarnation(now: datetime) -> str:
 
 
 def incarnation_began(incarnation: str) -> datetime | None:
-    """Return when the life of a cluster began, in UTC; None where its name does not tell.
-
-    Parameters
-    ----------
-    incarnation : str
-
-    Returns
-    -------
-    datetime or None
-    """
+    """Return when the life of a cluster began, in UTC; None where its name does not tell."""
     if re.fullmatch(r"[0-9a-f]{12}", incarnation) is None:
         return None
     return datetime.fromtimestamp(int(incarnation[:8], 16), UTC)
@@ -259,11 +219,9 @@ def client_token(cluster: str, incarnation: str, name: NodeName, attempt: str = 
 
     Parameters
     ----------
-    cluster : str
     incarnation : str
         Drawn once for each life of the cluster, from the first `up` to `down`: a cloud remembers
         a token after its machine is gone (see `GroupSeen`). Small letters and digits.
-    name : NodeName
     attempt : str
         What is asked for when an earlier choice was not to be had: instance type and market.
 
@@ -296,10 +254,6 @@ def read_client_token(token: str) -> tuple[str, NodeName] | None:
     token : str
         Of a launch.
 
-    Returns
-    -------
-    tuple of (str, NodeName), or None
-
     Examples
     --------
     >>> read_client_token("hpcapp-bunny-a1b2c3-worker-2-1")
@@ -316,11 +270,6 @@ def without_node(text: str, node: str) -> str:
     ----------
     text : str
         The message.
-    node : str
-
-    Returns
-    -------
-    str
 
     Examples
     --------

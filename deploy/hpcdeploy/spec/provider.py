@@ -163,7 +163,6 @@ class Profile(ConfigModel):
 
     Parameters
     ----------
-    image : Image
     instance_type : str or tuple of str
         In the order in which they are tried.
     disk_gb : int
@@ -308,8 +307,6 @@ class _Cloud(_Provider):
         The cloud's own name for it.
     signing_region : str, optional
         What requests are signed for, where the region's name is no legal one.
-    endpoint_url, s3_endpoint_url : str, optional
-    credentials : Credentials
     ca_bundle : str, optional
         A file of certificates, relative to the cluster file.
     subnet : str or tuple of str
@@ -319,7 +316,6 @@ class _Cloud(_Provider):
         where there is one.
     capabilities : str
         Which calls and parameters the cloud knows; ``auto`` by the type.
-    profiles : dict of str to Profile
     """
 
     region: str = Field(default="us-east-1", min_length=1)

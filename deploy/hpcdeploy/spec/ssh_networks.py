@@ -31,7 +31,6 @@ def ssh_networks(
 
     Parameters
     ----------
-    spec : ClusterSpec
     ask_public_address : callable
         Returns this machine's public IPv4 address.
 

@@ -33,10 +33,8 @@ def connect(target: Target, closer: ExitStack, patience: Patience | None = None)
 
     Parameters
     ----------
-    target : Target
     closer : ExitStack
         Given what must be closed in the end.
-    patience : Patience, optional
 
     Returns
     -------
@@ -320,16 +318,7 @@ def _quote(said: bytes) -> str:
 
 
 def explain(error: BaseException) -> str:
-    """Say in words why a connection failed or ended.
-
-    Parameters
-    ----------
-    error : BaseException
-
-    Returns
-    -------
-    str
-    """
+    """Say in words why a connection failed or ended."""
     match error:
         case paramiko.ChannelException():
             return f"the channel was refused ({error.text})"

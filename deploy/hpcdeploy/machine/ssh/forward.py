@@ -23,10 +23,8 @@ class Forwarder:
 
     Parameters
     ----------
-    transport : paramiko.Transport
     address : str
         Which the machine reaches.
-    port : int
     """
 
     def __init__(self, transport: paramiko.Transport, address: str, port: int) -> None:

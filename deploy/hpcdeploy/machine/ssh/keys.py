@@ -42,7 +42,6 @@ class Identity:
 
     Parameters
     ----------
-    key : paramiko.PKey
     name : str
         Where it is.
     """
@@ -69,14 +68,6 @@ class Identities:
 
 def read_key(path: Path) -> paramiko.PKey:
     """Read a private key that has no passphrase.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    paramiko.PKey
 
     Raises
     ------
@@ -124,10 +115,6 @@ def public_key(path: Path) -> str:
     path : Path
         With a passphrase, the agent must hold it.
 
-    Returns
-    -------
-    str
-
     Raises
     ------
     CloudError
@@ -155,10 +142,6 @@ def find_identities(files: Sequence[str], *, are_own: bool, closer: ExitStack) -
         Whether all keys of the agent are offered too and, without `files`, those in ``~/.ssh``.
     closer : ExitStack
         Closes the agent, which signs as long as it is open.
-
-    Returns
-    -------
-    Identities
 
     Raises
     ------

@@ -43,7 +43,6 @@ class SshShell:
 
     Parameters
     ----------
-    node : str
     connection : Connection
         Logged in.
     closer : ExitStack

@@ -24,9 +24,6 @@ class Target:
 
     Parameters
     ----------
-    address : str
-    port : int
-    user : str
     key_files : tuple of str
         Private keys; with none, the user's own in ``~/.ssh`` are tried, and the agent's.
     host_keys : tuple of paramiko.PKey
@@ -79,29 +76,12 @@ class Target:
 
 
 def host_id(host: Host) -> str:
-    """Return what tells a host of the cluster file from the others.
-
-    Parameters
-    ----------
-    host : Host
-
-    Returns
-    -------
-    str
-    """
+    """Return what tells a host of the cluster file from the others."""
     return host.address if host.port is None else f"{host.address}:{host.port}"
 
 
 def host_address(host: Host) -> str:
     """Return the address of a host, following ``~/.ssh/config``.
-
-    Parameters
-    ----------
-    host : Host
-
-    Returns
-    -------
-    str
 
     Raises
     ------
@@ -116,7 +96,6 @@ def host_target(host: Host, auth: Auth, key_files: tuple[str, ...]) -> Target:
 
     Parameters
     ----------
-    host : Host
     auth : Auth
         Its user and port are used where neither the host nor the configuration has one.
     key_files : tuple of str
@@ -152,13 +131,8 @@ def jump_targets(auth: Auth, key_files: tuple[str, ...] = ()) -> tuple[Target, .
 
     Parameters
     ----------
-    auth : Auth
     key_files : tuple of str
         Tried first.
-
-    Returns
-    -------
-    tuple of Target
 
     Raises
     ------

@@ -47,7 +47,6 @@ def send_file(
         On the machine.
     sftp : paramiko.SFTPClient
         To the same machine.
-    source : Path
     target : str
         On the machine.
     mode : int
@@ -94,7 +93,6 @@ def fetch_file(
         To the same machine.
     source : str
         On the machine.
-    target : Path
     on_progress : callable, optional
         Told (bytes fetched, bytes in all).
 

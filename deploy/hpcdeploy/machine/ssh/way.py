@@ -53,13 +53,7 @@ class Patience:
 
 
 class Way:
-    """A socket or a channel, as a transport reads and writes it.
-
-    Parameters
-    ----------
-    way : socket.socket or paramiko.Channel
-    silence_s : float
-    """
+    """A socket or a channel, as a transport reads and writes it."""
 
     def __init__(self, way: socket.socket | paramiko.Channel, silence_s: float) -> None:
         self._way = way
@@ -88,10 +82,6 @@ class Way:
         size : int
             Bytes at most.
 
-        Returns
-        -------
-        bytes
-
         Raises
         ------
         OSError
@@ -111,10 +101,6 @@ class Way:
 
     def send(self, content: bytes) -> int:
         """Write some bytes.
-
-        Parameters
-        ----------
-        content : bytes
 
         Returns
         -------
@@ -176,12 +162,7 @@ def _numbered(error: OSError) -> OSError:
 
 
 class Connection(paramiko.Transport):
-    """A transport that keeps its words, and what goes wrong in its thread, off the terminal.
-
-    Parameters
-    ----------
-    way : Way
-    """
+    """A transport that keeps its words, and what goes wrong in its thread, off the terminal."""
 
     def __init__(self, way: Way) -> None:
         super().__init__(way)  # type: ignore[arg-type]  # recv, send, settimeout, close are enough
@@ -212,7 +193,6 @@ class Connection(paramiko.Transport):
         ----------
         beat_s : float
             Between two questions, in seconds.
-        closer : ExitStack
         """
         is_over = threading.Event()
         closer.callback(is_over.set)

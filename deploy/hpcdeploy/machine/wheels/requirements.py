@@ -57,9 +57,6 @@ def choose_release(spec: ClusterSpec, base: Path, kinds: list[Kind]) -> Path | s
 
     Parameters
     ----------
-    spec : ClusterSpec
-    base : Path
-        The folder of the cluster file.
     kinds : list of Kind
         Of all machines: the native build is taken only where it fits all of them, because a job's
         machines must compute the same bits.
@@ -88,9 +85,6 @@ def needs_of(
 
     Parameters
     ----------
-    spec : ClusterSpec
-    base, package
-        See `choose_release`.
     kind : Kind
         Of the machine.
     is_head : bool
@@ -98,7 +92,6 @@ def needs_of(
 
     Returns
     -------
-    needs : Needs
     missing : tuple of str
         Requirements that no wheel of the wheelhouse fulfils; empty without one.
 
@@ -137,16 +130,6 @@ def find_problems(spec: ClusterSpec, base: Path) -> list[Problem]:
     Before the machines are there, the wheelhouse itself says which machines it is for: each kind
     that it has compiled wheels for should be complete. Where none is, `up` would fail.
 
-    Parameters
-    ----------
-    spec : ClusterSpec
-    base : Path
-        The folder of the cluster file.
-
-    Returns
-    -------
-    list of Problem
-
     Raises
     ------
     CloudError
@@ -180,9 +163,6 @@ def missing_wheels(spec: ClusterSpec, base: Path, kind: Kind, *, is_head: bool) 
 
     Parameters
     ----------
-    spec : ClusterSpec
-    base : Path
-        The folder of the cluster file.
     kind : Kind
         Of the machine.
     is_head : bool

@@ -95,11 +95,6 @@ def fits(wheel: Path, kind: Kind) -> bool:
     ----------
     wheel : Path
         Only its name is read.
-    kind : Kind
-
-    Returns
-    -------
-    bool
     """
     return bool(parse_wheel_filename(wheel.name)[3] & set(kind.tags()))
 
@@ -110,7 +105,6 @@ class Selection:
 
     Parameters
     ----------
-    wheels : tuple of Path
     missing : tuple of str
         Requirements that no wheel there meets, with who asks for them.
     """
@@ -171,14 +165,6 @@ def select_wheels(
 def read_requirements(wheel: Path) -> list[str]:
     """Return what a wheel requires, extras left out.
 
-    Parameters
-    ----------
-    wheel : Path
-
-    Returns
-    -------
-    list of str
-
     Raises
     ------
     CloudError
@@ -198,10 +184,6 @@ def read_requirements(wheel: Path) -> list[str]:
 
 def kinds_of(folder: Path) -> list[Kind]:
     """Return the kinds of machines that the compiled wheels of a folder are for.
-
-    Parameters
-    ----------
-    folder : Path
 
     Returns
     -------

@@ -27,13 +27,7 @@ _NO_GROUP = {"InvalidGroup.NotFound", "InvalidGroupId.NotFound"}
 
 
 class KeyPairKeeper:
-    """The key pairs of an account that are ours.
-
-    Parameters
-    ----------
-    calls : Calls
-    capabilities : Capabilities
-    """
+    """The key pairs of an account that are ours."""
 
     def __init__(self, calls: Calls, capabilities: Capabilities) -> None:
         self._calls = calls
@@ -44,13 +38,8 @@ class KeyPairKeeper:
 
         Parameters
         ----------
-        cluster : str, optional
         groups : iterable of GroupSeen
             Our groups: where a cloud has no tags for key pairs, theirs alone are ours.
-
-        Returns
-        -------
-        list of KeyPairSeen
         """
         clusters = {key_pair_name(g.cluster, g.incarnation): g.cluster for g in groups}
         described = self._calls.call(
@@ -69,7 +58,6 @@ class KeyPairKeeper:
 
         Parameters
         ----------
-        cluster : str
         incarnation : str
             Of the cluster's life.
         public_key : str
@@ -100,10 +88,6 @@ class KeyPairKeeper:
     def delete(self, key_pair: KeyPairSeen) -> None:
         """Delete one; one that is gone is no error.
 
-        Parameters
-        ----------
-        key_pair : KeyPairSeen
-
         Raises
         ------
         CloudError
@@ -123,9 +107,6 @@ class GroupKeeper:
 
     Parameters
     ----------
-    calls : Calls
-    capabilities : Capabilities
-    ssh_port : int
     subnets : tuple of str
         Ids of subnets of one VPC, in which a group is made; none for the default.
     """
@@ -139,16 +120,7 @@ class GroupKeeper:
         self._subnets = subnets
 
     def find(self, name: str) -> list[GroupSeen]:
-        """Return those of a name, which may hold ``*``.
-
-        Parameters
-        ----------
-        name : str
-
-        Returns
-        -------
-        list of GroupSeen
-        """
+        """Return those of a name, which may hold ``*``."""
         described = self._calls.all_of(
             "describe_security_groups",
             "SecurityGroups",
@@ -165,15 +137,10 @@ class GroupKeeper:
 
         Parameters
         ----------
-        cluster : str
         incarnation : str
             Written into the description of a new group.
         owner : Owner
             Who makes it.
-
-        Returns
-        -------
-        GroupSeen
 
         Raises
         ------
@@ -218,7 +185,6 @@ class GroupKeeper:
 
         Parameters
         ----------
-        group : GroupSeen
         ssh_from : frozenset of str
             Networks (CIDR) that may reach the SSH port.
         internal_ports : frozenset of int
@@ -273,10 +239,6 @@ class GroupKeeper:
 
     def delete(self, group: GroupSeen) -> bool:
         """Delete a group; False while it is in use.
-
-        Parameters
-        ----------
-        group : GroupSeen
 
         Returns
         -------

@@ -40,11 +40,8 @@ class Capabilities:
         it, so that a machine that switches itself off still exists.
     imds_v2 : bool
         ``MetadataOptions``.
-    dry_run : bool
-    latest_console : bool
     instance_types : bool
         Whether DescribeInstanceTypes answers as Amazon does.
-    ipv6 : bool
     """
 
     api_version: str | None
@@ -81,14 +78,5 @@ _TABLE = {
 
 
 def capabilities_of(cloud: CloudSpec) -> Capabilities:
-    """Return what a cloud knows; ``auto`` is the least of its type.
-
-    Parameters
-    ----------
-    cloud : CloudSpec
-
-    Returns
-    -------
-    Capabilities
-    """
+    """Return what a cloud knows; ``auto`` is the least of its type."""
     return _TABLE[cloud.known_capabilities]

@@ -27,15 +27,8 @@ def check_cloud(
 
     Parameters
     ----------
-    calls : Calls
-    cloud : CloudSpec
     capabilities : Capabilities
         Of the cloud: what it lacks is not looked at.
-    images : ImageKeeper
-
-    Returns
-    -------
-    list of Problem
     """
     try:
         zones = calls.call("describe_availability_zones", "list the zones")["AvailabilityZones"]

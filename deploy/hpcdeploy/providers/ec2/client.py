@@ -36,16 +36,7 @@ FIRST_WAIT_S = 0.5  # doubled each time: 7.5 s at most in all
 
 
 def cloud_name(cloud: CloudSpec) -> str:
-    """Return what users call their cloud.
-
-    Parameters
-    ----------
-    cloud : CloudSpec
-
-    Returns
-    -------
-    str
-    """
+    """Return what users call their cloud."""
     return f"{cloud.type} ({cloud.endpoint_url or cloud.region})"
 
 
@@ -58,14 +49,6 @@ def open_client(
     ----------
     service : str
         ``ec2``, ``s3`` or ``ssm``.
-    cloud : CloudSpec
-    base : Path
-        The folder of the cluster file.
-    patience : Patience, optional
-
-    Returns
-    -------
-    botocore.client.BaseClient
 
     Raises
     ------
@@ -88,16 +71,8 @@ def open_calls(
 
     Parameters
     ----------
-    cloud : CloudSpec
-    base : Path
-        The folder of the cluster file.
-    patience : Patience, optional
     sleep : callable
         Waits for so many seconds.
-
-    Returns
-    -------
-    Calls
 
     Raises
     ------
@@ -120,15 +95,8 @@ def read_parameter(cloud: CloudSpec, base: Path, name: str) -> str:
 
     Parameters
     ----------
-    cloud : CloudSpec
-    base : Path
-        The folder of the cluster file.
     name : str
         Of the parameter.
-
-    Returns
-    -------
-    str
 
     Raises
     ------
@@ -247,7 +215,6 @@ class Calls:
 
     Parameters
     ----------
-    client : EC2 client of boto3
     place : str
         The cloud, as the user calls it.
     sleep : callable
@@ -359,10 +326,6 @@ class Calls:
             What it is for, in the words of an error.
         **parameters
             Of the operation.
-
-        Returns
-        -------
-        list
 
         Raises
         ------

@@ -44,9 +44,6 @@ def find_keys(cloud: CloudSpec, base: Path, environment: Mapping[str, str]) -> C
 
     Parameters
     ----------
-    cloud : CloudSpec
-    base : Path
-        The folder of the cluster file.
     environment : mapping of str to str
         Looked into where the file names no place.
 

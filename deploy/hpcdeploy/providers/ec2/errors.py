@@ -97,16 +97,7 @@ _ADVICE = {
 
 
 def code_of(error: BaseException | None) -> str:
-    """Return the code that a cloud gave its error, translated or not; empty for any other.
-
-    Parameters
-    ----------
-    error : BaseException, optional
-
-    Returns
-    -------
-    str
-    """
+    """Return the code that a cloud gave its error, translated or not; empty for any other."""
     if isinstance(error, CloudError):
         return code_of(error.__cause__)
     if isinstance(error, boto.ClientError):
@@ -115,46 +106,19 @@ def code_of(error: BaseException | None) -> str:
 
 
 def is_throttled(error: Exception) -> bool:
-    """Tell whether a cloud asks for patience.
-
-    Parameters
-    ----------
-    error : Exception
-
-    Returns
-    -------
-    bool
-    """
+    """Tell whether a cloud asks for patience."""
     return code_of(error) in _THROTTLED
 
 
 def has_expired(error: Exception) -> bool:
-    """Tell whether the keys were good once, so that newer ones may lie where they came from.
-
-    Parameters
-    ----------
-    error : Exception
-
-    Returns
-    -------
-    bool
-    """
+    """Tell whether the keys were good once, so that newer ones may lie where they came from."""
     return code_of(error) in _EXPIRED or isinstance(
         error.__cause__, boto.RefreshWithMFAUnsupportedError
     )
 
 
 def is_lost_answer(error: Exception) -> bool:
-    """Tell whether a request may have been done though no answer came.
-
-    Parameters
-    ----------
-    error : Exception
-
-    Returns
-    -------
-    bool
-    """
+    """Tell whether a request may have been done though no answer came."""
     if isinstance(error, boto.ClientError):
         status = error.response.get("ResponseMetadata", {}).get("HTTPStatusCode", 0)
         return status >= 500 and code_of(error) not in _CAPACITY

@@ -22,7 +22,6 @@ class ImageKeeper:
 
     Parameters
     ----------
-    calls : Calls
     read_parameter : callable
         Returns the value of a parameter in the cloud's parameter store (SSM), by its name.
     """
@@ -35,10 +34,6 @@ class ImageKeeper:
 
     def find(self, image: Image) -> dict[str, Any]:
         """Return an image as the cloud describes it.
-
-        Parameters
-        ----------
-        image : Image
 
         Returns
         -------
@@ -57,10 +52,6 @@ class ImageKeeper:
 
     def decided(self, cloud: CloudSpec) -> tuple[str, ...]:
         """Say which images were found for profiles that name none by its id.
-
-        Parameters
-        ----------
-        cloud : CloudSpec
 
         Returns
         -------
@@ -111,16 +102,7 @@ class ImageKeeper:
 
 
 def describe_image(image: Image) -> str:
-    """Say how a cluster file names an image.
-
-    Parameters
-    ----------
-    image : Image
-
-    Returns
-    -------
-    str
-    """
+    """Say how a cluster file names an image."""
     if image.ssm is not None:
         return f"by the parameter {image.ssm}"
     if image.name is not None:

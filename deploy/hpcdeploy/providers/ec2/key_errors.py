@@ -47,13 +47,8 @@ class Source:
 
         Parameters
         ----------
-        session : botocore.session.Session
         named : str, optional
             The profile that the cluster file names.
-
-        Returns
-        -------
-        Source
         """
         profile = named or os.environ.get("AWS_PROFILE") or os.environ.get("AWS_DEFAULT_PROFILE")
         return cls(profile, session.full_config.get("profiles", {}))
@@ -79,16 +74,7 @@ class Source:
             name = str(self.profiles[name].get("source_profile", ""))
 
     def setting(self, key: str) -> str:
-        """Return the first of its profiles' values of a key; empty where there is none.
-
-        Parameters
-        ----------
-        key : str
-
-        Returns
-        -------
-        str
-        """
+        """Return the first of its profiles' values of a key; empty where there is none."""
         return next((str(each[key]) for each in self.settings if key in each), "")
 
     @property
@@ -104,13 +90,8 @@ def explain_keys(error: Exception, source: Source, place: str) -> CloudError:
     ----------
     error : Exception
         Whatever the chain raised.
-    source : Source
     place : str
         The cloud, as the user calls it.
-
-    Returns
-    -------
-    CloudError
     """
     if isinstance(error, CloudError):
         return error

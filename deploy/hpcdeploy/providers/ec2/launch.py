@@ -29,30 +29,12 @@ USER_DATA_LIMIT = 16384
 
 
 def attempt_of(launch: Launch) -> str:
-    """Return what tells one launch of a node from the next that is tried.
-
-    Parameters
-    ----------
-    launch : Launch
-
-    Returns
-    -------
-    str
-    """
+    """Return what tells one launch of a node from the next that is tried."""
     return "-".join(filter(None, (launch.instance_type, launch.market, launch.place)))
 
 
 def profile_of(cloud: CloudSpec, name: str) -> Profile:
     """Return a profile of the cluster file.
-
-    Parameters
-    ----------
-    cloud : CloudSpec
-    name : str
-
-    Returns
-    -------
-    Profile
 
     Raises
     ------
@@ -67,16 +49,7 @@ def profile_of(cloud: CloudSpec, name: str) -> Profile:
 
 
 def launch_tags(launch: Launch) -> dict[str, str]:
-    """Return the tags of a machine: the user's own, and ours over them.
-
-    Parameters
-    ----------
-    launch : Launch
-
-    Returns
-    -------
-    dict of str to str
-    """
+    """Return the tags of a machine: the user's own, and ours over them."""
     tags = launch.tags | identity_tags(launch.cluster, launch.incarnation, launch.name)
     if launch.lease_until is not None:
         tags[LEASE_TAG] = lease_text(launch.lease_until)
@@ -98,9 +71,6 @@ def launch_parameters(
 
     Parameters
     ----------
-    cloud : CloudSpec
-    capabilities : Capabilities
-    launch : Launch
     group_id : str
         Of the cluster's security group.
     image : mapping

@@ -68,12 +68,10 @@ class Login:
 
     Parameters
     ----------
-    keys : CloudKeys
     region : str
         Where a role is assumed, if its profile does not say it.
     place : str
         The cloud, as the user calls it.
-    patience : Patience
 
     Raises
     ------
@@ -103,13 +101,8 @@ class Login:
 
         Parameters
         ----------
-        service : str
         **settings
             As `boto3.session.Session.client` takes them.
-
-        Returns
-        -------
-        botocore.client.BaseClient
         """
         self.check()
         client = self._session.client(service, **settings)
@@ -186,8 +179,6 @@ class _BoundedProcess(subprocess.Popen[bytes]):
 
     Parameters
     ----------
-    command : list of str
-    limit_s : float
     **pipes
         As `subprocess.Popen` takes them.
     """

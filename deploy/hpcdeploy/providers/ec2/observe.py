@@ -61,13 +61,8 @@ def group_description(cluster: str, incarnation: str) -> str:
 
     Parameters
     ----------
-    cluster : str
     incarnation : str
         Of the cluster's life.
-
-    Returns
-    -------
-    str
     """
     return f"hpcapp cluster {cluster} life {incarnation}"
 
@@ -79,10 +74,6 @@ def lease_text(lease_until: datetime) -> str:
     ----------
     lease_until : datetime
         With its time zone.
-
-    Returns
-    -------
-    str
     """
     return lease_until.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
@@ -92,14 +83,8 @@ def identity_tags(cluster: str, incarnation: str, name: NodeName) -> dict[str, s
 
     Parameters
     ----------
-    cluster : str
     incarnation : str
         Of the cluster's life.
-    name : NodeName
-
-    Returns
-    -------
-    dict of str to str
     """
     return {
         "Name": f"{PREFIX}{cluster}-{name.node}",
@@ -117,10 +102,6 @@ def read_machine(described: Mapping[str, Any]) -> MachineSeen | None:
     ----------
     described : mapping
         As DescribeInstances describes it.
-
-    Returns
-    -------
-    MachineSeen or None
     """
     known = _known_by_tags(_tags(described)) or _known_by_token(described)
     return None if known is None else as_machine(described, *known)
@@ -135,14 +116,8 @@ def as_machine(
     ----------
     described : mapping
         As DescribeInstances describes it.
-    cluster : str
     incarnation : str
         Of the cluster's life.
-    name : NodeName
-
-    Returns
-    -------
-    MachineSeen
     """
     reason = described.get("StateReason", {}).get("Message")
     tags = _tags(described)
@@ -204,10 +179,6 @@ def read_group(described: Mapping[str, Any], ssh_port: int) -> GroupSeen | None:
         As DescribeSecurityGroups describes it.
     ssh_port : int
         The port whose networks are `ssh_from`.
-
-    Returns
-    -------
-    GroupSeen or None
     """
     match = _DESCRIPTION.fullmatch(described.get("Description", ""))
     if match is None or described["GroupName"] != PREFIX + match[1]:
@@ -270,13 +241,8 @@ def read_key_pair(described: Mapping[str, Any], cluster: str | None) -> KeyPairS
 
     Parameters
     ----------
-    described : mapping
     cluster : str, optional
         Whose it is known to be by its name, empty where nobody's; None where its tags tell.
-
-    Returns
-    -------
-    KeyPairSeen or None
     """
     name = str(described["KeyName"])
     if cluster is None:

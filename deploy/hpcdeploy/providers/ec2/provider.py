@@ -65,16 +65,6 @@ _NOT_YET_FOR_LAUNCH = {"InvalidGroup.NotFound", "InvalidKeyPair.NotFound"}
 def open_ec2(spec: ClusterSpec, base: Path) -> Ec2Provider:
     """Return the provider of a cluster on an EC2-compatible cloud.
 
-    Parameters
-    ----------
-    spec : ClusterSpec
-    base : Path
-        The folder of the cluster file.
-
-    Returns
-    -------
-    Ec2Provider
-
     Raises
     ------
     CloudError
@@ -94,8 +84,6 @@ class Ec2Provider:
 
     Parameters
     ----------
-    cloud : CloudSpec
-    calls : Calls
     ssh_port : int
         That `allow` opens.
     read_parameter : callable
