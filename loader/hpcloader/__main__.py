@@ -31,11 +31,6 @@ _VECTOR_FLAGS = ("sse4", "avx", "fma", "asimd", "sve")  # the few of a hundred t
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb of the command line and return its exit code.
 
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        The arguments; by default those of this process.
-
     Returns
     -------
     int
@@ -109,13 +104,7 @@ def _settings(arguments: argparse.Namespace) -> LoaderSettings:
 
 
 def component_argv(settings: LoaderSettings, choice: Choice) -> list[str]:
-    """Return the component's command line, without its lifeline.
-
-    Parameters
-    ----------
-    choice : Choice
-        Whose build the component is.
-    """
+    """Return the component's command line, without its lifeline."""
     connection = ["--connection", str(settings.connection), "--build", choice.build.name]
     tasks = [word for task in (*choice.build.tasks, *settings.tasks) for word in ("--task", task)]
     return [*choice.build.argv(), *connection, *tasks]

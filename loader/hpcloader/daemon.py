@@ -40,11 +40,6 @@ _ORPHAN_GRACE_S = 1.0  # without a master a component has nobody left to say goo
 class Component:
     """A running component and the write end of its lifeline.
 
-    Parameters
-    ----------
-    argv : sequence of str
-        Its command line; ``--lifeline-fd N`` is added.
-
     Raises
     ------
     OSError
@@ -76,14 +71,8 @@ class Daemon:
 
     Parameters
     ----------
-    argv : sequence of str
-        The component's command line.
-    supervisor : Supervisor
-        Decides.
     lifeline_fd : int, optional
         The read end of the master's pipe.
-    clock : Clock, optional
-        The supervisor's time.
     """
 
     def __init__(

@@ -52,11 +52,6 @@ def read_settings(path: Path) -> LoaderSettings:
 def read_catalogue(path: Path) -> tuple[Build, ...]:
     """Read a catalogue of worker builds.
 
-    Parameters
-    ----------
-    path : Path
-        Of a YAML file.
-
     Returns
     -------
     tuple of Build

@@ -112,11 +112,6 @@ class Supervisor:
     Every method takes the present moment in seconds and returns the actions to carry out, in
     order. `deadline` says when `tick` wants to be called next.
 
-    Parameters
-    ----------
-    rule : RestartRule
-        How ends are answered.
-
     Notes
     -----
     A clean exit (code 0: the master is done) is followed by a start as well, because the next
@@ -144,27 +139,11 @@ class Supervisor:
         self._quick_failures = 0
 
     def start(self, now: float) -> list[Action]:
-        """Take note that the component is wanted; only the first call counts.
-
-        Parameters
-        ----------
-        now : float
-            In seconds.
-
-        Returns
-        -------
-        list of Action
-            `Start`, or nothing.
-        """
+        """Take note that the component is wanted; only the first call counts."""
         return self._run(now) if self.state is State.IDLE else []
 
     def exited(self, now: float, code: int) -> list[Action]:
         """Take note that the component has ended with exit code `code` (-N: by signal N).
-
-        Parameters
-        ----------
-        now : float
-            In seconds.
 
         Returns
         -------
@@ -194,11 +173,6 @@ class Supervisor:
     def tick(self, now: float) -> list[Action]:
         """Act on a deadline that has passed.
 
-        Parameters
-        ----------
-        now : float
-            In seconds.
-
         Returns
         -------
         list of Action
@@ -217,8 +191,6 @@ class Supervisor:
 
         Parameters
         ----------
-        now : float
-            In seconds.
         grace_s : float, optional
             Time to leave by itself, in seconds, instead of the rule's; a later call may
             shorten an earlier one's.

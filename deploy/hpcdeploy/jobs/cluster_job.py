@@ -48,12 +48,6 @@ def run_on_cluster(
     ----------
     path : pathlib.Path
         The cluster file.
-    verb : str
-        Of `hpcapp`.
-    points, target : pathlib.Path
-        What it reads and writes, on this machine.
-    options : sequence of str
-        Of the verb.
 
     Returns
     -------
@@ -111,15 +105,6 @@ def check_job(
 ) -> None:
     """Let whoever knows the verb look at a job before anything travels.
 
-    Parameters
-    ----------
-    verb : str
-        Of `hpcapp`.
-    points, target : pathlib.Path
-        What the verb is to read and write, on this machine.
-    options : sequence of str
-        Of the verb.
-
     Raises
     ------
     UsageError
@@ -157,22 +142,6 @@ def _is_set_up(cluster: Cluster) -> bool:
 def submit(jobs: Jobs, verb: str, points: Path, mesh: str, options: Sequence[str]) -> JobStatus:
     """Put a job into the queue, and show how its points travel.
 
-    Parameters
-    ----------
-    verb : str
-        Of `hpcapp`.
-    points : pathlib.Path
-        The input, on this machine.
-    mesh : str
-        The output's name.
-    options : sequence of str
-        Of the verb.
-
-    Returns
-    -------
-    JobStatus
-        Where the job stands in the queue.
-
     Raises
     ------
     InputError
@@ -193,13 +162,6 @@ def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, Any]:
     ----------
     status : JobStatus
         Of a job that has ended.
-    target : pathlib.Path
-        Where the mesh goes, on this machine.
-
-    Returns
-    -------
-    dict
-        The report.
 
     Raises
     ------
@@ -242,17 +204,8 @@ def watch(cluster: Cluster, jobs: Jobs, status: JobStatus, *, has_page: bool = F
     ----------
     cluster : Cluster
         Its lost workers are replaced meanwhile.
-    jobs : Jobs
-        Of the cluster.
-    status : JobStatus
-        Of the job.
     has_page : bool
         Whether to lead to its dashboard from here.
-
-    Returns
-    -------
-    JobStatus
-        Of the job at its end.
 
     Raises
     ------

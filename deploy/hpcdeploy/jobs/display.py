@@ -63,8 +63,6 @@ class JobDisplay:
 
         Parameters
         ----------
-        stage : str
-            What the bar is called.
         done, total : int
             In bytes.
         """
@@ -102,8 +100,6 @@ class ForwardingDisplay(JobDisplay):
 
     Parameters
     ----------
-    display : JobDisplay
-        The other one.
     forward : callable
         From a port on the head's loopback to one here that leads there.
     """

@@ -63,8 +63,6 @@ class Jobs:
 
     Parameters
     ----------
-    head : Shell
-        On the head.
     bucket : Bucket, optional
         Where points and meshes go in place of the shell.
     """
@@ -90,17 +88,8 @@ class Jobs:
             What `hpcapp` is to do.
         points : pathlib.Path
             The input; a cloud that is on the head already is not sent again.
-        mesh : str
-            The output's name.
-        options : sequence of str
-            Of the verb.
         on_progress : callable, optional
             Told (bytes sent, bytes in all).
-
-        Returns
-        -------
-        JobStatus
-            Of the new job.
 
         Raises
         ------
@@ -150,18 +139,7 @@ class Jobs:
         )
 
     def log(self, number: str) -> list[str]:
-        """Return what a job has said so far.
-
-        Parameters
-        ----------
-        number : str
-            Of the job.
-
-        Returns
-        -------
-        list of str
-            Its lines.
-        """
+        """Return what a job has said so far."""
         return self._ask("log", number)
 
     def follow(self, number: str, display: JobDisplay) -> JobStatus:
@@ -169,15 +147,8 @@ class Jobs:
 
         Parameters
         ----------
-        number : str
-            Of the job.
         display : JobDisplay
             Shows its lines and its events.
-
-        Returns
-        -------
-        JobStatus
-            At its end.
 
         Raises
         ------
@@ -213,11 +184,6 @@ class Jobs:
     def forward(self, port: int) -> int:
         """Return a port of this machine that leads to one of the head's loopback.
 
-        Parameters
-        ----------
-        port : int
-            On the head.
-
         Returns
         -------
         int
@@ -226,22 +192,11 @@ class Jobs:
         return self._head.forward("127.0.0.1", port)
 
     def cancel(self, number: str) -> JobStatus:
-        """End a job, and return its status when nothing of it runs any more.
-
-        Parameters
-        ----------
-        number : str
-            Of the job.
-        """
+        """End a job, and return its status when nothing of it runs any more."""
         return self._ask_status("cancel", number)
 
     def report(self, status: JobStatus) -> dict[str, Any]:
         """Return what the verb of a finished job reported; its `summary` is for people.
-
-        Parameters
-        ----------
-        status : JobStatus
-            Of the job.
 
         Raises
         ------
@@ -270,17 +225,8 @@ class Jobs:
 
         Parameters
         ----------
-        status : JobStatus
-            Of the job.
-        target : pathlib.Path
-            Where the mesh goes.
         on_progress : callable, optional
             Told (bytes fetched, bytes in all); not where the mesh comes from a bucket.
-
-        Returns
-        -------
-        dict
-            What the verb reported.
 
         Raises
         ------
@@ -350,13 +296,7 @@ def _said(lines: Iterable[str], code: int) -> tuple[str, str]:
 
 
 def open_jobs(cluster: Cluster) -> Jobs:
-    """Return the jobs of a cluster that is up.
-
-    Raises
-    ------
-    CloudError
-        It is not, or its head cannot be reached.
-    """
+    """Return the jobs of a cluster that is up."""
     head = cluster.access.open(cluster.head())
     bucket = open_bucket(cluster.spec, cluster.path.absolute().parent)
     return Jobs(head, cluster.spec.cluster, bucket)

@@ -53,13 +53,7 @@ class _Cancelled(BaseException):
 
 
 def start(folder: Path, order: JobOrder) -> JobStatus:
-    """Put a job into the queue, and leave a runner behind that sees to it.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the cluster, on the head.
-    """
+    """Put a job into the queue, and leave a runner behind that sees to it."""
     job, lock = create_job(folder, order)
     try:
         with job.log.open("ab") as log:
@@ -83,8 +77,6 @@ def run(folder: Path, job: JobFolder, lock: int) -> None:
 
     Parameters
     ----------
-    folder : Path
-        Of the cluster, on the head.
     lock : int
         The descriptor that holds the job's lock; the verb inherits it.
     """

@@ -57,13 +57,7 @@ CONSOLE_LINES = 5
 
 
 class Access:
-    """Opens shells on the machines of one cluster; safe to use from several threads.
-
-    Parameters
-    ----------
-    provider : Provider
-        Whose console shows the host keys.
-    """
+    """Opens shells on the machines of one cluster; safe to use from several threads."""
 
     def __init__(self, spec: ClusterSpec, base: Path, provider: Provider) -> None:
         self.base = base
@@ -109,13 +103,7 @@ class Access:
         return Owner(this_user(), _curve_print(NodeKeys(self._folder / "keys.json", ()).server))
 
     def use_key(self, path: Path) -> None:
-        """Log in with a key that is not the cluster's yet.
-
-        Parameters
-        ----------
-        path : Path
-            Of the private key.
-        """
+        """Log in with a key that is not the cluster's yet."""
         self._key = path
 
     def open(self, machine: MachineSeen, timeout_s: float | None = None) -> Shell:
@@ -267,13 +255,7 @@ class Access:
 
 
 def make_access(spec: ClusterSpec, base: Path, provider: Provider) -> Access:
-    """Return the way to the machines of a cluster.
-
-    Parameters
-    ----------
-    provider : Provider
-        Whose console shows the host keys.
-    """
+    """Return the way to the machines of a cluster."""
     return Access(spec, base, provider)
 
 

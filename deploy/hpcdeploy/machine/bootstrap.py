@@ -58,13 +58,7 @@ MIN_FREE = 1 << 29  # bytes: the environment of a head takes 0.4 GB
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A machine that could not be set up.
-
-    Parameters
-    ----------
-    reason : str
-        One line.
-    """
+    """A machine that could not be set up."""
 
     machine: MachineSeen
     reason: str
@@ -91,8 +85,6 @@ def set_up(
     ----------
     machines : sequence of MachineSeen
         All that run, the head among them.
-    report : callable
-        Takes lines for the user, from several threads.
 
     Returns
     -------

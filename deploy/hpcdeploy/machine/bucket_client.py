@@ -35,8 +35,6 @@ def fetch_points(order: JobOrder, target: Path, say: Callable[[str], None]) -> N
     ----------
     target : pathlib.Path
         Named by the SHA-256 of its content.
-    say : callable
-        Told what happens.
 
     Raises
     ------
@@ -83,11 +81,6 @@ def send_mesh(order: JobOrder, mesh: Path, say: Callable[[str], None]) -> str:
     """Send a job's mesh; return its SHA-256, or nothing where the bucket does not take it.
 
     The mesh stays on the head as well, so that it can still be fetched from there.
-
-    Parameters
-    ----------
-    order : JobOrder
-        Of the job: it has the address that the mesh is put to.
     """
     say("sending the mesh to the bucket")
     reason = ""

@@ -19,18 +19,7 @@ _PIP = "install --quiet --no-input --disable-pip-version-check --no-cache-dir --
 
 
 def stamp_of(*parts: object) -> str:
-    """Return a digest that changes when any part does.
-
-    Parameters
-    ----------
-    *parts : object
-        Taken as text.
-
-    Returns
-    -------
-    str
-        SHA-256, in hexadecimal digits.
-    """
+    """Return a digest that changes when any part does."""
     return hashlib.sha256("\\0".join(map(str, parts)).encode()).hexdigest()
 
 
@@ -43,15 +32,6 @@ def install(
     report: Callable[[str], None],
 ) -> None:
     """Run the user's commands, upload the wheels, and make the environment from nothing.
-
-    Parameters
-    ----------
-    folder : str
-        The cluster's, on the machine.
-    python : str
-        The interpreter to use.
-    setup : tuple of str
-        The user's commands.
 
     Raises
     ------
@@ -71,11 +51,6 @@ def install(
 def prepare(shell: Shell, setup: tuple[str, ...], report: Callable[[str], None]) -> None:
     """Run the user's commands.
 
-    Parameters
-    ----------
-    setup : tuple of str
-        The commands.
-
     Raises
     ------
     CloudError
@@ -87,15 +62,7 @@ def prepare(shell: Shell, setup: tuple[str, ...], report: Callable[[str], None])
 
 
 def install_here(shell: Shell, folder: str) -> None:
-    """Let a node of this machine use the interpreter that runs here.
-
-    Parameters
-    ----------
-    shell : Shell
-        On the node.
-    folder : str
-        Of the cluster, on the node.
-    """
+    """Let a node of this machine use the interpreter that runs here."""
     bin_folder = f"{folder}/venv/bin"
     for name, arguments in (("python", ""), ("hpcapp", " -m hpcapp")):
         text = f'#!/bin/sh\nexec {shlex.quote(sys.executable)}{arguments} "$@"\n'
@@ -111,11 +78,6 @@ def write_text(shell: Shell, path: str, text: str, *, mode: str = "600") -> None
         On the machine; its folder is made.
     mode : str
         As chmod takes it.
-
-    Raises
-    ------
-    CloudError
-        It cannot be written.
     """
     command = (
         f"umask 077; mkdir -p {shlex.quote(path.rpartition('/')[0] or '.')} && "

@@ -14,11 +14,6 @@ PATIENCE_S = 60.0
 def end_jobs(head: Shell, cluster: str) -> None:
     """End all jobs of a cluster whose head stays when the cluster goes.
 
-    Parameters
-    ----------
-    head : Shell
-        On the head.
-
     Raises
     ------
     CloudError

@@ -119,11 +119,6 @@ class Journal:
         ----------
         what : str
             As the user may read it.
-
-        Returns
-        -------
-        context manager
-            The command is carried out within it.
         """
         return self.step(what, is_command=True)
 
@@ -137,11 +132,6 @@ class Journal:
             What is about to be done, as the user may read it.
         **details
             What the next command needs to know about it.
-
-        Yields
-        ------
-        None
-            While it is carried out.
         """
         about = cast(Entry, details)
         self._write({"intent": what, **about})
@@ -263,13 +253,7 @@ class Journal:
         return pending
 
     def attempt(self, incarnation: str, name: NodeName) -> Attempt | None:
-        """Return the launch of a node that was asked for last, unless it was refused.
-
-        Parameters
-        ----------
-        incarnation : str
-            Of the cluster's life.
-        """
+        """Return the launch of a node that was asked for last, unless it was refused."""
         of_node = {"incarnation": incarnation, "node": name.node, "generation": name.generation}
         for entry in reversed(self._entries):
             if of_node.items() <= entry.items():

@@ -123,13 +123,7 @@ def unit_name(cluster: str) -> str:
 
 
 def stop_command(cluster: str, folder: str) -> str:
-    """Return the command that ends the loader, whichever way it was started.
-
-    Parameters
-    ----------
-    folder : str
-        Of the cluster, on the machine.
-    """
+    """Return the command that ends the loader, whichever way it was started."""
     unit = unit_name(cluster)
     path = f"/etc/systemd/system/{unit}"
     return (
@@ -145,10 +139,6 @@ def start_loader(
 
     Parameters
     ----------
-    folder : str
-        Of the cluster, on the machine.
-    user, home : str
-        The login user, and its home folder.
     has_systemd : bool
         Whether the loader is made a service of systemd; otherwise a process watches over it.
 

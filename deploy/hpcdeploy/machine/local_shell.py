@@ -22,13 +22,7 @@ _FRESH = os.O_WRONLY | os.O_CREAT | os.O_EXCL
 
 
 class LocalShell:
-    """Commands and files of a node that is a folder.
-
-    Parameters
-    ----------
-    home : Path
-        The node's home.
-    """
+    """Commands and files of a node that is a folder."""
 
     def __init__(self, node: str, home: Path) -> None:
         self.node = node

@@ -57,13 +57,7 @@ class NodeKeys:
 
     @staticmethod
     def write(path: Path, pairs: Mapping[str, KeyPair]) -> None:
-        """Keep the keys of the master and of machines, by the machines' ids.
-
-        Parameters
-        ----------
-        path : Path
-            Its folder is made.
-        """
+        """Keep the keys of the master and of machines, by the machines' ids."""
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_secret(path, json.dumps({name: asdict(pair) for name, pair in pairs.items()}))
 

@@ -53,11 +53,6 @@ class Held:
 def fingerprint(public_key: str) -> str:
     """Return the fingerprint of a public key, as ssh-keygen prints it.
 
-    Parameters
-    ----------
-    public_key : str
-        In OpenSSH's form.
-
     Examples
     --------
     >>> fingerprint("ssh-ed25519 AAAA")
@@ -71,11 +66,6 @@ def cloud_fingerprints(public_key: str) -> frozenset[str]:
 
     Amazon and Eucalyptus give the MD5 of the DER form of an RSA key; of an Ed25519 key Amazon
     gives what OpenSSH gives.
-
-    Parameters
-    ----------
-    public_key : str
-        In OpenSSH's form.
 
     Returns
     -------
@@ -104,26 +94,12 @@ def _digest(public_key: str) -> bytes:
 
 
 def ours(observed: Observed, held: Held) -> frozenset[str]:
-    """Return the ids of the machines that are ours.
-
-    Parameters
-    ----------
-    observed : Observed
-        Of one cluster.
-    """
+    """Return the ids of the machines that are ours."""
     return frozenset(m.id for m in observed.machines if _is_ours(m, observed, held))
 
 
 def foreign_owner(observed: Observed, held: Held, now: datetime) -> Owner | None:
-    """Return whose a cluster is where not all of it is ours; None where we may change it.
-
-    Parameters
-    ----------
-    observed : Observed
-        Of one cluster.
-    now : datetime
-        In UTC.
-    """
+    """Return whose a cluster is where not all of it is ours; None where we may change it."""
     return next(_foreign(observed, held, now), None)
 
 

@@ -34,16 +34,6 @@ def run_parallel(
 
     An error, or Ctrl-C, ends the waiting at once: calls that have begun go on in daemon threads,
     each to the end of its own time limit, and no further one begins.
-
-    Parameters
-    ----------
-    name : str
-        Of the threads.
-
-    Raises
-    ------
-    Exception
-        What the first call that failed has raised.
     """
     todo = deque(range(len(items)))
     done: SimpleQueue[tuple[int, R] | BaseException] = SimpleQueue()

@@ -116,8 +116,6 @@ def probe(
     ----------
     cluster, folder : str
         The cluster's name, and its folder on the machine.
-    python : str
-        Which interpreters will do, as ``env.python`` says it.
 
     Raises
     ------
@@ -170,18 +168,7 @@ def probe(
 
 
 def check_this_python(python: str) -> None:
-    """Refuse the interpreter that runs here where it will not do.
-
-    Parameters
-    ----------
-    python : str
-        Which ones will do, as ``env.python`` says it.
-
-    Raises
-    ------
-    CloudError
-        It is older.
-    """
+    """Refuse the interpreter that runs here where it will not do."""
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     if _pair(version) < _pair(python.removeprefix(">=")):
         raise CloudError(
@@ -191,13 +178,7 @@ def check_this_python(python: str) -> None:
 
 
 def no_python(probed: Probed, python: str) -> CloudError:
-    """Return the error that a machine has no interpreter which will do.
-
-    Parameters
-    ----------
-    python : str
-        Which ones will do, as ``env.python`` says it.
-    """
+    """Return the error that a machine has no interpreter which will do."""
     return CloudError(
         f"no Python {python} with its venv module (found: {', '.join(probed.pythons) or 'none'})",
         "take another image, or install it by env.setup",

@@ -64,16 +64,12 @@ class MachineSeen:
 
     Parameters
     ----------
-    id : str
-        The cloud's own.
     incarnation : str
         Of the cluster's life that it was launched in.
     public_address, private_address : str
         Empty while there is none.
     instance_type, market, zone : str
         `market` is ``on_demand`` or ``spot``.
-    launched, lease_until : datetime, optional
-        In UTC.
     reason : str
         Why it is in its state, where the cloud says so.
     owner : Owner
@@ -199,12 +195,6 @@ class Launch:
         A zone or the id of a subnet, where the file names several.
     user_data : str
         What the machine runs at its first boot.
-    lease_until : datetime, optional
-        In UTC.
-    tags : dict
-        The user's own.
-    owner : Owner
-        Who launches it.
     desired : Desired, optional
         How many workers the cluster is to have, for its head.
     made_as : str
@@ -268,15 +258,7 @@ class Provider(Protocol):
         ...
 
     def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
-        """Make the key pair of a cluster's life known, or return the one there is.
-
-        Parameters
-        ----------
-        incarnation : str
-            Of the cluster's life.
-        public_key : str
-            In OpenSSH's form.
-        """
+        """Make the key pair of a cluster's life known, or return the one there is."""
         ...
 
     def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
@@ -286,8 +268,6 @@ class Provider(Protocol):
         ----------
         incarnation : str
             Written into the description of a new group.
-        owner : Owner
-            Who makes it.
         """
         ...
 
@@ -320,13 +300,7 @@ class Provider(Protocol):
         ...
 
     def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
-        """Write a new end of the lease on some machines.
-
-        Parameters
-        ----------
-        lease_until : datetime
-            In UTC.
-        """
+        """Write a new end of the lease on some machines."""
         ...
 
     def terminate(self, machines: Sequence[MachineSeen]) -> None:
@@ -334,13 +308,7 @@ class Provider(Protocol):
         ...
 
     def delete_group(self, group: GroupSeen) -> bool:
-        """Delete a group; False while it is in use.
-
-        Returns
-        -------
-        bool
-            Whether it is gone.
-        """
+        """Delete a group; False while it is in use."""
         ...
 
     def delete_key_pair(self, key_pair: KeyPairSeen) -> None:

@@ -49,8 +49,6 @@ class Shell(Protocol):
 
         Parameters
         ----------
-        stdin : bytes
-            What the command reads.
         timeout_s : float
             In seconds; past it `CloudError` is raised.
         """
@@ -90,8 +88,6 @@ class Shell(Protocol):
         ----------
         source : Path
             On this machine.
-        target : str
-            On the other one.
         mode : int
             Permission bits of the target.
         on_progress : callable, optional
@@ -106,10 +102,6 @@ class Shell(Protocol):
 
         Parameters
         ----------
-        source : str
-            On the other machine.
-        target : Path
-            On this one.
         on_progress : callable, optional
             Told (bytes fetched, bytes in all).
         """
@@ -124,11 +116,6 @@ class Shell(Protocol):
             As the machine names it.
         port : int
             At that address.
-
-        Returns
-        -------
-        int
-            The local one.
         """
         ...
 

@@ -58,8 +58,6 @@ def extend_lease(shell: Shell, lease_until: datetime) -> None:
 
     Parameters
     ----------
-    shell : Shell
-        On the machine.
     lease_until : datetime
         With its time zone.
 

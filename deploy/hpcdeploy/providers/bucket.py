@@ -93,8 +93,6 @@ class Bucket:
         ----------
         status : JobStatus
             Of the job, with the mesh's key and SHA-256.
-        target : pathlib.Path
-            Where the mesh goes.
 
         Raises
         ------

@@ -27,8 +27,6 @@ class Claim:
 
     Parameters
     ----------
-    cluster, node, generation, incarnation
-        Of the machine.
     launched : datetime
         With its time zone.
     owner : str

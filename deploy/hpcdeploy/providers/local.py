@@ -34,25 +34,13 @@ _NODES = "nodes"
 
 
 def open_local(spec: ClusterSpec, base: Path) -> LocalProvider:
-    """Return the provider of this machine.
-
-    Parameters
-    ----------
-    base : Path
-        As every opener is given; not looked at.
-    """
+    """Return the provider of this machine."""
     del base
     return LocalProvider(spec.env.python)
 
 
 class LocalProvider(StandingMachines):
-    """Folders for machines.
-
-    Parameters
-    ----------
-    python : str
-        Which interpreters will do, as ``env.python`` says it.
-    """
+    """Folders for machines."""
 
     name = "local"
 

@@ -154,13 +154,6 @@ def take_over(
 ) -> None:
     """Keep a cluster's keys here, and write us down as its owner.
 
-    Parameters
-    ----------
-    keys : dict of str to KeyPair
-        As `check_way_in` has found them.
-    key : Path, optional
-        The private key that was handed over.
-
     Raises
     ------
     OutdatedError

@@ -41,15 +41,7 @@ PLACES_TOLD = 5
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """A cluster file with the way to its cloud and to its machines.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    access : Access
-        Shells on its machines.
-    """
+    """A cluster file with the way to its cloud and to its machines."""
 
     path: Path
     spec: ClusterSpec
@@ -101,13 +93,7 @@ class Cluster:
 
 
 def describe_silent(machine: MachineSeen) -> CloudError:
-    """Return why nothing can be done on a machine that is there and is not seen to run.
-
-    Returns
-    -------
-    CloudError
-        To be raised, or told.
-    """
+    """Return why nothing can be done on a machine that is there and is not seen to run."""
     where = f"{machine.name.node} ({machine.id})"
     if machine.state is State.UNKNOWN:
         return CloudError(f"{where} cannot be looked at: {machine.reason}")
@@ -122,8 +108,6 @@ def as_desired(
 
     Parameters
     ----------
-    observed : Observed
-        Of that cluster.
     report : callable, optional
         Told where that is another number than before.
     """
@@ -185,8 +169,6 @@ def require_ours(cluster: Cluster, observed: Observed, now: datetime | None = No
 
     Parameters
     ----------
-    observed : Observed
-        Of that cluster.
     now : datetime, optional
         In UTC; the present by default.
 
@@ -259,10 +241,6 @@ def describe_foreign(name: str, owner: Owner, held: Held) -> str:
 
     Parameters
     ----------
-    name : str
-        Of the cluster.
-    owner : Owner
-        Of the cluster.
     held : Held
         What this machine holds of it.
     """

@@ -130,11 +130,6 @@ def replace_lost(
     seen : Observed, optional
         The cluster as it was just now; by default it is looked at.
 
-    Returns
-    -------
-    Cluster
-        With the number of workers that was asked for last.
-
     Raises
     ------
     CloudError

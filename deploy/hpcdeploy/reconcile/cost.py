@@ -112,11 +112,6 @@ def _hourly(cloud: CloudSpec, profile: Profile, instance_type: str) -> float | N
 def check_limits(spec: ClusterSpec, cost: Cost) -> None:
     """Hold a cluster to the limits of its file.
 
-    Parameters
-    ----------
-    cost : Cost
-        Of the cluster.
-
     Raises
     ------
     UsageError

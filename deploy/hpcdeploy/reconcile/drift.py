@@ -49,11 +49,6 @@ def made_as(spec: ClusterSpec, node: str) -> str:
 def find_drift(spec: ClusterSpec, machine: MachineSeen) -> list[str]:
     """Say in which keys a machine differs from the file.
 
-    Parameters
-    ----------
-    machine : MachineSeen
-        Of the cluster.
-
     Returns
     -------
     list of str

@@ -95,13 +95,7 @@ class Effort:
         return self.plan()
 
     def converge(self, plan: Plan) -> None:
-        """Go round until every node is set up or given up; see the module's diagram.
-
-        Parameters
-        ----------
-        plan : Plan
-            The first one.
-        """
+        """Go round until every node is set up or given up; see the module's diagram."""
         if self._only_replace and not plan.actions and not self._is_unsettled:
             return
         while True:

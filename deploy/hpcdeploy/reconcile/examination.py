@@ -52,8 +52,6 @@ def examine(
 
     Parameters
     ----------
-    report : callable
-        Takes a line for each thing that has been looked at.
     wait_s, answer_s : float
         How long a machine may take to let us in, and to answer.
     """

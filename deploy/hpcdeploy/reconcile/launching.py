@@ -135,17 +135,6 @@ def launch_nodes(
 ) -> tuple[list[MachineSeen], list[Shortage]]:
     """Start the machines of some nodes; without a head, no worker is started.
 
-    Parameters
-    ----------
-    journal : Journal
-        Of the cluster.
-    incarnation : str
-        Of the cluster's life.
-    owner : Owner
-        Us.
-    report : callable
-        Takes lines for the user, from several threads.
-
     Returns
     -------
     list of Shortage

@@ -245,8 +245,6 @@ def make_plan(
     ----------
     observed : Observed
         What belongs to other clusters does not matter.
-    now : datetime
-        In UTC.
     incarnation : str
         For a new life of the cluster, see `names.draw_incarnation`.
     ssh_from : frozenset of str

@@ -56,8 +56,6 @@ def overdue(observed: Observed, now: datetime) -> Observed:
     ----------
     observed : Observed
         Of all clusters.
-    now : datetime
-        In UTC.
 
     Returns
     -------
@@ -86,13 +84,7 @@ def overdue(observed: Observed, now: datetime) -> Observed:
 
 
 def without_lease(observed: Observed, now: datetime) -> list[MachineSeen]:
-    """Return the machines that run without a lease although they are not being made any more.
-
-    Parameters
-    ----------
-    now : datetime
-        In UTC.
-    """
+    """Return the machines that run without a lease although they are not being made any more."""
     return [
         machine
         for machine in observed.machines

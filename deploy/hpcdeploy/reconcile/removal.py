@@ -33,8 +33,6 @@ def remove(
     ----------
     doomed : callable
         Looks at the cloud; returns what must go, and by which proof.
-    step : callable
-        Writes intent and outcome, see `journal.Journal.step`.
     quiet_looks : int
         How often in a row nothing must be found: more than once where a machine may just have
         been asked for, which clouds list with a delay.

@@ -95,13 +95,7 @@ def list_clusters(where: str, observed: Observed) -> list[dict[str, Any]]:
 
 
 def write_table(found: dict[str, Any]) -> str:
-    """Write what `describe_cluster` returns for people.
-
-    Returns
-    -------
-    str
-        Lines.
-    """
+    """Write what `describe_cluster` returns for people."""
     texts = ("node", "state", "instance_type", "market", "public_address", "private_address")
     lines = [("NODE", "STATE", "TYPE", "MARKET", "PUBLIC", "PRIVATE", "AGE", "LEASE", "LOADER")] + [
         (
@@ -142,13 +136,7 @@ def _verdict(found: dict[str, Any]) -> str:
 
 
 def write_list(rows: list[dict[str, Any]]) -> str:
-    """Write what `list_clusters` returns for people.
-
-    Returns
-    -------
-    str
-        Lines.
-    """
+    """Write what `list_clusters` returns for people."""
     if not rows:
         return "no clusters"
     lines = [("CLUSTER", "CLOUD", "MACHINES", "TYPES", "LEASE")]

@@ -50,8 +50,6 @@ class Proof:
     lives : frozenset of str
         Incarnations that were there when the user asked for the whole cluster to go: ours, or
         another's whose name the user has typed.
-    now : datetime, optional
-        In UTC.
     """
 
     ours: frozenset[str] = frozenset()
@@ -62,13 +60,7 @@ class Proof:
 
 
 def may_terminate(machine: MachineSeen, reason: Reason, proof: Proof) -> bool:
-    """Tell whether a machine may be ended for a reason; pure.
-
-    Parameters
-    ----------
-    machine : MachineSeen
-        As the cloud describes it now.
-    """
+    """Tell whether a machine may be ended for a reason; pure."""
     is_ours = machine.id in proof.ours
     match reason:
         case Reason.UNUSABLE:
@@ -89,11 +81,6 @@ def is_overdue(machine: MachineSeen, now: datetime) -> bool:
     """Tell whether a machine's own lease, or its own end, proves that nobody uses it.
 
     Without a lease in sight it runs on: the guard on it knows its lease, and shuts it down.
-
-    Parameters
-    ----------
-    now : datetime
-        In UTC.
     """
     if machine.state is State.STOPPED:
         is_old = machine.launched is not None and machine.launched + MAKING < now

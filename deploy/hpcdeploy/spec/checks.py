@@ -19,13 +19,7 @@ __all__ = ["find_misfits"]
 
 
 def find_misfits(spec: ClusterSpec, base: Path) -> Iterator[Misfit]:
-    """Yield what does not fit together.
-
-    Yields
-    ------
-    Misfit
-        One for each mistake.
-    """
+    """Yield what does not fit together."""
     yield from _idle_keys(spec)
     yield from _numbers(spec)
     if spec.provider.fixed_hosts:

@@ -90,8 +90,6 @@ class JobOrder:
         Of `hpcapp`: it reads `points`, writes ``-o`` `mesh` and knows ``--cluster``.
     points : str
         The input, relative to the cluster's folder.
-    mesh : str
-        The output's name.
     options : tuple of str
         Further options of the verb.
     title : str
@@ -132,8 +130,6 @@ class JobStatus:
         What the user calls the input, and the output's name.
     submitted, started, ended : str
         UTC, ISO 8601; empty while it has not happened.
-    exit_code : int, optional
-        Of the verb.
     reason : str
         Why it failed.
     runner : int
@@ -279,13 +275,7 @@ class JobFolder:
 
 
 def all_jobs(folder: Path) -> list[JobFolder]:
-    """Return the jobs of a cluster's folder, in the order of their numbers.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the cluster, on the head.
-    """
+    """Return the jobs of a cluster's folder, in the order of their numbers."""
     found = [path for path in _numbered(folder / "jobs") if (path / "status.json").exists()]
     return [JobFolder(path) for path in sorted(found, key=lambda path: int(path.name))]
 
@@ -296,11 +286,6 @@ def _numbered(jobs: Path) -> Iterator[Path]:
 
 def create_job(folder: Path, order: JobOrder) -> tuple[JobFolder, int]:
     """Give a job its number and its place in the queue.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the cluster, on the head.
 
     Returns
     -------

@@ -176,11 +176,6 @@ def key_pair_name(cluster: str, incarnation: str) -> str:
 
     Not every cloud can tag a key pair: what tells ours from a user's own is that it is named
     after the life that the description of a group of ours remembers.
-
-    Parameters
-    ----------
-    incarnation : str
-        Of the cluster's life.
     """
     return f"{PREFIX}{cluster}-{incarnation}"
 
@@ -249,11 +244,6 @@ def read_client_token(token: str) -> tuple[str, NodeName] | None:
 
     So a machine is known whose tags were never written.
 
-    Parameters
-    ----------
-    token : str
-        Of a launch.
-
     Examples
     --------
     >>> read_client_token("hpcapp-bunny-a1b2c3-worker-2-1")
@@ -265,11 +255,6 @@ def read_client_token(token: str) -> tuple[str, NodeName] | None:
 
 def without_node(text: str, node: str) -> str:
     """Return a message without the node that it begins with, for whoever names the node anyway.
-
-    Parameters
-    ----------
-    text : str
-        The message.
 
     Examples
     --------

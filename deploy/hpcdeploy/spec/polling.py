@@ -44,18 +44,7 @@ class Pace:
     sleep: Callable[[float], None] = time.sleep
 
     def looks(self, patience_s: float) -> Iterator[None]:
-        """Yield at once, then now and again until the patience is over; at least twice.
-
-        Parameters
-        ----------
-        patience_s : float
-            In seconds.
-
-        Yields
-        ------
-        None
-            When it is time to look again.
-        """
+        """Yield at once, then now and again until the patience is over; at least twice."""
         deadline, wait = self.now() + timedelta(seconds=patience_s), self.poll_s
         yield
         while True:

@@ -91,17 +91,8 @@ def lead_workers(shell: Shell, folder: str, endpoint: str) -> Iterator[None]:
 
     Parameters
     ----------
-    shell : Shell
-        On the head.
-    folder : str
-        The cluster's on the head.
     endpoint : str
         ``tcp://127.0.0.1:PORT``, where the master listens.
-
-    Yields
-    ------
-    None
-        While the workers are led there.
 
     Raises
     ------

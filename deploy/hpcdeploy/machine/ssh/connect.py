@@ -31,16 +31,6 @@ _LOOK = "check that it runs, its address and port, and the firewall or security 
 def connect(target: Target, closer: ExitStack, patience: Patience | None = None) -> Connection:
     """Log in, over the machines on the way.
 
-    Parameters
-    ----------
-    closer : ExitStack
-        Given what must be closed in the end.
-
-    Returns
-    -------
-    Connection
-        To the target itself.
-
     Raises
     ------
     ReachError

@@ -19,13 +19,7 @@ _CHUNK = 1 << 16
 
 
 class Forwarder:
-    """Listens on loopback until it is closed.
-
-    Parameters
-    ----------
-    address : str
-        Which the machine reaches.
-    """
+    """Listens on loopback until it is closed."""
 
     def __init__(self, transport: paramiko.Transport, address: str, port: int) -> None:
         self._transport = transport

@@ -114,11 +114,6 @@ def public_key(path: Path) -> str:
     ----------
     path : Path
         With a passphrase, the agent must hold it.
-
-    Raises
-    ------
-    CloudError
-        As `read_key`.
     """
     with ExitStack() as closer:
         try:

@@ -39,15 +39,7 @@ _NO_CODE = 128  # a signal ended the shell itself, and SSH's answer to paramiko 
 
 
 class SshShell:
-    """Commands and files on one machine over one connection; safe to use from several threads.
-
-    Parameters
-    ----------
-    connection : Connection
-        Logged in.
-    closer : ExitStack
-        Closes the connection.
-    """
+    """Commands and files on one machine over one connection; safe to use from several threads."""
 
     def __init__(self, node: str, connection: Connection, closer: ExitStack) -> None:
         self.node = node

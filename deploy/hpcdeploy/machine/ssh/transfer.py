@@ -43,12 +43,6 @@ def send_file(
 
     Parameters
     ----------
-    shell : Shell
-        On the machine.
-    sftp : paramiko.SFTPClient
-        To the same machine.
-    target : str
-        On the machine.
     mode : int
         Permission bits of the target.
     on_progress : callable, optional
@@ -87,12 +81,6 @@ def fetch_file(
 
     Parameters
     ----------
-    shell : Shell
-        On the machine.
-    sftp : paramiko.SFTPClient
-        To the same machine.
-    source : str
-        On the machine.
     on_progress : callable, optional
         Told (bytes fetched, bytes in all).
 

@@ -77,11 +77,6 @@ class Way:
     def recv(self, size: int) -> bytes:
         """Read some bytes; TimeoutError where there are none yet.
 
-        Parameters
-        ----------
-        size : int
-            Bytes at most.
-
         Raises
         ------
         OSError
@@ -101,11 +96,6 @@ class Way:
 
     def send(self, content: bytes) -> int:
         """Write some bytes.
-
-        Returns
-        -------
-        int
-            How many bytes were written.
 
         Raises
         ------

@@ -85,8 +85,6 @@ def needs_of(
 
     Parameters
     ----------
-    kind : Kind
-        Of the machine.
     is_head : bool
         A worker gets only what a component and a loader import.
 
@@ -163,15 +161,8 @@ def missing_wheels(spec: ClusterSpec, base: Path, kind: Kind, *, is_head: bool) 
 
     Parameters
     ----------
-    kind : Kind
-        Of the machine.
     is_head : bool
         A worker needs only what a component and a loader import.
-
-    Returns
-    -------
-    tuple of str
-        Requirements.
 
     Raises
     ------

@@ -122,10 +122,6 @@ def select_wheels(
     ----------
     places : sequence of Path
         Folders of wheels, or wheels.
-    requirements : iterable of str
-        As pip takes them.
-    kind : Kind
-        Of the machine.
     is_deep : bool
         Whether what the wheels require is needed too.
 

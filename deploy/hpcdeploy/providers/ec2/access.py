@@ -56,22 +56,10 @@ class KeyPairKeeper:
     def create(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
         """Import a public key; a pair of this name is from an earlier try of the same life.
 
-        Parameters
-        ----------
-        incarnation : str
-            Of the cluster's life.
-        public_key : str
-            In OpenSSH's form.
-
         Returns
         -------
         KeyPairSeen
             Without a fingerprint.
-
-        Raises
-        ------
-        CloudError
-            The cloud refuses.
         """
         name = key_pair_name(cluster, incarnation)
         parameters: dict[str, Any] = {"KeyName": name, "PublicKeyMaterial": public_key.encode()}
@@ -86,13 +74,7 @@ class KeyPairKeeper:
         return KeyPairSeen(cluster, name, incarnation)
 
     def delete(self, key_pair: KeyPairSeen) -> None:
-        """Delete one; one that is gone is no error.
-
-        Raises
-        ------
-        CloudError
-            The cloud refuses.
-        """
+        """Delete one; one that is gone is no error."""
         try:
             self._calls.call(
                 "delete_key_pair", f"delete key pair {key_pair.name}", KeyName=key_pair.name
@@ -139,8 +121,6 @@ class GroupKeeper:
         ----------
         incarnation : str
             Written into the description of a new group.
-        owner : Owner
-            Who makes it.
 
         Raises
         ------
@@ -189,11 +169,6 @@ class GroupKeeper:
             Networks (CIDR) that may reach the SSH port.
         internal_ports : frozenset of int
             Ports that machines of the group may reach on one another.
-
-        Raises
-        ------
-        CloudError
-            The cloud refuses.
         """
         described = self._calls.call(
             "describe_security_groups",
@@ -238,18 +213,7 @@ class GroupKeeper:
                 raise
 
     def delete(self, group: GroupSeen) -> bool:
-        """Delete a group; False while it is in use.
-
-        Returns
-        -------
-        bool
-            Whether it is gone.
-
-        Raises
-        ------
-        CloudError
-            The cloud refuses.
-        """
+        """Delete a group; False while it is in use."""
         try:
             self._calls.call(
                 "delete_security_group", f"delete security group {group.name}", GroupId=group.id

@@ -69,11 +69,6 @@ def open_calls(
 
     Where its keys have expired in mid-work, those that lie where they came from are taken.
 
-    Parameters
-    ----------
-    sleep : callable
-        Waits for so many seconds.
-
     Raises
     ------
     CloudError
@@ -92,11 +87,6 @@ def open_calls(
 
 def read_parameter(cloud: CloudSpec, base: Path, name: str) -> str:
     """Return the value of a parameter in the parameter store (SSM).
-
-    Parameters
-    ----------
-    name : str
-        Of the parameter.
 
     Raises
     ------
@@ -263,13 +253,6 @@ class Calls:
             What it is for, in the words of an error.
         not_yet : collection of str
             Codes that a cloud gives until it has noticed its own last change: waited out.
-        **parameters
-            Of the operation, as boto3 takes them.
-
-        Returns
-        -------
-        dict
-            The reply.
 
         Raises
         ------
@@ -318,19 +301,10 @@ class Calls:
 
         Parameters
         ----------
-        operation : str
-            In boto3's spelling.
         key : str
             Of the list in each reply.
         doing : str
             What it is for, in the words of an error.
-        **parameters
-            Of the operation.
-
-        Raises
-        ------
-        CloudError
-            As `call`.
         """
         found: list[Any] = []
         tokens: set[str] = set()

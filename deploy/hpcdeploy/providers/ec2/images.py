@@ -57,11 +57,6 @@ class ImageKeeper:
         -------
         tuple of str
             One line for each profile.
-
-        Raises
-        ------
-        CloudError
-            As `find`.
         """
         return tuple(
             f"image of profile {name}: {found['ImageId']} ({found.get('Name', 'without a name')}), "

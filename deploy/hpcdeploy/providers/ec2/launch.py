@@ -71,15 +71,8 @@ def launch_parameters(
 
     Parameters
     ----------
-    group_id : str
-        Of the cluster's security group.
     image : mapping
         As DescribeImages describes it.
-
-    Returns
-    -------
-    dict
-        The parameters.
 
     Raises
     ------

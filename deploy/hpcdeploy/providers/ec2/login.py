@@ -97,13 +97,7 @@ class Login:
             raise self._explained(error) from error
 
     def client(self, service: str, **settings: Any) -> Any:
-        """Return a client; before each of its calls the keys are seen to.
-
-        Parameters
-        ----------
-        **settings
-            As `boto3.session.Session.client` takes them.
-        """
+        """Return a client; before each of its calls the keys are seen to."""
         self.check()
         client = self._session.client(service, **settings)
         client.meta.events.register_first("before-call", lambda **_about: self.check())
@@ -175,13 +169,7 @@ def default_region() -> str:
 
 
 class _BoundedProcess(subprocess.Popen[bytes]):
-    """A ``credential_process`` that is ended when it takes too long.
-
-    Parameters
-    ----------
-    **pipes
-        As `subprocess.Popen` takes them.
-    """
+    """A ``credential_process`` that is ended when it takes too long."""
 
     def __init__(self, command: list[str], limit_s: float, **pipes: Any) -> None:
         super().__init__(command, **pipes)

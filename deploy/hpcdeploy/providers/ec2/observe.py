@@ -57,13 +57,7 @@ _DESCRIPTION = re.compile(r"hpcapp cluster ([a-z][a-z0-9-]*) life ([0-9a-z]+)")
 
 
 def group_description(cluster: str, incarnation: str) -> str:
-    """Return the text by which a group is known as ours, and its incarnation remembered.
-
-    Parameters
-    ----------
-    incarnation : str
-        Of the cluster's life.
-    """
+    """Return the text by which a group is known as ours, and its incarnation remembered."""
     return f"hpcapp cluster {cluster} life {incarnation}"
 
 
@@ -79,13 +73,7 @@ def lease_text(lease_until: datetime) -> str:
 
 
 def identity_tags(cluster: str, incarnation: str, name: NodeName) -> dict[str, str]:
-    """Return the tags that say which machine one is.
-
-    Parameters
-    ----------
-    incarnation : str
-        Of the cluster's life.
-    """
+    """Return the tags that say which machine one is."""
     return {
         "Name": f"{PREFIX}{cluster}-{name.node}",
         CLUSTER_TAG: cluster,
@@ -116,8 +104,6 @@ def as_machine(
     ----------
     described : mapping
         As DescribeInstances describes it.
-    incarnation : str
-        Of the cluster's life.
     """
     reason = described.get("StateReason", {}).get("Message")
     tags = _tags(described)
