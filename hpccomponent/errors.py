@@ -11,7 +11,7 @@
     │   ├── CapacityError                  this type, market or zone is not to be had now
     │   ├── LeftoverError                  something could not be taken away
     │   ├── OutdatedError                  what was agreed to is not what would be done now
-    │   └── ReachError                     why SSH does not let in (hpcdeploy.machine.ssh.reach)
+    │   └── ReachError                     why SSH does not let in (hpcdeploy.login.ssh.reach)
     └── JobError                  exit 1   the work could not be finished
         ├── TaskError                      the task's function raised
         ├── WorkerLostError                a batch outlived too many workers

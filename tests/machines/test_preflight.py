@@ -15,7 +15,7 @@ from machines.servers import Server
 from hpcapp.cli import main
 from hpccomponent.errors import CloudError
 from hpcdeploy.cli.doctor import doctor
-from hpcdeploy.machine.bootstrap import set_up
+from hpcdeploy.install.bootstrap import set_up
 from hpcdeploy.reconcile.cluster import open_cluster
 from hpcdeploy.reconcile.converge import look_ahead
 from hpcdeploy.reconcile.examination import visit

@@ -19,8 +19,8 @@ from hpcapp.cli import hpcapp, main
 from hpccomponent.errors import CloudError, LeftoverError, UsageError
 from hpcdeploy.cli.doctor import doctor
 from hpcdeploy.cli.shell import get, put
-from hpcdeploy.machine.bootstrap import set_up
-from hpcdeploy.machine.provider import Launch, State
+from hpcdeploy.install.bootstrap import set_up
+from hpcdeploy.provider import Launch, State
 from hpcdeploy.reconcile.cluster import open_cluster
 from hpcdeploy.reconcile.converge import bring_up, look_ahead, take_down
 from hpcdeploy.reconcile.plan import LaunchNode, Terminate
@@ -412,7 +412,7 @@ def test_without_a_key_no_host_is_said_to_have_refused_one(
 def test_a_host_that_the_file_does_not_name_any_more_is_not_forgotten(
     file: Path, hosts: tuple[Server, Server], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", lambda *about: [])
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", lambda *about: [])
     whole = file.read_text()
     with open_cluster(file) as cluster:
         bring_up(cluster, print)
@@ -435,7 +435,7 @@ def test_a_host_that_the_file_does_not_name_any_more_is_not_forgotten(
 def test_a_host_that_scale_has_let_go_is_not_said_to_hold_anything(
     file: Path, hosts: tuple[Server, Server], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", lambda *about: [])
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", lambda *about: [])
     with open_cluster(file) as cluster:
         bring_up(cluster, print)
         bring_up(replace(cluster, spec=cluster.spec.scaled(0)), print)

@@ -20,7 +20,7 @@ from machines.servers import USER, Server
 from hpcapp.cli import hpcapp
 from hpccomponent.errors import HpcError
 from hpccomponent.runtime.numerics import package_version
-from hpcdeploy.machine.parallel import run_parallel
+from hpcdeploy.login.parallel import run_parallel
 from hpcdeploy.providers import ssh_hosts
 from hpcdeploy.reconcile.cluster import open_cluster
 

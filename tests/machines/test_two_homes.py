@@ -17,10 +17,10 @@ from simulated import Failure
 
 from hpcapp.cli import main
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.access import Access
-from hpcdeploy.machine.installing import write_text
-from hpcdeploy.machine.node_keys import NodeKeys
-from hpcdeploy.machine.provider import MachineSeen
+from hpcdeploy.install.installing import write_text
+from hpcdeploy.login.access import Access
+from hpcdeploy.ownership.node_keys import NodeKeys
+from hpcdeploy.provider import MachineSeen
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import state_folder
 
@@ -80,10 +80,10 @@ def lab(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> Iterator[Lab]:
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", set_up)
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.check_wheels", lambda spec, base: [])
-    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!/bin/sh\n")
-    monkeypatch.setattr("hpcdeploy.machine.access.DENIED_S", 0.2)
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", set_up)
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.check_wheels", lambda spec, base: [])
+    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!/bin/sh\n")
+    monkeypatch.setattr("hpcdeploy.login.access.DENIED_S", 0.2)
     with Machines.open(tmp_path) as machines, StrictCloud(request.param, lag=0) as cloud:
         ports: list[int] = []
 
@@ -218,7 +218,7 @@ def test_a_machine_that_has_worked_is_not_replaced_for_a_login_that_fails(
     before = [instance.id for instance in lab.cloud.living]
     with monkeypatch.context() as patch:
         patch.setattr(
-            "hpcdeploy.machine.bootstrap.set_up",
+            "hpcdeploy.install.bootstrap.set_up",
             lambda spec, machines, access, report: [Failure(m, "no answer") for m in machines],
         )
         assert lab.run("anna", "up", "-y") == CLOUD_FAILED

@@ -11,7 +11,7 @@ from hpccomponent.errors import HpcError, OutdatedError
 from hpcdeploy.cli.asking import ask_name, say
 
 if TYPE_CHECKING:
-    from hpcdeploy.machine.provider import Observed
+    from hpcdeploy.provider import Observed
     from hpcdeploy.reconcile.cluster import Cluster
 
 __all__ = ["adopt"]
@@ -52,7 +52,7 @@ def adopt(file: Path, key: Path | None, yes: bool) -> None:
 def _tell_jobs(cluster: Cluster, observed: Observed) -> None:
     """Say which jobs are under way, for whoever takes the cluster over from under them."""
     from hpcdeploy.jobs.queries import Jobs
-    from hpcdeploy.machine.provider import State
+    from hpcdeploy.provider import State
     from hpcdeploy.spec.names import HEAD
 
     running = [machine for machine in observed.machines if machine.state is State.RUNNING]

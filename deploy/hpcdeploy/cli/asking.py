@@ -13,7 +13,7 @@ from hpccomponent.errors import CloudError, UsageError
 from hpccomponent.terminal import echo
 
 if TYPE_CHECKING:
-    from hpcdeploy.machine.provider import Observed
+    from hpcdeploy.provider import Observed
     from hpcdeploy.reconcile.cluster import Cluster
 
 __all__ = ["ask_name", "ask_to_go_on", "name_foreign", "say"]

@@ -11,7 +11,7 @@ from hpccomponent.errors import CloudError
 from hpccomponent.terminal import echo
 
 if TYPE_CHECKING:
-    from hpcdeploy.machine.provider import Problem
+    from hpcdeploy.provider import Problem
 
 __all__ = ["doctor"]
 

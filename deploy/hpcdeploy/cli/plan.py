@@ -11,7 +11,7 @@ import click
 from hpccomponent.terminal import echo, echo_json, visible_line
 
 if TYPE_CHECKING:
-    from hpcdeploy.machine.provider import Problem
+    from hpcdeploy.provider import Problem
     from hpcdeploy.reconcile.cost import Cost
     from hpcdeploy.reconcile.plan import Plan
 
@@ -41,8 +41,8 @@ def plan(file: Path, as_json: bool) -> None:
 
     Changes nothing. Names the wheels that are missing; refuses what the file's limits forbid.
     """
-    from hpcdeploy.machine.bootstrap import check_wheels
-    from hpcdeploy.machine.probe import check_this_python
+    from hpcdeploy.install.bootstrap import check_wheels
+    from hpcdeploy.install.probe import check_this_python
     from hpcdeploy.reconcile.cluster import describe_elsewhere, open_cluster
     from hpcdeploy.reconcile.converge import look_ahead
     from hpcdeploy.reconcile.cost import check_limits, estimate_cost

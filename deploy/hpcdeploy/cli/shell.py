@@ -14,9 +14,9 @@ from hpccomponent.files.paths import check_regular
 from hpccomponent.terminal import echo, echo_output
 
 if TYPE_CHECKING:
-    from hpcdeploy.machine.access import Access
-    from hpcdeploy.machine.provider import MachineSeen
-    from hpcdeploy.machine.shell import Shell
+    from hpcdeploy.login.access import Access
+    from hpcdeploy.login.shell import Shell
+    from hpcdeploy.provider import MachineSeen
     from hpcdeploy.reconcile.cluster import Cluster
 
 __all__ = ["exec_", "get", "put", "ssh"]

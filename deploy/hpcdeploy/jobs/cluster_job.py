@@ -22,7 +22,7 @@ from hpccomponent.errors import CloudError, HpcError, OutputError, UsageError
 from hpccomponent.files.paths import new_file_here
 from hpcdeploy.jobs.display import ForwardingDisplay, open_display
 from hpcdeploy.jobs.queries import Jobs, open_jobs
-from hpcdeploy.machine.provider import State
+from hpcdeploy.provider import State
 from hpcdeploy.reconcile.cluster import as_desired, open_cluster
 from hpcdeploy.reconcile.cost import estimate_cost
 from hpcdeploy.spec.job_folder import JobStatus

@@ -5,7 +5,6 @@ Nothing is remembered on the user's machine: whoever reaches the head sees all j
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shlex
 from collections import deque
@@ -23,7 +22,7 @@ from hpccomponent.errors import (
 )
 from hpccomponent.foreign_json import convert, decode
 from hpcdeploy.jobs.display import JobDisplay, JobEvent
-from hpcdeploy.machine.shell import Shell
+from hpcdeploy.login.shell import Shell, sha256_of
 from hpcdeploy.providers.bucket import Bucket, open_bucket
 from hpcdeploy.spec.job_folder import JobOrder, JobState, JobStatus, Number, Words
 from hpcdeploy.spec.layout import machine_folder
@@ -99,8 +98,7 @@ class Jobs:
             The head or the bucket cannot be reached, or does not take it.
         """
         try:
-            with points.open("rb") as stream:
-                digest = hashlib.file_digest(stream, "sha256").hexdigest()
+            digest = sha256_of(points)
         except OSError as error:
             raise InputError(
                 f"{points}: cannot be read ({error.strerror})", "name a file that you may read"

@@ -116,7 +116,7 @@ def _run_verb(folder: Path, job: JobFolder, lock: int) -> int:
     order = job.read_order()
     points = folder / order.points
     if order.points_url:
-        from hpcdeploy.machine.bucket_client import fetch_points
+        from hpcdeploy.jobs.bucket_client import fetch_points
 
         fetch_points(order, points, _say)
     command = [
@@ -161,7 +161,7 @@ def _finish(job: JobFolder, status: JobStatus, code: int) -> JobStatus:
     order = job.read_order()
     status = replace(status, state=JobState.DONE, exit_code=0)
     if order.mesh_url:
-        from hpcdeploy.machine.bucket_client import send_mesh
+        from hpcdeploy.jobs.bucket_client import send_mesh
 
         digest = send_mesh(order, job.path / order.mesh, _say)
         status = replace(status, mesh_key=order.mesh_key, mesh_sha256=digest)

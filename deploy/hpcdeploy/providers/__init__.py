@@ -1,4 +1,4 @@
-"""One module for each kind of cloud, behind the interface in ``hpcdeploy.machine.provider``."""
+"""One module for each kind of cloud, behind the interface in ``hpcdeploy.provider``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import cast
 
-from hpcdeploy.machine.provider import Provider
+from hpcdeploy.provider import Provider
 from hpcdeploy.spec.cluster import ClusterSpec
 
 __all__ = ["open_provider"]

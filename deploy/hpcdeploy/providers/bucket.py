@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import expand_home
 from hpccomponent.terminal import visible_line
-from hpcdeploy.machine.bucket_client import sha256_of
-from hpcdeploy.machine.shell import part_of
+from hpcdeploy.login.shell import part_of, sha256_of
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.job_folder import JobOrder, JobStatus
 

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from hpccomponent.config.reader import parse_config
-from hpcdeploy.machine.provider import Provider
+from hpcdeploy.provider import Provider
 from hpcdeploy.providers import open_provider
 from hpcdeploy.spec.cluster import ClusterSpec, read_spec
 
@@ -42,7 +42,7 @@ def places_of(spec: ClusterSpec, hosts: Collection[str] | None = None) -> tuple[
     if spec.provider.is_here:
         return ("folders of this machine",)
     if cloud is None:
-        from hpcdeploy.machine.ssh.target import host_id, host_target  # it imports paramiko
+        from hpcdeploy.login.ssh.target import host_id, host_target  # it imports paramiko
 
         return tuple(
             f"the home of {host_target(host, spec.auth, ()).user}@{host_id(host)}"

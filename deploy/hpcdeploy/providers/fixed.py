@@ -12,7 +12,7 @@ import msgspec
 from msgspec import Meta
 
 from hpccomponent.foreign_json import decode
-from hpcdeploy.machine.provider import GroupSeen, KeyPairSeen, Launch, MachineSeen
+from hpcdeploy.provider import GroupSeen, KeyPairSeen, Launch, MachineSeen
 from hpcdeploy.spec.names import NAME_PATTERN, Desired, NodeName, Owner, read_owner
 
 __all__ = ["CLAIM", "Claim", "StandingMachines"]

@@ -11,11 +11,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.job_end import end_jobs
-from hpcdeploy.machine.loader_service import stop_command
-from hpcdeploy.machine.local_shell import LocalShell
-from hpcdeploy.machine.probe import check_this_python
-from hpcdeploy.machine.provider import (
+from hpcdeploy.install.job_end import end_jobs
+from hpcdeploy.install.loader_service import stop_command
+from hpcdeploy.install.probe import check_this_python
+from hpcdeploy.login.local_shell import LocalShell
+from hpcdeploy.provider import (
     Launch,
     MachineSeen,
     Observed,

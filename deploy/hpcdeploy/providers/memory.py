@@ -16,7 +16,7 @@ from datetime import datetime, timedelta
 from typing import Any, Literal
 
 from hpccomponent.errors import CapacityError, CloudError
-from hpcdeploy.machine.provider import (
+from hpcdeploy.provider import (
     GroupSeen,
     KeyPairSeen,
     Launch,

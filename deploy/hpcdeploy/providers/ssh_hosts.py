@@ -12,12 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.access import Access, make_access
-from hpcdeploy.machine.installing import write_text
-from hpcdeploy.machine.job_end import end_jobs
-from hpcdeploy.machine.loader_service import stop_command
-from hpcdeploy.machine.parallel import connections_at_once, run_parallel
-from hpcdeploy.machine.provider import (
+from hpcdeploy.install.installing import write_text
+from hpcdeploy.install.job_end import end_jobs
+from hpcdeploy.install.loader_service import stop_command
+from hpcdeploy.login.access import Access, make_access
+from hpcdeploy.login.parallel import connections_at_once, run_parallel
+from hpcdeploy.login.ssh.reach import Reach, ReachError
+from hpcdeploy.login.ssh.target import host_address, host_id
+from hpcdeploy.provider import (
     GroupSeen,
     Launch,
     MachineSeen,
@@ -25,8 +27,6 @@ from hpcdeploy.machine.provider import (
     Problem,
     State,
 )
-from hpcdeploy.machine.ssh.reach import Reach, ReachError
-from hpcdeploy.machine.ssh.target import host_address, host_id
 from hpcdeploy.providers.fixed import CLAIM, Claim, StandingMachines
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import machine_folder

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, TypeVar
 from hpccomponent.errors import CloudError, UsageError
 from hpccomponent.foreign_json import decode
 from hpccomponent.protocol.keys import Key, KeyPair, write_secret
-from hpcdeploy.machine.journal import open_journal
-from hpcdeploy.machine.node_keys import NodeKeys
-from hpcdeploy.machine.ownership import fingerprint
-from hpcdeploy.machine.provider import MachineSeen, Observed, State
-from hpcdeploy.machine.shell import Shell
+from hpcdeploy.login.shell import Shell
+from hpcdeploy.ownership.journal import open_journal
+from hpcdeploy.ownership.node_keys import NodeKeys
+from hpcdeploy.ownership.ownership import fingerprint
+from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.reconcile.cluster import require_same
 from hpcdeploy.spec.layout import machine_folder, state_folder

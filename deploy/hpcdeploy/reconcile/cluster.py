@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, OutdatedError
-from hpcdeploy.machine.journal import peek_journal
-from hpcdeploy.machine.ownership import Held, foreign_owner
-from hpcdeploy.machine.provider import GroupSeen, MachineSeen, Observed, Provider, State
+from hpcdeploy.ownership.journal import peek_journal
+from hpcdeploy.ownership.ownership import Held, foreign_owner
+from hpcdeploy.provider import GroupSeen, MachineSeen, Observed, Provider, State
 from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.spec.cluster import ClusterSpec, read_spec
 from hpcdeploy.spec.layout import state_folder
@@ -21,7 +21,7 @@ from hpcdeploy.spec.names import HEAD, Owner
 from hpcdeploy.spec.polling import utc_now
 
 if TYPE_CHECKING:
-    from hpcdeploy.machine.access import Access
+    from hpcdeploy.login.access import Access
 
 __all__ = [
     "Cluster",
@@ -148,7 +148,7 @@ def open_cluster(path: Path) -> Iterator[Cluster]:
     CloudError
         The cloud's keys are not to be found.
     """
-    from hpcdeploy.machine.access import make_access  # it imports paramiko, which is slow
+    from hpcdeploy.login.access import make_access  # it imports paramiko, which is slow
     from hpcdeploy.providers import open_provider
 
     spec = read_spec(path)

@@ -16,9 +16,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, HpcError, LeftoverError, OutdatedError
-from hpcdeploy.machine.journal import Journal, open_journal, peek_journal
-from hpcdeploy.machine.ownership import Held, ours
-from hpcdeploy.machine.provider import Observed, State
+from hpcdeploy.ownership.journal import Journal, open_journal, peek_journal
+from hpcdeploy.ownership.ownership import Held, ours
+from hpcdeploy.provider import Observed, State
 from hpcdeploy.providers.bucket import open_bucket
 from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.reconcile.cluster import (

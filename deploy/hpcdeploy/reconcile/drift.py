@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from hpcdeploy.machine.provider import MachineSeen
+from hpcdeploy.provider import MachineSeen
 from hpcdeploy.reconcile.plan import launch_choices
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import HEAD

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CapacityError, CloudError
 from hpccomponent.terminal import write_block
-from hpcdeploy.machine.journal import Journal
-from hpcdeploy.machine.ownership import ours
-from hpcdeploy.machine.provider import GroupSeen, MachineSeen, Observed, State
+from hpcdeploy.ownership.journal import Journal
+from hpcdeploy.ownership.ownership import ours
+from hpcdeploy.provider import GroupSeen, MachineSeen, Observed, State
 from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.reconcile.cluster import as_desired, node_order, require_ours
 from hpcdeploy.reconcile.launching import launch_nodes
@@ -365,7 +365,7 @@ class Effort:
 
     def _set_up(self, running: list[MachineSeen]) -> list[Failed]:
         """Set the machines up; tell which failed, as the cloud sees them now."""
-        from hpcdeploy.machine.bootstrap import set_up  # it imports paramiko, which is slow
+        from hpcdeploy.install.bootstrap import set_up  # it imports paramiko, which is slow
 
         self._journal.note_set_up((m.id for m in running), is_done=False)
         with self._journal.step("set up " + ", ".join(m.name.node for m in running)):

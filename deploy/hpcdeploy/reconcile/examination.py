@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from hpccomponent.errors import CloudError
 from hpccomponent.runtime.numerics import package_version
 from hpccomponent.terminal import write_block
-from hpcdeploy.machine.bootstrap import MIN_FREE, check_wheels
-from hpcdeploy.machine.parallel import connections_at_once, run_parallel
-from hpcdeploy.machine.probe import DAMAGED, Probed, no_python, probe
-from hpcdeploy.machine.provider import MachineSeen, Problem
-from hpcdeploy.machine.wheels.requirements import missing_wheels
+from hpcdeploy.install.bootstrap import MIN_FREE, check_wheels
+from hpcdeploy.install.probe import DAMAGED, Probed, no_python, probe
+from hpcdeploy.install.wheels.requirements import missing_wheels
+from hpcdeploy.login.parallel import connections_at_once, run_parallel
+from hpcdeploy.provider import MachineSeen, Problem
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.spec.layout import machine_folder, state_folder
 from hpcdeploy.spec.names import HEAD, without_node

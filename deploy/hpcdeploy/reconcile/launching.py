@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 from hpccomponent.errors import CapacityError, CloudError
-from hpcdeploy.machine.journal import Journal
-from hpcdeploy.machine.provider import Launch, LaunchChoice, MachineSeen, Provider, State
+from hpcdeploy.ownership.journal import Journal
+from hpcdeploy.provider import Launch, LaunchChoice, MachineSeen, Provider, State
 from hpcdeploy.reconcile.drift import made_as
 from hpcdeploy.reconcile.plan import LaunchNode
 from hpcdeploy.spec.cluster import ClusterSpec
@@ -109,7 +109,7 @@ class _Request:
         )
         if not action.profile:
             return launch
-        from hpcdeploy.machine.user_data import user_data
+        from hpcdeploy.install.user_data import user_data
 
         return replace(launch, user_data=user_data(self.spec, choice.market, until))
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from hpcdeploy.machine.provider import GroupSeen, LaunchChoice, MachineSeen, Observed, State
+from hpcdeploy.provider import GroupSeen, LaunchChoice, MachineSeen, Observed, State
 from hpcdeploy.reconcile.termination import Reason
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import HEAD, NOBODY, Desired, NodeName, Owner

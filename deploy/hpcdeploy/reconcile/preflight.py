@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.provider import Problem
+from hpcdeploy.provider import Problem
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.reconcile.examination import Visit, visit
 from hpcdeploy.reconcile.plan import Action, LaunchNode

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from datetime import datetime
 
-from hpcdeploy.machine.ownership import MAKING
-from hpcdeploy.machine.provider import (
+from hpcdeploy.ownership.ownership import MAKING
+from hpcdeploy.provider import (
     GroupSeen,
     KeyPairSeen,
     MachineSeen,

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from hpccomponent.errors import CloudError, LeftoverError
-from hpcdeploy.machine.journal import Step
-from hpcdeploy.machine.provider import MachineSeen, Observed, Provider, State
+from hpcdeploy.ownership.journal import Step
+from hpcdeploy.provider import MachineSeen, Observed, Provider, State
 from hpcdeploy.reconcile.termination import Proof, Reason, end
 from hpcdeploy.spec.layout import machine_folder
 from hpcdeploy.spec.polling import Pace

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from hpccomponent.errors import CloudError, HpcError
 from hpccomponent.terminal import visible_line
-from hpcdeploy.machine.loader_service import is_running_command
-from hpcdeploy.machine.parallel import connections_at_once, run_parallel
-from hpcdeploy.machine.probe import RELEASE_COMMAND
-from hpcdeploy.machine.provider import MachineSeen, Observed, State
-from hpcdeploy.machine.shell import Shell
+from hpcdeploy.install.loader_service import is_running_command
+from hpcdeploy.install.probe import RELEASE_COMMAND
+from hpcdeploy.login.parallel import connections_at_once, run_parallel
+from hpcdeploy.login.shell import Shell
+from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.reconcile.cluster import describe_elsewhere, node_order, require_ours
 from hpcdeploy.spec.layout import machine_folder
 from hpcdeploy.spec.names import HEAD, without_node

@@ -13,8 +13,8 @@ from datetime import datetime, timedelta
 from enum import StrEnum
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.ownership import MAKING
-from hpcdeploy.machine.provider import MachineSeen, Provider, State
+from hpcdeploy.ownership.ownership import MAKING
+from hpcdeploy.provider import MachineSeen, Provider, State
 
 __all__ = ["CLOCK_GRACE", "Proof", "Reason", "end", "is_overdue", "may_terminate"]
 

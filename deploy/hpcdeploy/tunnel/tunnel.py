@@ -24,7 +24,7 @@ from hpccomponent.errors import CloudError
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.files.paths import home_folder
 from hpccomponent.foreign_json import decode
-from hpcdeploy.machine.shell import Shell
+from hpcdeploy.login.shell import Shell
 from hpcdeploy.reconcile.cluster import open_cluster
 from hpcdeploy.spec.layout import machine_folder
 from hpcdeploy.tunnel.relay import BEAT_S, WANTED, Pair, closing, splice

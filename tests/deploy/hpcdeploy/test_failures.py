@@ -73,8 +73,8 @@ def scene(
             monkeypatch.setenv(name, text)
         monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
         set_up = SetUp()
-        monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", set_up)
-        monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!/bin/sh\n")
+        monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", set_up)
+        monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!/bin/sh\n")
         yield Scene(cloud, tmp_path, set_up)
 
 

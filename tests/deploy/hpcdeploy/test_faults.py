@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from simulated import SetUp, SimulatedTime, make_cluster, make_spec
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.provider import Launch, Observed, State
+from hpcdeploy.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.converge import bring_up, replace_lost, take_down
 from hpcdeploy.reconcile.reap import reap
@@ -41,8 +41,8 @@ class World:
         self.time = SimulatedTime()
         self.cloud = MemoryProvider(self.time.now, boot_s=30, end_s=20, unseen_s=4)
         self.set_up = SetUp(during=lambda: self.strike("before", "set_up"))
-        patch.setattr("hpcdeploy.machine.bootstrap.set_up", self.set_up)
-        patch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!")
+        patch.setattr("hpcdeploy.install.bootstrap.set_up", self.set_up)
+        patch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
         self.foreign = self.cloud.launch(Launch("foreign", "life", NodeName("head")))
         self.cloud.create_group("foreign", "life", NOBODY)
         self.fault, self.countdown, self.is_dead = "none", 0, False

@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from simulated import Keyring, SetUp
 
 from hpccomponent.errors import CloudError, LeftoverError
-from hpcdeploy.machine.provider import GroupSeen
+from hpcdeploy.provider import GroupSeen
 from hpcdeploy.providers import open_provider
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.cluster import Cluster, describe_elsewhere
@@ -45,8 +45,8 @@ def cloud(
         for name, text in cloud.environment().items():
             monkeypatch.setenv(name, text)
         monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-        monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", SetUp())
-        monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!/bin/sh\n")
+        monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
+        monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!/bin/sh\n")
         yield cloud
 
 

@@ -45,9 +45,9 @@ def profile() -> str:
 @pytest.fixture
 def cloud(profile: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[StrictCloud]:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", SetUp())
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.check_wheels", lambda spec, base: [])
-    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!/bin/sh")
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.check_wheels", lambda spec, base: [])
+    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!/bin/sh")
     with StrictCloud(profile, lag=0) as opened:
         for name, value in opened.environment().items():
             monkeypatch.setenv(name, value)

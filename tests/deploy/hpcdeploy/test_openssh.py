@@ -11,10 +11,10 @@ import pytest
 from machines.openssh import open_sshd
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.ssh.connect import connect
-from hpcdeploy.machine.ssh.reach import Reach, ReachError
-from hpcdeploy.machine.ssh.shell import SshShell
-from hpcdeploy.machine.ssh.target import Target
+from hpcdeploy.login.ssh.connect import connect
+from hpcdeploy.login.ssh.reach import Reach, ReachError
+from hpcdeploy.login.ssh.shell import SshShell
+from hpcdeploy.login.ssh.target import Target
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from simulated import Failure, Keyring, SimulatedTime, make_cluster, make_spec
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.provider import MachineSeen, State
+from hpcdeploy.provider import MachineSeen, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.reconcile.converge import bring_up, look_ahead, replace_lost, take_down
@@ -68,8 +68,8 @@ class Lab:
         self.healthy: dict[str, str] = {}  # machines that were set up, and the key that was used
         self.fault, self.countdown, self.is_dead = "none", 0, False
         self.guest: tuple[str, str] | None = None
-        patch.setattr("hpcdeploy.machine.bootstrap.set_up", self.set_up)
-        patch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!")
+        patch.setattr("hpcdeploy.install.bootstrap.set_up", self.set_up)
+        patch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
 
     def cluster(self, user: str, count: int = 1) -> Cluster:
         key = "ssh-rsa anna" if user in ("anna", "clara") else None

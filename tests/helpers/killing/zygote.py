@@ -18,8 +18,8 @@ import boto3
 import paramiko
 from botocore.loaders import JSONFileLoader
 
-import hpcdeploy.machine.bootstrap
-import hpcdeploy.machine.user_data
+import hpcdeploy.install.bootstrap
+import hpcdeploy.install.user_data
 import hpcdeploy.providers.ec2.provider
 import hpcdeploy.reconcile.converge
 from hpcapp.cli import main
@@ -66,7 +66,7 @@ def run(arguments: list[str], port: int, errors: Any) -> None:
         talk(channel, "step head: write the inventory")
         return []
 
-    hpcdeploy.machine.bootstrap.set_up = set_up
+    hpcdeploy.install.bootstrap.set_up = set_up
     try:
         main(arguments)
     except SystemExit as end:
@@ -83,7 +83,7 @@ def serve(port: int) -> None:
     """Run every command that comes in, one after the other."""
     remember_models()
     paramiko.RSAKey.generate = make_key  # type: ignore[method-assign,assignment]
-    hpcdeploy.machine.user_data.user_data = lambda *about: "#!/bin/sh\n"
+    hpcdeploy.install.user_data.user_data = lambda *about: "#!/bin/sh\n"
     short = functools.partial(Pace, poll_s=0.01, settle_s=0.05, end_s=20.0)
     hpcdeploy.reconcile.converge.Pace = short  # type: ignore[attr-defined,assignment]
     for line in sys.stdin:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hpcdeploy.machine.provider import Launch
+from hpcdeploy.provider import Launch
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.spec.names import NodeName
 

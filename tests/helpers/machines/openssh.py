@@ -13,7 +13,7 @@ from pathlib import Path
 import paramiko
 import pytest
 
-from hpcdeploy.machine.ssh.target import Target
+from hpcdeploy.login.ssh.target import Target
 
 __all__ = ["open_sshd", "start_sshd"]
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from hpccomponent.config.reader import parse_config
-from hpcdeploy.machine.journal import peek_journal
-from hpcdeploy.machine.ownership import Held, fingerprint
-from hpcdeploy.machine.provider import MachineSeen
+from hpcdeploy.ownership.journal import peek_journal
+from hpcdeploy.ownership.ownership import Held, fingerprint
+from hpcdeploy.provider import MachineSeen
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.spec.cluster import ClusterSpec

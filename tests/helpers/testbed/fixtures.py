@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hpcdeploy.machine.wheels.requirements import WORKER_NEEDS
+from hpcdeploy.install.wheels.requirements import WORKER_NEEDS
 from testbed.sites import OPTIONS, POINTS, make_mesh, reason_to_skip
 from testbed.wheels import pack_requirements_of
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.provider import GroupSeen, KeyPairSeen
+from hpcdeploy.provider import GroupSeen, KeyPairSeen
 from hpcdeploy.providers.ec2.capabilities import Capabilities
 from hpcdeploy.providers.ec2.client import Calls
 from hpcdeploy.providers.ec2.errors import code_of

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.provider import Problem
+from hpcdeploy.provider import Problem
 from hpcdeploy.providers.ec2.capabilities import Capabilities
 from hpcdeploy.providers.ec2.client import Calls
 from hpcdeploy.providers.ec2.errors import code_of

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.provider import Launch
+from hpcdeploy.provider import Launch
 from hpcdeploy.providers.ec2.capabilities import Capabilities
 from hpcdeploy.providers.ec2.observe import identity_tags, lease_text
 from hpcdeploy.spec.names import (

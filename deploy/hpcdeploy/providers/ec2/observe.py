@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from hpcdeploy.machine.provider import GroupSeen, KeyPairSeen, MachineSeen, State
+from hpcdeploy.provider import GroupSeen, KeyPairSeen, MachineSeen, State
 from hpcdeploy.spec.names import (
     CLUSTER_TAG,
     GENERATION_TAG,

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.provider import (
+from hpcdeploy.provider import (
     GroupSeen,
     KeyPairSeen,
     Launch,

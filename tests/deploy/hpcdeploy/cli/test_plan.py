@@ -12,7 +12,7 @@ from simulated import FILE, SetUp, make_cluster
 
 from hpcapp.cli import main
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.provider import Problem
+from hpcdeploy.provider import Problem
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.spec.cluster import read_spec
@@ -43,7 +43,7 @@ def cloud(monkeypatch: pytest.MonkeyPatch) -> MemoryProvider:
         yield make_cluster(read_spec(path), provider)
 
     monkeypatch.setattr("hpcdeploy.reconcile.cluster.open_cluster", opened)
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.check_wheels", lambda spec, base: [])
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.check_wheels", lambda spec, base: [])
     return provider
 
 
@@ -88,8 +88,8 @@ def test_of_a_cluster_that_is_up_there_is_nothing_to_change(
     from hpcdeploy.reconcile.converge import bring_up
 
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", SetUp())
-    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *given: "#!/bin/sh")
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
+    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *given: "#!/bin/sh")
     bring_up(make_cluster(read_spec(file), cloud), lambda line: None, pace=Pace())
     assert run("plan", file, "--json") == 0
     told = json.loads(capsys.readouterr().out)
@@ -106,7 +106,7 @@ def test_what_is_missing_is_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     missing = [Problem("no wheel of numpy for cp312", "add it to wheels/")]
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.check_wheels", lambda spec, base: missing)
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.check_wheels", lambda spec, base: missing)
     assert run("plan", file) == 0
     assert "missing: no wheel of numpy for cp312; add it to wheels/\n" in capsys.readouterr().out
 

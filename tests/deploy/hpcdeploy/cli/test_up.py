@@ -14,7 +14,7 @@ from hpcapp.cli import hpcapp
 from hpccomponent.errors import CloudError, LeftoverError, OutdatedError, UsageError
 from hpccomponent.terminal import write_block
 from hpcdeploy.cli.asking import say
-from hpcdeploy.machine.provider import Launch, Observed, State
+from hpcdeploy.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.spec.names import NOBODY, NodeName, Owner
 from hpcdeploy.spec.polling import utc_now
@@ -24,8 +24,8 @@ from hpcdeploy.spec.polling import utc_now
 def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MemoryProvider:
     cloud = MemoryProvider(utc_now)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", SetUp())
-    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!")
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
+    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
     for module in ("hpcdeploy.providers", "hpcdeploy.providers.clouds"):
         monkeypatch.setattr(f"{module}.open_provider", lambda spec, base: cloud)
     return cloud
@@ -269,7 +269,7 @@ def test_a_file_that_leads_elsewhere_says_where_its_cluster_lives(
     elsewhere = MemoryProvider(utc_now)
     elsewhere.makes_machines = "aws" in other
     monkeypatch.setattr("hpcdeploy.providers.open_provider", lambda spec, base: elsewhere)
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.check_wheels", lambda spec, base: [])
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.check_wheels", lambda spec, base: [])
     assert there in run("plan", file).output
     assert there in json.loads(run("plan", "--json", file).stdout)["elsewhere"]
     assert there in run("up", file, typed="n\n").output

@@ -20,9 +20,9 @@ from hpccomponent.errors import CloudError, InputError, JobError, UsageError
 from hpcdeploy.jobs import cluster_job
 from hpcdeploy.jobs.display import JobDisplay, JobEvent
 from hpcdeploy.jobs.queries import Jobs
-from hpcdeploy.machine.access import Access
-from hpcdeploy.machine.local_shell import LocalShell
-from hpcdeploy.machine.provider import MachineSeen, State
+from hpcdeploy.login.access import Access
+from hpcdeploy.login.local_shell import LocalShell
+from hpcdeploy.provider import MachineSeen, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.converge import bring_up
 from hpcdeploy.spec.cluster import ClusterSpec
@@ -409,8 +409,8 @@ def test_who_watches_is_told_once_of_workers_that_the_limits_forbid(
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setattr(cluster_job, "LOOK_S", 0.01)
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", SetUp())
-    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!")
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
+    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
     cloud, spec = MemoryProvider(), make_spec(1)
     limits = spec.limits.model_copy(update={"max_hourly_cost": 0.5})
     cluster = make_cluster(spec.model_copy(update={"limits": limits}), cloud)
@@ -456,8 +456,8 @@ def test_a_worker_that_vanishes_is_replaced_while_somebody_watches(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setattr(cluster_job, "LOOK_S", 0.05)
     set_up = SetUp()
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", set_up)
-    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: f"#!{about}")
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", set_up)
+    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: f"#!{about}")
     cloud = MemoryProvider()
     cluster = make_cluster(make_spec(2), cloud)
     bring_up(cluster, lambda _: None)
@@ -509,8 +509,8 @@ def test_a_cluster_is_taken_away_from_under_a_worker_that_is_being_set_up(
     monkeypatch.setattr(cluster_job, "LOOK_S", 0.05)
     monkeypatch.setattr(cluster_job, "open_jobs", lambda cluster: jobs)
     monkeypatch.setattr("hpcdeploy.providers.open_provider", lambda spec, base: cloud)
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", set_up)
-    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!")
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", set_up)
+    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
     file = tmp_path / "cluster.yaml"
     file.write_text(FILE.format(cluster="bunny", count=1, least=0, market="on_demand"))
     with caplog.at_level("INFO", "hpcapp"):

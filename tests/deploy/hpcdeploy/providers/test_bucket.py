@@ -19,11 +19,12 @@ from moto.server import ThreadedMotoServer
 from simulated import make_cluster, make_spec
 
 from hpccomponent.errors import CloudError
+from hpcdeploy.jobs import bucket_client
+from hpcdeploy.jobs.bucket_client import fetch_points, send_mesh
 from hpcdeploy.jobs.display import JobDisplay
 from hpcdeploy.jobs.queries import Jobs
-from hpcdeploy.machine import bucket_client
-from hpcdeploy.machine.bucket_client import fetch_points, send_mesh, sha256_of
-from hpcdeploy.machine.local_shell import LocalShell
+from hpcdeploy.login.local_shell import LocalShell
+from hpcdeploy.login.shell import sha256_of
 from hpcdeploy.providers import bucket as bucket_module
 from hpcdeploy.providers.bucket import Bucket
 from hpcdeploy.providers.memory import MemoryProvider

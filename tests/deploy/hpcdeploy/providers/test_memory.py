@@ -6,7 +6,7 @@ import pytest
 from simulated import START, SimulatedTime
 
 from hpccomponent.errors import CapacityError, CloudError
-from hpcdeploy.machine.provider import Launch, Provider, State
+from hpcdeploy.provider import Launch, Provider, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.spec.names import NOBODY, NodeName
 

@@ -10,7 +10,7 @@ import pytest
 
 from hpccomponent.config.reader import parse_config
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.provider import MachineSeen, Observed, State
+from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import NodeName

@@ -10,8 +10,8 @@ import pytest
 from simulated import SetUp, SimulatedTime, make_cluster, make_spec
 
 from hpccomponent.errors import CloudError, LeftoverError, UsageError
-from hpcdeploy.machine.journal import open_journal
-from hpcdeploy.machine.provider import Launch, Observed, State
+from hpcdeploy.ownership.journal import open_journal
+from hpcdeploy.provider import Launch, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.reconcile.converge import bring_up, look_ahead, replace_lost, take_down
@@ -33,8 +33,8 @@ def state_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def set_up(monkeypatch: pytest.MonkeyPatch) -> SetUp:
     stub = SetUp()
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", stub)
-    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: f"#!{about}")
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", stub)
+    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: f"#!{about}")
     return stub
 
 

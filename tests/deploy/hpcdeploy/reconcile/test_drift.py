@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from simulated import START, make_spec
 
-from hpcdeploy.machine.provider import MachineSeen, State
+from hpcdeploy.provider import MachineSeen, State
 from hpcdeploy.reconcile.drift import describe_drift, find_drift, made_as
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import NodeName

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from simulated import START, make_spec
 
 from hpccomponent.config.reader import parse_config
-from hpcdeploy.machine.provider import GroupSeen, KeyPairSeen, MachineSeen, Observed, State
+from hpcdeploy.provider import GroupSeen, KeyPairSeen, MachineSeen, Observed, State
 from hpcdeploy.reconcile.plan import (
     Action,
     Allow,

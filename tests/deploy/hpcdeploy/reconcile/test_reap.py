@@ -9,7 +9,7 @@ import pytest
 from simulated import START, SetUp, SimulatedTime, make_cluster, make_spec
 
 from hpccomponent.errors import LeftoverError
-from hpcdeploy.machine.provider import GroupSeen, KeyPairSeen, Launch, MachineSeen, Observed, State
+from hpcdeploy.provider import GroupSeen, KeyPairSeen, Launch, MachineSeen, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.converge import bring_up
 from hpcdeploy.reconcile.reap import overdue, reap
@@ -125,8 +125,8 @@ def test_a_new_life_is_left_alone_though_machines_of_the_last_one_are_listed() -
 @pytest.fixture
 def time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimulatedTime:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", SetUp())
-    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!")
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
+    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
     return SimulatedTime()
 
 

@@ -10,7 +10,7 @@ import pytest
 from simulated import SetUp, make_cluster, make_spec
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.shell import Completed
+from hpcdeploy.login.shell import Completed
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.converge import bring_up, take_down
 from hpcdeploy.reconcile.status import describe_cluster, list_clusters, write_list, write_table
@@ -37,8 +37,8 @@ class Machine:
 @pytest.fixture
 def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MemoryProvider:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    monkeypatch.setattr("hpcdeploy.machine.bootstrap.set_up", SetUp())
-    monkeypatch.setattr("hpcdeploy.machine.user_data.user_data", lambda *about: "#!")
+    monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
+    monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!")
     return MemoryProvider(utc_now)
 
 

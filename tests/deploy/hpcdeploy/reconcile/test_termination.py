@@ -12,8 +12,8 @@ from simulated import START
 
 import hpcdeploy
 from hpccomponent.errors import CloudError
-from hpcdeploy.machine.ownership import Held, foreign_owner, ours
-from hpcdeploy.machine.provider import GroupSeen, KeyPairSeen, MachineSeen, Observed, State
+from hpcdeploy.ownership.ownership import Held, foreign_owner, ours
+from hpcdeploy.provider import GroupSeen, KeyPairSeen, MachineSeen, Observed, State
 from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.termination import Proof, Reason, end, may_terminate
 from hpcdeploy.spec.names import NodeName, Owner, draw_incarnation

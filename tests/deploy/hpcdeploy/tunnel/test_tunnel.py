@@ -33,10 +33,10 @@ from hpccomponent.errors import CloudError
 from hpccomponent.inventory import hold_cluster
 from hpcdeploy.jobs.display import ForwardingDisplay, JobDisplay, JobEvent
 from hpcdeploy.jobs.queries import Jobs
-from hpcdeploy.machine.local_shell import LocalShell
-from hpcdeploy.machine.ssh.connect import connect
-from hpcdeploy.machine.ssh.shell import SshShell
-from hpcdeploy.machine.ssh.target import Target
+from hpcdeploy.login.local_shell import LocalShell
+from hpcdeploy.login.ssh.connect import connect
+from hpcdeploy.login.ssh.shell import SshShell
+from hpcdeploy.login.ssh.target import Target
 from hpcdeploy.tunnel import tunnel
 from hpcdeploy.tunnel.relay import WANTED
 from hpcdeploy.tunnel.tunnel import lead_workers

@@ -14,7 +14,7 @@ from botocore.loaders import create_loader
 from cloud import StrictCloud
 from pydantic import TypeAdapter
 
-from hpcdeploy.machine.provider import Launch, MachineSeen
+from hpcdeploy.provider import Launch, MachineSeen
 from hpcdeploy.providers.ec2.client import Calls, open_client
 from hpcdeploy.providers.ec2.provider import Ec2Provider
 from hpcdeploy.spec.names import NodeName, Owner

@@ -13,7 +13,7 @@ from cloud import FOREVER, Call, CutError, StrictCloud
 from cloud.parameters import PROFILES
 
 from hpccomponent.errors import CapacityError, CloudError
-from hpcdeploy.machine.provider import Observed, State
+from hpcdeploy.provider import Observed, State
 from hpcdeploy.spec.names import NOBODY, Desired, NodeName
 
 from .conftest import LEASE, OPEN, OWNER, RSA_KEY, Desk, a_launch

@@ -1,0 +1,198 @@
+"""What is installed on a machine, and how it gets there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import distribution, version
+from importlib.resources import files
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from hpccomponent.files.paths import expand_home
+from hpcdeploy.install.wheels.release import DISTRIBUTION, pack_release
+from hpcdeploy.install.wheels.wheelhouse import (
+    Kind,
+    fits,
+    kinds_of,
+    read_requirements,
+    select_wheels,
+)
+from hpcdeploy.provider import Problem
+from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.layout import state_folder
+
+__all__ = ["WORKER_NEEDS", "Needs", "choose_release", "find_problems", "missing_wheels", "needs_of"]
+
+WORKER_NEEDS = ("msgspec", "numpy", "pydantic", "pyyaml", "pyzmq")
+"""What `hpccomponent` and `hpcloader` import; a test compares it with their source."""
+
+
+@dataclass(frozen=True, slots=True)
+class Needs:
+    """What one machine needs.
+
+    Parameters
+    ----------
+    files : tuple of Path
+        Wheels that are uploaded.
+    requirements : tuple of str
+        What is installed with what it requires.
+    bare : tuple of str
+        What is installed without it.
+    is_offline : bool
+        Whether all of it is among the files.
+    """
+
+    files: tuple[Path, ...]
+    requirements: tuple[str, ...]
+    bare: tuple[str, ...]
+    is_offline: bool
+
+
+def choose_release(spec: ClusterSpec, base: Path, kinds: list[Kind]) -> Path | str:
+    """Return the package that all machines get: a wheel, or a requirement.
+
+    Parameters
+    ----------
+    kinds : list of Kind
+        Of all machines: the native build is taken only where it fits all of them, because a job's
+        machines must compute the same bits.
+
+    Returns
+    -------
+    Path or str
+        A wheel's file, or a requirement.
+    """
+    if spec.env.package != "auto":
+        path = base / expand_home(spec.env.package)
+        return path if path.is_file() else spec.env.package
+    folder = state_folder(spec.cluster) / "release"
+    native = pack_release(folder, is_native=True)
+    if native is not None and all(fits(native, kind) for kind in kinds):
+        return native
+    portable = pack_release(folder, is_native=False)
+    assert portable is not None  # noqa: S101 - only a native one may be none
+    return portable
+
+
+def needs_of(
+    spec: ClusterSpec, base: Path, package: Path | str, kind: Kind, *, is_head: bool
+) -> tuple[Needs, tuple[str, ...]]:
+    """Return what a machine needs, and what of it is missing in the wheelhouse.
+
+    Parameters
+    ----------
+    is_head : bool
+        A worker gets only what a component and a loader import.
+
+    Returns
+    -------
+    missing : tuple of str
+        Requirements that no wheel of the wheelhouse fulfils; empty without one.
+
+    Raises
+    ------
+    CloudError
+        A requirement or a wheel cannot be read.
+    """
+    local = [path for text in spec.env.packages if (path := base / text).is_file()]
+    named = [text for text in spec.env.packages if not (base / text).is_file()]
+    wanted = [*(text for text in _bounds() if is_head or _name(text) in WORKER_NEEDS), *named]
+    page = [*_bounds("dashboard")] if is_head else []
+    own = [package] if isinstance(package, Path) else []
+    pip = _bundled_pip()
+    if spec.env.wheelhouse is None:
+        later = tuple(path.name for path in local)
+        requirements = (*map(_pinned, [*wanted, *page]), *later)
+        bare = own[0].name if own else str(package)
+        return Needs((*pip, *own, *local), requirements, (bare,), is_offline=False), ()
+    places = [base / expand_home(spec.env.wheelhouse), *local]
+    wanted += [text for path in local for text in read_requirements(path)]
+    chosen = select_wheels(places, [*wanted, *page], kind)
+    if chosen.missing and page:  # a head does its work without: its jobs show no page then
+        chosen = select_wheels(places, wanted, kind)
+    named_package = [] if own else [str(package)]
+    release = select_wheels(places, named_package, kind, is_deep=False)
+    wheels = tuple(dict.fromkeys((*chosen.wheels, *local, *release.wheels, *own)))
+    bare_names = tuple(path.name for path in wheels)
+    missing = (*chosen.missing, *release.missing)
+    return Needs((*pip, *wheels), (), bare_names, is_offline=True), missing
+
+
+def find_problems(spec: ClusterSpec, base: Path) -> list[Problem]:
+    """Return what is missing in the wheelhouse, one problem for each wheel.
+
+    Before the machines are there, the wheelhouse itself says which machines it is for: each kind
+    that it has compiled wheels for should be complete. Where none is, `up` would fail.
+
+    Raises
+    ------
+    CloudError
+        A requirement or a wheel cannot be read.
+    """
+    if spec.env.wheelhouse is None or spec.provider.is_here:
+        return []
+    folder = base / expand_home(spec.env.wheelhouse)
+    kinds = kinds_of(folder)
+    if not kinds:
+        return [
+            Problem(
+                f"{folder}: no compiled wheel for Linux in it",
+                "fill it by: pip download --only-binary=:all: -d FOLDER hpcapp, on such a machine",
+            )
+        ]
+    lacking = {kind: missing_wheels(spec, base, kind, is_head=True) for kind in kinds}
+    return [
+        Problem(
+            f"{folder}: no wheel of {missing} for {kind}",
+            "add it: see docs/how-to/run-on-a-cluster.md, env",
+            is_fatal=all(lacking.values()),
+        )
+        for kind, names in lacking.items()
+        for missing in names
+    ]
+
+
+def missing_wheels(spec: ClusterSpec, base: Path, kind: Kind, *, is_head: bool) -> tuple[str, ...]:
+    """Return what the wheelhouse lacks for a machine of a kind; nothing where there is none.
+
+    Parameters
+    ----------
+    is_head : bool
+        A worker needs only what a component and a loader import.
+
+    Raises
+    ------
+    CloudError
+        A requirement or a wheel cannot be read.
+    """
+    package = spec.env.package if spec.env.package != "auto" else Path(f"{DISTRIBUTION}.whl")
+    return needs_of(spec, base, package, kind, is_head=is_head)[1]
+
+
+def _bounds(extra: str = "") -> Iterator[str]:
+    """Yield what this release requires, or what one of its extras does besides."""
+    for text in distribution(DISTRIBUTION).requires or ():
+        bound, _, marker = text.partition(";")
+        if not extra and "extra ==" not in marker:
+            yield text
+        elif extra and f'extra == "{extra}"' in marker.replace("'", '"'):
+            yield bound.strip()
+
+
+def _pinned(text: str) -> str:
+    """Pin numpy: its release decides bits, and a cluster gives those of this machine."""
+    return f"numpy=={version('numpy')}" if Requirement(text).name == "numpy" else text
+
+
+def _bundled_pip() -> list[Path]:
+    """Return the pip that this Python brings along, so that the machine needs none of its own."""
+    bundled = files("ensurepip") / "_bundled"
+    return sorted(Path(str(bundled)).glob("pip-*.whl"))[-1:]
+
+
+def _name(requirement: str) -> str:
+    return canonicalize_name(Requirement(requirement).name)

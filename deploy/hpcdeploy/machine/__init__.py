@@ -1,1 +1,0 @@
-"""One machine: how it is reached, asked, and set up."""

@@ -1,0 +1,1 @@
+"""Whose a cluster is: its keys, and the journal of what was done to it."""

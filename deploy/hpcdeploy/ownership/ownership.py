@@ -1,0 +1,144 @@
+"""Whose a cluster is: ours where it was made with the key that we hold; pure.
+
+The name of a cluster is all that a cluster file says, and another user's file may say the same.
+So everything that is made bears its owner: user, host and the fingerprint of the key that its
+machines let in. Only who holds that key may change the cluster; see `termination` for what may
+be ended.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+from hpcdeploy.provider import KeyPairSeen, MachineSeen, Observed, State
+from hpcdeploy.spec.names import Owner, incarnation_began
+
+__all__ = [
+    "MAKING",
+    "Held",
+    "cloud_fingerprints",
+    "fingerprint",
+    "foreign_owner",
+    "ours",
+]
+
+MAKING = timedelta(hours=1)
+"""What is younger may belong to a cluster that somebody is making right now."""
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What this machine holds of a cluster.
+
+    Parameters
+    ----------
+    owner : Owner
+        Us; its key is empty where there is none yet.
+    pairs : frozenset of str
+        Fingerprints of that key in the forms of clouds.
+    lives : frozenset of str
+        Incarnations that our journal has begun. They tell what is ours while its tag is not
+        written yet, which not every cloud does in one step.
+    """
+
+    owner: Owner
+    pairs: frozenset[str] = frozenset()
+    lives: frozenset[str] = frozenset()
+
+
+def fingerprint(public_key: str) -> str:
+    """Return the fingerprint of a public key, as ssh-keygen prints it.
+
+    Examples
+    --------
+    >>> fingerprint("ssh-ed25519 AAAA")
+    'SHA256:cJ6AyISHokEeHuTfufIqhhSS0gxHZRUMDHlKvXD4FHw'
+    """
+    return "SHA256:" + base64.b64encode(_digest(public_key)).decode().rstrip("=")
+
+
+def cloud_fingerprints(public_key: str) -> frozenset[str]:
+    """Return the fingerprints that clouds give of an imported public key.
+
+    Amazon and Eucalyptus give the MD5 of the DER form of an RSA key; of an Ed25519 key Amazon
+    gives what OpenSSH gives.
+
+    Returns
+    -------
+    frozenset of str
+        Empty where it is no key.
+    """
+    from cryptography.hazmat.primitives.serialization import (
+        Encoding,
+        PublicFormat,
+        load_ssh_public_key,
+    )
+
+    plain = base64.b64encode(_digest(public_key)).decode()
+    try:
+        key = load_ssh_public_key(public_key.encode())
+    except ValueError:
+        return frozenset()
+    der = key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+    short = hashlib.md5(der, usedforsecurity=False).hexdigest()
+    pairs = ":".join(short[i : i + 2] for i in range(0, len(short), 2))
+    return frozenset({pairs, plain, plain.rstrip("=")})
+
+
+def _digest(public_key: str) -> bytes:
+    return hashlib.sha256(base64.b64decode(public_key.split()[1])).digest()
+
+
+def ours(observed: Observed, held: Held) -> frozenset[str]:
+    """Return the ids of the machines that are ours."""
+    return frozenset(m.id for m in observed.machines if _is_ours(m, observed, held))
+
+
+def foreign_owner(observed: Observed, held: Held, now: datetime) -> Owner | None:
+    """Return whose a cluster is where not all of it is ours; None where we may change it."""
+    return next(_foreign(observed, held, now), None)
+
+
+def _foreign(observed: Observed, held: Held, now: datetime) -> Iterator[Owner]:
+    # What is ending is let go by its owner; a host that hides what it does hides its owner too.
+    hidden = (State.ENDING, State.GONE, State.UNKNOWN)
+    machines = [m for m in observed.machines if m.state not in hidden]
+    for machine in machines:
+        if not _is_ours(machine, observed, held):
+            yield _owner_of(machine, observed)
+    occupied = {machine.incarnation for machine in machines}
+    for group in observed.groups:
+        if group.owner.key:
+            if group.owner.key != held.owner.key:
+                yield group.owner
+        elif group.incarnation not in occupied:  # else its machines have told
+            began = incarnation_began(group.incarnation)
+            is_young = began is not None and began + MAKING > now
+            if is_young and not _is_begun_by_us(group.incarnation, observed, held):
+                yield group.owner
+
+
+def _is_ours(machine: MachineSeen, observed: Observed, held: Held) -> bool:
+    key = _owner_of(machine, observed).key
+    if key:
+        return key == held.owner.key
+    return _is_begun_by_us(machine.incarnation, observed, held)
+
+
+def _owner_of(machine: MachineSeen, observed: Observed) -> Owner:
+    """Return whose a machine is; while it bears no key, whose the group of its life is."""
+    if machine.owner.key:
+        return machine.owner
+    of_life = (g.owner for g in observed.groups if g.incarnation == machine.incarnation)
+    return next((owner for owner in of_life if owner.key), machine.owner)
+
+
+def _is_begun_by_us(incarnation: str, observed: Observed, held: Held) -> bool:
+    """Tell whether a life without an owner is ours: by our journal, or by its key pair."""
+    pairs: tuple[KeyPairSeen, ...] = observed.key_pairs
+    prints = {p.fingerprint for p in pairs if p.incarnation == incarnation} - {""}
+    return incarnation in held.lives or bool(prints & held.pairs)
