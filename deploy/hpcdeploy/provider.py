@@ -6,24 +6,30 @@ repeated after a crash without harm, because what it makes is known by its name.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
-from typing import NamedTuple, Protocol
+from pathlib import Path
+from typing import ClassVar, NamedTuple, Protocol
 
+from hpcdeploy.spec.job_folder import JobOrder, JobStatus
 from hpcdeploy.spec.names import HEAD, NOBODY, Desired, NodeName, Owner
 
 __all__ = [
-    "GroupSeen",
-    "KeyPairSeen",
+    "Bucket",
     "Launch",
     "LaunchChoice",
     "MachineSeen",
+    "Maker",
+    "Needs",
     "Observed",
     "Problem",
     "Provider",
+    "Resource",
     "State",
+    "Step",
+    "Tags",
 ]
 
 
@@ -114,48 +120,38 @@ class MachineSeen:
 
 
 @dataclass(frozen=True, slots=True)
-class KeyPairSeen:
-    """A key pair of ours.
+class Resource:
+    """What a cloud keeps for a cluster beside its machines: a network, a key.
 
     Parameters
     ----------
     incarnation : str
         Of the cluster's life that it was made in.
-    fingerprint : str
-        Of the key, in the cloud's own form.
-    """
-
-    cluster: str
-    name: str
-    incarnation: str = ""
-    fingerprint: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class GroupSeen:
-    """A security group of ours.
-
-    Parameters
-    ----------
-    incarnation : str
-        Of the cluster: drawn when the group was made and written into its description. Making a
-        group is the one step that a cloud lets only one of two hurried users take, so that both
-        go on with the same incarnation.
-    ssh_from : frozenset of str
-        Networks (CIDR) that reach the SSH port.
-    internal_ports : frozenset of int
-        Ports that machines of the group reach on one another.
+    id : str
+        Empty where its name is its id.
     owner : Owner
         As its tag says; empty where it has none.
+    fingerprint : str
+        Of a key, in the cloud's own form.
+
+    Attributes
+    ----------
+    kind : str
+        What users call it: ``security group``.
+    bears_life : bool
+        Whether a life of the cluster begins with it. Making it is then the one step that a cloud
+        lets only one of two hurried users take, so that both go on with the same incarnation.
     """
 
     cluster: str
-    id: str
     name: str
     incarnation: str = ""
-    ssh_from: frozenset[str] = frozenset()
-    internal_ports: frozenset[int] = frozenset()
+    id: str = ""
     owner: Owner = NOBODY
+    fingerprint: str = ""
+
+    kind: ClassVar[str] = "resource"
+    bears_life: ClassVar[bool] = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,8 +165,12 @@ class Observed:
     """
 
     machines: tuple[MachineSeen, ...] = ()
-    key_pairs: tuple[KeyPairSeen, ...] = ()
-    groups: tuple[GroupSeen, ...] = ()
+    resources: tuple[Resource, ...] = ()
+
+    @property
+    def lives(self) -> tuple[Resource, ...]:
+        """The resources by which the lives of clusters are known."""
+        return tuple(resource for resource in self.resources if resource.bears_life)
 
     def desired(self, cluster: str) -> Desired | None:
         """Return how many workers a cluster is to have; None where no head that lives says so."""
@@ -234,8 +234,111 @@ class Problem:
     excerpt: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class Needs:
+    """What a cluster needs before its machines are launched.
+
+    Parameters
+    ----------
+    incarnation : str
+        Of the cluster's life that is there, or is to begin.
+    ssh_from : frozenset of str
+        Networks (CIDR) that may reach the SSH port.
+    internal_ports : frozenset of int
+        Ports that the machines may reach on one another.
+    """
+
+    cluster: str
+    incarnation: str
+    ssh_from: frozenset[str] = frozenset()
+    internal_ports: frozenset[int] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A step of the preparation.
+
+    Parameters
+    ----------
+    what : str
+        As users read it, in the infinitive: "create the key pair".
+    carry_out : callable
+        Takes who is to own what is made, and returns the cluster's life by then: another one than
+        `begins` where somebody else was first. It may be repeated.
+    begins : str
+        The life of the cluster that begins with it; empty where none does.
+    makes : bool
+        Whether it makes what is to be taken away in the end.
+    """
+
+    what: str
+    carry_out: Callable[[Maker], str] = field(repr=False, compare=False)
+    begins: str = ""
+    makes: bool = False
+
+    def __str__(self) -> str:
+        return self.what
+
+
+class Maker(Protocol):
+    """Who carries out a preparation."""
+
+    def owner(self) -> Owner:
+        """Return who is to own what is made."""
+        ...
+
+    def public_key(self) -> str:
+        """Return the key that machines are to let in, in OpenSSH's form."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Tags:
+    """What a cloud keeps with machines and lists again; None leaves it as it is.
+
+    Parameters
+    ----------
+    desired : Desired, optional
+        How many workers the cluster is to have: its head bears it.
+    """
+
+    owner: Owner | None = None
+    desired: Desired | None = None
+    lease_until: datetime | None = None
+
+
+class Bucket(Protocol):
+    """A place for large files between the user's machine and the head."""
+
+    def send(
+        self,
+        points: Path,
+        digest: str,
+        order: JobOrder,
+        on_progress: Callable[[int, int], None] | None = None,
+    ) -> JobOrder:
+        """Send a job's points unless they are there; return the order with its addresses.
+
+        Parameters
+        ----------
+        digest : str
+            Its SHA-256, which is part of the object's name.
+        on_progress : callable, optional
+            Told (bytes sent, bytes in all).
+        """
+        ...
+
+    def fetch(self, status: JobStatus, target: Path) -> None:
+        """Fetch a job's mesh, check it, and take it out of the bucket."""
+        ...
+
+    def clear(self) -> None:
+        """Take away all that the cluster's jobs have put there, and uploads that were cut short."""
+        ...
+
+
 class Provider(Protocol):
-    """A kind of cloud.
+    """A kind of cloud: seven calls, and what it answers for.
 
     Every method raises `CloudError` with one line that says what the cloud refused, why and what
     to do; `CapacityError` where another instance type, market or zone may still be had.
@@ -249,6 +352,38 @@ class Provider(Protocol):
         """Return all that exists of a cluster of ours, or of every one where None."""
         ...
 
+    def prepare(self, needs: Needs, observed: Observed) -> Sequence[Step]:
+        """Return what must still be done before machines are launched; nothing is changed.
+
+        Parameters
+        ----------
+        observed : Observed
+            What other clusters have does not matter.
+        """
+        ...
+
+    def launch(self, launch: Launch) -> MachineSeen:
+        """Start a machine; asked again with the same names, return the one that was started."""
+        ...
+
+    def tag(
+        self, machines: Sequence[MachineSeen], tags: Tags, resources: Sequence[Resource] = ()
+    ) -> None:
+        """Write down what machines, and resources that can, are to bear from now on."""
+        ...
+
+    def terminate(self, machines: Sequence[MachineSeen]) -> None:
+        """Begin to end some machines; those that have ended do not matter."""
+        ...
+
+    def cleanup(self, resource: Resource) -> bool:
+        """Delete a resource; False while it is in use. One that is gone does not matter."""
+        ...
+
+    def console(self, machine: MachineSeen) -> str:
+        """Return what a machine has printed on its console so far; empty where it has none."""
+        ...
+
     def hosts(self) -> tuple[MachineSeen, ...]:
         """Return the machines that are there before they belong to a cluster."""
         ...
@@ -257,74 +392,10 @@ class Provider(Protocol):
         """Say what the file leaves open and is decided for this command, in a line each."""
         ...
 
-    def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
-        """Make the key pair of a cluster's life known, or return the one there is."""
-        ...
-
-    def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
-        """Make the security group of a cluster, without rules; or return the one there is.
-
-        Parameters
-        ----------
-        incarnation : str
-            Written into the description of a new group.
-        """
-        ...
-
-    def mark(
-        self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
-    ) -> None:
-        """Write down whose some machines and groups are from now on."""
-        ...
-
-    def set_desired(self, head: MachineSeen, desired: Desired) -> None:
-        """Write on the head how many workers the cluster is to have from now on."""
-        ...
-
-    def allow(
-        self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
-    ) -> None:
-        """Make these the rules of a group: add what is missing, revoke what is too much.
-
-        Parameters
-        ----------
-        ssh_from : frozenset of str
-            Networks (CIDR) that may reach the SSH port.
-        internal_ports : frozenset of int
-            Ports that machines of the group may reach on one another.
-        """
-        ...
-
-    def launch(self, launch: Launch) -> MachineSeen:
-        """Start a machine; asked again with the same names, return the one that was started."""
-        ...
-
-    def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
-        """Write a new end of the lease on some machines."""
-        ...
-
-    def terminate(self, machines: Sequence[MachineSeen]) -> None:
-        """Begin to end some machines; those that have ended do not matter."""
-        ...
-
-    def delete_group(self, group: GroupSeen) -> bool:
-        """Delete a group; False while it is in use."""
-        ...
-
-    def delete_key_pair(self, key_pair: KeyPairSeen) -> None:
-        """Delete a key pair; one that is gone does not matter."""
-        ...
-
-    def console(self, machine: MachineSeen) -> str:
-        """Return what a machine has printed on its console so far.
-
-        Returns
-        -------
-        str
-            Empty where there is nothing, or no console.
-        """
-        ...
-
     def check(self) -> list[Problem]:
         """Look, without changing anything, for what would make `up` fail."""
+        ...
+
+    def bucket(self) -> Bucket | None:
+        """Return the bucket that the cluster file names; None where it names none."""
         ...

@@ -23,7 +23,7 @@ from hpccomponent.errors import (
 from hpccomponent.foreign_json import convert, decode
 from hpcdeploy.jobs.display import JobDisplay, JobEvent
 from hpcdeploy.login.shell import Shell, sha256_of
-from hpcdeploy.providers.bucket import Bucket, open_bucket
+from hpcdeploy.provider import Bucket
 from hpcdeploy.spec.job_folder import JobOrder, JobState, JobStatus, Number, Words
 from hpcdeploy.spec.layout import machine_folder
 
@@ -296,7 +296,7 @@ def _said(lines: Iterable[str], code: int) -> tuple[str, str]:
 def open_jobs(cluster: Cluster) -> Jobs:
     """Return the jobs of a cluster that is up."""
     head = cluster.access.open(cluster.head())
-    bucket = open_bucket(cluster.spec, cluster.path.absolute().parent)
+    bucket = cluster.provider.bucket()
     return Jobs(head, cluster.spec.cluster, bucket)
 
 

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from hpcdeploy.provider import KeyPairSeen, MachineSeen, Observed, State
+from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.spec.names import Owner, incarnation_began
 
 __all__ = [
@@ -111,15 +111,15 @@ def _foreign(observed: Observed, held: Held, now: datetime) -> Iterator[Owner]:
         if not _is_ours(machine, observed, held):
             yield _owner_of(machine, observed)
     occupied = {machine.incarnation for machine in machines}
-    for group in observed.groups:
-        if group.owner.key:
-            if group.owner.key != held.owner.key:
-                yield group.owner
-        elif group.incarnation not in occupied:  # else its machines have told
-            began = incarnation_began(group.incarnation)
+    for life in observed.lives:
+        if life.owner.key:
+            if life.owner.key != held.owner.key:
+                yield life.owner
+        elif life.incarnation not in occupied:  # else its machines have told
+            began = incarnation_began(life.incarnation)
             is_young = began is not None and began + MAKING > now
-            if is_young and not _is_begun_by_us(group.incarnation, observed, held):
-                yield group.owner
+            if is_young and not _is_begun_by_us(life.incarnation, observed, held):
+                yield life.owner
 
 
 def _is_ours(machine: MachineSeen, observed: Observed, held: Held) -> bool:
@@ -130,15 +130,14 @@ def _is_ours(machine: MachineSeen, observed: Observed, held: Held) -> bool:
 
 
 def _owner_of(machine: MachineSeen, observed: Observed) -> Owner:
-    """Return whose a machine is; while it bears no key, whose the group of its life is."""
+    """Return whose a machine is; while it bears no key, whose its life is."""
     if machine.owner.key:
         return machine.owner
-    of_life = (g.owner for g in observed.groups if g.incarnation == machine.incarnation)
+    of_life = (r.owner for r in observed.lives if r.incarnation == machine.incarnation)
     return next((owner for owner in of_life if owner.key), machine.owner)
 
 
 def _is_begun_by_us(incarnation: str, observed: Observed, held: Held) -> bool:
-    """Tell whether a life without an owner is ours: by our journal, or by its key pair."""
-    pairs: tuple[KeyPairSeen, ...] = observed.key_pairs
-    prints = {p.fingerprint for p in pairs if p.incarnation == incarnation} - {""}
+    """Tell whether a life without an owner is ours: by our journal, or by its key."""
+    prints = {r.fingerprint for r in observed.resources if r.incarnation == incarnation} - {""}
     return incarnation in held.lives or bool(prints & held.pairs)

@@ -12,8 +12,8 @@ import msgspec
 from msgspec import Meta
 
 from hpccomponent.foreign_json import decode
-from hpcdeploy.provider import GroupSeen, KeyPairSeen, Launch, MachineSeen
-from hpcdeploy.spec.names import NAME_PATTERN, Desired, NodeName, Owner, read_owner
+from hpcdeploy.provider import Launch, MachineSeen, Needs, Observed, Resource, Step, Tags
+from hpcdeploy.spec.names import NAME_PATTERN, NodeName, read_owner
 
 __all__ = ["CLAIM", "Claim", "StandingMachines"]
 
@@ -68,49 +68,34 @@ class Claim:
 
 
 class StandingMachines:
-    """The part of `Provider` that is about networks, keys and leases: there are none to manage."""
+    """The part of `Provider` that is about networks, keys, leases and buckets: there are none."""
 
     makes_machines = False
 
-    def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
-        """Do nothing: who may log in is settled."""
-        del public_key
-        return KeyPairSeen(cluster, "", incarnation)
+    def prepare(self, needs: Needs, observed: Observed) -> list[Step]:
+        """Return nothing: the network is as it is, and who may log in is settled."""
+        del needs, observed
+        return []
 
-    def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
-        """Do nothing: the network is as it is."""
-        del owner
-        return GroupSeen(cluster, "", "", incarnation)
-
-    def allow(
-        self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
+    def tag(
+        self, machines: Sequence[MachineSeen], tags: Tags, resources: Sequence[Resource] = ()
     ) -> None:
-        """Do nothing: the network is as it is."""
+        """Do nothing: the machines stay, and are the user's own."""
 
-    def mark(
-        self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
-    ) -> None:
-        """Do nothing: on this machine all is the user's own."""
-
-    def set_desired(self, head: MachineSeen, desired: Desired) -> None:
-        """Do nothing: no command launches machines that are there."""
-
-    def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
-        """Do nothing: the machines stay."""
-
-    def decided(self) -> tuple[str, ...]:
-        """Return nothing: the file says all."""
-        return ()
-
-    def delete_group(self, group: GroupSeen) -> bool:
+    def cleanup(self, resource: Resource) -> bool:
         """Do nothing: there is none."""
-        del group
+        del resource
         return True
-
-    def delete_key_pair(self, key_pair: KeyPairSeen) -> None:
-        """Do nothing: there is none."""
 
     def console(self, machine: MachineSeen) -> str:
         """Return nothing: a console is its machine's owner's."""
         del machine
         return ""
+
+    def decided(self) -> tuple[str, ...]:
+        """Return nothing: the file says all."""
+        return ()
+
+    def bucket(self) -> None:
+        """Return none: files travel over SSH."""
+        return

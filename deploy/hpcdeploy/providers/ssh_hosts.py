@@ -20,17 +20,18 @@ from hpcdeploy.login.parallel import connections_at_once, run_parallel
 from hpcdeploy.login.ssh.reach import Reach, ReachError
 from hpcdeploy.login.ssh.target import host_address, host_id
 from hpcdeploy.provider import (
-    GroupSeen,
     Launch,
     MachineSeen,
     Observed,
     Problem,
+    Resource,
     State,
+    Tags,
 )
 from hpcdeploy.providers.fixed import CLAIM, Claim, StandingMachines
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import machine_folder
-from hpcdeploy.spec.names import HEAD, NodeName, Owner, without_node
+from hpcdeploy.spec.names import HEAD, NodeName, without_node
 from hpcdeploy.spec.provider import Host
 
 __all__ = ["SshHosts", "open_ssh_hosts"]
@@ -94,16 +95,16 @@ class SshHosts(StandingMachines):
             write_text(shell, f"{self._folder}/{CLAIM}", claim.to_json())
         return claim.mark(machine)
 
-    def mark(
-        self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
+    def tag(
+        self, machines: Sequence[MachineSeen], tags: Tags, resources: Sequence[Resource] = ()
     ) -> None:
-        """Write down in the claims whose some hosts are."""
-        del groups
-        for machine in machines:
+        """Write down in the claims whose some hosts are; all else stays with the user."""
+        del resources
+        for machine in machines if tags.owner is not None else ():
             path = f"{self._folder}/{CLAIM}"
             with self._access.open(machine) as shell:
                 claim = self._read_claim(machine, shell.run(f"cat {shlex.quote(path)}").output)
-                write_text(shell, path, replace(claim, owner=str(owner)).to_json())
+                write_text(shell, path, replace(claim, owner=str(tags.owner)).to_json())
 
     def terminate(self, machines: Sequence[MachineSeen]) -> None:
         """Stop the loaders and remove our folders; hosts that do not answer stay as they are."""

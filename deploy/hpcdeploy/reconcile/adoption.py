@@ -16,7 +16,7 @@ from hpcdeploy.login.shell import Shell
 from hpcdeploy.ownership.journal import open_journal
 from hpcdeploy.ownership.node_keys import NodeKeys
 from hpcdeploy.ownership.ownership import fingerprint
-from hpcdeploy.provider import MachineSeen, Observed, State
+from hpcdeploy.provider import MachineSeen, Observed, State, Tags
 from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.reconcile.cluster import require_same
 from hpcdeploy.spec.layout import machine_folder, state_folder
@@ -170,7 +170,7 @@ def take_over(
             NodeKeys.write(state_folder(name) / "keys.json", keys)
         owner = cluster.access.owner()
         machines = [m for m in observed.machines if m.state is State.RUNNING]
-        cluster.provider.mark(machines, observed.groups, owner)
+        cluster.provider.tag(machines, Tags(owner), observed.lives)
         journal.note_places(places_of(cluster.spec))
     report(f"cluster {name} is {owner.user}'s now: {len(machines)} machines")
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from hpccomponent.errors import CloudError, OutdatedError
 from hpcdeploy.ownership.journal import peek_journal
 from hpcdeploy.ownership.ownership import Held, foreign_owner
-from hpcdeploy.provider import GroupSeen, MachineSeen, Observed, Provider, State
+from hpcdeploy.provider import MachineSeen, Observed, Provider, Resource, State
 from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.spec.cluster import ClusterSpec, read_spec
 from hpcdeploy.spec.layout import state_folder
@@ -209,7 +209,7 @@ def require_same(cluster: Cluster, before: Observed, now: Observed) -> None:
 def _bearers(observed: Observed) -> set[tuple[str, str, str]]:
     """Return what bears a life and an owner, with both."""
     ending = (State.ENDING, State.GONE)
-    bearers: list[MachineSeen | GroupSeen] = [*observed.groups]
+    bearers: list[MachineSeen | Resource] = [*observed.lives]
     bearers += [machine for machine in observed.machines if machine.state not in ending]
     return {(seen.id, seen.incarnation, str(seen.owner)) for seen in bearers}
 
@@ -266,4 +266,4 @@ def _advice(cluster: Cluster) -> str:
 
 
 def _is_any(observed: Observed) -> bool:
-    return bool(observed.machines or observed.groups)
+    return bool(observed.machines or observed.lives)

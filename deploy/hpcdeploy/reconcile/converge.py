@@ -19,7 +19,6 @@ from hpccomponent.errors import CloudError, HpcError, LeftoverError, OutdatedErr
 from hpcdeploy.ownership.journal import Journal, open_journal, peek_journal
 from hpcdeploy.ownership.ownership import Held, ours
 from hpcdeploy.provider import Observed, State
-from hpcdeploy.providers.bucket import open_bucket
 from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.reconcile.cluster import (
     as_desired,
@@ -179,7 +178,7 @@ def take_down(
         require_same(cluster, named, seen)
     with open_journal(cluster.spec.cluster) as journal:
         _remove_all(cluster, journal, seen, report, pace)
-        bucket = open_bucket(cluster.spec, cluster.path.absolute().parent)
+        bucket = cluster.provider.bucket()
         if bucket is not None:
             with journal.step("clear the bucket"):
                 bucket.clear()
@@ -194,8 +193,7 @@ def _remove_all(
 ) -> None:
     """Take away what was seen, and what is ours; not what others make of this name meanwhile."""
     lives = frozenset(machine.incarnation for machine in seen.machines)
-    lives |= {group.incarnation for group in seen.groups}
-    lives |= {pair.incarnation for pair in seen.key_pairs}
+    lives |= {resource.incarnation for resource in seen.resources}
 
     def doomed() -> tuple[Observed, Proof]:
         now = cluster.provider.observe(cluster.spec.cluster)
@@ -215,14 +213,8 @@ def _doomed(seen: Observed, held: Held, lives: frozenset[str]) -> Observed:
         if m.id in mine or m.incarnation in lives or m.state is State.UNKNOWN
     )
     lives |= {machine.incarnation for machine in machines}
-    groups = tuple(
-        g
-        for g in seen.groups
-        if g.incarnation in lives or (g.owner.key and g.owner.key == held.owner.key)
-    )
-    lives |= {group.incarnation for group in groups}
-    pairs = tuple(p for p in seen.key_pairs if p.incarnation in lives)
-    return Observed(machines, pairs, groups)
+    lives |= {r.incarnation for r in seen.lives if r.owner.key and r.owner.key == held.owner.key}
+    return Observed(machines, tuple(r for r in seen.resources if r.incarnation in lives))
 
 
 def _ways_on(cluster: Cluster) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hpccomponent.errors import UsageError
-from hpcdeploy.reconcile.prices import read_prices
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import HEAD
+from hpcdeploy.spec.prices import read_prices
 from hpcdeploy.spec.provider import CloudSpec, Profile
 
 __all__ = ["Cost", "CostLine", "check_limits", "describe_cost", "estimate_cost"]
@@ -97,16 +97,8 @@ def estimate_cost(spec: ClusterSpec, workers: int | None = None) -> Cost:
 
 def _dearest(cloud: CloudSpec, profile: Profile) -> tuple[str, float | None]:
     """Return the dearest type of a profile and its price; one without a price comes first."""
-    priced = [(name, _hourly(cloud, profile, name)) for name in profile.instance_types]
+    priced = [(name, cloud.hourly(profile, name)) for name in profile.instance_types]
     return max(priced, key=lambda pair: float("inf") if pair[1] is None else pair[1])
-
-
-def _hourly(cloud: CloudSpec, profile: Profile, instance_type: str) -> float | None:
-    if profile.hourly_cost is not None:
-        return profile.hourly_cost
-    if cloud.has_list_prices:
-        return read_prices().hourly(instance_type, cloud.region, profile.disk_gb)
-    return 0.0 if cloud.is_free else None
 
 
 def check_limits(spec: ClusterSpec, cost: Cost) -> None:

@@ -15,16 +15,13 @@ from hpccomponent.errors import CapacityError, CloudError
 from hpccomponent.terminal import write_block
 from hpcdeploy.ownership.journal import Journal
 from hpcdeploy.ownership.ownership import ours
-from hpcdeploy.provider import GroupSeen, MachineSeen, Observed, State
+from hpcdeploy.provider import MachineSeen, Needs, Observed, State, Step, Tags
 from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.reconcile.cluster import as_desired, node_order, require_ours
 from hpcdeploy.reconcile.launching import launch_nodes
 from hpcdeploy.reconcile.plan import (
     LIVE,
     Action,
-    Allow,
-    CreateGroup,
-    CreateKeyPair,
     Extend,
     LaunchNode,
     Mark,
@@ -47,8 +44,6 @@ __all__ = ["Effort", "Report"]
 
 Report = Callable[[str], None]
 CONSOLE_LINES = 5
-MAKING = (CreateGroup, CreateKeyPair, LaunchNode)
-"""Actions that leave something to be taken away."""
 Failed = tuple[MachineSeen, str]
 
 
@@ -73,7 +68,7 @@ class Effort:
         self._is_unsettled = self._provider.makes_machines and bool(journal.unfinished())
         self._ssh_from = frozenset[str]() if only_replace else ssh_networks(self._spec)
         self._incarnation = draw_incarnation(pace.now())
-        self._group: GroupSeen | None = None
+        self._life = ""
         self._owner = Owner()
         self._seen = Observed()
         self._unlisted: dict[str, MachineSeen] = {}
@@ -144,7 +139,7 @@ class Effort:
             others = [m for m in seen.machines if m not in going and m.state is not State.GONE]
             if others or not self._is_ours(seen):
                 return Observed(going), proof
-            return Observed(going, seen.key_pairs, seen.groups), proof
+            return Observed(going, seen.resources), proof
 
         looks = 3 if is_slow and self._journal.unfinished() else 1
         args = (Reason.ROLL_BACK, self._journal.step, self._report, self._pace, looks)
@@ -190,7 +185,7 @@ class Effort:
         if heads:  # who watches would launch them again
             earlier = Desired(said.revision + 1, before.workers)
             with self._journal.step(f"set the number of workers to {before.workers}"):
-                self._provider.set_desired(heads[0], earlier)
+                self._provider.tag(heads[:1], Tags(desired=earlier))
 
     def _proof(self, seen: Observed) -> Proof:
         """Return what may be ended of what is seen: ours, and what of it nobody can be using."""
@@ -227,17 +222,17 @@ class Effort:
         observed = self._seen = self._observe()
         require_ours(self._cluster, observed, self._pace.now())
         self._follow(observed)
-        self._group = next((g for g in observed.groups if g.cluster == self._spec.cluster), None)
         plan = make_plan(
             self._spec,
             observed,
             self._pace.now(),
             self._incarnation,
-            self._ssh_from,
+            lambda life: self._provider.prepare(self._needs(life), observed),
             self._journal.known_bad & self._proof(observed).unused,
             self._cluster.access.held().owner,
             self._desired,
         )
+        self._life = plan.incarnation
         if self._desired is None and not self._only_replace:
             self._desired, kept = plan.desired, [machine.name.node for machine in plan.kept]
             if HEAD in kept:
@@ -255,6 +250,10 @@ class Effort:
             )
         due = (self._due(action) for action in plan.actions)
         return replace(plan, actions=tuple(action for action in due if action is not None))
+
+    def _needs(self, life: str) -> Needs:
+        ports = frozenset({self._spec.communicator.port})
+        return Needs(self._spec.cluster, life, self._ssh_from, ports)
 
     def _due(self, action: Action) -> Action | None:
         """Return what of an action is this command's to do."""
@@ -282,12 +281,14 @@ class Effort:
             self._journal.note_places(places_of(self._spec, hosts))
         kept = {machine.id: machine for machine in plan.kept}
         launches = [action for action in plan.actions if isinstance(action, LaunchNode)]
-        self._has_begun |= any(isinstance(action, MAKING) for action in plan.actions)
+        steps = (action for action in plan.actions if isinstance(action, Step))
+        self._has_begun |= bool(launches) or any(step.makes for step in steps)
         for action in plan.actions:
             if isinstance(action, LaunchNode):
                 continue
             self._report(str(action))
-            life = {"incarnation": action.incarnation} if isinstance(action, CreateGroup) else {}
+            begins = action.begins if isinstance(action, Step) else ""
+            life = {"incarnation": begins} if begins else {}
             with self._journal.step(str(action), **life):
                 self._call(action)
             if isinstance(action, Extend):
@@ -298,7 +299,7 @@ class Effort:
             self._provider,
             self._journal,
             launches,
-            self._group.incarnation if self._group else plan.incarnation,
+            self._life,
             self._owner,
             self._report,
             self._pace,
@@ -311,22 +312,14 @@ class Effort:
     def _call(self, action: Action) -> None:
         """Make the provider's call for an action."""
         match action:
-            case CreateGroup(incarnation):
-                name = self._spec.cluster
-                self._group = self._provider.create_group(name, incarnation, self._owner)
-                if self._group.incarnation != incarnation:  # another hurried user was first
+            case Step():
+                self._life = action.carry_out(self._cluster.access)
+                if action.begins not in ("", self._life):  # another hurried user was first
                     require_ours(self._cluster, self._observe(), self._pace.now())
-            case Allow(ssh_from, internal_ports):
-                assert self._group is not None  # noqa: S101 - planned only where there is one
-                self._provider.allow(self._group, ssh_from, internal_ports)
-            case CreateKeyPair():
-                assert self._group is not None  # noqa: S101 - planned only where there is one
-                life, key = self._group.incarnation, self._cluster.access.public_key()
-                self._provider.create_key_pair(self._spec.cluster, life, key)
-            case Mark(machines, groups, owner):
-                self._provider.mark(machines, groups, owner)
+            case Mark(machines, resources, owner):
+                self._provider.tag(machines, Tags(owner), resources)
             case SetWorkers(head, desired):
-                self._provider.set_desired(head, desired)
+                self._provider.tag([head], Tags(desired=desired))
                 self._has_set_workers = True
             case Terminate(machines, why):
                 end(self._provider, machines, why, self._proof(self._seen))
@@ -334,7 +327,7 @@ class Effort:
                     ended = {machine.id for machine in machines}
                     self._journal.clear_places(places_of(self._spec, ended))
             case Extend(machines, lease_until):
-                self._provider.extend(machines, lease_until)
+                self._provider.tag(machines, Tags(lease_until=lease_until))
 
     def _await_running(self, awaited: list[MachineSeen]) -> tuple[list[MachineSeen], list[Failed]]:
         """Wait until machines run and have an address; tell which do not, and why."""

@@ -5,11 +5,11 @@ Nothing here calls a cloud; `converge` carries the actions out in their order, `
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from hpcdeploy.provider import GroupSeen, LaunchChoice, MachineSeen, Observed, State
+from hpcdeploy.provider import LaunchChoice, MachineSeen, Observed, Resource, State, Step
 from hpcdeploy.reconcile.termination import Reason
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import HEAD, NOBODY, Desired, NodeName, Owner
@@ -18,9 +18,6 @@ from hpcdeploy.spec.provider import Profile
 __all__ = [
     "LIVE",
     "Action",
-    "Allow",
-    "CreateGroup",
-    "CreateKeyPair",
     "Extend",
     "LaunchNode",
     "Mark",
@@ -34,36 +31,6 @@ __all__ = [
 LIVE = (State.PENDING, State.RUNNING)
 LEASE_SLACK = 0.1
 """The lease is written anew once this part of it has passed."""
-
-
-@dataclass(frozen=True, slots=True)
-class CreateGroup:
-    """Make the security group; with it a life of the cluster begins."""
-
-    incarnation: str
-
-    def __str__(self) -> str:
-        return "create the security group"
-
-
-@dataclass(frozen=True, slots=True)
-class Allow:
-    """Set the rules of the security group."""
-
-    ssh_from: frozenset[str]
-    internal_ports: frozenset[int]
-
-    def __str__(self) -> str:
-        ports = ", ".join(str(port) for port in sorted(self.internal_ports))
-        return f"allow SSH from {', '.join(sorted(self.ssh_from))}, port {ports} inside"
-
-
-@dataclass(frozen=True, slots=True)
-class CreateKeyPair:
-    """Make the cluster's public key known to the machines of this life."""
-
-    def __str__(self) -> str:
-        return "create the key pair"
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,14 +82,14 @@ class Terminate:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """Write down whose machines and a group are that bear no owner's key yet."""
+    """Write down whose machines and resources are that bear no owner's key yet."""
 
     machines: tuple[MachineSeen, ...]
-    groups: tuple[GroupSeen, ...]
+    resources: tuple[Resource, ...]
     owner: Owner
 
     def __str__(self) -> str:
-        names = [m.name.node for m in self.machines] + [group.name for group in self.groups]
+        names = [m.name.node for m in self.machines] + [r.name for r in self.resources]
         return f"mark {', '.join(names)} as {self.owner.user}'s"
 
 
@@ -137,7 +104,7 @@ class SetWorkers:
         return f"set the number of workers to {self.desired.workers}"
 
 
-Action = CreateGroup | Allow | CreateKeyPair | Mark | SetWorkers | Terminate | Extend | LaunchNode
+Action = Step | Mark | SetWorkers | Terminate | Extend | LaunchNode
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,8 +156,9 @@ def _steps(action: Action) -> set[tuple[str, ...]]:
             return set()
         case Terminate(machines, why):
             return {("terminate", machine.id, why) for machine in machines}
-        case Mark(machines, groups):
-            return {("mark", i) for i in (*(m.id for m in machines), *(g.id for g in groups))}
+        case Mark(machines, resources):
+            ids = [machine.id for machine in machines] + [life.id for life in resources]
+            return {("mark", id_) for id_ in ids}
         case LaunchNode(NodeName(node), _, choices):
             return {("launch", node, *map(str, choices))}
     return {(str(action),)}
@@ -234,7 +202,7 @@ def make_plan(
     observed: Observed,
     now: datetime,
     incarnation: str = "",
-    ssh_from: frozenset[str] = frozenset(),
+    prepare: Callable[[str], Sequence[Step]] = lambda _: (),
     known_bad: frozenset[str] = frozenset(),
     owner: Owner = NOBODY,
     known: Desired | None = None,
@@ -247,8 +215,9 @@ def make_plan(
         What belongs to other clusters does not matter.
     incarnation : str
         For a new life of the cluster, see `names.draw_incarnation`.
-    ssh_from : frozenset of str
-        Networks (CIDR) that may reach the SSH port.
+    prepare : callable
+        Returns what must still be done for a life of the cluster before machines are launched;
+        see `Provider.prepare`.
     known_bad : frozenset of str
         Ids of machines that are to be replaced.
     owner : Owner
@@ -257,19 +226,9 @@ def make_plan(
         The number of workers that was asked for last, where the cloud may not list it yet.
     """
     machines = [machine for machine in observed.machines if machine.cluster == spec.cluster]
-    actions: list[Action] = []
-    if spec.provider.makes_machines:
-        group = next((seen for seen in observed.groups if seen.cluster == spec.cluster), None)
-        ports = frozenset({spec.communicator.port})
-        life = group.incarnation if group else _latest_life(machines) or incarnation
-        if group is None:
-            actions.append(CreateGroup(life))
-        if group is None or (group.ssh_from, group.internal_ports) != (ssh_from, ports):
-            actions.append(Allow(ssh_from, ports))
-        if all((p.cluster, p.incarnation) != (spec.cluster, life) for p in observed.key_pairs):
-            actions.append(CreateKeyPair())
-    else:
-        life = _latest_life(machines) or incarnation
+    begun = (seen.incarnation for seen in observed.lives if seen.cluster == spec.cluster)
+    life = next(begun, "") or _latest_life(machines) or incarnation
+    actions: list[Action] = [*prepare(life)]
     kept, endings = _sort_out(spec, machines, life, known_bad)
     desired = _desired(spec, observed, known)
     actions += _marks(spec, kept, observed, owner)
@@ -289,7 +248,7 @@ def make_plan(
 
 
 def _latest_life(machines: Iterable[MachineSeen]) -> str:
-    """Return the incarnation of live machines whose group cannot be seen: the head's, if any."""
+    """Return the incarnation of live machines, where nothing else bears it: the head's, if any."""
     live = [machine for machine in machines if machine.state in LIVE]
     heads = [machine for machine in live if machine.name.node == HEAD]
     return max((machine.incarnation for machine in heads or live), default="")
@@ -329,11 +288,13 @@ def _marks(
     if not owner.key or not spec.provider.is_shared:
         return []
     machines = tuple(machine for machine in kept if not machine.owner.key)
-    groups = tuple(
-        g for g in observed.groups if g.cluster == spec.cluster and g.owner.key != owner.key
+    resources = tuple(
+        life
+        for life in observed.lives
+        if life.cluster == spec.cluster and life.owner.key != owner.key
     )
-    # Not for the groups alone: not every cloud can tag them.
-    return [Mark(machines, groups, owner)] if machines else []
+    # Not for the resources alone: not every cloud can tag them.
+    return [Mark(machines, resources, owner)] if machines else []
 
 
 def _desired(spec: ClusterSpec, observed: Observed, known: Desired | None) -> Desired:

@@ -8,11 +8,10 @@ from datetime import datetime
 
 from hpcdeploy.ownership.ownership import MAKING
 from hpcdeploy.provider import (
-    GroupSeen,
-    KeyPairSeen,
     MachineSeen,
     Observed,
     Provider,
+    Resource,
     State,
 )
 from hpcdeploy.reconcile.removal import remove
@@ -49,8 +48,8 @@ def overdue(observed: Observed, now: datetime) -> Observed:
     """Return what has expired or belongs to nobody; pure.
 
     Machines go when their lease is over or when they have shut down: nothing else proves that
-    nobody uses them. A group goes with the last of its machines, a key pair with its group, or
-    alone past a certain age.
+    nobody uses them. A resource that bears a life goes with the last of its machines, the others
+    of that life with it, or alone past a certain age.
 
     Parameters
     ----------
@@ -66,21 +65,15 @@ def overdue(observed: Observed, now: datetime) -> Observed:
     going = [machine for machine in alive if is_overdue(machine, now)]
     occupied = {m.cluster for m in alive if m not in going}
     spent = {(m.cluster, m.incarnation) for m in observed.machines if is_overdue(m, now)}
-    groups = tuple(
-        group
-        for group in observed.groups
-        if group.cluster not in occupied
-        and ((group.cluster, group.incarnation) in spent or _is_old(group, now))
-    )
-    staying = {(g.cluster, g.incarnation) for g in observed.groups if g not in groups}
-    pairs = tuple(
-        pair
-        for pair in observed.key_pairs
-        if pair.cluster not in occupied
-        and (pair.cluster, pair.incarnation) not in staying
-        and ((pair.cluster, pair.incarnation) in spent or _is_old(pair, now))
-    )
-    return Observed(tuple(going), pairs, groups)
+    idle = [
+        resource
+        for resource in observed.resources
+        if resource.cluster not in occupied
+        and ((resource.cluster, resource.incarnation) in spent or _is_old(resource, now))
+    ]
+    staying = {(life.cluster, life.incarnation) for life in observed.lives if life not in idle}
+    resources = (r for r in idle if (r.cluster, r.incarnation) not in staying)
+    return Observed(tuple(going), tuple(resources))
 
 
 def without_lease(observed: Observed, now: datetime) -> list[MachineSeen]:
@@ -95,6 +88,6 @@ def without_lease(observed: Observed, now: datetime) -> list[MachineSeen]:
     ]
 
 
-def _is_old(seen: GroupSeen | KeyPairSeen, now: datetime) -> bool:
+def _is_old(seen: Resource, now: datetime) -> bool:
     began = incarnation_began(seen.incarnation)
     return began is None or began + MAKING < now

@@ -101,8 +101,7 @@ def describe(observed: Observed) -> str:
             f"{machine.name.node} {machine.id} ({_condition(machine)})"
             for machine in observed.machines
         ]
-        + [f"security group {group.name}" for group in observed.groups]
-        + [f"key pair {pair.name}" for pair in observed.key_pairs]
+        + [f"{resource.kind} {resource.name}" for resource in observed.resources]
     )
 
 
@@ -113,11 +112,11 @@ def _condition(machine: MachineSeen) -> str:
 def _present(observed: Observed) -> Observed:
     """Leave out machines that are gone and only still listed."""
     alive = tuple(machine for machine in observed.machines if machine.state is not State.GONE)
-    return Observed(alive, observed.key_pairs, observed.groups)
+    return Observed(alive, observed.resources)
 
 
 def _is_any(observed: Observed) -> bool:
-    return bool(observed.machines or observed.groups or observed.key_pairs)
+    return bool(observed.machines or observed.resources)
 
 
 def _is_hidden(left: Observed) -> bool:
@@ -132,7 +131,7 @@ def _take_away(
     step: Step,
     report: Callable[[str], None],
 ) -> None:
-    """Do what can be done now: key pairs go after machines, and the group that proves them last."""
+    """Do what can be done now: resources go after machines, and what proves them ours last."""
     beyond = (State.ENDING, State.UNKNOWN)
     ending = [machine for machine in left.machines if machine.state not in beyond]
     if ending:
@@ -140,17 +139,13 @@ def _take_away(
         with step(f"terminate {_names(ending)}"):
             terminate(ending)
     occupied = {machine.cluster for machine in left.machines}
-    for pair in left.key_pairs:
-        if pair.cluster not in occupied:
-            with step(f"delete the key pair {pair.name}"):
-                provider.delete_key_pair(pair)
-            report(f"deleted the key pair {pair.name}")
-    for group in left.groups:
-        if group.cluster not in occupied:
-            with step(f"delete the security group {group.name}"):
-                is_deleted = provider.delete_group(group)
+    for resource in sorted(left.resources, key=lambda resource: resource.bears_life):
+        if resource.cluster not in occupied:
+            what = f"the {resource.kind} {resource.name}"
+            with step(f"delete {what}"):
+                is_deleted = provider.cleanup(resource)
             if is_deleted:
-                report(f"deleted the security group {group.name}")
+                report(f"deleted {what}")
 
 
 def _names(machines: list[MachineSeen]) -> str:

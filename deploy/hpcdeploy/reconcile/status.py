@@ -76,10 +76,10 @@ def list_clusters(where: str, observed: Observed) -> list[dict[str, Any]]:
         Sorted by the cluster's name.
     """
     alive = [machine for machine in observed.machines if machine.state is not State.GONE]
-    names = {m.cluster for m in alive} | {g.cluster for g in observed.groups}
+    names = {m.cluster for m in alive} | {r.cluster for r in observed.resources}
     now = utc_now()
     rows = []
-    for name in sorted(names | {pair.cluster for pair in observed.key_pairs}):
+    for name in sorted(names):
         machines = [machine for machine in alive if machine.cluster == name]
         leases = [machine.lease_until for machine in machines if machine.lease_until]
         rows.append(

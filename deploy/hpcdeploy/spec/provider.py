@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from hpccomponent.config.reader import ConfigModel
+from hpcdeploy.spec.prices import read_prices
 
 __all__ = [
     "AwsSpec",
@@ -383,6 +384,14 @@ class _Cloud(_Provider):
     def has_list_prices(self) -> bool:
         """Whether Amazon's list prices are the cloud's."""
         return self.capabilities == "aws"
+
+    def hourly(self, profile: Profile, instance_type: str) -> float | None:
+        """Return what a machine costs an hour on demand, in dollars; None where that is unknown."""
+        if profile.hourly_cost is not None:
+            return profile.hourly_cost
+        if self.has_list_prices:
+            return read_prices().hourly(instance_type, self.region, profile.disk_gb)
+        return 0.0 if self.is_free else None
 
     @property
     def signed_region(self) -> str:

@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 from simulated import SetUp, SimulatedTime, make_cluster, make_spec
+from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.provider import Launch, Observed, State
-from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.converge import bring_up, replace_lost, take_down
 from hpcdeploy.reconcile.reap import reap
 from hpcdeploy.spec.names import NOBODY, NodeName
@@ -98,7 +98,7 @@ class World:
         seen = self.cloud.observe("bunny")
         unended = [self.cloud._seen(m) for m in self.cloud._machines.values()]
         ours = tuple(m for m in unended if m.cluster == "bunny" and m.state is not State.GONE)
-        return Observed(ours, seen.key_pairs, seen.groups)
+        return Observed(ours, seen.resources)
 
 
 class ClusterLife(RuleBasedStateMachine):

@@ -15,11 +15,11 @@ from cloud.parameters import PROFILES
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 from simulated import Keyring, SetUp
+from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError, LeftoverError
-from hpcdeploy.provider import GroupSeen
 from hpcdeploy.providers import open_provider
-from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.providers.ec2.observe import GroupSeen
 from hpcdeploy.reconcile.cluster import Cluster, describe_elsewhere
 from hpcdeploy.reconcile.converge import bring_up, take_down
 from hpcdeploy.reconcile.reap import reap

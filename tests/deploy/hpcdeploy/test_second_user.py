@@ -22,10 +22,10 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 from simulated import Failure, Keyring, SimulatedTime, make_cluster, make_spec
+from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.provider import MachineSeen, State
-from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.reconcile.converge import bring_up, look_ahead, replace_lost, take_down
 from hpcdeploy.reconcile.reap import reap
@@ -204,7 +204,7 @@ class TwoUsers(RuleBasedStateMachine):
     def command_without_an_answer(self, user: str, verb: str, nodes: set[str]) -> None:
         """A machine that has worked and does not let us in now is never ended for it."""
         live = [machine for machine in self.machines() if machine.state in LIVE]
-        lives = {group.incarnation for group in self.lab.cloud.observe("bunny").groups}
+        lives = {group.incarnation for group in self.lab.cloud.observe("bunny").lives}
         names = Counter(machine.name.node for machine in live)
         needed = {
             machine.id

@@ -13,13 +13,14 @@ from typing import Any
 from hpccomponent.config.reader import parse_config
 from hpcdeploy.ownership.journal import peek_journal
 from hpcdeploy.ownership.ownership import Held, fingerprint
-from hpcdeploy.provider import MachineSeen
-from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.provider import MachineSeen, Observed
+from hpcdeploy.providers.ec2.observe import GroupSeen, KeyPairSeen
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import Owner
 from hpcdeploy.spec.polling import Pace
+from simulated.memory import MemoryProvider
 
 START = datetime(2026, 11, 1, 12, 0, tzinfo=UTC)
 
@@ -43,6 +44,14 @@ def make_spec(
 ) -> ClusterSpec:
     text = FILE.format(cluster=cluster, count=count, least=least, market=market)
     return parse_config(text, "cluster.yaml", ClusterSpec)
+
+
+def groups_of(observed: Observed) -> list[GroupSeen]:
+    return [seen for seen in observed.resources if isinstance(seen, GroupSeen)]
+
+
+def key_pairs_of(observed: Observed) -> list[KeyPairSeen]:
+    return [seen for seen in observed.resources if isinstance(seen, KeyPairSeen)]
 
 
 @dataclass

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import ipaddress
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.provider import GroupSeen, KeyPairSeen
+from hpcdeploy.provider import Maker, Needs, Observed, Resource, Step
 from hpcdeploy.providers.ec2.capabilities import Capabilities
 from hpcdeploy.providers.ec2.client import Calls
 from hpcdeploy.providers.ec2.errors import code_of
 from hpcdeploy.providers.ec2.observe import (
+    GroupSeen,
+    KeyPairSeen,
     Rule,
     group_description,
     ingress_rules,
@@ -20,10 +22,77 @@ from hpcdeploy.providers.ec2.observe import (
 )
 from hpcdeploy.spec.names import CLUSTER_TAG, OWNER_TAG, PREFIX, Owner, group_name, key_pair_name
 
-__all__ = ["GroupKeeper", "KeyPairKeeper"]
+__all__ = ["AccessKeeper", "GroupKeeper", "KeyPairKeeper", "plan_access"]
 
 _IN_USE = {"DependencyViolation", "InvalidGroup.InUse"}
 _NO_GROUP = {"InvalidGroup.NotFound", "InvalidGroupId.NotFound"}
+
+
+class AccessKeeper(Protocol):
+    """What makes a cluster's security group and key pair."""
+
+    def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
+        """Make the group, without rules; or return the one there is."""
+        ...
+
+    def allow(
+        self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
+    ) -> None:
+        """Make these the rules of a group: add what is missing, revoke what is too much."""
+        ...
+
+    def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
+        """Make the key pair of a cluster's life known, or return the one there is."""
+        ...
+
+
+def plan_access(keeper: AccessKeeper, needs: Needs, observed: Observed) -> list[Step]:
+    """Return what of group, rules and key pair is missing, in the order in which it is made."""
+    plan = _AccessPlan(keeper, needs, observed)
+    group, steps = plan.group, []
+    if group is None:
+        begun = needs.incarnation
+        steps.append(Step("create the security group", plan.create_group, begun, makes=True))
+    if group is None or (group.ssh_from, group.internal_ports) != (
+        needs.ssh_from,
+        needs.internal_ports,
+    ):
+        ports = ", ".join(str(port) for port in sorted(needs.internal_ports))
+        networks = ", ".join(sorted(needs.ssh_from))
+        steps.append(Step(f"allow SSH from {networks}, port {ports} inside", plan.allow))
+    life = (needs.cluster, needs.incarnation)
+    pairs = (r for r in observed.resources if isinstance(r, KeyPairSeen))
+    if all((pair.cluster, pair.incarnation) != life for pair in pairs):
+        steps.append(Step("create the key pair", plan.create_key_pair, makes=True))
+    return steps
+
+
+class _AccessPlan:
+    """The group that the steps are about: the one there was, or what the first of them makes."""
+
+    def __init__(self, keeper: AccessKeeper, needs: Needs, observed: Observed) -> None:
+        self._keeper, self._needs = keeper, needs
+        groups = (r for r in observed.resources if isinstance(r, GroupSeen))
+        self.group = next((group for group in groups if group.cluster == needs.cluster), None)
+
+    def _made(self, maker: Maker) -> GroupSeen:
+        if self.group is None:
+            cluster, life = self._needs.cluster, self._needs.incarnation
+            self.group = self._keeper.create_group(cluster, life, maker.owner())
+        return self.group
+
+    def create_group(self, maker: Maker) -> str:
+        return self._made(maker).incarnation
+
+    def allow(self, maker: Maker) -> str:
+        group = self._made(maker)
+        self._keeper.allow(group, self._needs.ssh_from, self._needs.internal_ports)
+        return group.incarnation
+
+    def create_key_pair(self, maker: Maker) -> str:
+        life = self._made(maker).incarnation
+        self._keeper.create_key_pair(self._needs.cluster, life, maker.public_key())
+        return life
 
 
 class KeyPairKeeper:
@@ -73,7 +142,7 @@ class KeyPairKeeper:
                 raise
         return KeyPairSeen(cluster, name, incarnation)
 
-    def delete(self, key_pair: KeyPairSeen) -> None:
+    def delete(self, key_pair: Resource) -> None:
         """Delete one; one that is gone is no error."""
         try:
             self._calls.call(
@@ -151,7 +220,7 @@ class GroupKeeper:
                 "give the cluster another name, or delete the group",
             ) from error
         known = owner if self._knows.tags_on_access else Owner()
-        return GroupSeen(cluster, reply["GroupId"], name, incarnation, owner=known)
+        return GroupSeen(cluster, name, incarnation, reply["GroupId"], known)
 
     def _vpc(self) -> str:
         subnet = self._subnets[0]
@@ -212,7 +281,7 @@ class GroupKeeper:
             if code_of(error) not in is_done:
                 raise
 
-    def delete(self, group: GroupSeen) -> bool:
+    def delete(self, group: Resource) -> bool:
         """Delete a group; False while it is in use."""
         try:
             self._calls.call(

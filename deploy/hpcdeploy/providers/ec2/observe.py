@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, ClassVar
 
-from hpcdeploy.provider import GroupSeen, KeyPairSeen, MachineSeen, State
+from hpcdeploy.provider import MachineSeen, Resource, State
 from hpcdeploy.spec.names import (
     CLUSTER_TAG,
     GENERATION_TAG,
@@ -31,6 +32,8 @@ from hpcdeploy.spec.names import (
 )
 
 __all__ = [
+    "GroupSeen",
+    "KeyPairSeen",
     "Rule",
     "as_machine",
     "group_description",
@@ -54,6 +57,32 @@ _STATES = {
     "terminated": State.GONE,
 }
 _DESCRIPTION = re.compile(r"hpcapp cluster ([a-z][a-z0-9-]*) life ([0-9a-z]+)")
+
+
+@dataclass(frozen=True, slots=True)
+class GroupSeen(Resource):
+    """A security group of ours; its description holds the incarnation.
+
+    Parameters
+    ----------
+    ssh_from : frozenset of str
+        Networks (CIDR) that reach the SSH port.
+    internal_ports : frozenset of int
+        Ports that machines of the group reach on one another.
+    """
+
+    ssh_from: frozenset[str] = frozenset()
+    internal_ports: frozenset[int] = frozenset()
+
+    kind: ClassVar[str] = "security group"
+    bears_life: ClassVar[bool] = True
+
+
+@dataclass(frozen=True, slots=True)
+class KeyPairSeen(Resource):
+    """A key pair of ours."""
+
+    kind: ClassVar[str] = "key pair"
 
 
 def group_description(cluster: str, incarnation: str) -> str:
@@ -236,4 +265,6 @@ def read_key_pair(described: Mapping[str, Any], cluster: str | None) -> KeyPairS
     incarnation = name.removeprefix(key_pair_name(cluster, ""))
     if not cluster or incarnation == name:
         return None
-    return KeyPairSeen(cluster, name, incarnation, str(described.get("KeyFingerprint", "")))
+    return KeyPairSeen(
+        cluster, name, incarnation, fingerprint=str(described.get("KeyFingerprint", ""))
+    )

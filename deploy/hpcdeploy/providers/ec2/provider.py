@@ -4,6 +4,7 @@
 
     provider ── observe   descriptions -> what is ours
        │ ────── access    key pair, security group and its rules
+       │ ────── bucket    large files
        │ ────── launch    parameters of a launch
        │ ────── images    which image a profile boots
        │ ────── check     what would make `up` fail
@@ -17,29 +18,38 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.provider import (
-    GroupSeen,
-    KeyPairSeen,
     Launch,
     MachineSeen,
+    Needs,
     Observed,
     Problem,
+    Resource,
     State,
+    Step,
+    Tags,
 )
-from hpcdeploy.providers.ec2.access import GroupKeeper, KeyPairKeeper
+from hpcdeploy.providers.ec2.access import GroupKeeper, KeyPairKeeper, plan_access
+from hpcdeploy.providers.ec2.bucket import S3Bucket, open_bucket
 from hpcdeploy.providers.ec2.capabilities import capabilities_of
 from hpcdeploy.providers.ec2.check import check_cloud
 from hpcdeploy.providers.ec2.client import Calls, open_calls, read_parameter
 from hpcdeploy.providers.ec2.errors import code_of
 from hpcdeploy.providers.ec2.images import ImageKeeper
 from hpcdeploy.providers.ec2.launch import attempt_of, launch_parameters, launch_tags, profile_of
-from hpcdeploy.providers.ec2.observe import as_machine, identity_tags, lease_text, read_machine
+from hpcdeploy.providers.ec2.observe import (
+    GroupSeen,
+    KeyPairSeen,
+    as_machine,
+    identity_tags,
+    lease_text,
+    read_machine,
+)
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import (
     CLUSTER_TAG,
@@ -47,7 +57,6 @@ from hpcdeploy.spec.names import (
     OWNER_TAG,
     PREFIX,
     WORKERS_TAG,
-    Desired,
     Owner,
     client_token,
     group_name,
@@ -72,7 +81,13 @@ def open_ec2(spec: ClusterSpec, base: Path) -> Ec2Provider:
     """
     cloud = cast(CloudSpec, spec.provider)
     calls = open_calls(cloud, base)
-    return Ec2Provider(cloud, calls, spec.auth.ssh_port, partial(read_parameter, cloud, base))
+    return Ec2Provider(
+        cloud,
+        calls,
+        spec.auth.ssh_port,
+        partial(read_parameter, cloud, base),
+        partial(open_bucket, spec, base),
+    )
 
 
 def _no_parameters(name: str) -> str:
@@ -98,7 +113,9 @@ class Ec2Provider:
         calls: Calls,
         ssh_port: int,
         read_parameter: Callable[[str], str] = _no_parameters,
+        open_bucket: Callable[[], S3Bucket | None] = lambda: None,
     ) -> None:
+        self.bucket = open_bucket
         self.name: str = cloud.type
         self._cloud = cloud
         self._calls = calls
@@ -120,8 +137,7 @@ class Ec2Provider:
         groups = self._groups.find(name)
         return Observed(
             machines=tuple(m for m in machines if cluster in (None, m.cluster)),
-            key_pairs=tuple(self._key_pairs.find(cluster, groups)),
-            groups=tuple(groups),
+            resources=(*groups, *self._key_pairs.find(cluster, groups)),
         )
 
     def hosts(self) -> tuple[MachineSeen, ...]:
@@ -145,6 +161,10 @@ class Ec2Provider:
                     found.append(machine)
         return found
 
+    def prepare(self, needs: Needs, observed: Observed) -> list[Step]:
+        """Return what of security group, rules and key pair is missing."""
+        return plan_access(self, needs, observed)
+
     def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
         """Make the key pair of a cluster's life known, or return the one there is."""
         return self._key_pairs.create(cluster, incarnation, public_key)
@@ -153,22 +173,32 @@ class Ec2Provider:
         """Make the security group of a cluster, without rules; or return the one there is."""
         group = self._groups.create(cluster, incarnation, owner)
         if group.incarnation == incarnation and not group.owner.key:
-            self.mark([], [group], owner)
+            self.tag([], Tags(owner), [group])
             return replace(group, owner=owner)
         return group
 
-    def mark(
-        self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
+    def tag(
+        self, machines: Sequence[MachineSeen], tags: Tags, resources: Sequence[Resource] = ()
     ) -> None:
-        """Write down whose some machines and groups are from now on."""
-        marked = groups if self._knows.tags_on_groups else ()
-        ids = [machine.id for machine in machines] + [group.id for group in marked]
+        """Write down what some machines and groups are to bear from now on."""
+        texts: dict[str, str] = {}
+        if tags.owner is not None:
+            texts[OWNER_TAG] = str(tags.owner)
+        if tags.desired is not None:
+            texts[WORKERS_TAG] = str(tags.desired)
+        nameless: list[MachineSeen] = []
+        if tags.lease_until is not None:
+            texts[LEASE_TAG] = lease_text(tags.lease_until)
+            # Whoever launched these was stopped before it had tagged them.
+            nameless = [machine for machine in machines if machine.lease_until is None]
+        ids = [machine.id for machine in machines if machine not in nameless]
+        if self._knows.tags_on_groups:
+            ids += [resource.id for resource in resources if resource.id]
         if ids:
-            self._tag(ids, {OWNER_TAG: str(owner)})
-
-    def set_desired(self, head: MachineSeen, desired: Desired) -> None:
-        """Write on the head how many workers the cluster is to have from now on."""
-        self._tag([head.id], {WORKERS_TAG: str(desired)})
+            self._tag(ids, texts)
+        for machine in nameless:
+            identity = identity_tags(machine.cluster, machine.incarnation, machine.name)
+            self._tag([machine.id], identity | texts)
 
     def allow(
         self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
@@ -226,17 +256,6 @@ class Ec2Provider:
             Tags=[{"Key": key, "Value": value} for key, value in tags.items()],
         )
 
-    def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
-        """Write a new end of the lease on some machines."""
-        lease = {LEASE_TAG: lease_text(lease_until)}
-        tagged = [m.id for m in machines if m.lease_until is not None]
-        if tagged:
-            self._tag(tagged, lease)
-        for machine in machines:
-            if machine.lease_until is None:  # whoever launched it was stopped before its tags
-                own = identity_tags(machine.cluster, machine.incarnation, machine.name)
-                self._tag([machine.id], own | lease)
-
     def terminate(self, machines: Sequence[MachineSeen]) -> None:
         """Begin to end some machines; those that have ended do not matter."""
         ids = [machine.id for machine in machines]
@@ -266,13 +285,12 @@ class Ec2Provider:
             if code_of(error) != _NO_INSTANCE:
                 raise
 
-    def delete_group(self, group: GroupSeen) -> bool:
-        """Delete a group; False while it is in use."""
-        return self._groups.delete(group)
-
-    def delete_key_pair(self, key_pair: KeyPairSeen) -> None:
-        """Delete a key pair; one that is gone does not matter."""
-        self._key_pairs.delete(key_pair)
+    def cleanup(self, resource: Resource) -> bool:
+        """Delete a group or a key pair; False while it is in use."""
+        if resource.bears_life:
+            return self._groups.delete(resource)
+        self._key_pairs.delete(resource)
+        return True
 
     def console(self, machine: MachineSeen) -> str:
         """Return what a machine has printed on its console so far."""

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 from simulated import FILE, SetUp, make_cluster
+from simulated.memory import MemoryProvider
 
 from hpcapp.cli import main
 from hpccomponent.errors import CloudError
 from hpcdeploy.provider import Problem
-from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.spec.cluster import read_spec
 from hpcdeploy.spec.polling import Pace
@@ -75,7 +75,7 @@ def test_a_plan_says_what_would_be_made_and_what_it_costs(
                  "would launch head as m6i.large", "would launch worker-2",
                  "cost: head: 1 x m6i.large, $0.10", "cost: together $0.45"):  # fmt: skip
         assert part in told
-    assert not cloud.observe(None).groups
+    assert not cloud.observe(None).lives
 
 
 def test_of_a_cluster_that_is_up_there_is_nothing_to_change(

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from simulated import FILE, START, SetUp
+from simulated import FILE, START, SetUp, key_pairs_of
+from simulated.memory import MemoryProvider
 
 from hpcapp.cli import hpcapp
 from hpccomponent.errors import CloudError, LeftoverError, OutdatedError, UsageError
 from hpccomponent.terminal import write_block
 from hpcdeploy.cli.asking import say
-from hpcdeploy.provider import Launch, Observed, State
-from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.provider import Launch, Observed, State, Tags
 from hpcdeploy.spec.names import NOBODY, NodeName, Owner
 from hpcdeploy.spec.polling import utc_now
 
@@ -67,7 +67,7 @@ def test_up_launches_nothing_where_wheels_are_missing(cloud: MemoryProvider, fil
     assert "nothing is launched: " in str(refused.exception)
     assert "no compiled wheel for Linux in it" in str(refused.exception)
     assert "missing: " in refused.output
-    assert cloud.observe(None).groups == ()
+    assert cloud.observe(None).lives == ()
     run("up", "-y", "--skip-checks", file)
     assert alive(cloud) == ["head", "worker-1", "worker-2"]
 
@@ -174,7 +174,7 @@ def change_hands(cloud: MemoryProvider, user: str) -> Callable[[], object]:
     def change() -> None:
         seen = cloud.observe("bunny")
         running = [machine for machine in seen.machines if machine.state is State.RUNNING]
-        cloud.mark(running, seen.groups, Owner(user, f"SHA256:{user}"))
+        cloud.tag(running, Tags(Owner(user, f"SHA256:{user}")), seen.lives)
 
     return change
 
@@ -217,7 +217,7 @@ def test_adopt_unasked_takes_over_nothing_else_that_has_come_meanwhile(
     )
     Meanwhile(cloud, 2, change_hands(cloud, "ben@lab"))
     assert isinstance(run("adopt", "-y", file).exception, OutdatedError)
-    assert [group.owner.user for group in cloud.observe("bunny").groups] == ["ben@lab"]
+    assert [group.owner.user for group in cloud.observe("bunny").lives] == ["ben@lab"]
 
 
 def test_up_again_asks_nothing_where_nothing_is_to_be_done(
@@ -305,7 +305,7 @@ def test_down_says_that_nothing_is_left(cloud: MemoryProvider, file: str) -> Non
     result = run("down", file)
     assert result.output.splitlines()[-1] == "cluster bunny: nothing is left"
     assert alive(cloud) == []
-    assert cloud.observe(None).groups == ()
+    assert cloud.observe(None).lives == ()
 
 
 def test_ls_lists_the_clouds_that_answer_and_names_the_others(
@@ -359,5 +359,5 @@ def test_reap_says_first_and_does_then(cloud: MemoryProvider, file: str) -> None
     run("reap", file)
     left = cloud.observe(None)
     assert {m.cluster for m in left.machines if m.state is State.RUNNING} == {"bunny"}
-    assert [pair.cluster for pair in left.key_pairs] == ["bunny"]
+    assert [pair.cluster for pair in key_pairs_of(left)] == ["bunny"]
     assert "nothing to remove" in run("reap", "--dry-run").output

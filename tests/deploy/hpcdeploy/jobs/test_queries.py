@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from simulated import FILE, Failure, SetUp, make_cluster, make_spec
+from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError, InputError, JobError, UsageError
 from hpcdeploy.jobs import cluster_job
@@ -22,8 +23,7 @@ from hpcdeploy.jobs.display import JobDisplay, JobEvent
 from hpcdeploy.jobs.queries import Jobs
 from hpcdeploy.login.access import Access
 from hpcdeploy.login.local_shell import LocalShell
-from hpcdeploy.provider import MachineSeen, State
-from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.provider import MachineSeen, State, Tags
 from hpcdeploy.reconcile.converge import bring_up
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.job_folder import JobState, JobStatus
@@ -416,7 +416,7 @@ def test_who_watches_is_told_once_of_workers_that_the_limits_forbid(
     cluster = make_cluster(spec.model_copy(update={"limits": limits}), cloud)
     bring_up(cluster, print)
     [head] = [machine for machine in cluster.machines() if machine.name == NodeName("head")]
-    cloud.set_desired(head, Desired(2, 5))
+    cloud.tag([head], Tags(desired=Desired(2, 5)))
     looked, look = os.pipe()
     ended = JobStatus("1", JobState.DONE)
 
@@ -521,5 +521,5 @@ def test_a_cluster_is_taken_away_from_under_a_worker_that_is_being_set_up(
             )
         caplog.handler.removeFilter(interrupt)
     seen = cloud.observe("bunny")
-    assert not seen.groups
+    assert not seen.lives
     assert {machine.state for machine in seen.machines} == {State.GONE}

@@ -12,6 +12,7 @@ from pathlib import Path
 import paramiko
 import pytest
 from machines.servers import USER, Machines, Server
+from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.login import access as access_module
@@ -20,7 +21,6 @@ from hpcdeploy.login.ssh.reach import Reach, ReachError
 from hpcdeploy.login.ssh.target import jump_targets
 from hpcdeploy.ownership.journal import open_journal
 from hpcdeploy.provider import MachineSeen, State
-from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.spec.cluster import ClusterSpec, Limits
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import NodeName

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 from simulated import SetUp, SimulatedTime, make_cluster, make_spec
+from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError, LeftoverError, UsageError
 from hpcdeploy.ownership.journal import open_journal
-from hpcdeploy.provider import Launch, Observed, State
-from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.provider import Launch, Observed, State, Tags
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.reconcile.converge import bring_up, look_ahead, replace_lost, take_down
 from hpcdeploy.reconcile.plan import LaunchNode, Terminate
@@ -20,7 +20,7 @@ from hpcdeploy.spec.cluster import Limits
 from hpcdeploy.spec.names import Desired, NodeName, read_desired
 
 CHANGES = {
-    "create_group", "create_key_pair", "allow", "set_desired", "launch", "extend", "terminate",
+    "create_group", "create_key_pair", "allow", "tag", "launch", "terminate",
     "delete_group", "delete_key_pair",
 }  # fmt: skip
 
@@ -67,7 +67,7 @@ class Simulation:
     def left(self) -> Observed:
         seen = self.cloud.observe(None)
         alive = tuple(m for m in seen.machines if m.state is not State.GONE)
-        return Observed(alive, seen.key_pairs, seen.groups)
+        return Observed(alive, seen.resources)
 
 
 @pytest.fixture
@@ -103,7 +103,7 @@ def test_up_again_after_a_while_only_extends_the_lease(simulation: Simulation) -
     simulation.up(3)
     simulation.time.sleep(1800)
     simulation.up(3)
-    assert CHANGES & simulation.calls.keys() == {"extend"}
+    assert CHANGES & simulation.calls.keys() == {"tag"}
 
 
 def test_up_follows_the_file(simulation: Simulation) -> None:
@@ -377,7 +377,7 @@ def test_what_is_launched_for_a_lost_worker_goes_again_where_it_is_not_wanted_an
         if (moment, call) == ("before", "launch"):
             [head] = [m for m in simulation.cloud.observe(None).machines if m.name.node == "head"]
             assert head.desired == Desired(1, 2)
-            simulation.cloud.set_desired(head, Desired(2, 1))
+            simulation.cloud.tag([head], Tags(desired=Desired(2, 1)))
 
     simulation.cloud.hook = scale
     replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
@@ -390,7 +390,7 @@ def test_an_up_that_another_command_outdates_does_what_the_later_one_wants(
     def scale(count: int) -> None:
         machines = simulation.cloud.observe(None).machines
         head = next(m for m in machines if m.name.node == "head" and m.state is State.RUNNING)
-        simulation.cloud.set_desired(head, Desired(2, count))
+        simulation.cloud.tag([head], Tags(desired=Desired(2, count)))
         set_up.during = lambda: None
 
     set_up.during = lambda: scale(1)
@@ -410,7 +410,7 @@ def test_a_worker_that_was_given_up_does_not_count_once_nobody_wants_it(
         if "worker-3" not in set_up.calls[-1]:
             machines = simulation.cloud.observe(None).machines
             [head] = [m for m in machines if m.name.node == "head"]
-            simulation.cloud.set_desired(head, Desired(2, 1))
+            simulation.cloud.tag([head], Tags(desired=Desired(2, 1)))
 
     set_up.broken_nodes = {"worker-3"}
     set_up.during = scale_once_it_is_given_up

@@ -7,8 +7,8 @@ import pytest
 from hpccomponent.config.reader import parse_config
 from hpccomponent.errors import UsageError
 from hpcdeploy.reconcile.cost import check_limits, describe_cost, estimate_cost
-from hpcdeploy.reconcile.prices import read_prices
 from hpcdeploy.spec.cluster import ClusterSpec
+from hpcdeploy.spec.prices import read_prices
 
 AWS = """
   type: aws

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from datetime import timedelta
+from typing import TypeVar
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from simulated import START, make_spec
+from simulated import START, key_pairs_of, make_spec
 
 from hpccomponent.config.reader import parse_config
-from hpcdeploy.provider import GroupSeen, KeyPairSeen, MachineSeen, Observed, State
+from hpcdeploy.provider import MachineSeen, Needs, Observed, Resource, State, Step
+from hpcdeploy.providers.ec2.access import plan_access
+from hpcdeploy.providers.ec2.observe import GroupSeen, KeyPairSeen
 from hpcdeploy.reconcile.plan import (
     Action,
-    Allow,
-    CreateGroup,
-    CreateKeyPair,
     Extend,
     LaunchNode,
     Plan,
@@ -27,36 +28,49 @@ from hpcdeploy.reconcile.plan import (
     make_plan,
 )
 from hpcdeploy.spec.cluster import ClusterSpec
-from hpcdeploy.spec.names import Desired, NodeName
+from hpcdeploy.spec.names import NOBODY, Desired, NodeName, Owner
 
+Made = TypeVar("Made", bound=Resource)
 NETWORKS = frozenset({"192.0.2.0/24"})
 NODES = ["head", "worker-1", "worker-2", "worker-3", "worker-9"]
 
 
+@dataclass
+class Model:
+    """A cloud's lists, as its keeper of groups and key pairs changes them."""
+
+    observed: Observed
+
+    def owner(self) -> Owner:
+        return NOBODY
+
+    def public_key(self) -> str:
+        return "key"
+
+    def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
+        return self._add(GroupSeen(cluster, "n", incarnation, "sg"))
+
+    def allow(
+        self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
+    ) -> None:
+        others = [seen for seen in self.observed.resources if seen != group]
+        self.observed = replace(self.observed, resources=tuple(others))
+        self._add(replace(group, ssh_from=ssh_from, internal_ports=internal_ports))
+
+    def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
+        return self._add(KeyPairSeen(cluster, "n", incarnation))
+
+    def _add(self, made: Made) -> Made:
+        self.observed = replace(self.observed, resources=(*self.observed.resources, made))
+        return made
+
+
 def carry_out(observed: Observed, action: Action) -> Observed:
-    """What the cloud would list after an action."""
+    """What the cloud would list after an action that is no step of the preparation."""
     cluster = "bunny"
     match action:
-        case CreateGroup(incarnation):
-            return replace(
-                observed, groups=(*observed.groups, GroupSeen(cluster, "sg", "n", incarnation))
-            )
-        case Allow(ssh_from, ports):
-            return replace(
-                observed,
-                groups=tuple(
-                    replace(group, ssh_from=ssh_from, internal_ports=ports)
-                    if group.cluster == cluster
-                    else group
-                    for group in observed.groups
-                ),
-            )
-        case CreateKeyPair():
-            life = next(g.incarnation for g in observed.groups if g.cluster == cluster)
-            pair = KeyPairSeen(cluster, "n", life)
-            return replace(observed, key_pairs=(*observed.key_pairs, pair))
         case LaunchNode(name, _, choices, desired):
-            group = next(g for g in observed.groups if g.cluster == cluster)
+            group = next(g for g in observed.lives if g.cluster == cluster)
             machine = MachineSeen(
                 f"new-{name.node}-{name.generation}",
                 cluster,
@@ -94,13 +108,25 @@ def carry_out(observed: Observed, action: Action) -> Observed:
 
 
 def plan_for(spec: ClusterSpec, observed: Observed) -> Plan:
-    return make_plan(spec, observed, START, "life", NETWORKS)
+    return make_plan(spec, observed, START, "life", preparing(Model(observed)))
+
+
+def preparing(model: Model) -> Callable[[str], Sequence[Step]]:
+    def prepare(life: str) -> Sequence[Step]:
+        needs = Needs("bunny", life, NETWORKS, frozenset({7070}))
+        return plan_access(model, needs, model.observed)
+
+    return prepare
 
 
 def converged(spec: ClusterSpec, observed: Observed = Observed()) -> Observed:  # noqa: B008
-    for action in plan_for(spec, observed).actions:
-        observed = carry_out(observed, action)
-    return observed
+    model = Model(observed)
+    for action in make_plan(spec, observed, START, "life", preparing(model)).actions:
+        if isinstance(action, Step):
+            action.carry_out(model)
+        else:
+            model.observed = carry_out(model.observed, action)
+    return model.observed
 
 
 machines = st.builds(
@@ -125,8 +151,10 @@ groups = st.builds(
 observations = st.builds(
     Observed,
     st.lists(machines, max_size=8).map(tuple),
-    st.sampled_from([(), (KeyPairSeen("bunny", "n", "life"),)]),
-    st.lists(groups, max_size=2, unique_by=lambda group: group.cluster).map(tuple),
+    st.tuples(
+        st.lists(groups, max_size=2, unique_by=lambda group: group.cluster).map(tuple),
+        st.sampled_from([(), (KeyPairSeen("bunny", "n", "life"),)]),
+    ).map(lambda resources: resources[0] + resources[1]),
 )
 
 
@@ -184,7 +212,9 @@ def test_from_nothing_the_group_comes_first_and_the_machines_last() -> None:
 def test_a_bad_machine_is_replaced_by_the_next_generation() -> None:
     spec = make_spec(1)
     observed = converged(spec)
-    plan = make_plan(spec, observed, START, "", NETWORKS, frozenset({"new-worker-1-1"}))
+    plan = make_plan(
+        spec, observed, START, "", preparing(Model(observed)), frozenset({"new-worker-1-1"})
+    )
     assert [str(action) for action in plan.actions] == [
         "terminate worker-1 (new-worker-1-1): it could not be set up",
         "launch worker-1 as c6i.xlarge (on_demand) or c6a.xlarge (on_demand), generation 2",
@@ -204,15 +234,19 @@ def test_the_lease_is_extended_once_a_tenth_has_passed(minutes: int, is_extended
     spec = make_spec(1)
     observed = converged(spec)
     now = START + timedelta(minutes=minutes)
-    actions = make_plan(spec, observed, now, "", NETWORKS).actions
+    actions = make_plan(spec, observed, now, "", preparing(Model(observed))).actions
     assert [type(action) for action in actions] == ([Extend] if is_extended else [])
 
 
 def test_a_group_that_vanished_is_made_again_for_the_life_of_its_machines() -> None:
     spec = make_spec(1)
-    observed = replace(converged(spec), groups=())
-    plan = make_plan(spec, observed, START, "new life", NETWORKS)
-    assert plan.actions == (CreateGroup("life"), Allow(NETWORKS, frozenset({7070})))
+    observed = converged(spec)
+    observed = replace(observed, resources=tuple(key_pairs_of(observed)))
+    plan = make_plan(spec, observed, START, "new life", preparing(Model(observed)))
+    group, rules = plan.actions
+    assert isinstance(group, Step)
+    assert group.begins == "life"
+    assert str(rules) == "allow SSH from 192.0.2.0/24, port 7070 inside"
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,12 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from simulated import START, SetUp, SimulatedTime, make_cluster, make_spec
+from simulated import START, SetUp, SimulatedTime, key_pairs_of, make_cluster, make_spec
+from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import LeftoverError
-from hpcdeploy.provider import GroupSeen, KeyPairSeen, Launch, MachineSeen, Observed, State
-from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.provider import Launch, MachineSeen, Observed, State
+from hpcdeploy.providers.ec2.observe import GroupSeen, KeyPairSeen
 from hpcdeploy.reconcile.converge import bring_up
 from hpcdeploy.reconcile.reap import overdue, reap
 from hpcdeploy.spec.names import NodeName, draw_incarnation
@@ -19,7 +20,7 @@ HOUR = timedelta(hours=1)
 
 
 def group(cluster: str, age: timedelta) -> GroupSeen:
-    return GroupSeen(cluster, "sg", f"hpcapp-{cluster}", draw_incarnation(START - age))
+    return GroupSeen(cluster, f"hpcapp-{cluster}", draw_incarnation(START - age), "sg")
 
 
 def machine(
@@ -63,7 +64,7 @@ def test_a_machine_goes_by_its_lease_or_when_it_has_shut_down(
     lease_left: timedelta | None, state: State, age: timedelta, goes: bool
 ) -> None:
     seen = machine("bunny", lease_left, state, age)
-    observed = Observed((seen,), (), (group("bunny", timedelta(minutes=1)),))
+    observed = Observed((seen,), (group("bunny", timedelta(minutes=1)),))
     assert overdue(observed, START).machines == ((seen,) if goes else ())
 
 
@@ -100,9 +101,9 @@ def test_a_group_and_its_key_pair_go_once_nobody_can_need_them(
 ) -> None:
     machines = () if lease_left is None else (machine("bunny", lease_left),)
     made = group("bunny", age)
-    found = overdue(Observed(machines, (pair_of(made),), (made,)), START)
-    assert bool(found.groups) == goes
-    assert bool(found.key_pairs) == goes
+    found = overdue(Observed(machines, (made, pair_of(made))), START)
+    assert bool(found.lives) == goes
+    assert bool(key_pairs_of(found)) == goes
 
 
 @pytest.mark.parametrize(("age", "goes"), [(HOUR / 2, False), (2 * HOUR, True)])
@@ -111,15 +112,14 @@ def test_a_key_pair_without_its_group_is_an_orphan_once_it_is_old(
 ) -> None:
     pair, later = pair_of(group("bunny", age)), group("bunny", timedelta(minutes=1))
     for groups in ((), (later,)):
-        assert overdue(Observed((), (pair, pair_of(later)), groups), START).key_pairs == (
-            (pair,) if goes else ()
-        )
+        orphans = overdue(Observed((), (*groups, pair, pair_of(later))), START)
+        assert key_pairs_of(orphans) == ([pair] if goes else [])
 
 
 def test_a_new_life_is_left_alone_though_machines_of_the_last_one_are_listed() -> None:
     gone = machine("bunny", -HOUR, State.GONE)
     young = group("bunny", timedelta(minutes=1))
-    assert overdue(Observed((gone,), (pair_of(young),), (young,)), START) == Observed()
+    assert overdue(Observed((gone,), (young, pair_of(young))), START) == Observed()
 
 
 @pytest.fixture
@@ -145,7 +145,7 @@ def test_expired_clusters_are_removed_and_others_stay(time: SimulatedTime) -> No
     reap(cloud, lines.append, time.pace())
     left = cloud.observe(None)
     assert {m.cluster for m in left.machines if m.state is State.RUNNING} == {"young"}
-    assert [g.cluster for g in left.groups] == [p.cluster for p in left.key_pairs] == ["young"]
+    assert [g.cluster for g in left.lives] == [p.cluster for p in key_pairs_of(left)] == ["young"]
     assert any(line.startswith("terminating head (i-") for line in lines)
 
 

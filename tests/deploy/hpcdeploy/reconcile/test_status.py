@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 from simulated import SetUp, make_cluster, make_spec
+from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.login.shell import Completed
-from hpcdeploy.providers.memory import MemoryProvider
 from hpcdeploy.reconcile.converge import bring_up, take_down
 from hpcdeploy.reconcile.status import describe_cluster, list_clusters, write_list, write_table
 from hpcdeploy.spec.names import NOBODY

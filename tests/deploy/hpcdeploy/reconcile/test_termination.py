@@ -9,12 +9,13 @@ from pathlib import Path
 
 import pytest
 from simulated import START
+from simulated.memory import MemoryProvider
 
 import hpcdeploy
 from hpccomponent.errors import CloudError
 from hpcdeploy.ownership.ownership import Held, foreign_owner, ours
-from hpcdeploy.provider import GroupSeen, KeyPairSeen, MachineSeen, Observed, State
-from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.provider import MachineSeen, Observed, State
+from hpcdeploy.providers.ec2.observe import GroupSeen, KeyPairSeen
 from hpcdeploy.reconcile.termination import Proof, Reason, end, may_terminate
 from hpcdeploy.spec.names import NodeName, Owner, draw_incarnation
 
@@ -75,8 +76,8 @@ def test_no_module_ends_machines_past_the_one_that_asks_for_a_proof() -> None:
 
 LIFE = draw_incarnation(START - timedelta(days=1))
 YOUNG = draw_incarnation(START - timedelta(minutes=1))
-GROUP = GroupSeen("bunny", "sg", "hpcapp-bunny", LIFE)
-PAIR = KeyPairSeen("bunny", "n", "life", "aa:bb")
+GROUP = GroupSeen("bunny", "hpcapp-bunny", LIFE, "sg")
+PAIR = KeyPairSeen("bunny", "n", "life", fingerprint="aa:bb")
 
 
 @pytest.mark.parametrize(
@@ -92,7 +93,7 @@ PAIR = KeyPairSeen("bunny", "n", "life", "aa:bb")
         (Observed((replace(RUNS, owner=Owner("anna@lab")),)), Held(BEN), Owner("anna@lab")),
         (
             Observed(
-                (replace(RUNS, incarnation=LIFE, owner=Owner()),), (), (replace(GROUP, owner=ANNA),)
+                (replace(RUNS, incarnation=LIFE, owner=Owner()),), (replace(GROUP, owner=ANNA),)
             ),
             Held(ANNA),
             None,
@@ -104,11 +105,11 @@ PAIR = KeyPairSeen("bunny", "n", "life", "aa:bb")
             None,
         ),
         # a group alone
-        (Observed((), (), (replace(GROUP, owner=ANNA),)), Held(BEN), ANNA),
-        (Observed((), (), (GROUP,)), Held(BEN), None),  # left, and nobody's machine is in it
-        (Observed((), (), (replace(GROUP, incarnation=YOUNG),)), Held(BEN), Owner()),
+        (Observed((), (replace(GROUP, owner=ANNA),)), Held(BEN), ANNA),
+        (Observed((), (GROUP,)), Held(BEN), None),  # left, and nobody's machine is in it
+        (Observed((), (replace(GROUP, incarnation=YOUNG),)), Held(BEN), Owner()),
         (
-            Observed((), (), (replace(GROUP, incarnation=YOUNG),)),
+            Observed((), (replace(GROUP, incarnation=YOUNG),)),
             Held(BEN, lives=frozenset({YOUNG})),
             None,
         ),

@@ -139,7 +139,7 @@ def test_keys_that_expire_in_mid_work_and_are_renewed_on_disk_are_taken(
     file.write_text(keys_of(strict.access_key))
     provider.observe("bunny")
     provider.create_group("bunny", "life", Owner())  # changes go by the newer ones too
-    assert [group.cluster for group in provider.observe("bunny").groups] == ["bunny"]
+    assert [group.cluster for group in provider.observe("bunny").lives] == ["bunny"]
 
 
 def test_keys_that_expired_and_are_not_renewed_are_said_to_be(

@@ -11,9 +11,10 @@ from typing import Any
 import pytest
 from cloud import FOREVER, Call, CutError, StrictCloud
 from cloud.parameters import PROFILES
+from simulated import groups_of, key_pairs_of
 
 from hpccomponent.errors import CapacityError, CloudError
-from hpcdeploy.provider import Observed, State
+from hpcdeploy.provider import Observed, State, Tags
 from hpcdeploy.spec.names import NOBODY, Desired, NodeName
 
 from .conftest import LEASE, OPEN, OWNER, RSA_KEY, Desk, a_launch
@@ -39,15 +40,15 @@ def test_a_life_leaves_nothing(open_desk: OpenDesk, profile: str) -> None:
     assert running.public_address
     assert running.private_address
     observed = desk.provider.observe(None)
-    (group,) = observed.groups
+    (group,) = groups_of(observed)
     assert (group.incarnation, group.ssh_from) == ("a1b2c3", OPEN)
     assert group.internal_ports == {7070}
     desk.provider.terminate([running])
-    assert not desk.provider.delete_group(group)
+    assert not desk.provider.cleanup(group)
     while desk.provider.observe("bunny").machines[0].state is not State.GONE:
         pass
-    assert desk.provider.delete_group(group)
-    desk.provider.delete_key_pair(observed.key_pairs[0])
+    assert desk.provider.cleanup(group)
+    desk.provider.cleanup(key_pairs_of(observed)[0])
     assert not desk.cloud.left()
 
 
@@ -129,15 +130,15 @@ def test_lost_answers_are_asked_for_again(open_desk: OpenDesk, profile: str, act
         desk.cloud.lose(lost)
     desk.prepare()
     observed = desk.provider.observe("bunny")
-    assert (len(observed.groups), len(observed.key_pairs)) == (1, 1)
-    assert (observed.groups[0].ssh_from, observed.groups[0].internal_ports) == (
+    assert (len(observed.lives), len(key_pairs_of(observed))) == (1, 1)
+    assert (groups_of(observed)[0].ssh_from, groups_of(observed)[0].internal_ports) == (
         OPEN,
         frozenset({7070}),
     )
     for lost in ("DeleteSecurityGroup", "DeleteKeyPair"):
         desk.cloud.lose(lost)
-    assert desk.provider.delete_group(observed.groups[0])
-    desk.provider.delete_key_pair(observed.key_pairs[0])
+    assert desk.provider.cleanup(observed.lives[0])
+    desk.provider.cleanup(key_pairs_of(observed)[0])
     assert not desk.cloud.left()
 
 
@@ -157,7 +158,7 @@ def test_a_machine_whose_tags_were_never_written_is_known(
     assert (seen.cluster, seen.incarnation) == (cluster, "a1b2c3")
     assert (seen.name, seen.lease_until) == (NodeName("worker-12"), None)
     desk.cloud.no_rights = set()
-    desk.provider.extend([seen], LEASE)
+    desk.provider.tag([seen], Tags(lease_until=LEASE))
     assert desk.cloud.instances[0].tags["hpcapp:node"] == "worker-12"
     assert desk.provider.observe(cluster).machines[0].lease_until == LEASE
 
@@ -170,7 +171,7 @@ def test_a_lease_is_extended(open_desk: OpenDesk, profile: str) -> None:
         desk.launch(node)
     later = LEASE + timedelta(hours=1)
     before = len(desk.changes())
-    desk.provider.extend(desk.provider.observe("bunny").machines, later)
+    desk.provider.tag(desk.provider.observe("bunny").machines, Tags(lease_until=later))
     assert desk.changes()[before:] == ["CreateTags"]
     assert {m.lease_until for m in desk.provider.observe("bunny").machines} == {later}
 
@@ -182,7 +183,7 @@ def test_the_head_bears_how_many_workers_are_wanted(open_desk: OpenDesk, profile
     head = desk.launch("head", desired=Desired(1, 3))
     desk.launch("worker-1")
     assert desk.provider.observe("bunny").desired("bunny") == Desired(1, 3)
-    desk.provider.set_desired(head, Desired(2, 1))
+    desk.provider.tag([head], Tags(desired=Desired(2, 1)))
     assert desk.provider.observe(None).desired("bunny") == Desired(2, 1)
     assert desk.provider.observe(None).desired("other") is None
 
@@ -207,8 +208,8 @@ def test_clusters_do_not_see_one_another(open_desk: OpenDesk) -> None:
             desk.provider.launch(replace(a_launch(), cluster=cluster))
         observed = desk.provider.observe("bunny")
         assert {m.cluster for m in observed.machines} == {"bunny"}
-        assert [group.cluster for group in observed.groups] == ["bunny"]
-        assert [pair.cluster for pair in observed.key_pairs] == ["bunny"]
+        assert [group.cluster for group in observed.lives] == ["bunny"]
+        assert [pair.cluster for pair in key_pairs_of(observed)] == ["bunny"]
         everything = desk.provider.observe(None)
         assert {m.cluster for m in everything.machines} == {"bunny", "bunny-2"}
 
@@ -281,7 +282,7 @@ def test_rules_become_what_is_wanted(open_desk: OpenDesk, profile: str) -> None:
     backend.authorize_security_group_ingress(foreign.id, "tcp", "1", "65535", everybody)
     wanted = frozenset({"192.0.2.0/24", "198.51.100.0/24"})
     desk.provider.allow(group, wanted, frozenset({7071}))
-    (seen,) = desk.provider.observe("bunny").groups
+    (seen,) = groups_of(desk.provider.observe("bunny"))
     assert (seen.ssh_from, seen.internal_ports) == (wanted, frozenset({7071}))
     assert len(foreign.ingress_rules) == 3
     before = len(desk.changes())
@@ -294,7 +295,7 @@ def test_ipv6_networks_where_they_are_known(open_desk: OpenDesk) -> None:
     desk = open_desk("aws")
     group = desk.provider.create_group("bunny", "a1b2c3", NOBODY)
     desk.provider.allow(group, network, frozenset())
-    assert desk.provider.observe("bunny").groups[0].ssh_from == network
+    assert groups_of(desk.provider.observe("bunny"))[0].ssh_from == network
     desk = open_desk("euca-5.1")
     group = desk.provider.create_group("bunny", "a1b2c3", NOBODY)
     with pytest.raises(CloudError, match="no IPv6 network 2001:db8::/32"):

@@ -82,5 +82,5 @@ def _size(size: str) -> float | None:
 @cache
 def read_prices() -> PriceTable:
     """Read the table that ships with this release."""
-    text = files("hpcdeploy.reconcile").joinpath("prices.yaml").read_text(encoding="utf-8")
+    text = files("hpcdeploy.spec").joinpath("prices.yaml").read_text(encoding="utf-8")
     return parse_config(text, "prices.yaml", PriceTable)

@@ -9,30 +9,31 @@ from __future__ import annotations
 import os
 import re
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from boto3.exceptions import Boto3Error
+from botocore.exceptions import BotoCoreError, ClientError
 
 from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import expand_home
 from hpccomponent.terminal import visible_line
 from hpcdeploy.login.shell import part_of, sha256_of
+from hpcdeploy.providers.ec2.client import open_client
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.job_folder import JobOrder, JobStatus
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-__all__ = ["Bucket", "open_bucket"]
+__all__ = ["S3Bucket", "open_bucket"]
 
 PART = 16 << 20  # 10,000 parts at most, so 160 GB; S3 wants at least 5 MiB
 LONGEST_S = 7 * 86400  # of a presigned address
 Progress = Callable[[int, int], None]
 
 
-class Bucket:
+class S3Bucket:
     """A place in a bucket.
 
     Parameters
@@ -161,8 +162,6 @@ class Bucket:
 
         The object is named by its content, so that a part of the same number is the same part.
         """
-        from botocore.exceptions import ClientError
-
         size = path.stat().st_size
         listed = self._client.list_objects_v2(Bucket=self._bucket, Prefix=key)
         if any(item["Key"] == key and item["Size"] == size for item in listed.get("Contents", ())):
@@ -225,9 +224,6 @@ class Bucket:
     @contextmanager
     def _translated(self) -> Iterator[None]:
         """Turn what boto3 raises into one line."""
-        from boto3.exceptions import Boto3Error
-        from botocore.exceptions import BotoCoreError, ClientError
-
         try:
             yield
         except ClientError as error:
@@ -242,7 +238,7 @@ class Bucket:
             ) from error
 
 
-def open_bucket(spec: ClusterSpec, base: Path) -> Bucket | None:
+def open_bucket(spec: ClusterSpec, base: Path) -> S3Bucket | None:
     """Return the bucket that a cluster file names in ``data.s3``.
 
     None where it names none.
@@ -255,8 +251,6 @@ def open_bucket(spec: ClusterSpec, base: Path) -> Bucket | None:
     cloud = spec.provider.cloud
     if cloud is None or spec.data.s3 is None:
         return None
-    from hpcdeploy.providers.ec2.client import open_client  # it imports boto3
-
     bundle = (base / expand_home(cloud.ca_bundle)).read_text() if cloud.ca_bundle else ""
     client = open_client("s3", cloud, base)
-    return Bucket(client, spec.data.s3, spec.cluster, spec.limits.lease, bundle)
+    return S3Bucket(client, spec.data.s3, spec.cluster, spec.limits.lease, bundle)

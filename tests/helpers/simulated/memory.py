@@ -1,4 +1,4 @@
-"""A cloud in memory: what tests and demonstrations of `up` and `down` run against.
+"""A cloud in memory, the double of one that speaks EC2: what tests of `up` and `down` run against.
 
 It has the habits of real ones that matter: machines are pending for a while and ending for a
 while, a fresh machine may be missing from the lists at first, a token is remembered after its
@@ -17,15 +17,20 @@ from typing import Any, Literal
 
 from hpccomponent.errors import CapacityError, CloudError
 from hpcdeploy.provider import (
-    GroupSeen,
-    KeyPairSeen,
+    Bucket,
     Launch,
     MachineSeen,
+    Needs,
     Observed,
     Problem,
+    Resource,
     State,
+    Step,
+    Tags,
 )
-from hpcdeploy.spec.names import Desired, Owner, client_token, group_name, key_pair_name
+from hpcdeploy.providers.ec2.access import plan_access
+from hpcdeploy.providers.ec2.observe import GroupSeen, KeyPairSeen
+from hpcdeploy.spec.names import Owner, client_token, group_name, key_pair_name
 from hpcdeploy.spec.polling import utc_now
 
 __all__ = ["Hook", "MemoryProvider"]
@@ -83,6 +88,7 @@ class MemoryProvider:
         self.hook = hook
         self.unavailable: set[tuple[str, str]] = set()
         self.never_boot: set[str] = set()
+        self.store: Bucket | None = None
         self._machines: dict[str, _Machine] = {}  # by client token
         self._groups: dict[str, GroupSeen] = {}
         self._key_pairs: dict[str, KeyPairSeen] = {}
@@ -99,15 +105,21 @@ class MemoryProvider:
             ]
             return Observed(
                 tuple(seen for seen in machines if cluster in (None, seen.cluster)),
-                tuple(p for p in self._key_pairs.values() if cluster in (None, p.cluster)),
-                tuple(group for name, group in self._groups.items() if cluster in (None, name)),
+                (
+                    *(group for name, group in self._groups.items() if cluster in (None, name)),
+                    *(p for p in self._key_pairs.values() if cluster in (None, p.cluster)),
+                ),
             )
+
+    def prepare(self, needs: Needs, observed: Observed) -> list[Step]:
+        """Plan as on a cloud that speaks EC2."""
+        return plan_access(self, needs, observed)
 
     def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
         """Make a key pair."""
         with self._called("create_key_pair"):
             name = key_pair_name(cluster, incarnation)
-            pair = KeyPairSeen(cluster, name, incarnation, public_key)
+            pair = KeyPairSeen(cluster, name, incarnation, fingerprint=public_key)
             return self._key_pairs.setdefault(name, pair)
 
     def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
@@ -115,24 +127,24 @@ class MemoryProvider:
         with self._called("create_group"):
             name = group_name(cluster)
             number = next(self._numbers)
-            group = GroupSeen(cluster, f"sg-{number}", name, incarnation, owner=owner)
+            group = GroupSeen(cluster, name, incarnation, f"sg-{number}", owner)
             return self._groups.setdefault(cluster, group)
 
-    def mark(
-        self, machines: Sequence[MachineSeen], groups: Sequence[GroupSeen], owner: Owner
+    def tag(
+        self, machines: Sequence[MachineSeen], tags: Tags, resources: Sequence[Resource] = ()
     ) -> None:
-        """Write down whose some machines and groups are."""
-        with self._called("mark"):
+        """Write down what some machines and groups bear."""
+        with self._called("tag"):
             for machine in self._named(machines):
-                machine.seen = replace(machine.seen, owner=owner)
-            for group in groups:
-                self._change(group, owner=owner)
-
-    def set_desired(self, head: MachineSeen, desired: Desired) -> None:
-        """Write on the head how many workers there are to be."""
-        with self._called("set_desired"):
-            for machine in self._named([head]):
-                machine.seen = replace(machine.seen, desired=desired)
+                seen = machine.seen
+                machine.seen = replace(
+                    seen,
+                    owner=tags.owner or seen.owner,
+                    desired=tags.desired or seen.desired,
+                    lease_until=tags.lease_until or seen.lease_until,
+                )
+            for group in resources if tags.owner else ():
+                self._change(group, owner=tags.owner)
 
     def allow(
         self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
@@ -156,19 +168,18 @@ class MemoryProvider:
                 self._machines[token] = self._start(launch)
             return self._seen(self._machines[token])
 
-    def extend(self, machines: Sequence[MachineSeen], lease_until: datetime) -> None:
-        """Write a new end of the lease."""
-        with self._called("extend"):
-            for machine in self._named(machines):
-                machine.seen = replace(machine.seen, lease_until=lease_until)
-
     def terminate(self, machines: Sequence[MachineSeen]) -> None:
         """Begin to end some machines."""
         with self._called("terminate"):
             for machine in self._named(machines):
                 machine.ended = machine.ended or self._now()
 
-    def delete_group(self, group: GroupSeen) -> bool:
+    def cleanup(self, resource: Resource) -> bool:
+        """Delete a group or a key pair."""
+        delete = self.delete_group if resource.bears_life else self.delete_key_pair
+        return delete(resource)
+
+    def delete_group(self, group: Resource) -> bool:
         """Delete a group unless a machine that is not yet gone was launched in it."""
         with self._called("delete_group"):
             if any(
@@ -179,10 +190,11 @@ class MemoryProvider:
             self._groups.pop(group.cluster, None)
             return True
 
-    def delete_key_pair(self, key_pair: KeyPairSeen) -> None:
+    def delete_key_pair(self, key_pair: Resource) -> bool:
         """Delete a key pair."""
         with self._called("delete_key_pair"):
             self._key_pairs.pop(key_pair.name, None)
+            return True
 
     def console(self, machine: MachineSeen) -> str:
         """Return one line."""
@@ -195,6 +207,10 @@ class MemoryProvider:
     def decided(self) -> tuple[str, ...]:
         """Return nothing: the file says all."""
         return ()
+
+    def bucket(self) -> Bucket | None:
+        """Return what a test has put there."""
+        return self.store
 
     def check(self) -> list[Problem]:
         """Find no problem."""
@@ -250,7 +266,7 @@ class MemoryProvider:
         is_forgotten = machine.ended is not None and now > machine.ended + self._end + self._listed
         return now >= machine.launched + self._unseen and not is_forgotten
 
-    def _change(self, group: GroupSeen, **values: Any) -> None:
+    def _change(self, group: Resource, **values: Any) -> None:
         """Change a group by its id, as clouds do: one of the same name made later is another."""
         there = self._groups.get(group.cluster)
         if there is None or there.id != group.id:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 from simulated import START, SimulatedTime
+from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CapacityError, CloudError
-from hpcdeploy.provider import Launch, Provider, State
-from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.provider import Launch, Provider, State, Tags
 from hpcdeploy.spec.names import NOBODY, NodeName
 
 LAUNCH = Launch("bunny", "life", NodeName("head"), "small", "m6i.large", lease_until=START)
@@ -62,8 +62,8 @@ def test_a_group_and_a_key_pair_are_made_once() -> None:
     cloud = MemoryProvider()
     assert cloud.create_group("bunny", "b", NOBODY) == cloud.create_group("bunny", "a", NOBODY)
     assert cloud.create_key_pair("bunny", "a", "k") == cloud.create_key_pair("bunny", "a", "other")
-    assert len(cloud.observe(None).groups) == 1
-    assert cloud.observe("other").groups == ()
+    assert len(cloud.observe(None).lives) == 1
+    assert cloud.observe("other").lives == ()
 
 
 def test_a_group_that_another_command_has_deleted_cannot_be_changed() -> None:
@@ -74,7 +74,7 @@ def test_a_group_that_another_command_has_deleted_cannot_be_changed() -> None:
     with pytest.raises(CloudError, match="is gone"):
         provider.allow(gone, frozenset({"192.0.2.0/24"}), frozenset())
     with pytest.raises(CloudError, match="is gone"):
-        provider.mark((), (gone,), NOBODY)
+        provider.tag((), Tags(NOBODY), (gone,))
 
 
 def test_capacity_runs_out_for_a_type_and_market() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hpcdeploy.reconcile.prices import read_prices
+from hpcdeploy.spec.prices import read_prices
 
 
 @pytest.mark.parametrize(

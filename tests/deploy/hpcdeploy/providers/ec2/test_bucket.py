@@ -17,6 +17,7 @@ from botocore.config import Config
 from botocore.exceptions import ClientError
 from moto.server import ThreadedMotoServer
 from simulated import make_cluster, make_spec
+from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.jobs import bucket_client
@@ -25,9 +26,8 @@ from hpcdeploy.jobs.display import JobDisplay
 from hpcdeploy.jobs.queries import Jobs
 from hpcdeploy.login.local_shell import LocalShell
 from hpcdeploy.login.shell import sha256_of
-from hpcdeploy.providers import bucket as bucket_module
-from hpcdeploy.providers.bucket import Bucket
-from hpcdeploy.providers.memory import MemoryProvider
+from hpcdeploy.providers.ec2 import bucket as bucket_module
+from hpcdeploy.providers.ec2.bucket import S3Bucket, open_bucket
 from hpcdeploy.reconcile.converge import take_down
 from hpcdeploy.spec.cluster import Data
 from hpcdeploy.spec.job_folder import JobOrder, JobState, JobStatus
@@ -68,8 +68,8 @@ def client(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 
 @pytest.fixture
-def bucket(client: Any) -> Bucket:
-    return Bucket(client, "s3://lab/scans/", "bunny", 3600.0)
+def bucket(client: Any) -> S3Bucket:
+    return S3Bucket(client, "s3://lab/scans/", "bunny", 3600.0)
 
 
 def write(path: Path, size: int) -> str:
@@ -81,7 +81,9 @@ def keys(client: Any) -> list[str]:
     return [item["Key"] for item in client.list_objects_v2(Bucket="lab").get("Contents", ())]
 
 
-def test_points_go_up_and_the_mesh_comes_down(bucket: Bucket, client: Any, tmp_path: Path) -> None:
+def test_points_go_up_and_the_mesh_comes_down(
+    bucket: S3Bucket, client: Any, tmp_path: Path
+) -> None:
     digest = write(tmp_path / "a.ply", 1000)
     order = bucket.send(tmp_path / "a.ply", digest, ORDER)
     assert "not-for-the-head" not in repr(order)
@@ -99,7 +101,7 @@ def test_points_go_up_and_the_mesh_comes_down(bucket: Bucket, client: Any, tmp_p
     assert order.mesh_key not in keys(client)
 
 
-def test_a_mesh_may_have_any_name(bucket: Bucket, client: Any, tmp_path: Path) -> None:
+def test_a_mesh_may_have_any_name(bucket: S3Bucket, client: Any, tmp_path: Path) -> None:
     odd = os.fsdecode(b"\xff\xfe.ply")
     order = bucket.send(tmp_path / "a.ply", write(tmp_path / "a.ply", 9), replace(ORDER, mesh=odd))
     mesh = write(tmp_path / odd, 5000)
@@ -110,7 +112,7 @@ def test_a_mesh_may_have_any_name(bucket: Bucket, client: Any, tmp_path: Path) -
 
 
 def test_what_is_there_is_not_sent_again(
-    bucket: Bucket, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bucket: S3Bucket, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     digest = write(tmp_path / "a.ply", 1000)
     bucket.send(tmp_path / "a.ply", digest, ORDER)
@@ -119,7 +121,7 @@ def test_what_is_there_is_not_sent_again(
 
 
 def test_an_interrupted_upload_goes_on(
-    bucket: Bucket, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bucket: S3Bucket, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     part = 5 << 20
     monkeypatch.setattr(bucket_module, "PART", part)
@@ -146,7 +148,7 @@ def test_an_interrupted_upload_goes_on(
 
 
 def test_a_download_goes_on_where_it_stopped(
-    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bucket: S3Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     digest = write(tmp_path / "a.ply", 1000)
     order = bucket.send(tmp_path / "a.ply", digest, ORDER)
@@ -159,7 +161,7 @@ def test_a_download_goes_on_where_it_stopped(
         assert target.read_bytes() == content
 
 
-def test_other_points_are_refused(bucket: Bucket, client: Any, tmp_path: Path) -> None:
+def test_other_points_are_refused(bucket: S3Bucket, client: Any, tmp_path: Path) -> None:
     digest = write(tmp_path / "a.ply", 1000)
     order = bucket.send(tmp_path / "a.ply", digest, ORDER)
     client.put_object(Bucket="lab", Key=keys(client)[0], Body=b"others")
@@ -168,7 +170,7 @@ def test_other_points_are_refused(bucket: Bucket, client: Any, tmp_path: Path) -
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
 
 
-def test_a_mesh_that_was_changed_is_refused(bucket: Bucket, client: Any, tmp_path: Path) -> None:
+def test_a_mesh_that_was_changed_is_refused(bucket: S3Bucket, client: Any, tmp_path: Path) -> None:
     key = f"scans/bunny/meshes/{'0' * 16}-mesh.ply"
     client.put_object(Bucket="lab", Key=key, Body=b"others")
     status = JobStatus(
@@ -191,7 +193,7 @@ def test_a_mesh_that_was_changed_is_refused(bucket: Bucket, client: Any, tmp_pat
     ],
 )
 def test_a_head_has_nothing_read_or_removed_but_its_job_s_mesh(
-    bucket: Bucket, client: Any, tmp_path: Path, key: str
+    bucket: S3Bucket, client: Any, tmp_path: Path, key: str
 ) -> None:
     content = b"what the head knows"
     if key:
@@ -205,10 +207,10 @@ def test_a_head_has_nothing_read_or_removed_but_its_job_s_mesh(
 
 
 def test_a_bucket_that_is_gone_is_one_line(
-    bucket: Bucket, client: Any, tmp_path: Path, endpoint: str
+    bucket: S3Bucket, client: Any, tmp_path: Path, endpoint: str
 ) -> None:
     digest = write(tmp_path / "a.ply", 1000)
-    nowhere = Bucket(client, "s3://no-such-bucket", "bunny", 60.0)
+    nowhere = S3Bucket(client, "s3://no-such-bucket", "bunny", 60.0)
     with pytest.raises(CloudError, match=r"s3://no-such-bucket: .* was refused \(NoSuchBucket\)"):
         nowhere.send(tmp_path / "a.ply", digest, ORDER)
     order = replace(ORDER, points_url=f"{endpoint}/lab/none", mesh_url=f"{endpoint}/none/none")
@@ -229,7 +231,7 @@ def test_a_bucket_that_cannot_be_reached_is_one_line(
 
 
 def test_a_refused_upload_is_given_up(
-    bucket: Bucket, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bucket: S3Bucket, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bucket_module, "PART", 5 << 20)
     digest = write(tmp_path / "a.ply", 6 << 20)
@@ -251,10 +253,10 @@ def begun(client: Any) -> list[str]:
 
 
 def test_down_leaves_nothing_of_ours_in_the_bucket(
-    bucket: Bucket, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bucket: S3Bucket, client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    monkeypatch.setattr("hpcdeploy.providers.ec2.client.open_client", lambda *_: client)
+    monkeypatch.setattr("hpcdeploy.providers.ec2.bucket.open_client", lambda *_: client)
     order = bucket.send(tmp_path / "a.ply", write(tmp_path / "a.ply", 1000), ORDER)
     assert send_mesh(order, tmp_path / "a.ply", lambda _: None)
     client.create_multipart_upload(Bucket="lab", Key=f"scans/bunny/points/{64 * '0'}.ply")
@@ -262,7 +264,9 @@ def test_down_leaves_nothing_of_ours_in_the_bucket(
     for key in theirs:
         client.put_object(Bucket="lab", Key=key, Body=b"stays")
     spec = make_spec().model_copy(update={"data": Data(s3="s3://lab/scans/")})
-    take_down(make_cluster(spec, MemoryProvider()), print)
+    cloud = MemoryProvider()
+    cloud.store = open_bucket(spec, tmp_path)
+    take_down(make_cluster(spec, cloud), print)
     assert keys(client) == theirs
     assert begun(client) == []
     gone = spec.model_copy(update={"data": Data(s3="s3://no-such-bucket")})
@@ -270,7 +274,7 @@ def test_down_leaves_nothing_of_ours_in_the_bucket(
 
 
 def test_a_job_gets_its_points_and_gives_its_mesh_by_way_of_the_bucket(
-    bucket: Bucket, client: Any, tmp_path: Path, standing_cluster: Callable[..., Any]
+    bucket: S3Bucket, client: Any, tmp_path: Path, standing_cluster: Callable[..., Any]
 ) -> None:
     folder = tmp_path / "home/hpcapp/standing"
     python = folder / "venv/bin/python"
