@@ -1,13 +1,8 @@
-"""What resources are called: everything is derived from cluster, node and generation.
-
-So a second `up` asks the cloud for the very resources that the first one asked for, and a sweep
-finds them by the cloud's own lists, with no memory of ours.
-"""
+"""What machines are called, whose they are, and how many a cluster is to have."""
 
 from __future__ import annotations
 
 import getpass
-import hashlib
 import os
 import re
 import secrets
@@ -16,60 +11,38 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 __all__ = [
-    "CLUSTER_TAG",
-    "GENERATION_TAG",
     "HEAD",
-    "INCARNATION_TAG",
-    "LEASE_TAG",
-    "MADE_TAG",
     "MOST_WORKERS",
     "NAME_PATTERN",
     "NOBODY",
-    "NODE_TAG",
-    "OWNER_TAG",
-    "PREFIX",
-    "WORKERS_TAG",
     "Desired",
     "NodeName",
     "Owner",
-    "client_token",
     "draw_incarnation",
-    "group_name",
     "incarnation_began",
-    "key_pair_name",
-    "read_client_token",
     "read_desired",
     "read_owner",
     "this_user",
     "without_node",
 ]
 
-PREFIX = "hpcapp-"
 MOST_WORKERS = 1000
 NAME_PATTERN = r"^[a-z][a-z0-9-]{0,39}$"
 """Of clusters: it becomes part of every name in the cloud."""
 
 HEAD = "head"
-CLUSTER_TAG = "hpcapp:cluster"
-NODE_TAG = "hpcapp:node"
-GENERATION_TAG = "hpcapp:generation"
-INCARNATION_TAG = "hpcapp:incarnation"
-LEASE_TAG = "hpcapp:lease-until"
-OWNER_TAG = "hpcapp:owner"
-WORKERS_TAG = "hpcapp:workers"
-MADE_TAG = "hpcapp:made-as"
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class NodeName:
-    """Which machine of a cluster, and the how-manieth of that name.
+    """A machine of a cluster.
 
     Parameters
     ----------
     node : str
         ``head`` or ``worker-1``, ``worker-2``, ...
     generation : int
-        From 1; a replacement has the next one.
+        1, then 2 for its first replacement.
     """
 
     node: str
@@ -166,20 +139,6 @@ def this_user() -> str:
     return re.sub(r"[^\w.@-]", "-", f"{user}@{socket.gethostname()}")[:128]
 
 
-def group_name(cluster: str) -> str:
-    """Return the name of the security group of a cluster."""
-    return PREFIX + cluster
-
-
-def key_pair_name(cluster: str, incarnation: str) -> str:
-    """Return the name of the key pair of one life of a cluster.
-
-    Not every cloud can tag a key pair: what tells ours from a user's own is that it is named
-    after the life that the description of a group of ours remembers.
-    """
-    return f"{PREFIX}{cluster}-{incarnation}"
-
-
 def draw_incarnation(now: datetime) -> str:
     """Draw the name of a new life of a cluster; it tells when that life began.
 
@@ -207,50 +166,6 @@ def incarnation_began(incarnation: str) -> datetime | None:
     if re.fullmatch(r"[0-9a-f]{12}", incarnation) is None:
         return None
     return datetime.fromtimestamp(int(incarnation[:8], 16), UTC)
-
-
-def client_token(cluster: str, incarnation: str, name: NodeName, attempt: str = "") -> str:
-    """Return the token by which the cloud recognises a repeated request to launch a node.
-
-    Parameters
-    ----------
-    incarnation : str
-        Drawn once for each life of the cluster, from the first `up` to `down`: a cloud remembers
-        a token after its machine is gone (see `GroupSeen`). Small letters and digits.
-    attempt : str
-        What is asked for when an earlier choice was not to be had: instance type and market.
-
-    Returns
-    -------
-    str
-        At most 64 characters; `read_client_token` reads it. A long cluster's name is cut, which
-        leaves the token unique by its incarnation.
-
-    Examples
-    --------
-    >>> client_token("bunny", "a1b2c3", NodeName("worker-2"))
-    'hpcapp-bunny-a1b2c3-worker-2-1'
-    """
-    digest = f"-{hashlib.sha256(attempt.encode()).hexdigest()[:8]}" if attempt else ""
-    tail = f"-{incarnation}-{name.node}-{name.generation}{digest}"
-    return group_name(cluster)[: 64 - len(tail)] + tail
-
-
-_TOKEN = re.compile(rf"{PREFIX}.+-([0-9a-z]+)-({HEAD}|worker-\d+)-(\d+)(?:-[0-9a-f]{{8}})?")
-
-
-def read_client_token(token: str) -> tuple[str, NodeName] | None:
-    """Return the incarnation and the node that a token is of; None where it is none of ours.
-
-    So a machine is known whose tags were never written.
-
-    Examples
-    --------
-    >>> read_client_token("hpcapp-bunny-a1b2c3-worker-2-1")
-    ('a1b2c3', NodeName(node='worker-2', generation=1))
-    """
-    match = _TOKEN.fullmatch(token)
-    return (match[1], NodeName(match[2], int(match[3]))) if match else None
 
 
 def without_node(text: str, node: str) -> str:

@@ -19,12 +19,13 @@ from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError, LeftoverError
 from hpcdeploy.providers import open_provider
+from hpcdeploy.providers.ec2.names import key_pair_name
 from hpcdeploy.providers.ec2.observe import GroupSeen
 from hpcdeploy.reconcile.cluster import Cluster, describe_elsewhere
 from hpcdeploy.reconcile.converge import bring_up, take_down
 from hpcdeploy.reconcile.reap import reap
 from hpcdeploy.spec.cluster import read_spec
-from hpcdeploy.spec.names import Owner, draw_incarnation, key_pair_name
+from hpcdeploy.spec.names import Owner, draw_incarnation
 from hpcdeploy.spec.polling import Pace, utc_now
 from hpcdeploy.spec.provider import Credentials
 

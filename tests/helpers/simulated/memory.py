@@ -29,8 +29,9 @@ from hpcdeploy.provider import (
     Tags,
 )
 from hpcdeploy.providers.ec2.access import plan_access
+from hpcdeploy.providers.ec2.names import client_token, group_name, key_pair_name
 from hpcdeploy.providers.ec2.observe import GroupSeen, KeyPairSeen
-from hpcdeploy.spec.names import Owner, client_token, group_name, key_pair_name
+from hpcdeploy.spec.names import Owner
 from hpcdeploy.spec.polling import utc_now
 
 __all__ = ["Hook", "MemoryProvider"]

@@ -11,6 +11,7 @@ from hpcdeploy.provider import Maker, Needs, Observed, Resource, Step
 from hpcdeploy.providers.ec2.capabilities import Capabilities
 from hpcdeploy.providers.ec2.client import Calls
 from hpcdeploy.providers.ec2.errors import code_of
+from hpcdeploy.providers.ec2.names import CLUSTER_TAG, OWNER_TAG, PREFIX, group_name, key_pair_name
 from hpcdeploy.providers.ec2.observe import (
     GroupSeen,
     KeyPairSeen,
@@ -20,7 +21,7 @@ from hpcdeploy.providers.ec2.observe import (
     read_group,
     read_key_pair,
 )
-from hpcdeploy.spec.names import CLUSTER_TAG, OWNER_TAG, PREFIX, Owner, group_name, key_pair_name
+from hpcdeploy.spec.names import Owner
 
 __all__ = ["AccessKeeper", "GroupKeeper", "KeyPairKeeper", "plan_access"]
 

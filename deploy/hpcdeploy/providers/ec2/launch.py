@@ -9,8 +9,7 @@ from typing import Any
 from hpccomponent.errors import CloudError
 from hpcdeploy.provider import Launch
 from hpcdeploy.providers.ec2.capabilities import Capabilities
-from hpcdeploy.providers.ec2.observe import identity_tags, lease_text
-from hpcdeploy.spec.names import (
+from hpcdeploy.providers.ec2.names import (
     LEASE_TAG,
     MADE_TAG,
     OWNER_TAG,
@@ -18,6 +17,7 @@ from hpcdeploy.spec.names import (
     client_token,
     key_pair_name,
 )
+from hpcdeploy.providers.ec2.observe import identity_tags, lease_text
 from hpcdeploy.spec.provider import CloudSpec, Profile
 
 __all__ = ["attempt_of", "launch_parameters", "launch_tags", "profile_of", "root_disk"]

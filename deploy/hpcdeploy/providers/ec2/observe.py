@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from typing import Any, ClassVar
 
 from hpcdeploy.provider import MachineSeen, Resource, State
-from hpcdeploy.spec.names import (
+from hpcdeploy.providers.ec2.names import (
     CLUSTER_TAG,
     GENERATION_TAG,
     INCARNATION_TAG,
@@ -24,12 +24,10 @@ from hpcdeploy.spec.names import (
     OWNER_TAG,
     PREFIX,
     WORKERS_TAG,
-    NodeName,
     key_pair_name,
     read_client_token,
-    read_desired,
-    read_owner,
 )
+from hpcdeploy.spec.names import NodeName, read_desired, read_owner
 
 __all__ = [
     "GroupSeen",

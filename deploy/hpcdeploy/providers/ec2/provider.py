@@ -42,6 +42,15 @@ from hpcdeploy.providers.ec2.client import Calls, open_calls, read_parameter
 from hpcdeploy.providers.ec2.errors import code_of
 from hpcdeploy.providers.ec2.images import ImageKeeper
 from hpcdeploy.providers.ec2.launch import attempt_of, launch_parameters, launch_tags, profile_of
+from hpcdeploy.providers.ec2.names import (
+    CLUSTER_TAG,
+    LEASE_TAG,
+    OWNER_TAG,
+    PREFIX,
+    WORKERS_TAG,
+    client_token,
+    group_name,
+)
 from hpcdeploy.providers.ec2.observe import (
     GroupSeen,
     KeyPairSeen,
@@ -51,16 +60,7 @@ from hpcdeploy.providers.ec2.observe import (
     read_machine,
 )
 from hpcdeploy.spec.cluster import ClusterSpec
-from hpcdeploy.spec.names import (
-    CLUSTER_TAG,
-    LEASE_TAG,
-    OWNER_TAG,
-    PREFIX,
-    WORKERS_TAG,
-    Owner,
-    client_token,
-    group_name,
-)
+from hpcdeploy.spec.names import Owner
 from hpcdeploy.spec.provider import CloudSpec
 
 __all__ = ["Ec2Provider", "open_ec2"]
