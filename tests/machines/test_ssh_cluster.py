@@ -26,7 +26,7 @@ from hpcdeploy.reconcile.converge import bring_up, look_ahead, take_down
 from hpcdeploy.reconcile.plan import LaunchNode, Terminate
 from hpcdeploy.spec.job_folder import JobOrder, create_job
 from hpcdeploy.spec.names import NodeName
-from hpcdeploy.spec.polling import Pace
+from hpcdeploy.spec.polling import Polling
 
 FOLDER = "hpcapp/lab"
 
@@ -147,7 +147,7 @@ def test_a_host_whose_claim_is_damaged_is_named_and_the_others_are_served(
     table = CliRunner().invoke(hpcapp, ["status", str(file), "--offline"]).output.splitlines()
     assert table[0] == "cluster lab (ssh): up, worker-1 cannot be looked at"
     with open_cluster(file) as cluster, pytest.raises(LeftoverError, match="worker-1") as caught:
-        take_down(cluster, print, pace=Pace(poll_s=0.01))
+        take_down(cluster, print, polling=Polling(poll_s=0.01))
     assert "machine.json cannot be read" in caught.value.problem
     assert not (hosts[0].home / FOLDER).exists()
     assert place.exists()
@@ -196,19 +196,19 @@ def test_down_names_a_host_that_does_not_answer_and_leaves_the_others_clean(
     file: Path, hosts: tuple[Server, Server], machines: Machines
 ) -> None:
     said: list[str] = []
-    pace = Pace(poll_s=0.01, end_s=600.0)
+    polling = Polling(poll_s=0.01, end_s=600.0)
     with open_cluster(file) as cluster:
         claim(cluster)
         machines.stop(hosts[1])
         with pytest.raises(LeftoverError) as caught:
-            take_down(cluster, said.append, pace=pace)
+            take_down(cluster, said.append, polling=polling)
         assert caught.value.exit_code == 4
         assert "worker-1" in caught.value.problem
         assert "connection refused" in caught.value.problem
         assert "head" not in caught.value.problem
         assert not (hosts[0].home / "hpcapp").exists()
         machines.start(hosts[1], hosts[1].port)
-        take_down(cluster, said.append, pace=pace)
+        take_down(cluster, said.append, polling=polling)
     assert not (hosts[1].home / "hpcapp").exists()
 
 
@@ -381,7 +381,7 @@ def test_down_of_a_cluster_that_was_never_made_says_what_is_known(
     for host in hosts:
         machines.stop(host)
     with open_cluster(file) as cluster, pytest.raises(LeftoverError) as caught:
-        take_down(cluster, said.append, pace=Pace(poll_s=0.01))
+        take_down(cluster, said.append, polling=Polling(poll_s=0.01))
     problem, advice = caught.value.problem, caught.value.advice
     assert problem.startswith("not known whether anything is left on head 127.0.0.")
     assert problem.count("unreachable: connection refused") == 2
@@ -390,7 +390,7 @@ def test_down_of_a_cluster_that_was_never_made_says_what_is_known(
     for host in hosts:
         machines.start(host, host.port)
     with open_cluster(file) as cluster:
-        take_down(cluster, said.append, pace=Pace(poll_s=0.01))
+        take_down(cluster, said.append, polling=Polling(poll_s=0.01))
     assert said == []
 
 

@@ -56,8 +56,8 @@ def plan(file: Path, as_json: bool) -> None:
     missing = check_wheels(spec, file.absolute().parent)
     cost = estimate_cost(spec)
     if as_json:
-        found = _as_json(spec.cluster, ahead, cost, missing, decided)
-        echo_json(found | {"drift": drift, "elsewhere": elsewhere})
+        report = _as_json(spec.cluster, ahead, cost, missing, decided)
+        echo_json(report | {"drift": drift, "elsewhere": elsewhere})
     else:
         lines = _lines(spec.cluster, ahead, cost, missing, [*drift, *decided])
         echo("\n".join(map(visible_line, lines)))

@@ -30,8 +30,8 @@ def reap(files: tuple[Path, ...], dry_run: bool) -> None:
 
     for where, provider in open_clouds(files):
         if dry_run:
-            found = describe(overdue(provider.observe(None), utc_now()))
-            echo(f"{where}: {f'would remove {found}' if found else 'nothing to remove'}")
+            remains = describe(overdue(provider.observe(None), utc_now()))
+            echo(f"{where}: {f'would remove {remains}' if remains else 'nothing to remove'}")
         else:
             remove_overdue(provider, say)
             echo(f"{where}: nothing expired or orphaned is left")

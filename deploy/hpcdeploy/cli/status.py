@@ -24,11 +24,11 @@ def status(file: Path, as_json: bool, offline: bool) -> None:
     from hpcdeploy.reconcile.status import describe_cluster, write_table
 
     with open_cluster(file) as cluster:
-        found = describe_cluster(cluster, ask_machines=not offline)
+        described = describe_cluster(cluster, ask_machines=not offline)
     if as_json:
-        echo_json(found)
+        echo_json(described)
     else:
-        echo(write_table(found))
+        echo(write_table(described))
 
 
 @click.command()
@@ -51,11 +51,11 @@ def ls(files: tuple[Path, ...], is_all: bool, as_json: bool) -> None:
     rows, silent = list[dict[str, Any]](), list[CloudError]()
     for where, provider in open_clouds(files):
         try:
-            found = list_clusters(where, provider.observe(None))
+            listed = list_clusters(where, provider.observe(None))
         except CloudError as error:  # the other clouds are listed all the same
             silent.append(error)
             continue
-        rows += [row for row in found if names is None or row["cluster"] in names]
+        rows += [row for row in listed if names is None or row["cluster"] in names]
     if rows or not silent:
         if as_json:
             echo_json(rows)

@@ -97,7 +97,7 @@ def _sweep(folder: str, needs: Needs) -> str:
 
 def _install_script(folder: str, python: str, needs: Needs) -> str:
     pip = next((path.name for path in needs.files if path.name.startswith("pip-")), None)
-    own = f"../venv/bin/python {pip}/pip" if pip else "../venv/bin/python -m pip"
+    pip_command = f"../venv/bin/python {pip}/pip" if pip else "../venv/bin/python -m pip"
     places = "--no-index --find-links ." if needs.is_offline else ""
     lines = [
         f"cd {folder} && rm -rf venv",
@@ -106,8 +106,8 @@ def _install_script(folder: str, python: str, needs: Needs) -> str:
     ]
     if needs.requirements:
         wanted = " ".join(map(_word, needs.requirements))
-        lines.append(f"{own} {_PIP} {places} {wanted}")
-    lines.append(f"{own} {_PIP} {places} --no-deps {' '.join(map(_word, needs.bare))}")
+        lines.append(f"{pip_command} {_PIP} {places} {wanted}")
+    lines.append(f"{pip_command} {_PIP} {places} --no-deps {' '.join(map(_word, needs.bare))}")
     return "set -e\n" + "\n".join(lines)
 
 

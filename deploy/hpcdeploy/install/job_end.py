@@ -8,7 +8,7 @@ from hpcdeploy.spec.layout import machine_folder
 
 __all__ = ["end_jobs"]
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 
 
 def end_jobs(head: Shell, cluster: str) -> None:
@@ -23,7 +23,7 @@ def end_jobs(head: Shell, cluster: str) -> None:
     done = head.run(
         f"cd {folder} && [ -d jobs ] && [ -x venv/bin/python ] || exit 0; "
         "exec venv/bin/python -P -m hpcdeploy.jobs.runner --folder . end",
-        timeout_s=PATIENCE_S,
+        timeout_s=TIMEOUT_S,
     )
     if done.exit_code != 0:
         raise CloudError(

@@ -18,7 +18,7 @@ from hpcdeploy.spec.job_folder import JobOrder
 __all__ = ["fetch_points", "send_mesh"]
 
 CHUNK = 1 << 20
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 ATTEMPTS = 3
 
 
@@ -104,6 +104,6 @@ def send_mesh(order: JobOrder, mesh: Path, say: Callable[[str], None]) -> str:
 def _open(order: JobOrder, request: urllib.request.Request) -> HTTPResponse:
     context = ssl.create_default_context(cadata=order.ca_bundle or None)
     answer: HTTPResponse = urllib.request.urlopen(  # noqa: S310 - the user's own address
-        request, timeout=PATIENCE_S, context=context
+        request, timeout=TIMEOUT_S, context=context
     )
     return answer

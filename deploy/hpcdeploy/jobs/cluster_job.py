@@ -274,7 +274,7 @@ class _Replacements:
 def _replacing_lost(cluster: Cluster) -> _Replacements:
     """Return what replaces workers that vanish, now and then."""
     from hpcdeploy.reconcile.converge import replace_lost
-    from hpcdeploy.spec.polling import Pace
+    from hpcdeploy.spec.polling import Polling
 
     is_over = threading.Event()
 
@@ -288,7 +288,7 @@ def _replacing_lost(cluster: Cluster) -> _Replacements:
             try:
                 seen = present.provider.observe(present.spec.cluster)
                 present = as_desired(present, seen, log.info)  # also where the rest fails
-                present = replace_lost(present, log.info, pace=Pace(sleep=sleep), seen=seen)
+                present = replace_lost(present, log.info, polling=Polling(sleep=sleep), seen=seen)
             except _OverError:
                 return  # what was begun stands in the journal
             except UsageError as error:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["Jobs", "open_jobs", "raise_damage", "raise_failure"]
 
 _ERRORS: dict[int, type[HpcError]] = {2: UsageError, 3: InputError, 4: CloudError}
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 EXCERPT = 5
 _MOST_EXCERPT = 500  # characters
 
@@ -264,7 +264,7 @@ class Jobs:
 
     def _run(self, command: str, *, stdin: bytes = b"") -> list[str]:
         """Run a command on the head; return its lines."""
-        done = self._head.run(command, stdin=stdin, timeout_s=PATIENCE_S)
+        done = self._head.run(command, stdin=stdin, timeout_s=TIMEOUT_S)
         if done.exit_code != 0:
             said, excerpt = _said(done.errors.strip().splitlines(), done.exit_code)
             kind = _ERRORS.get(done.exit_code, CloudError)

@@ -263,8 +263,8 @@ def _answer(arguments: argparse.Namespace) -> Iterator[str]:
             jobs = [job for job in reversed(all_jobs(folder)) if job.is_alive()]
             for job in jobs:
                 yield cancel(job).to_json()
-            if left := [job.path.name for job in jobs if job.is_alive()]:
-                raise JobError(f"job {', '.join(left)} does not end")
+            if alive_jobs := [job.path.name for job in jobs if job.is_alive()]:
+                raise JobError(f"job {', '.join(alive_jobs)} does not end")
         case "follow":
             follow(_find_job(folder, arguments.job))
         case "log":

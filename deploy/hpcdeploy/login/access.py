@@ -21,14 +21,14 @@ from hpcdeploy.login.host_keys import HostKeys, parse_console
 from hpcdeploy.login.local_shell import LocalShell
 from hpcdeploy.login.shell import Shell
 from hpcdeploy.login.ssh.connect import connect
-from hpcdeploy.login.ssh.connection import Patience
+from hpcdeploy.login.ssh.connection import Timeouts
 from hpcdeploy.login.ssh.keys import public_key
 from hpcdeploy.login.ssh.reach import Reach, ReachError
 from hpcdeploy.login.ssh.shell import SshShell
 from hpcdeploy.login.ssh.target import Target, host_id, host_target, jump_targets
 from hpcdeploy.ownership.journal import peek_journal
 from hpcdeploy.ownership.node_keys import NodeKeys
-from hpcdeploy.ownership.ownership import Held, cloud_fingerprints, fingerprint
+from hpcdeploy.ownership.ownership import Ownership, cloud_fingerprints, fingerprint
 from hpcdeploy.provider import MachineSeen, Provider
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import state_folder
@@ -80,7 +80,7 @@ class Access:
         """
         return public_key(self._key_file(is_made=True))
 
-    def held(self) -> Held:
+    def ownership(self) -> Ownership:
         """Return what this machine holds of the cluster; nothing is made.
 
         A cloud's machines let in whoever has the cluster's SSH key. Hosts let in their users'
@@ -89,12 +89,12 @@ class Access:
         lives = peek_journal(self._spec.cluster).lives
         if not self._spec.provider.makes_machines:
             pair = NodeKeys.read(self._folder / "keys.json")
-            return Held(Owner(this_user(), _curve_print(pair) if pair else ""), lives=lives)
+            return Ownership(Owner(this_user(), _curve_print(pair) if pair else ""), lives=lives)
         path = self._key_file()
         if self._spec.auth.ssh_private_key == "auto" and not path.exists():
-            return Held(Owner(this_user()), lives=lives)
+            return Ownership(Owner(this_user()), lives=lives)
         key = public_key(path)
-        return Held(Owner(this_user(), fingerprint(key)), cloud_fingerprints(key), lives)
+        return Ownership(Owner(this_user(), fingerprint(key)), cloud_fingerprints(key), lives)
 
     def owner(self) -> Owner:
         """Return us as the owner of what is made; the key is made on first use."""
@@ -166,7 +166,7 @@ class Access:
         [host] = [host for host in hosts if host_id(host) == machine.id]
         auth = self._spec.auth
         files = () if auth.ssh_private_key == "auto" else (str(self._key_file()),)
-        limit_s = Patience().login_s if timeout_s is None else timeout_s
+        limit_s = Timeouts().login_s if timeout_s is None else timeout_s
         try:
             return _log_in(machine, host_target(host, auth, files), limit_s)
         except ReachError as error:
@@ -235,7 +235,7 @@ class Access:
                 () if self._spec.auth.ssh_private_key == "auto" else (str(key_file),),
             ),
         )
-        limit_s = min(Patience().login_s, max(LAST_S, deadline - time.monotonic()))
+        limit_s = min(Timeouts().login_s, max(LAST_S, deadline - time.monotonic()))
         return _log_in(machine, target, limit_s)
 
     def _address(self, machine: MachineSeen) -> str:
@@ -265,7 +265,7 @@ def _curve_print(pair: KeyPair) -> str:
 
 def _log_in(machine: MachineSeen, target: Target, limit_s: float) -> SshShell:
     with ExitStack() as closer:
-        connection = connect(target, closer, Patience(login_s=limit_s))
+        connection = connect(target, closer, Timeouts(login_s=limit_s))
         return SshShell(machine.name.node, connection, closer.pop_all())
 
 

@@ -43,8 +43,10 @@ def parse_console(text: str) -> list[tuple[str, str]]:
     ... -----END SSH HOST KEY KEYS-----''')
     [('ssh-ed25519', 'AAAAC3Nz')]
     """
-    found = (match.groups() for block in _BLOCK.findall(text) for match in _KEY.finditer(block))
-    return list(dict.fromkeys((kind, key) for kind, key in found))
+    printed_keys = (
+        match.groups() for block in _BLOCK.findall(text) for match in _KEY.finditer(block)
+    )
+    return list(dict.fromkeys((kind, key) for kind, key in printed_keys))
 
 
 class HostKeys:

@@ -53,10 +53,10 @@ def run_parallel(
     try:
         _start(work, min(at_once, len(items)), name)
         for _ in items:
-            found = _wait_for(done)
-            if isinstance(found, BaseException):
-                raise found
-            results[found[0]] = found[1]
+            outcome = _wait_for(done)
+            if isinstance(outcome, BaseException):
+                raise outcome
+            results[outcome[0]] = outcome[1]
     finally:
         todo.clear()
     return [results[number] for number in range(len(items))]

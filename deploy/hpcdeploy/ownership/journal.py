@@ -226,14 +226,14 @@ class Journal:
     @property
     def places(self) -> tuple[str, ...]:
         """Where something was made that was not taken down since, the earliest first."""
-        found: dict[str, None] = {}
+        places: dict[str, None] = {}
         for entry in self._entries:
             match entry:
                 case {"place": place}:
-                    found[place] = None
+                    places[place] = None
                 case {"cleared": place}:
-                    found.pop(place, None)
-        return tuple(found)
+                    places.pop(place, None)
+        return tuple(places)
 
     def unfinished(self) -> list[str]:
         """Return what was begun and neither done nor refused, in the order in which it was begun.

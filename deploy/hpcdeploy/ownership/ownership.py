@@ -19,7 +19,7 @@ from hpcdeploy.spec.names import Owner, incarnation_began
 
 __all__ = [
     "MAKING",
-    "Held",
+    "Ownership",
     "cloud_fingerprints",
     "fingerprint",
     "foreign_owner",
@@ -31,7 +31,7 @@ MAKING = timedelta(hours=1)
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class Ownership:
     """What this machine holds of a cluster.
 
     Parameters
@@ -93,40 +93,40 @@ def _digest(public_key: str) -> bytes:
     return hashlib.sha256(base64.b64decode(public_key.split()[1])).digest()
 
 
-def ours(observed: Observed, held: Held) -> frozenset[str]:
+def ours(observed: Observed, ownership: Ownership) -> frozenset[str]:
     """Return the ids of the machines that are ours."""
-    return frozenset(m.id for m in observed.machines if _is_ours(m, observed, held))
+    return frozenset(m.id for m in observed.machines if _is_ours(m, observed, ownership))
 
 
-def foreign_owner(observed: Observed, held: Held, now: datetime) -> Owner | None:
+def foreign_owner(observed: Observed, ownership: Ownership, now: datetime) -> Owner | None:
     """Return whose a cluster is where not all of it is ours; None where we may change it."""
-    return next(_foreign(observed, held, now), None)
+    return next(_foreign(observed, ownership, now), None)
 
 
-def _foreign(observed: Observed, held: Held, now: datetime) -> Iterator[Owner]:
+def _foreign(observed: Observed, ownership: Ownership, now: datetime) -> Iterator[Owner]:
     # What is ending is let go by its owner; a host that hides what it does hides its owner too.
     hidden = (State.ENDING, State.GONE, State.UNKNOWN)
     machines = [m for m in observed.machines if m.state not in hidden]
     for machine in machines:
-        if not _is_ours(machine, observed, held):
+        if not _is_ours(machine, observed, ownership):
             yield _owner_of(machine, observed)
     occupied = {machine.incarnation for machine in machines}
     for life in observed.lives:
         if life.owner.key:
-            if life.owner.key != held.owner.key:
+            if life.owner.key != ownership.owner.key:
                 yield life.owner
         elif life.incarnation not in occupied:  # else its machines have told
             began = incarnation_began(life.incarnation)
             is_young = began is not None and began + MAKING > now
-            if is_young and not _is_begun_by_us(life.incarnation, observed, held):
+            if is_young and not _is_begun_by_us(life.incarnation, observed, ownership):
                 yield life.owner
 
 
-def _is_ours(machine: MachineSeen, observed: Observed, held: Held) -> bool:
+def _is_ours(machine: MachineSeen, observed: Observed, ownership: Ownership) -> bool:
     key = _owner_of(machine, observed).key
     if key:
-        return key == held.owner.key
-    return _is_begun_by_us(machine.incarnation, observed, held)
+        return key == ownership.owner.key
+    return _is_begun_by_us(machine.incarnation, observed, ownership)
 
 
 def _owner_of(machine: MachineSeen, observed: Observed) -> Owner:
@@ -137,7 +137,7 @@ def _owner_of(machine: MachineSeen, observed: Observed) -> Owner:
     return next((owner for owner in of_life if owner.key), machine.owner)
 
 
-def _is_begun_by_us(incarnation: str, observed: Observed, held: Held) -> bool:
+def _is_begun_by_us(incarnation: str, observed: Observed, ownership: Ownership) -> bool:
     """Tell whether a life without an owner is ours: by our journal, or by its key."""
     prints = {r.fingerprint for r in observed.resources if r.incarnation == incarnation} - {""}
-    return incarnation in held.lives or bool(prints & held.pairs)
+    return incarnation in ownership.lives or bool(prints & ownership.pairs)

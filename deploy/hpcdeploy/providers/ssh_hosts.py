@@ -71,13 +71,13 @@ class SshHosts(StandingMachines):
         """
         if cluster not in (None, self._spec.cluster):
             return Observed()
-        found = run_parallel(self._look, list(self._hosts), connections_at_once(), "hosts")
-        unasked = [s for s in found if isinstance(s, ReachError) and s.reach in UNASKED]
-        if len(unasked) == len(found):
+        looks = run_parallel(self._look, list(self._hosts), connections_at_once(), "hosts")
+        unasked = [s for s in looks if isinstance(s, ReachError) and s.reach in UNASKED]
+        if len(unasked) == len(looks):
             raise unasked[0]
         seen_by_node = {
             node: self._hidden(node, seen) if isinstance(seen, CloudError) else seen
-            for node, seen in zip(self._hosts, found, strict=True)
+            for node, seen in zip(self._hosts, looks, strict=True)
             if seen is not None
         }
         return Observed(_without_usurpers(seen_by_node))

@@ -106,7 +106,7 @@ def _choose_key(cluster: Cluster, key: Path | None, there: Iterable[MachineSeen]
     wanted = {machine.owner.key for machine in there} - {""}
     if key is not None:
         access.use_key(key)
-    elif not access.held().owner.key:
+    elif not access.ownership().owner.key:
         raise CloudError(
             f"there is no key of cluster {spec.cluster} here",
             f"give the key of its owner by --key FILE (there it is "

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, OutdatedError
 from hpcdeploy.ownership.journal import peek_journal
-from hpcdeploy.ownership.ownership import Held, foreign_owner
+from hpcdeploy.ownership.ownership import Ownership, foreign_owner
 from hpcdeploy.provider import MachineSeen, Observed, Provider, Resource, State
 from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.spec.cluster import ClusterSpec, read_spec
@@ -179,10 +179,10 @@ def require_ours(cluster: Cluster, observed: Observed, now: datetime | None = No
     """
     if not cluster.spec.provider.is_shared or not _is_any(observed):
         return
-    held = cluster.access.held()
-    owner = foreign_owner(observed, held, now or utc_now())
+    ownership = cluster.access.ownership()
+    owner = foreign_owner(observed, ownership, now or utc_now())
     if owner is not None:
-        raise CloudError(describe_foreign(cluster.spec.cluster, owner, held), _advice(cluster))
+        raise CloudError(describe_foreign(cluster.spec.cluster, owner, ownership), _advice(cluster))
 
 
 def require_same(cluster: Cluster, before: Observed, now: Observed) -> None:
@@ -236,17 +236,21 @@ def describe_elsewhere(cluster: Cluster) -> str:
     )
 
 
-def describe_foreign(name: str, owner: Owner, held: Held) -> str:
+def describe_foreign(name: str, owner: Owner, ownership: Ownership) -> str:
     """Say whose a cluster is, and what is held here, in one line.
 
     Parameters
     ----------
-    held : Held
+    ownership : Ownership
         What this machine holds of it.
     """
     by = owner.user or "somebody"
     key = f"with the key {owner.key}" if owner.key else "without a trace of its key"
-    here = f"the key here is {held.owner.key}" if held.owner.key else "there is no key of it here"
+    here = (
+        f"the key here is {ownership.owner.key}"
+        if ownership.owner.key
+        else "there is no key of it here"
+    )
     return f"cluster {name} was made elsewhere: by {by} {key}; {here}"
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from hpccomponent.errors import CloudError, HpcError, LeftoverError, OutdatedError
 from hpcdeploy.ownership.journal import Journal, open_journal, peek_journal
-from hpcdeploy.ownership.ownership import Held, ours
+from hpcdeploy.ownership.ownership import Ownership, ours
 from hpcdeploy.provider import Observed, State
 from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.reconcile.cluster import (
@@ -27,12 +27,12 @@ from hpcdeploy.reconcile.cluster import (
     require_same,
 )
 from hpcdeploy.reconcile.cost import check_limits, estimate_cost
-from hpcdeploy.reconcile.effort import Effort, Report
 from hpcdeploy.reconcile.plan import LIVE, Plan
+from hpcdeploy.reconcile.reconciler import Reconciler, Report
 from hpcdeploy.reconcile.removal import remove
 from hpcdeploy.reconcile.termination import Proof, Reason
 from hpcdeploy.spec.layout import forget_cluster
-from hpcdeploy.spec.polling import Pace
+from hpcdeploy.spec.polling import Polling
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
@@ -49,7 +49,7 @@ def look_ahead(cluster: Cluster) -> Plan:
         The cluster was made elsewhere.
     """
     journal = peek_journal(cluster.spec.cluster)
-    return Effort(cluster, journal, lambda _: None, Pace()).plan()
+    return Reconciler(cluster, journal, lambda _: None, Polling()).plan()
 
 
 def bring_up(
@@ -57,7 +57,7 @@ def bring_up(
     report: Report,
     *,
     keep: bool = False,
-    pace: Pace | None = None,
+    polling: Polling | None = None,
     agreed: Plan | None = None,
 ) -> None:
     """Make the cloud as the file says, and set the machines up; run again, it goes on.
@@ -82,13 +82,13 @@ def bring_up(
         It may cost more than the file allows; nothing was done.
     """
     check_limits(cluster.spec, estimate_cost(cluster.spec))
-    pace = pace or Pace()
-    require_ours(cluster, cluster.provider.observe(cluster.spec.cluster), pace.now())
+    polling = polling or Polling()
+    require_ours(cluster, cluster.provider.observe(cluster.spec.cluster), polling.now())
     with open_journal(cluster.spec.cluster) as journal:
         if unfinished := journal.unfinished():
             report(f"not finished before: {', '.join(unfinished)}; going on from what there is")
-        effort = Effort(cluster, journal, report, pace)
-        plan = effort.first_plan()
+        reconciler = Reconciler(cluster, journal, report, polling)
+        plan = reconciler.first_plan()
         if agreed is not None and (beyond := plan.beyond(agreed)):
             raise OutdatedError(
                 f"cluster {cluster.spec.cluster} has changed meanwhile: {'; '.join(beyond)}, which "
@@ -97,7 +97,7 @@ def bring_up(
             )
         try:
             with journal.command("bring the cluster up"):
-                effort.converge(plan)
+                reconciler.converge(plan)
         except KeyboardInterrupt:
             report(f"what was made stays: {_ways_on(cluster)}")
             raise
@@ -106,9 +106,11 @@ def bring_up(
                 report(f"what was made stays: {_ways_on(cluster)}")
                 raise
             try:
-                effort.undo(error.problem if isinstance(error, HpcError) else str(error))
-            except CloudError as left:
-                raise LeftoverError(f"{error}; besides, {left.problem}", left.advice) from None
+                reconciler.undo(error.problem if isinstance(error, HpcError) else str(error))
+            except CloudError as leftover:
+                raise LeftoverError(
+                    f"{error}; besides, {leftover.problem}", leftover.advice
+                ) from None
             except KeyboardInterrupt:
                 report(f"not all that was made is gone: hpcapp down {cluster.path} removes it")
                 report(str(error))
@@ -117,7 +119,11 @@ def bring_up(
 
 
 def replace_lost(
-    cluster: Cluster, report: Report, *, pace: Pace | None = None, seen: Observed | None = None
+    cluster: Cluster,
+    report: Report,
+    *,
+    polling: Polling | None = None,
+    seen: Observed | None = None,
 ) -> Cluster:
     """Start new machines for workers that have vanished, and set them up.
 
@@ -143,14 +149,18 @@ def replace_lost(
         return cluster  # and no other command finds the journal locked
     check_limits(cluster.spec, estimate_cost(cluster.spec))
     with open_journal(cluster.spec.cluster) as journal:
-        effort = Effort(cluster, journal, report, pace or Pace(), only_replace=True)
+        reconciler = Reconciler(cluster, journal, report, polling or Polling(), only_replace=True)
         with journal.command("replace lost workers"):
-            effort.converge(effort.first_plan())
-    return replace(cluster, spec=effort.spec)
+            reconciler.converge(reconciler.first_plan())
+    return replace(cluster, spec=reconciler.spec)
 
 
 def take_down(
-    cluster: Cluster, report: Report, *, pace: Pace | None = None, named: Observed | None = None
+    cluster: Cluster,
+    report: Report,
+    *,
+    polling: Polling | None = None,
+    named: Observed | None = None,
 ) -> None:
     """Take away all that the cloud lists of a cluster, whatever its file says by now.
 
@@ -170,14 +180,14 @@ def take_down(
         The cluster was made elsewhere and not named; or what its jobs have put into the bucket
         cannot be taken away.
     """
-    pace = pace or Pace()
+    polling = polling or Polling()
     seen = cluster.provider.observe(cluster.spec.cluster)
     if named is None:
-        require_ours(cluster, seen, pace.now())
+        require_ours(cluster, seen, polling.now())
     else:
         require_same(cluster, named, seen)
     with open_journal(cluster.spec.cluster) as journal:
-        _remove_all(cluster, journal, seen, report, pace)
+        _remove_all(cluster, journal, seen, report, polling)
         bucket = cluster.provider.bucket()
         if bucket is not None:
             with journal.step("clear the bucket"):
@@ -189,7 +199,7 @@ def take_down(
 
 
 def _remove_all(
-    cluster: Cluster, journal: Journal, seen: Observed, report: Report, pace: Pace
+    cluster: Cluster, journal: Journal, seen: Observed, report: Report, polling: Polling
 ) -> None:
     """Take away what was seen, and what is ours; not what others make of this name meanwhile."""
     lives = frozenset(machine.incarnation for machine in seen.machines)
@@ -197,23 +207,25 @@ def _remove_all(
 
     def doomed() -> tuple[Observed, Proof]:
         now = cluster.provider.observe(cluster.spec.cluster)
-        held = cluster.access.held()
-        return _doomed(now, held, lives), Proof(ours=ours(now, held), lives=lives)
+        ownership = cluster.access.ownership()
+        return _doomed(now, ownership, lives), Proof(ours=ours(now, ownership), lives=lives)
 
     looks = 3 if cluster.provider.makes_machines and journal.unfinished() else 1
-    remove(cluster.provider, doomed, Reason.DOWN, journal.step, report, pace, looks)
+    remove(cluster.provider, doomed, Reason.DOWN, journal.step, report, polling, looks)
 
 
-def _doomed(seen: Observed, held: Held, lives: frozenset[str]) -> Observed:
-    mine = ours(seen, held)
-    lives |= held.lives
+def _doomed(seen: Observed, ownership: Ownership, lives: frozenset[str]) -> Observed:
+    own_machines = ours(seen, ownership)
+    lives |= ownership.lives
     machines = tuple(
         m
         for m in seen.machines
-        if m.id in mine or m.incarnation in lives or m.state is State.UNKNOWN
+        if m.id in own_machines or m.incarnation in lives or m.state is State.UNKNOWN
     )
     lives |= {machine.incarnation for machine in machines}
-    lives |= {r.incarnation for r in seen.lives if r.owner.key and r.owner.key == held.owner.key}
+    lives |= {
+        r.incarnation for r in seen.lives if r.owner.key and r.owner.key == ownership.owner.key
+    }
     return Observed(machines, tuple(r for r in seen.resources if r.incarnation in lives))
 
 

@@ -80,12 +80,14 @@ def describe_drift(spec: ClusterSpec, machines: Sequence[MachineSeen], file: Pat
         if differing := find_drift(spec, machine):
             alike.setdefault(", ".join(differing), []).append(machine)
     lines = [
-        f"drift: {', '.join(f'{m.name.node} ({m.id})' for m in some)}: {what}"
-        for what, some in alike.items()
+        f"drift: {', '.join(f'{m.name.node} ({m.id})' for m in alike_machines)}: {what}"
+        for what, alike_machines in alike.items()
     ]
     if not lines:
         return []
-    only_workers = all(machine.name.node != HEAD for some in alike.values() for machine in some)
+    only_workers = all(
+        machine.name.node != HEAD for alike_machines in alike.values() for machine in alike_machines
+    )
     way = f"hpcapp scale {file} 0" if only_workers else f"hpcapp down {file}"
     return [
         *lines,

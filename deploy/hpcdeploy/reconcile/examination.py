@@ -58,13 +58,13 @@ def examine(
     yield from _told("state folder", list(_state_problems(cluster)), "", report)
     machines = cluster.provider.hosts()
     if not machines:
-        found = []
+        problems = []
         try:
             machines = cluster.machines()
-            found = cluster.provider.check()
+            problems = cluster.provider.check()
         except CloudError as error:  # all else that it would be asked fails too
-            found = [Problem(error.problem, error.advice)]
-        yield from _told("cloud", found, "", report)
+            problems = [Problem(error.problem, error.advice)]
+        yield from _told("cloud", problems, "", report)
     wheels = check_wheels(cluster.spec, cluster.access.base)
     yield from _told("wheels", wheels, "", report)
     for seen in visit(cluster, machines, wait_s=wait_s, answer_s=answer_s):
@@ -107,16 +107,16 @@ def _state_problems(cluster: Cluster) -> Iterator[Problem]:
 
 
 def _told(
-    what: str, found: Sequence[Problem], about: str, report: Callable[[str], None]
+    what: str, problems: Sequence[Problem], about: str, report: Callable[[str], None]
 ) -> Sequence[Problem]:
-    if not found:
+    if not problems:
         report(f"{what}: good" + (f" ({about})" if about else ""))
-    for problem in found:
+    for problem in problems:
         said = without_node(problem.what, what)
         report(f"{what}: {said}" + (f"; {problem.advice}" if problem.advice else ""))
         if problem.excerpt:
             report(write_block(problem.excerpt))
-    return found
+    return problems
 
 
 def _visit(cluster: Cluster, machine: MachineSeen, wait_s: float, answer_s: float) -> Visit:
@@ -183,7 +183,7 @@ def _install_problems(probed: Probed) -> Iterator[Problem]:
     if probed.release == DAMAGED:
         yield Problem("files of what is installed are missing", "run hpcapp up", is_fatal=False)
     elif probed.release != package_version():
-        found = f"hpcapp {probed.release}" if probed.release else "no hpcapp"
-        yield Problem(f"{found} is installed, not {package_version()}", "run hpcapp up", False)
+        release = f"hpcapp {probed.release}" if probed.release else "no hpcapp"
+        yield Problem(f"{release} is installed, not {package_version()}", "run hpcapp up", False)
     elif not probed.is_running:
         yield Problem("its loader does not run", "run hpcapp up; see loader.log", is_fatal=False)

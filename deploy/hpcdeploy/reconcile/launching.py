@@ -14,7 +14,7 @@ from hpcdeploy.reconcile.drift import made_as
 from hpcdeploy.reconcile.plan import LaunchNode
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.names import HEAD, NodeName, Owner
-from hpcdeploy.spec.polling import Pace
+from hpcdeploy.spec.polling import Polling
 
 __all__ = ["Shortage", "launch_nodes"]
 
@@ -41,16 +41,16 @@ class _Request:
     journal: Journal
     incarnation: str
     owner: Owner
-    pace: Pace
+    polling: Polling
     report: Callable[[str], None]
 
     def launch(self, action: LaunchNode) -> MachineSeen | Shortage:
         """Try the choices in their order, and the whole order again after a while."""
         error = CloudError(f"{action.name.node}: nothing to try")
-        for wait_s in (0.0, *self.pace.backoff_s):
+        for wait_s in (0.0, *self.polling.backoff_s):
             if wait_s:
                 self.report(f"{error.problem}; trying again in {wait_s:.0f} s")
-                self.pace.sleep(wait_s)
+                self.polling.sleep(wait_s)
             for choice in self._choices(action):
                 try:
                     return self._ask(action, choice)
@@ -117,7 +117,7 @@ class _Request:
         """Return the end of the lease: a request that is repeated must be the same in all parts."""
         attempt = self.journal.attempt(self.incarnation, name)
         lease = timedelta(seconds=self.spec.limits.lease)
-        now = self.pace.now().replace(microsecond=0)
+        now = self.polling.now().replace(microsecond=0)
         if attempt and attempt.choice == choice and attempt.lease_until > now + lease / 2:
             return attempt.lease_until
         return now + lease
@@ -131,7 +131,7 @@ def launch_nodes(
     incarnation: str,
     owner: Owner,
     report: Callable[[str], None],
-    pace: Pace,
+    polling: Polling,
 ) -> tuple[list[MachineSeen], list[Shortage]]:
     """Start the machines of some nodes; without a head, no worker is started.
 
@@ -140,7 +140,7 @@ def launch_nodes(
     list of Shortage
         The nodes whose machine is not to be had, and why.
     """
-    request = _Request(spec, provider, journal, incarnation, owner, pace, report)
+    request = _Request(spec, provider, journal, incarnation, owner, polling, report)
     workers = [action for action in actions if action.name.node != HEAD]
     results = [request.launch(action) for action in actions if action.name.node == HEAD]
     if workers and not any(isinstance(result, Shortage) for result in results):

@@ -278,7 +278,7 @@ def _sort_out(
         else:
             best[node] = machine
     kept = [best[node] for node in wanted if node in best]
-    return kept, [Terminate(tuple(some), why) for why, some in going.items()]
+    return kept, [Terminate(tuple(ending), why) for why, ending in going.items()]
 
 
 def _marks(

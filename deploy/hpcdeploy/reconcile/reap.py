@@ -17,12 +17,12 @@ from hpcdeploy.provider import (
 from hpcdeploy.reconcile.removal import remove
 from hpcdeploy.reconcile.termination import Proof, Reason, is_overdue
 from hpcdeploy.spec.names import incarnation_began
-from hpcdeploy.spec.polling import Pace
+from hpcdeploy.spec.polling import Polling
 
 __all__ = ["overdue", "reap", "without_lease"]
 
 
-def reap(provider: Provider, report: Callable[[str], None], pace: Pace | None = None) -> None:
+def reap(provider: Provider, report: Callable[[str], None], polling: Polling | None = None) -> None:
     """Remove what is overdue from a cloud, whoever made it.
 
     Raises
@@ -30,14 +30,14 @@ def reap(provider: Provider, report: Callable[[str], None], pace: Pace | None = 
     LeftoverError
         Something could not be taken away.
     """
-    pace = pace or Pace()
+    polling = polling or Polling()
 
     def doomed() -> tuple[Observed, Proof]:
-        now = pace.now()
+        now = polling.now()
         return overdue(provider.observe(None), now), Proof(now=now)
 
-    remove(provider, doomed, Reason.OVERDUE, lambda what: nullcontext(what), report, pace)
-    for machine in without_lease(provider.observe(None), pace.now()):
+    remove(provider, doomed, Reason.OVERDUE, lambda what: nullcontext(what), report, polling)
+    for machine in without_lease(provider.observe(None), polling.now()):
         report(
             f"{machine.name.node} {machine.id} of cluster {machine.cluster} runs and bears no "
             "lease: it stays, its owner's hpcapp down removes it"

@@ -10,7 +10,7 @@ from hpcdeploy.ownership.journal import Step
 from hpcdeploy.provider import MachineSeen, Observed, Provider, State
 from hpcdeploy.reconcile.termination import Proof, Reason, end
 from hpcdeploy.spec.layout import machine_folder
-from hpcdeploy.spec.polling import Pace
+from hpcdeploy.spec.polling import Polling
 
 __all__ = ["describe", "remove"]
 
@@ -24,7 +24,7 @@ def remove(
     reason: Reason,
     step: Step,
     report: Callable[[str], None],
-    pace: Pace,
+    polling: Polling,
     quiet_looks: int = 1,
 ) -> None:
     """Take away what must go until the cloud lists none of it any more.
@@ -43,7 +43,7 @@ def remove(
         Something is left; it says what and why.
     """
     quiet, refusals, trouble = 0, 0, ""
-    left = Observed()
+    remains = Observed()
     told: set[str] = set()
 
     def tell(line: str) -> None:
@@ -51,37 +51,37 @@ def remove(
             told.add(line)
             report(line)
 
-    for look, _ in enumerate(pace.looks(pace.end_s)):
-        found, proof = doomed()
-        left = _present(found)
-        if look and _is_any(left) and not _is_hidden(left):  # those are not waited for
-            tell(f"waiting until {describe(left)} is gone, {pace.end_s:.0f} s at most")
+    for look, _ in enumerate(polling.looks(polling.end_s)):
+        remains, proof = doomed()
+        remains = _present(remains)
+        if look and _is_any(remains) and not _is_hidden(remains):  # those are not waited for
+            tell(f"waiting until {describe(remains)} is gone, {polling.end_s:.0f} s at most")
         terminate = partial(end, provider, reason=reason, proof=proof)
-        quiet = 0 if _is_any(left) else quiet + 1
+        quiet = 0 if _is_any(remains) else quiet + 1
         if quiet >= quiet_looks:
             return
         try:
-            _take_away(provider, left, terminate, step, tell)
-            refusals = refusals + 1 if _is_hidden(left) else 0
+            _take_away(provider, remains, terminate, step, tell)
+            refusals = refusals + 1 if _is_hidden(remains) else 0
         except CloudError as error:
             refusals, trouble = refusals + 1, str(error)
         if refusals >= TRIES:
             break
-    raise _leftover(provider, left, trouble)
+    raise _leftover(provider, remains, trouble)
 
 
-def _leftover(provider: Provider, left: Observed, trouble: str) -> LeftoverError:
+def _leftover(provider: Provider, remains: Observed, trouble: str) -> LeftoverError:
     """Say what is left, or may be, and what to do about it."""
     why = f" ({trouble})" if trouble else ""
-    what = describe(left) or "perhaps a machine that the cloud does not list yet"
+    what = describe(remains) or "perhaps a machine that the cloud does not list yet"
     if provider.makes_machines:
         return LeftoverError(
             f"still there: {what}{why}",
             "it may cost money: run the command again, or remove it in the cloud's console",
         )
-    if not _is_hidden(left):
+    if not _is_hidden(remains):
         return LeftoverError(f"still there: {what}{why}", "run the command again")
-    folders = {f"~/{machine_folder(machine.cluster)}" for machine in left.machines}
+    folders = {f"~/{machine_folder(machine.cluster)}" for machine in remains.machines}
     return LeftoverError(
         f"not known whether anything is left on {what}{why}",
         f"run the command again when they answer, or remove {', '.join(sorted(folders))} there",
@@ -119,27 +119,27 @@ def _is_any(observed: Observed) -> bool:
     return bool(observed.machines or observed.resources)
 
 
-def _is_hidden(left: Observed) -> bool:
+def _is_hidden(remains: Observed) -> bool:
     """Tell whether nothing is left but hosts that do not let us see whether anything is there."""
-    return bool(left.machines) and all(m.state is State.UNKNOWN for m in left.machines)
+    return bool(remains.machines) and all(m.state is State.UNKNOWN for m in remains.machines)
 
 
 def _take_away(
     provider: Provider,
-    left: Observed,
+    remains: Observed,
     terminate: Callable[[Sequence[MachineSeen]], None],
     step: Step,
     report: Callable[[str], None],
 ) -> None:
     """Do what can be done now: resources go after machines, and what proves them ours last."""
     beyond = (State.ENDING, State.UNKNOWN)
-    ending = [machine for machine in left.machines if machine.state not in beyond]
+    ending = [machine for machine in remains.machines if machine.state not in beyond]
     if ending:
         report(f"terminating {_names(ending)}")
         with step(f"terminate {_names(ending)}"):
             terminate(ending)
-    occupied = {machine.cluster for machine in left.machines}
-    for resource in sorted(left.resources, key=lambda resource: resource.bears_life):
+    occupied = {machine.cluster for machine in remains.machines}
+    for resource in sorted(remains.resources, key=lambda resource: resource.bears_life):
         if resource.cluster not in occupied:
             what = f"the {resource.kind} {resource.name}"
             with step(f"delete {what}"):

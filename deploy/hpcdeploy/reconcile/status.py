@@ -94,7 +94,7 @@ def list_clusters(where: str, observed: Observed) -> list[dict[str, Any]]:
     return rows
 
 
-def write_table(found: dict[str, Any]) -> str:
+def write_table(status: dict[str, Any]) -> str:
     """Write what `describe_cluster` returns for people."""
     texts = ("node", "state", "instance_type", "market", "public_address", "private_address")
     lines = [("NODE", "STATE", "TYPE", "MARKET", "PUBLIC", "PRIVATE", "AGE", "LEASE", "LOADER")] + [
@@ -104,18 +104,18 @@ def write_table(found: dict[str, Any]) -> str:
             _duration(machine["lease_left_s"]),
             without_node(machine["loader"] or machine["reason"], machine["node"]),
         )
-        for machine in found["machines"]
+        for machine in status["machines"]
     ]
-    heads = [f"cluster {found['cluster']} ({found['provider']}): {_verdict(found)}"]
-    if found["made_elsewhere"]:
-        heads.append(found["made_elsewhere"])
-    return "\n".join([*heads, *(_aligned(lines) if found["machines"] else [])])
+    heads = [f"cluster {status['cluster']} ({status['provider']}): {_verdict(status)}"]
+    if status["made_elsewhere"]:
+        heads.append(status["made_elsewhere"])
+    return "\n".join([*heads, *(_aligned(lines) if status["machines"] else [])])
 
 
-def _verdict(found: dict[str, Any]) -> str:
+def _verdict(status: dict[str, Any]) -> str:
     """Say how what runs differs from the file: after `scale`, that is as it was asked for."""
-    missing, unwanted, hidden = found["missing"], found["unwanted"], found["hidden"]
-    running = sum(machine["state"] == State.RUNNING for machine in found["machines"])
+    missing, unwanted, hidden = status["missing"], status["unwanted"], status["hidden"]
+    running = sum(machine["state"] == State.RUNNING for machine in status["machines"])
     if not running and not hidden:
         return f"not up, missing: {', '.join(missing)}"
     parts = ["up"]

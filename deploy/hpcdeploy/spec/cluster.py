@@ -100,8 +100,8 @@ def check_jump(text: str) -> str:
     ValueError
         It is not ``[USER@]HOST[:PORT]``.
     """
-    found = re.fullmatch(JUMP, text)
-    if found is None or not 0 < int(found["port"] or 22) < 65536:
+    match = re.fullmatch(JUMP, text)
+    if match is None or not 0 < int(match["port"] or 22) < 65536:
         raise ValueError("should be [USER@]HOST[:PORT], an IPv6 address in brackets")
     return text
 

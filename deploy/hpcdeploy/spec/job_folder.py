@@ -276,8 +276,8 @@ class JobFolder:
 
 def all_jobs(folder: Path) -> list[JobFolder]:
     """Return the jobs of a cluster's folder, in the order of their numbers."""
-    found = [path for path in _numbered(folder / "jobs") if (path / "status.json").exists()]
-    return [JobFolder(path) for path in sorted(found, key=lambda path: int(path.name))]
+    folders = [path for path in _numbered(folder / "jobs") if (path / "status.json").exists()]
+    return [JobFolder(path) for path in sorted(folders, key=lambda path: int(path.name))]
 
 
 def _numbered(jobs: Path) -> Iterator[Path]:

@@ -1,4 +1,4 @@
-"""Time for who waits on machines: how often to look, how long to be patient."""
+"""Polling intervals and timeouts of whatever waits on machines."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
-__all__ = ["Pace", "utc_now"]
+__all__ = ["Polling", "utc_now"]
 
 
 def utc_now() -> datetime:
@@ -16,7 +16,7 @@ def utc_now() -> datetime:
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
+class Polling:
     """How often to look, and for how long.
 
     Parameters
@@ -43,9 +43,9 @@ class Pace:
     now: Callable[[], datetime] = utc_now
     sleep: Callable[[float], None] = time.sleep
 
-    def looks(self, patience_s: float) -> Iterator[None]:
-        """Yield at once, then now and again until the patience is over; at least twice."""
-        deadline, wait = self.now() + timedelta(seconds=patience_s), self.poll_s
+    def looks(self, timeout_s: float) -> Iterator[None]:
+        """Yield at once, then now and again until the time is over; at least twice."""
+        deadline, wait = self.now() + timedelta(seconds=timeout_s), self.poll_s
         yield
         while True:
             is_last = self.now() + timedelta(seconds=wait) >= deadline

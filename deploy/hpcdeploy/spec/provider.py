@@ -241,15 +241,15 @@ def _as_host(host: object) -> object:
     """Read ``[USER@]HOST[:PORT]`` as the mapping that it is short for."""
     if not isinstance(host, str):
         return host
-    found = re.fullmatch(JUMP, host)
-    if found is None:
+    match = re.fullmatch(JUMP, host)
+    if match is None:
         raise ValueError(
             "should be [USER@]HOST[:PORT], an IPv6 address in brackets, or a mapping with address"
         )
     values = {
-        "address": found["address"] or found["name"],
-        "user": found["user"],
-        "port": int(found["port"]) if found["port"] else None,
+        "address": match["address"] or match["name"],
+        "user": match["user"],
+        "port": int(match["port"]) if match["port"] else None,
     }
     return {key: value for key, value in values.items() if value is not None}
 

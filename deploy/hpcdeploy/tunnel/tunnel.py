@@ -73,9 +73,9 @@ def open_remote_inventory(path: Path) -> Iterator[tuple[Path, Lead | None]]:
     from hpcdeploy.spec.cluster import read_spec
 
     folder = machine_folder(read_spec(path).cluster)
-    own = home_folder() / folder / "inventory.json"
-    if own.exists():
-        yield own, None
+    own_inventory = home_folder() / folder / "inventory.json"
+    if own_inventory.exists():
+        yield own_inventory, None
         return
     with open_cluster(path) as cluster, temporary_folder() as temporary:
         shell = cluster.access.open(cluster.head())

@@ -19,9 +19,9 @@ from hpcdeploy.providers import open_provider
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.reconcile.converge import bring_up, replace_lost, take_down
 from hpcdeploy.spec.cluster import read_spec
-from hpcdeploy.spec.polling import Pace
+from hpcdeploy.spec.polling import Polling
 
-PACE = Pace(poll_s=0.01, settle_s=0.01, end_s=30.0, backoff_s=(0.01,))
+POLLING = Polling(poll_s=0.01, settle_s=0.01, end_s=30.0, backoff_s=(0.01,))
 PUBLIC_KEY = (
     rsa.generate_private_key(65537, 2048)
     .public_key()
@@ -50,10 +50,10 @@ class Scene:
         return Cluster(path, spec, open_provider(spec, self.folder), access)
 
     def up(self, **profile: Any) -> None:
-        bring_up(self.cluster(**profile), self.lines.append, pace=PACE)
+        bring_up(self.cluster(**profile), self.lines.append, polling=POLLING)
 
     def down(self) -> None:
-        take_down(self.cluster(), self.lines.append, pace=PACE)
+        take_down(self.cluster(), self.lines.append, polling=POLLING)
 
     def nodes(self) -> list[str]:
         return sorted(
@@ -96,13 +96,13 @@ def test_an_instance_that_dies_while_it_boots_is_replaced(scene: Scene) -> None:
 def test_who_watches_launches_nothing_that_scale_has_ended(scene: Scene) -> None:
     watched = scene.cluster()
     scene.up()
-    bring_up(replace(watched, spec=watched.spec.scaled(1)), scene.lines.append, pace=PACE)
+    bring_up(replace(watched, spec=watched.spec.scaled(1)), scene.lines.append, polling=POLLING)
     assert scene.nodes() == ["head", "worker-1"]
-    watched = replace_lost(watched, scene.lines.append, pace=PACE)
+    watched = replace_lost(watched, scene.lines.append, polling=POLLING)
     said = "cluster bunny shrank from 3 to 1 workers, by the last hpcapp scale or up"
     assert said in scene.lines
     of_node(scene.cloud, "worker-1")[0].die("Server.SpotInstanceTermination")
-    replace_lost(watched, scene.lines.append, pace=PACE)
+    replace_lost(watched, scene.lines.append, polling=POLLING)
     assert scene.nodes() == ["head", "worker-1"]
     assert scene.lines.count(said) == 1
 
@@ -219,7 +219,7 @@ def test_a_group_that_can_never_be_deleted_is_named(scene: Scene) -> None:
     code = "DependencyViolation" if scene.cloud.profile == "aws" else "InvalidGroup.InUse"
     scene.cloud.fail("DeleteSecurityGroup", code, 400, times=FOREVER)
     with pytest.raises(LeftoverError, match=r"still there: .*security group hpcapp-bunny"):
-        take_down(scene.cluster(), scene.lines.append, pace=replace(PACE, end_s=1.0))
+        take_down(scene.cluster(), scene.lines.append, polling=replace(POLLING, end_s=1.0))
 
 
 @pytest.mark.slow
@@ -256,6 +256,6 @@ def test_a_spot_interruption_in_mid_job_is_made_good(scene: Scene) -> None:
     (victim,) = of_node(scene.cloud, "worker-2")
     victim.die("Server.SpotInstanceTermination")
     cluster = scene.cluster(**market)
-    replace_lost(cluster, scene.lines.append, pace=PACE)
+    replace_lost(cluster, scene.lines.append, polling=POLLING)
     assert scene.nodes() == ["head", "worker-1", "worker-2", "worker-3"]
     assert scene.set_up.calls[-1] == ("head", "worker-1", "worker-2", "worker-3")

@@ -77,7 +77,7 @@ class World:
         """Run a verb with a fault armed; return how it ended."""
         self.fault, self.countdown, self.is_dead = fault, at, False
         try:
-            verb(*arguments, lambda line: None, pace=self.time.pace())
+            verb(*arguments, lambda line: None, polling=self.time.polling())
         except Killed:
             return "killed"
         except CloudError:

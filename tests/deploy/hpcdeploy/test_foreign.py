@@ -26,10 +26,10 @@ from hpcdeploy.reconcile.converge import bring_up, take_down
 from hpcdeploy.reconcile.reap import reap
 from hpcdeploy.spec.cluster import read_spec
 from hpcdeploy.spec.names import Owner, draw_incarnation
-from hpcdeploy.spec.polling import Pace, utc_now
+from hpcdeploy.spec.polling import Polling, utc_now
 from hpcdeploy.spec.provider import Credentials
 
-PACE = Pace(poll_s=0.01, settle_s=0.01, end_s=30.0, backoff_s=())
+POLLING = Polling(poll_s=0.01, settle_s=0.01, end_s=30.0, backoff_s=())
 PUBLIC_KEY = (
     rsa.generate_private_key(65537, 2048)
     .public_key()
@@ -84,21 +84,21 @@ def ignore(line: str) -> None:
 @pytest.mark.slow
 def test_down_takes_our_key_pair_alone(cloud: StrictCloud, cluster: Cluster) -> None:
     foreign = add_foreign_pairs(cloud)
-    take_down(cluster, ignore, pace=PACE)
+    take_down(cluster, ignore, polling=POLLING)
     assert cloud.key_pairs == foreign
-    bring_up(cluster, ignore, pace=PACE)
+    bring_up(cluster, ignore, polling=POLLING)
     assert len(cloud.key_pairs) == len(foreign) + 1
     assert all(instance.public_key.split() == PUBLIC_KEY.split() for instance in cloud.living)
-    take_down(cluster, ignore, pace=PACE)
+    take_down(cluster, ignore, polling=POLLING)
     assert cloud.left() == foreign
 
 
 @pytest.mark.slow
 def test_reap_takes_our_key_pair_alone(cloud: StrictCloud, cluster: Cluster) -> None:
     foreign = add_foreign_pairs(cloud)
-    reap(cluster.provider, ignore, PACE)
-    bring_up(cluster, ignore, pace=PACE)
-    tomorrow = replace(PACE, now=lambda: utc_now() + timedelta(days=1))
+    reap(cluster.provider, ignore, POLLING)
+    bring_up(cluster, ignore, polling=POLLING)
+    tomorrow = replace(POLLING, now=lambda: utc_now() + timedelta(days=1))
     reap(cluster.provider, ignore, tomorrow)
     assert cloud.left() == foreign
 
@@ -107,13 +107,13 @@ def test_reap_takes_our_key_pair_alone(cloud: StrictCloud, cluster: Cluster) -> 
 def test_the_group_stays_as_proof_until_the_key_pair_is_gone(
     cloud: StrictCloud, cluster: Cluster
 ) -> None:
-    bring_up(cluster, ignore, pace=PACE)
+    bring_up(cluster, ignore, polling=POLLING)
     cloud.no_rights = {"DeleteKeyPair"}
     with pytest.raises(LeftoverError, match="key pair hpcapp-bunny-"):
-        take_down(cluster, ignore, pace=PACE)
+        take_down(cluster, ignore, polling=POLLING)
     assert [group.name for group in cloud.groups] == ["hpcapp-bunny"]
     cloud.no_rights = set()
-    take_down(cluster, ignore, pace=PACE)
+    take_down(cluster, ignore, polling=POLLING)
     assert cloud.left() == []
 
 
@@ -126,9 +126,9 @@ def test_a_foreign_group_with_our_name_is_never_taken_for_ours(
 ) -> None:
     cloud.model.backend.create_security_group("hpcapp-bunny", description, {})
     with pytest.raises(CloudError, match="hpcapp-bunny exists and is not hpcapp's"):
-        bring_up(cluster, ignore, pace=PACE)
-    take_down(cluster, ignore, pace=PACE)
-    reap(cluster.provider, ignore, replace(PACE, now=lambda: utc_now() + timedelta(days=9)))
+        bring_up(cluster, ignore, polling=POLLING)
+    take_down(cluster, ignore, polling=POLLING)
+    reap(cluster.provider, ignore, replace(POLLING, now=lambda: utc_now() + timedelta(days=9)))
     assert cloud.left() == ["hpcapp-bunny"]
     assert [group.description for group in cloud.groups] == [description]
 
@@ -139,7 +139,7 @@ def test_down_after_a_change_of_place_says_where_something_was_made(
     cloud: StrictCloud, cluster: Cluster, change: dict[str, Any]
 ) -> None:
     """The other region, or account, lists nothing: that proves nothing of this one."""
-    bring_up(cluster, ignore, pace=PACE)
+    bring_up(cluster, ignore, polling=POLLING)
     provider = cluster.spec.provider.model_copy(
         update={k: Credentials(**v) if k == "credentials" else v for k, v in change.items()}
     )
@@ -148,12 +148,12 @@ def test_down_after_a_change_of_place_says_where_something_was_made(
     for _ in range(2):
         said = r"nothing is left where .* leads, but cluster bunny was made in (aws|euc|ec2)"
         with pytest.raises(LeftoverError, match=said):
-            take_down(nothing, ignore, pace=PACE)
+            take_down(nothing, ignore, polling=POLLING)
         assert len(cloud.living) == 1
     assert "cluster bunny was made in" in describe_elsewhere(there)
     with pytest.raises(CloudError):
-        bring_up(replace(nothing, provider=Refusing()), ignore, pace=PACE)
-    take_down(cluster, ignore, pace=PACE)
+        bring_up(replace(nothing, provider=Refusing()), ignore, polling=POLLING)
+    take_down(cluster, ignore, polling=POLLING)
     assert cloud.left() == []
     assert describe_elsewhere(there) == ""
 

@@ -99,12 +99,12 @@ def test_validate_and_plan(
 @every_cloud
 def test_up_again_and_down(cloud: StrictCloud, tmp_path: Path) -> None:
     cluster, lines, time = open_file(write_file(cloud, tmp_path)), list[str](), SimulatedTime()
-    bring_up(cluster, lines.append, pace=time.pace())
+    bring_up(cluster, lines.append, polling=time.polling())
     assert [m.name.node for m in cluster.machines()] == ["head", "worker-1", "worker-2", "worker-3"]
     calls = len(cloud.calls)
-    bring_up(cluster, lines.append, pace=time.pace())
+    bring_up(cluster, lines.append, polling=time.polling())
     assert not [call for call in cloud.calls[calls:] if call.changes]
-    take_down(cluster, lines.append, pace=time.pace())
+    take_down(cluster, lines.append, polling=time.polling())
     assert not cloud.left()
 
 
@@ -128,13 +128,13 @@ def test_the_pages_policy_allows_what_is_called_and_nothing_else(
     cluster = open_file(write_file(cloud, tmp_path, subnet=subnet))
     lines, time = list[str](), SimulatedTime()
     cluster.provider.check()
-    bring_up(cluster, lines.append, pace=time.pace())
+    bring_up(cluster, lines.append, polling=time.polling())
     cluster.provider.console(cluster.head())
     time.sleep(timedelta(hours=1).total_seconds())
     auth = cluster.spec.auth.model_copy(update={"allow_from": ("198.51.100.0/24",)})
     elsewhere = replace(cluster, spec=cluster.spec.model_copy(update={"auth": auth}))
-    bring_up(elsewhere, lines.append, pace=time.pace())
-    take_down(cluster, lines.append, pace=time.pace())
+    bring_up(elsewhere, lines.append, polling=time.polling())
+    take_down(cluster, lines.append, polling=time.polling())
     assert {call.action for call in cloud.calls} == allowed_actions()
 
 

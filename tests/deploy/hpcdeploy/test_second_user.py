@@ -79,7 +79,7 @@ class Lab:
         self, spec: ClusterSpec, machines: Sequence[MachineSeen], access: Keyring, report: Any
     ) -> list[Failure]:
         """Let in whoever has the key that a machine was launched with."""
-        key = access.held().owner.key
+        key = access.ownership().owner.key
         failures = []
         for machine in machines:
             launched = next(
@@ -141,26 +141,26 @@ class Lab:
         return "done"
 
     def do(self, cluster: Cluster, verb: str) -> None:
-        pace, say = self.time.pace(), lambda line: None
+        polling, say = self.time.polling(), lambda line: None
         match verb:
             case "plan":
                 look_ahead(cluster)
             case "reap":
-                reap(self.cloud, say, pace)
+                reap(self.cloud, say, polling)
             case "replace_lost":
-                replace_lost(cluster, say, pace=pace)
+                replace_lost(cluster, say, polling=polling)
             case "down":
-                take_down(cluster, say, pace=pace)
+                take_down(cluster, say, polling=polling)
             case _:
-                bring_up(cluster, say, pace=pace)
+                bring_up(cluster, say, polling=polling)
 
     def check(self) -> None:
         """Nobody has ended another's machine that was in its lease; nobody an own one in use."""
         for user, machine in self.cloud.ended:
             key = self.cluster(user).access.public  # type: ignore[attr-defined]
             with self.as_user(user):
-                held = self.cluster(user).access.held().owner.key
-            is_own = machine.owner.user.startswith(user) or (key and machine.owner.key == held)
+                ownership = self.cluster(user).access.ownership().owner.key
+            is_own = machine.owner.user.startswith(user) or (key and machine.owner.key == ownership)
             is_over = machine.lease_until and machine.lease_until + GRACE < self.time.now()
             assert is_own or is_over, (user, machine)
         self.cloud.ended.clear()

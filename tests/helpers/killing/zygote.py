@@ -23,7 +23,7 @@ import hpcdeploy.install.user_data
 import hpcdeploy.providers.ec2.provider
 import hpcdeploy.reconcile.converge
 from hpcapp.cli import main
-from hpcdeploy.spec.polling import Pace
+from hpcdeploy.spec.polling import Polling
 
 STEPS = ("connect", "upload", "install", "start the loader")
 KEY = paramiko.RSAKey.generate(2048)  # making one takes longer than a command
@@ -84,8 +84,8 @@ def serve(port: int) -> None:
     remember_models()
     paramiko.RSAKey.generate = make_key  # type: ignore[method-assign,assignment]
     hpcdeploy.install.user_data.user_data = lambda *about: "#!/bin/sh\n"
-    short = functools.partial(Pace, poll_s=0.01, settle_s=0.05, end_s=20.0)
-    hpcdeploy.reconcile.converge.Pace = short  # type: ignore[attr-defined,assignment]
+    short = functools.partial(Polling, poll_s=0.01, settle_s=0.05, end_s=20.0)
+    hpcdeploy.reconcile.converge.Polling = short  # type: ignore[attr-defined,assignment]
     for line in sys.stdin:
         with tempfile.TemporaryFile() as errors:
             pid = os.fork()

@@ -12,14 +12,14 @@ from typing import Any
 
 from hpccomponent.config.reader import parse_config
 from hpcdeploy.ownership.journal import peek_journal
-from hpcdeploy.ownership.ownership import Held, fingerprint
+from hpcdeploy.ownership.ownership import Ownership, fingerprint
 from hpcdeploy.provider import MachineSeen, Observed
 from hpcdeploy.providers.ec2.observe import GroupSeen, KeyPairSeen
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import Owner
-from hpcdeploy.spec.polling import Pace
+from hpcdeploy.spec.polling import Polling
 from simulated.memory import MemoryProvider
 
 START = datetime(2026, 11, 1, 12, 0, tzinfo=UTC)
@@ -68,8 +68,8 @@ class SimulatedTime:
         with self.lock:
             self.passed += seconds
 
-    def pace(self, **changes: Any) -> Pace:
-        return Pace(now=self.now, sleep=self.sleep, **changes)
+    def polling(self, **changes: Any) -> Polling:
+        return Polling(now=self.now, sleep=self.sleep, **changes)
 
 
 @dataclass(frozen=True)
@@ -124,11 +124,11 @@ class Keyring:
     def owner(self) -> Owner:
         return Owner(self.user, fingerprint(self.public_key()))
 
-    def held(self) -> Held:
+    def ownership(self) -> Ownership:
         lives = peek_journal(self.cluster).lives
         if self.public is None and not (state_folder(self.cluster) / "id").exists():
-            return Held(Owner(self.user), lives=lives)
-        return Held(self.owner(), frozenset({self.public_key()}), lives)
+            return Ownership(Owner(self.user), lives=lives)
+        return Ownership(self.owner(), frozenset({self.public_key()}), lives)
 
 
 def make_cluster(

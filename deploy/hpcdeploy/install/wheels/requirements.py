@@ -102,21 +102,21 @@ def needs_of(
     named = [text for text in spec.env.packages if not (base / text).is_file()]
     wanted = [*(text for text in _bounds() if is_head or _name(text) in WORKER_NEEDS), *named]
     page = [*_bounds("dashboard")] if is_head else []
-    own = [package] if isinstance(package, Path) else []
+    release_files = [package] if isinstance(package, Path) else []
     pip = _bundled_pip()
     if spec.env.wheelhouse is None:
         later = tuple(path.name for path in local)
         requirements = (*map(_pinned, [*wanted, *page]), *later)
-        bare = own[0].name if own else str(package)
-        return Needs((*pip, *own, *local), requirements, (bare,), is_offline=False), ()
+        bare = release_files[0].name if release_files else str(package)
+        return Needs((*pip, *release_files, *local), requirements, (bare,), is_offline=False), ()
     places = [base / expand_home(spec.env.wheelhouse), *local]
     wanted += [text for path in local for text in read_requirements(path)]
     chosen = select_wheels(places, [*wanted, *page], kind)
     if chosen.missing and page:  # a head does its work without: its jobs show no page then
         chosen = select_wheels(places, wanted, kind)
-    named_package = [] if own else [str(package)]
+    named_package = [] if release_files else [str(package)]
     release = select_wheels(places, named_package, kind, is_deep=False)
-    wheels = tuple(dict.fromkeys((*chosen.wheels, *local, *release.wheels, *own)))
+    wheels = tuple(dict.fromkeys((*chosen.wheels, *local, *release.wheels, *release_files)))
     bare_names = tuple(path.name for path in wheels)
     missing = (*chosen.missing, *release.missing)
     return Needs((*pip, *wheels), (), bare_names, is_offline=True), missing

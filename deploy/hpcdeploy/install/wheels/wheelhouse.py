@@ -186,7 +186,7 @@ def kinds_of(folder: Path) -> list[Kind]:
     list of Kind
         Sorted, each once.
     """
-    found = set()
+    kinds = set()
     for path in folder.glob("*.whl"):
         for tag in _tags_of(path):
             libc = "musl" if "musllinux" in tag.platform else "glibc"
@@ -195,8 +195,8 @@ def kinds_of(folder: Path) -> list[Kind]:
                 continue
             architecture = tag.platform.split("_", 1 if tag.platform[9:13].isdigit() else 3)[-1]
             python = (int(version[0]), int(version[1:]))
-            found.add(Kind(architecture, libc, (1 if libc == "musl" else 2, _NEWEST), python))
-    return sorted(found)
+            kinds.add(Kind(architecture, libc, (1 if libc == "musl" else 2, _NEWEST), python))
+    return sorted(kinds)
 
 
 def _tags_of(path: Path) -> frozenset[Tag]:

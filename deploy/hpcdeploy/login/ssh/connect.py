@@ -15,7 +15,7 @@ from textwrap import shorten
 import paramiko
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.login.ssh.connection import Connection, Patience, Way
+from hpcdeploy.login.ssh.connection import BoundedSocket, Connection, Timeouts
 from hpcdeploy.login.ssh.keys import Identities, find_identities
 from hpcdeploy.login.ssh.reach import Reach, ReachError
 from hpcdeploy.login.ssh.target import Target
@@ -28,7 +28,7 @@ QUOTED = 60
 _LOOK = "check that it runs, its address and port, and the firewall or security group"
 
 
-def connect(target: Target, closer: ExitStack, patience: Patience | None = None) -> Connection:
+def connect(target: Target, closer: ExitStack, timeouts: Timeouts | None = None) -> Connection:
     """Log in, over the machines on the way.
 
     Raises
@@ -38,8 +38,8 @@ def connect(target: Target, closer: ExitStack, patience: Patience | None = None)
     CloudError
         What is wrong is here: a file that is no key, no descriptor that is free.
     """
-    patience = patience or Patience()
-    deadline = time.monotonic() + patience.login_s
+    timeouts = timeouts or Timeouts()
+    deadline = time.monotonic() + timeouts.login_s
     hops = (*target.jumps, target)
     keys = [
         find_identities(hop.key_files, are_own=not hop.host_keys, closer=closer) for hop in hops
@@ -48,10 +48,10 @@ def connect(target: Target, closer: ExitStack, patience: Patience | None = None)
     for hop, identities in zip(hops, keys, strict=True):
         try:
             raw: socket.socket | paramiko.Channel
-            raw = _dial(hop, patience, deadline) if before is None else _lead(before, hop, deadline)
+            raw = _dial(hop, timeouts, deadline) if before is None else _lead(before, hop, deadline)
             closer.callback(raw.close)
-            way = Way(raw, patience.silence_s)
-            before = _log_in(hop, way, identities, deadline, closer)
+            wire = BoundedSocket(raw, timeouts.silence_s)
+            before = _log_in(hop, wire, identities, deadline, closer)
         except ReachError as error:
             if hop is target:
                 raise
@@ -61,7 +61,7 @@ def connect(target: Target, closer: ExitStack, patience: Patience | None = None)
                 error.advice,
                 error.reach,
             ) from error
-        before.keep_alive(patience.beat_s, closer)
+        before.keep_alive(timeouts.beat_s, closer)
     assert before is not None  # noqa: S101 - the target itself is always there
     return before
 
@@ -74,7 +74,7 @@ def _left(deadline: float) -> float:
     return max(0.01, deadline - time.monotonic())
 
 
-def _dial(hop: Target, patience: Patience, deadline: float) -> socket.socket:
+def _dial(hop: Target, timeouts: Timeouts, deadline: float) -> socket.socket:
     """Connect to a machine. The look-up of a name knows no time limit, so a thread makes it."""
     answers: queue.SimpleQueue[socket.socket | OSError] = queue.SimpleQueue()
     is_late = threading.Event()
@@ -82,7 +82,7 @@ def _dial(hop: Target, patience: Patience, deadline: float) -> socket.socket:
     def dial() -> None:
         try:
             # half the time, so that a second address has its turn
-            made = socket.create_connection((hop.address, hop.port), patience.login_s / 2)
+            made = socket.create_connection((hop.address, hop.port), timeouts.login_s / 2)
         except OSError as error:
             answers.put(error)
         except UnicodeError:  # no host name at all, as encodings.idna sees it
@@ -100,7 +100,7 @@ def _dial(hop: Target, patience: Patience, deadline: float) -> socket.socket:
         answer = TimeoutError()
     if isinstance(answer, socket.socket):
         if hasattr(socket, "TCP_USER_TIMEOUT"):  # elsewhere a dead network shows after minutes
-            limit_ms = round(patience.silence_s * 1000)
+            limit_ms = round(timeouts.silence_s * 1000)
             answer.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, limit_ms)
         return answer
     if answer.errno in (errno.EMFILE, errno.ENFILE):
@@ -125,10 +125,10 @@ def _lead(before: Connection, hop: Target, deadline: float) -> paramiko.Channel:
 
 
 def _log_in(
-    hop: Target, way: Way, identities: Identities, deadline: float, closer: ExitStack
+    hop: Target, wire: BoundedSocket, identities: Identities, deadline: float, closer: ExitStack
 ) -> Connection:
     known = _known_keys(hop)
-    connection = Connection(way)
+    connection = Connection(wire)
     closer.callback(connection.close)
     try:
         _shake_hands(connection, hop, known, deadline)
@@ -136,7 +136,7 @@ def _log_in(
         connection.packetizer.complete_handshake()  # else its timer holds up the end of the program
     _check_host_key(connection, hop, known)
     _authenticate(connection, hop, identities, deadline)
-    way.logged_in()
+    wire.logged_in()
     return connection
 
 
@@ -160,15 +160,15 @@ def _shake_hands(
 
 def _failed_handshake(connection: Connection, hop: Target, *, is_late: bool) -> ReachError:
     """Name what the other end did instead."""
-    way, error = connection.way, connection.get_exception()
-    if not way.is_ssh:
-        if way.said and not b"SSH-".startswith(bytes(way.said[:4])) and way.said[:4] != b"SSH-":
+    wire, error = connection.wire, connection.get_exception()
+    if not wire.is_ssh:
+        if wire.said and not b"SSH-".startswith(bytes(wire.said[:4])) and wire.said[:4] != b"SSH-":
             return _error(
                 Reach.NOT_SSH,
-                f"{hop.place} says {_quote(bytes(way.said))}",
+                f"{hop.place} says {_quote(bytes(wire.said))}",
                 _LOOK.split(", ", 1)[1],
             )
-        what = "no whole greeting" if way.said else "no greeting"
+        what = "no whole greeting" if wire.said else "no greeting"
         if is_late or isinstance(error, TimeoutError):
             return _error(
                 Reach.SILENT,
@@ -186,8 +186,8 @@ def _failed_handshake(connection: Connection, hop: Target, *, is_late: bool) -> 
             "is overloaded",
             "look at the machine's console",
         )
-    if way.fault or isinstance(error, paramiko.SSHException):
-        detail = way.fault or explain(error or EOFError())
+    if wire.fault or isinstance(error, paramiko.SSHException):
+        detail = wire.fault or explain(error or EOFError())
         return _error(
             Reach.NOT_SSH, f"{hop.place} greets as SSH and then breaks its rules: {detail}", _LOOK
         )
@@ -265,7 +265,7 @@ def _authenticate(
                     "look at the machine's console",
                 ) from error
             if not connection.is_active() and not refused:
-                detail = connection.way.fault or "the connection was lost"
+                detail = connection.wire.fault or "the connection was lost"
                 raise _error(
                     Reach.UNREACHABLE, f"{detail} at {hop.place} in the login", _LOOK
                 ) from error

@@ -2,7 +2,7 @@
 
 ::
 
-    paramiko's thread ── recv, send ──> Way ──> socket, or a channel of the machine before
+    paramiko's thread ── recv, send ──> BoundedSocket ──> socket, or a channel of the machine before
                                          └── what was said so far, for whoever explains a failure
 
 A stranger on the other end may say anything, in any amount, or nothing at all.
@@ -22,7 +22,7 @@ from typing import Any
 
 import paramiko
 
-__all__ = ["CHANNEL_S", "Connection", "Patience", "Way"]
+__all__ = ["CHANNEL_S", "BoundedSocket", "Connection", "Timeouts"]
 
 CHANNEL_S = 60.0
 """Until a machine that lets us in opens a channel, or answers a request on one."""
@@ -34,7 +34,7 @@ _LOG = "hpcapp.ssh"
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
+class Timeouts:
     """How long a connection is waited for, in seconds.
 
     Parameters
@@ -52,11 +52,11 @@ class Patience:
     silence_s: float = 60.0
 
 
-class Way:
+class BoundedSocket:
     """A socket or a channel, as a transport reads and writes it."""
 
-    def __init__(self, way: socket.socket | paramiko.Channel, silence_s: float) -> None:
-        self._way = way
+    def __init__(self, wire: socket.socket | paramiko.Channel, silence_s: float) -> None:
+        self._socket = wire
         self._silence_s = silence_s
         self._heard = time.monotonic()
         self._counted = 0
@@ -83,7 +83,7 @@ class Way:
             The connection is lost, silent for too long, or says more than any login needs.
         """
         try:
-            chunk = self._way.recv(min(size, _CHUNK))
+            chunk = self._socket.recv(min(size, _CHUNK))
         except OSError as error:
             if _is_early(error):
                 self._check_silence()
@@ -103,7 +103,7 @@ class Way:
             The connection is lost; TimeoutError where nothing can be written yet.
         """
         try:
-            return self._way.send(content)
+            return self._socket.send(content)
         except OSError as error:
             if _is_early(error):
                 raise
@@ -117,12 +117,12 @@ class Way:
         timeout_s : float or None
             In seconds; None for any time.
         """
-        self._way.settimeout(timeout_s)
+        self._socket.settimeout(timeout_s)
 
     def close(self) -> None:
         """End the connection."""
         self._closed = True
-        self._way.close()
+        self._socket.close()
 
     def _check_silence(self) -> None:
         if self._is_logged_in and time.monotonic() - self._heard > self._silence_s:
@@ -154,9 +154,9 @@ def _numbered(error: OSError) -> OSError:
 class Connection(paramiko.Transport):
     """A transport that keeps its words, and what goes wrong in its thread, off the terminal."""
 
-    def __init__(self, way: Way) -> None:
-        super().__init__(way)  # type: ignore[arg-type]  # recv, send, settimeout, close are enough
-        self.way = way
+    def __init__(self, wire: BoundedSocket) -> None:
+        super().__init__(wire)  # type: ignore[arg-type]  # recv, send, settimeout, close are enough
+        self.wire = wire
         self.channel_timeout = CHANNEL_S  # paramiko's own is an hour
         self.set_log_channel(_LOG)
 

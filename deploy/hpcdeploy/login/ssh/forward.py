@@ -58,22 +58,22 @@ class Forwarder:
     def _accept(self) -> None:
         while True:
             try:
-                near, origin = self._listener.accept()
+                local_end, origin = self._listener.accept()
             except OSError:
                 return
             try:
-                far = self._transport.open_channel("direct-tcpip", self._address, origin)
+                remote_end = self._transport.open_channel("direct-tcpip", self._address, origin)
             except (paramiko.SSHException, EOFError, OSError):
-                near.close()  # the program sees a connection that ends at once
+                local_end.close()  # the program sees a connection that ends at once
                 continue
             with self._lock:
-                self._ends += [near, far]
+                self._ends += [local_end, remote_end]
                 is_late = self._is_closing
             if is_late:
-                _cut(near)
-                _cut(far)
-            self._start(_pump, near, far)
-            self._start(_pump, far, near)
+                _cut(local_end)
+                _cut(remote_end)
+            self._start(_pump, local_end, remote_end)
+            self._start(_pump, remote_end, local_end)
 
 
 def _pump(source: socket.socket | paramiko.Channel, sink: socket.socket | paramiko.Channel) -> None:

@@ -119,10 +119,10 @@ def public_key(path: Path) -> str:
         try:
             key = read_key(path)
         except ReachError:
-            held = _find_held(path, _agent_keys(closer))
-            if held is None:
+            agent_keys = _find_agent_key(path, _agent_keys(closer))
+            if agent_keys is None:
                 raise
-            key = held
+            key = agent_keys
         return f"{key.get_name()} {key.get_base64()}"
 
 
@@ -143,7 +143,7 @@ def find_identities(files: Sequence[str], *, are_own: bool, closer: ExitStack) -
     ReachError, CloudError
         There is none that can be used.
     """
-    held = _agent_keys(closer) if are_own else []
+    agent_keys = _agent_keys(closer) if are_own else []
     usable: list[Identity] = []
     locked: list[CloudError] = []
     broken: list[CloudError] = []
@@ -154,8 +154,8 @@ def find_identities(files: Sequence[str], *, are_own: bool, closer: ExitStack) -
         try:
             usable.append(Identity(read_key(path), str(path)))
         except ReachError as error:
-            held = held or _agent_keys(closer)
-            key = _find_held(path, held)
+            agent_keys = agent_keys or _agent_keys(closer)
+            key = _find_agent_key(path, agent_keys)
             if key is None:
                 locked.append(error)
             else:
@@ -164,7 +164,7 @@ def find_identities(files: Sequence[str], *, are_own: bool, closer: ExitStack) -
             broken.append(error)
     if are_own:
         offered = {identity.key.asbytes() for identity in usable}
-        usable += [Identity(key, "the agent") for key in held if key.asbytes() not in offered]
+        usable += [Identity(key, "the agent") for key in agent_keys if key.asbytes() not in offered]
     if usable:
         return Identities(tuple(usable), (*locked, *broken))
     for cause in (*locked, *broken):
@@ -192,10 +192,10 @@ def _agent_keys(closer: ExitStack) -> list[paramiko.PKey]:
     return list(agent.get_keys())
 
 
-def _find_held(path: Path, held: Sequence[paramiko.PKey]) -> paramiko.PKey | None:
+def _find_agent_key(path: Path, agent_keys: Sequence[paramiko.PKey]) -> paramiko.PKey | None:
     """Return the agent's key of a locked file."""
     blob = _public_blob(path)
-    return next((key for key in held if key.asbytes() == blob), None)
+    return next((key for key in agent_keys if key.asbytes() == blob), None)
 
 
 def _public_blob(path: Path) -> bytes | None:

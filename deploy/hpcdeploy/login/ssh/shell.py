@@ -202,11 +202,11 @@ class SshShell:
 
     def _lost(self, error: BaseException) -> ReachError:
         """Say why the connection is no more; what ended it knows more than who waited for it."""
-        return ReachError(f"{self.node}: {self._transport.way.fault or explain(error)}")
+        return ReachError(f"{self.node}: {self._transport.wire.fault or explain(error)}")
 
     def _exit_code(self, channel: paramiko.Channel, deadline: float | None) -> int:
-        patience_s = None if deadline is None else max(0.0, deadline - time.monotonic())
-        if not channel.status_event.wait(patience_s):
+        timeout_s = None if deadline is None else max(0.0, deadline - time.monotonic())
+        if not channel.status_event.wait(timeout_s):
             raise TimeoutError
         code = channel.recv_exit_status()
         if code >= 0:

@@ -159,14 +159,14 @@ def _resolve_jump(
     config: paramiko.SSHConfig, jump: str, auth: Auth, key_files: tuple[str, ...]
 ) -> Target:
     """Return the target of a ProxyJump's ``[USER@]HOST[:PORT]``; its own jumps do not count."""
-    found = _JUMP.fullmatch(jump)
-    if found is None:
+    match = _JUMP.fullmatch(jump)
+    if match is None:
         raise ConfigError(f"{jump!r} is no [USER@]HOST[:PORT] to jump over", "correct ProxyJump")
-    user, bracketed, plain, port = found.group("user", "address", "name", "port")
+    user, bracketed, plain, port = match.group("user", "address", "name", "port")
     name = bracketed or plain
     target = _resolve(config, name, user or "", int(port) if port else None, auth, ())
-    own = target.key_files or own_key_files()
-    return replace(target, key_files=(*key_files, *own))
+    own_files = target.key_files or own_key_files()
+    return replace(target, key_files=(*key_files, *own_files))
 
 
 def _resolve(
@@ -177,15 +177,15 @@ def _resolve(
     auth: Auth,
     key_files: tuple[str, ...],
 ) -> Target:
-    found = config.lookup(name)
-    files = found.get("userknownhostsfile", "~/.ssh/known_hosts").split()
+    options = config.lookup(name)
+    files = options.get("userknownhostsfile", "~/.ssh/known_hosts").split()
     return Target(
-        address=found.get("hostname", name),
-        port=port or int(found.get("port", auth.ssh_port)),
-        user=user or found.get("user", auth.ssh_user),
-        key_files=key_files or tuple(map(_home, found.get("identityfile", ()))),
+        address=options.get("hostname", name),
+        port=port or int(options.get("port", auth.ssh_port)),
+        user=user or options.get("user", auth.ssh_user),
+        key_files=key_files or tuple(map(_home, options.get("identityfile", ()))),
         known_hosts=tuple(map(_home, files)),
-        host_key_name=found.get("hostkeyalias", ""),
+        host_key_name=options.get("hostkeyalias", ""),
         name=name,
     )
 

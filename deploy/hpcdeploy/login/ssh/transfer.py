@@ -93,10 +93,10 @@ def fetch_file(
     try:
         size = sftp.stat(os.fsencode(source)).st_size or 0
         digest = _remote_digest(shell, source)
-        held = part.stat().st_size if part.exists() else None
+        part_size = part.stat().st_size if part.exists() else None
         is_whole = any(
             _fetch_from(sftp, source, part, start, size, on_progress) == digest
-            for start in _starts(held, size)
+            for start in _starts(part_size, size)
         )
         if is_whole:
             os.replace(part, target)
@@ -106,9 +106,9 @@ def fetch_file(
         raise CloudError(f"{shell.node}: {source}: arrived damaged, twice", "try again")
 
 
-def _starts(held: int | None, size: int) -> list[int]:
+def _starts(part_size: int | None, size: int) -> list[int]:
     """Return where to begin: after what is held, and from the start if that was of another file."""
-    return [held, 0] if held is not None and 0 < held <= size else [0]
+    return [part_size, 0] if part_size is not None and 0 < part_size <= size else [0]
 
 
 def _send_from(
@@ -187,11 +187,11 @@ def _size(sftp: paramiko.SFTPClient, path: str) -> int | None:
 
 def _remote_digest(shell: Shell, path: str) -> str:
     done = shell.run(_DIGEST.format(file=shlex.quote(path)), timeout_s=_DIGEST_S)
-    found = re.findall(r"^\\?([0-9a-f]{64})\b", done.output, re.MULTILINE)
-    if done.exit_code or not found:
+    digests = re.findall(r"^\\?([0-9a-f]{64})\b", done.output, re.MULTILINE)
+    if done.exit_code or not digests:
         last = (done.errors.strip().splitlines() or ["no sha256sum and no python3"])[-1]
         raise CloudError(f"{shell.node}: {path}: its checksum cannot be had ({last[:MOST_REASON]})")
-    return str(found[-1])
+    return str(digests[-1])
 
 
 def _make_folder(shell: Shell, folder: str) -> None:
@@ -206,6 +206,6 @@ def _failed(shell: Shell, error: OSError, source: str, target: str) -> CloudErro
     place = f"{shell.node}: {source} -> {target}"
     if error.errno is None and str(error) == "Failure":
         free = shell.run("df -Ph . | tail -n 1").output.split()
-        left = f"; {free[3]} are left on its disk" if len(free) > 3 else ""
-        return CloudError(f"{place}: the machine cannot write it{left}", "make room there")
+        remaining = f"; {free[3]} are left on its disk" if len(free) > 3 else ""
+        return CloudError(f"{place}: the machine cannot write it{remaining}", "make room there")
     return CloudError(f"{place}: {error.strerror or error}")

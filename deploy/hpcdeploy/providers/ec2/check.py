@@ -64,7 +64,7 @@ def _check_subnets(calls: Calls, cloud: CloudSpec) -> list[Problem]:
         except CloudError as error:
             problems.append(_problem(error))
             continue
-        vpcs.update((subnet, found.get("VpcId") or "no VPC") for found in reply["Subnets"])
+        vpcs.update((subnet, described.get("VpcId") or "no VPC") for described in reply["Subnets"])
     if len(set(vpcs.values())) > 1:
         lie = ", ".join(f"{subnet} in {vpc}" for subnet, vpc in vpcs.items())
         problems.append(
@@ -88,7 +88,7 @@ def _tried(calls: Calls, operation: str, doing: str, **parameters: Any) -> list[
 
 def _check_types(calls: Calls, name: str, profile: Profile) -> list[Problem]:
     """Find the types that there are; a profile needs one of its own."""
-    found = [
+    problems = [
         problem
         for kind in profile.instance_types
         for problem in _tried(
@@ -98,8 +98,8 @@ def _check_types(calls: Calls, name: str, profile: Profile) -> list[Problem]:
             InstanceTypes=[kind],
         )
     ]
-    has_one = len(found) < len(profile.instance_types)
-    return [replace(problem, is_fatal=problem.is_fatal and not has_one) for problem in found]
+    has_one = len(problems) < len(profile.instance_types)
+    return [replace(problem, is_fatal=problem.is_fatal and not has_one) for problem in problems]
 
 
 def _check_image(images: ImageKeeper, name: str, profile: Profile) -> list[Problem]:

@@ -25,7 +25,7 @@ from hpcdeploy.providers.ec2.errors import (
     is_throttled,
     translate,
 )
-from hpcdeploy.providers.ec2.login import Login, Patience
+from hpcdeploy.providers.ec2.login import Login, Timeouts
 from hpcdeploy.spec.provider import CloudSpec
 
 __all__ = ["Calls", "cloud_name", "open_calls", "open_client", "read_parameter"]
@@ -41,7 +41,7 @@ def cloud_name(cloud: CloudSpec) -> str:
 
 
 def open_client(
-    service: str, cloud: CloudSpec, base: Path, patience: Patience | None = None
+    service: str, cloud: CloudSpec, base: Path, timeouts: Timeouts | None = None
 ) -> Any:
     """Return a client of boto3 for a cloud.
 
@@ -55,14 +55,14 @@ def open_client(
     CloudError
         Keys or endpoint are not to be found.
     """
-    way = _Way(cloud, base, patience or Patience())
-    return way.client(service, way.patience.act_s)
+    clients = _Clients(cloud, base, timeouts or Timeouts())
+    return clients.client(service, clients.timeouts.act_s)
 
 
 def open_calls(
     cloud: CloudSpec,
     base: Path,
-    patience: Patience | None = None,
+    timeouts: Timeouts | None = None,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Calls:
     """Return the calls of a cloud's EC2; see `open_client` for the rest.
@@ -74,14 +74,14 @@ def open_calls(
     CloudError
         Keys or endpoint are not to be found.
     """
-    way = _Way(cloud, base, patience or Patience())
+    clients = _Clients(cloud, base, timeouts or Timeouts())
     return Calls(
-        way.asking(),
+        clients.asking(),
         cloud_name(cloud),
         sleep,
-        acting=way.acting,
-        renew=way.renew,
-        first_s=way.patience.ask_s,
+        acting=clients.acting,
+        renew=clients.renew,
+        first_s=clients.timeouts.ask_s,
     )
 
 
@@ -102,24 +102,24 @@ def read_parameter(cloud: CloudSpec, base: Path, name: str) -> str:
         client.close()
 
 
-class _Way:
+class _Clients:
     """The clients of one login: for questions, whose answers come soon, and for changes."""
 
-    def __init__(self, cloud: CloudSpec, base: Path, patience: Patience) -> None:
-        self._cloud, self._base, self.patience = cloud, base, patience
+    def __init__(self, cloud: CloudSpec, base: Path, timeouts: Timeouts) -> None:
+        self._cloud, self._base, self.timeouts = cloud, base, timeouts
         self._lock = threading.Lock()
         self._login: Login | None = None
         self._acting: Any = None
 
     def asking(self) -> Any:
         """Return a client for questions."""
-        return self.client("ec2", self.patience.ask_s)
+        return self.client("ec2", self.timeouts.ask_s)
 
     def acting(self) -> Any:
         """Return the client for changes."""
         with self._lock:
             if self._acting is None:
-                self._acting = self.client("ec2", self.patience.act_s)
+                self._acting = self.client("ec2", self.timeouts.act_s)
             return self._acting
 
     def renew(self) -> Any:
@@ -146,7 +146,7 @@ class _Way:
         certificates = _certificates(cloud.ca_bundle or keys.ca_bundle, self._base)
         region = cloud.signed_region
         if self._login is None:
-            self._login = Login(keys, region, cloud_name(cloud), self.patience)
+            self._login = Login(keys, region, cloud_name(cloud), self.timeouts)
         try:
             return self._login.client(
                 service,
@@ -157,7 +157,7 @@ class _Way:
                 aws_access_key_id=keys.access_key,
                 aws_secret_access_key=keys.secret_key,
                 aws_session_token=keys.token,
-                config=_config(service, self.patience.connect_s, read_s),
+                config=_config(service, self.timeouts.connect_s, read_s),
             )
         except (BotoCoreError, ValueError) as error:
             raise translate(error, "open a connection", cloud_name(cloud)) from error
@@ -306,14 +306,14 @@ class Calls:
         doing : str
             What it is for, in the words of an error.
         """
-        found: list[Any] = []
+        entries: list[Any] = []
         tokens: set[str] = set()
         while True:
             reply = self.call(operation, doing, **parameters)
-            found.extend(reply.get(key, []))
+            entries.extend(reply.get(key, []))
             token = reply.get("NextToken")
             if not token:
-                return found
+                return entries
             if token in tokens or len(tokens) == MOST_PAGES:
                 problem = f"{self._place}: cannot {doing}: its list has no end"
                 raise CloudError(problem, "ask the cloud's operator")

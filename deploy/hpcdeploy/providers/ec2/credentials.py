@@ -102,7 +102,7 @@ _EXPORT = re.compile(r"^\s*(?:export\s+)?([A-Z]\w*)=(.*)$")
 def _read_eucarc(path: Path) -> dict[str, str]:
     """Read the exports of a shell file without running it."""
     # Its first line asks a shell for the folder that it is in; all later ones build on that.
-    found = {"EUCA_KEY_DIR": str(path.parent.absolute())}
+    variables = {"EUCA_KEY_DIR": str(path.parent.absolute())}
     for line in _read_text(path).splitlines():
         match = _EXPORT.match(line)
         if match is None or "$(" in match[2] or "`" in match[2]:
@@ -112,8 +112,8 @@ def _read_eucarc(path: Path) -> dict[str, str]:
         except ValueError as error:
             raise CloudError(f"{path}: {match[1]} is no shell text ({error})") from error
         value = words[0] if words else ""
-        found[match[1]] = re.sub(r"\$\{?(\w+)\}?", lambda m: found.get(m[1], ""), value)
-    return found
+        variables[match[1]] = re.sub(r"\$\{?(\w+)\}?", lambda m: variables.get(m[1], ""), value)
+    return variables
 
 
 def _read_ini(path: Path, region: str) -> CloudKeys:

@@ -29,7 +29,7 @@ class ImageKeeper:
     def __init__(self, calls: Calls, read_parameter: Callable[[str], str]) -> None:
         self._calls = calls
         self._read_parameter = read_parameter
-        self._found: dict[Image, dict[str, Any]] = {}
+        self._images: dict[Image, dict[str, Any]] = {}
         self._lock = threading.Lock()
 
     def find(self, image: Image) -> dict[str, Any]:
@@ -46,9 +46,9 @@ class ImageKeeper:
             There is none, or it cannot be used yet.
         """
         with self._lock:
-            if image not in self._found:
-                self._found[image] = self._look_up(image)
-            return self._found[image]
+            if image not in self._images:
+                self._images[image] = self._look_up(image)
+            return self._images[image]
 
     def decided(self, cloud: CloudSpec) -> tuple[str, ...]:
         """Say which images were found for profiles that name none by its id.
@@ -59,11 +59,12 @@ class ImageKeeper:
             One line for each profile.
         """
         return tuple(
-            f"image of profile {name}: {found['ImageId']} ({found.get('Name', 'without a name')}), "
+            f"image of profile {name}: {described['ImageId']} "
+            f"({described.get('Name', 'without a name')}), "
             f"{describe_image(profile.image)}"
             for name, profile in cloud.profiles.items()
             if profile.image.id is None
-            for found in [self.find(profile.image)]
+            for described in [self.find(profile.image)]
         )
 
     def _look_up(self, image: Image) -> dict[str, Any]:
@@ -72,15 +73,15 @@ class ImageKeeper:
         image_id = image.id
         if image.ssm is not None:
             image_id = self._read_parameter(image.ssm)
-        found = self._calls.call("describe_images", f"find image {image_id}", ImageIds=[image_id])
-        for one in found["Images"]:
-            if one.get("State", "available") == "available":
-                return dict(one)
+        reply = self._calls.call("describe_images", f"find image {image_id}", ImageIds=[image_id])
+        for described in reply["Images"]:
+            if described.get("State", "available") == "available":
+                return dict(described)
         raise CloudError(f"image {image_id} is not available", "check the profile's image")
 
     def _newest(self, image: Image) -> dict[str, Any]:
         what = describe_image(image)
-        found = self._calls.call(
+        images = self._calls.call(
             "describe_images",
             f"find an image, {what}",
             Owners=[image.owner],
@@ -89,10 +90,10 @@ class ImageKeeper:
                 {"Name": "state", "Values": ["available"]},
             ],
         )["Images"]
-        if not found:
+        if not images:
             raise CloudError(f"there is no image, {what}", "check the profile's image, and region")
         # Dates are written so that they sort as text; where a cloud gives none, ids decide.
-        dated = sorted((one.get("CreationDate", ""), one["ImageId"], one) for one in found)
+        dated = sorted((image.get("CreationDate", ""), image["ImageId"], image) for image in images)
         return dict(dated[-1][2])
 
 

@@ -102,9 +102,9 @@ def explain_keys(error: Exception, source: Source, place: str) -> CloudError:
 def _explain(error: Exception, source: Source) -> tuple[str, str]:
     """Tell what is wrong, and what mends it."""
     for explain in (_of_sso, _of_codes, _of_network, _of_roles, _of_process, _of_files):
-        found = explain(error, source)
-        if found is not None:
-            return found
+        explained = explain(error, source)
+        if explained is not None:
+            return explained
     if isinstance(error, NoKeysError | boto.NoCredentialsError):
         return (
             "no keys, neither in AWS_ACCESS_KEY_ID nor in ~/.aws, and no machine's role answers",
@@ -147,11 +147,15 @@ def _of_codes(error: Exception, source: Source) -> Explained:
 def _of_network(error: Exception, source: Source) -> Explained:
     if not isinstance(error, NETWORK_ERRORS):
         return None
-    own = sorted(name for name in os.environ if name.startswith("AWS_ENDPOINT_URL"))
+    own_endpoints = sorted(name for name in os.environ if name.startswith("AWS_ENDPOINT_URL"))
     return (
         f"those who give its keys cannot be reached{_role(source)}: {_line(error)}",
         ", ".join(
-            ("check the network, the proxy (HTTPS_PROXY, NO_PROXY)", "provider.region", *own)
+            (
+                "check the network, the proxy (HTTPS_PROXY, NO_PROXY)",
+                "provider.region",
+                *own_endpoints,
+            )
         ),
     )
 

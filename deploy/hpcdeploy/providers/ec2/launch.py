@@ -194,8 +194,8 @@ def root_disk(image: Mapping[str, Any], disk_gb: int | None) -> dict[str, Any] |
     """
     root = image.get("RootDeviceName")
     volumes = {m.get("DeviceName"): m.get("Ebs", {}) for m in image.get("BlockDeviceMappings", [])}
-    own = volumes.get(root, {})
-    if disk_gb is None and own.get("DeleteOnTermination", True):
+    root_volume = volumes.get(root, {})
+    if disk_gb is None and root_volume.get("DeleteOnTermination", True):
         return None
     if image.get("RootDeviceType") != "ebs" or not root:
         raise CloudError(
@@ -203,5 +203,5 @@ def root_disk(image: Mapping[str, Any], disk_gb: int | None) -> dict[str, Any] |
             "leave out the profile's disk_gb",
         )
     volume = {"DeleteOnTermination": True}
-    size = own.get("VolumeSize") if disk_gb is None else math.ceil(disk_gb * 10**9 / 2**30)
+    size = root_volume.get("VolumeSize") if disk_gb is None else math.ceil(disk_gb * 10**9 / 2**30)
     return {"DeviceName": root, "Ebs": volume | ({"VolumeSize": size} if size else {})}

@@ -32,14 +32,14 @@ from hpcdeploy.providers.ec2.credentials import CloudKeys
 from hpcdeploy.providers.ec2.errors import is_lost_answer, is_throttled
 from hpcdeploy.providers.ec2.key_errors import MfaCodeError, NoKeysError, Source, explain_keys
 
-__all__ = ["Login", "Patience", "default_region"]
+__all__ = ["Login", "Timeouts", "default_region"]
 
 _RETRIES_S = (0.5, 1.0)
 _SPENT = timedelta(minutes=15)  # botocore asks for another code so long before the end
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
+class Timeouts:
     """Bounds of time, in seconds, so that a question is answered or given up within half a minute.
 
     Parameters
@@ -79,13 +79,13 @@ class Login:
         The profile does not exist, or its file cannot be read.
     """
 
-    def __init__(self, keys: CloudKeys, region: str, place: str, patience: Patience) -> None:
-        self._keys, self._patience, self._place = keys, patience, place
+    def __init__(self, keys: CloudKeys, region: str, place: str, timeouts: Timeouts) -> None:
+        self._keys, self._patience, self._place = keys, timeouts, place
         self._core = botocore.session.Session(profile=keys.profile)
         self._core.set_default_client_config(
             Config(
-                connect_timeout=patience.connect_s,
-                read_timeout=patience.keys_s,
+                connect_timeout=timeouts.connect_s,
+                read_timeout=timeouts.keys_s,
                 retries={"mode": "standard", "total_max_attempts": 1},  # `check` repeats
             )
         )

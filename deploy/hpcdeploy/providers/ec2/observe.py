@@ -197,7 +197,7 @@ def read_group(described: Mapping[str, Any], ssh_port: int) -> GroupSeen | None:
     if match is None or described["GroupName"] != PREFIX + match[1]:
         return None
     rules = ingress_rules(described)
-    own = {described["GroupId"], described["GroupName"]}
+    own_names = {described["GroupId"], described["GroupName"]}
     return GroupSeen(
         cluster=match[1],
         id=described["GroupId"],
@@ -211,7 +211,7 @@ def read_group(described: Mapping[str, Any], ssh_port: int) -> GroupSeen | None:
         internal_ports=frozenset(
             first
             for protocol, first, last, kind, source in rules
-            if (protocol, kind) == ("tcp", "group") and first == last and source in own
+            if (protocol, kind) == ("tcp", "group") and first == last and source in own_names
         ),
         owner=read_owner(_tags(described).get(OWNER_TAG, "")),
     )

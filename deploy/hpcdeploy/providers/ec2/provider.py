@@ -151,15 +151,15 @@ class Ec2Provider:
             "list the machines",
             Filters=[{"Name": condition, "Values": [value]}],
         )
-        found = []
+        machines = []
         for reservation in reservations:
             for described in reservation["Instances"]:
                 # A classic network names the groups of a reservation, not of an instance.
                 groups = described.get("SecurityGroups") or reservation.get("Groups", [])
                 machine = read_machine({**described, "SecurityGroups": groups})
                 if machine is not None:
-                    found.append(machine)
-        return found
+                    machines.append(machine)
+        return machines
 
     def prepare(self, needs: Needs, observed: Observed) -> list[Step]:
         """Return what of security group, rules and key pair is missing."""

@@ -16,7 +16,7 @@ from hpccomponent.errors import CloudError
 from hpcdeploy.provider import Problem
 from hpcdeploy.reconcile.cluster import Cluster
 from hpcdeploy.spec.cluster import read_spec
-from hpcdeploy.spec.polling import Pace
+from hpcdeploy.spec.polling import Polling
 
 
 def run(*arguments: str | Path) -> int:
@@ -90,7 +90,7 @@ def test_of_a_cluster_that_is_up_there_is_nothing_to_change(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
     monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *given: "#!/bin/sh")
-    bring_up(make_cluster(read_spec(file), cloud), lambda line: None, pace=Pace())
+    bring_up(make_cluster(read_spec(file), cloud), lambda line: None, polling=Polling())
     assert run("plan", file, "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["cluster"], told["actions"], told["missing"]) == ("bunny", [], [])

@@ -15,7 +15,7 @@ from hpcdeploy.install.user_data import MAX_BYTES, user_data
 from hpcdeploy.login.host_keys import parse_console
 from hpcdeploy.spec.cluster import ClusterSpec
 
-PATIENCE_S = 30
+TIMEOUT_S = 30
 IDLE_S = 900
 LISTENING = "0100007F:1B9E 00000000:0000 0A"  # port 7070
 CONNECTED_TO_HEAD = "0200000A:D431 0100000A:1B9E 01"
@@ -79,7 +79,7 @@ class Vm:
     def boot(self, lease_until: float, market: str = "on_demand") -> None:
         until = datetime.fromtimestamp(lease_until, UTC)
         text = user_data(spec(), market, until).replace("setsid", "true #")
-        subprocess.run(["sh", "-c", text], env=self.environment, check=True, timeout=PATIENCE_S)
+        subprocess.run(["sh", "-c", text], env=self.environment, check=True, timeout=TIMEOUT_S)
         self.guard = subprocess.Popen(
             ["sh", str(self.root / "var/lib/hpcapp/guard")], env=self.environment
         )
@@ -92,7 +92,7 @@ class Vm:
         self.ticks.write_text("go\n")
 
     def has_ended(self) -> bool:
-        self.guard.wait(PATIENCE_S)
+        self.guard.wait(TIMEOUT_S)
         return (self.root / "shutdown").read_text() == "-h now\n"
 
 
@@ -177,7 +177,7 @@ def test_a_spot_machine_that_is_told_of_its_end_drains_its_worker(vm: Vm) -> Non
     vm.command("systemctl", "exit 1")
     vm.command("curl", 'case $* in *spot/instance-action*) echo "{}" ;; *) echo token ;; esac')
     vm.boot(later(7200), "spot")
-    assert loader.wait(PATIENCE_S) == -15
+    assert loader.wait(TIMEOUT_S) == -15
     vm.wait_for_round()
     (vm.root / "var/lib/hpcapp/limits").write_text("lease_until 1\n")
     vm.wake()

@@ -65,7 +65,7 @@ class Place:
         return (self.folder / mesh).read_bytes() == (self.folder / "local.ply").read_bytes()
 
     @contextmanager
-    def held(self) -> Iterator[None]:
+    def ownership(self) -> Iterator[None]:
         """Hold the cluster, so that jobs run and get no further."""
         code = "import sys\nfrom hpccomponent.inventory import hold_cluster\n"
         code += "with hold_cluster(sys.argv[1], print):\n  print(flush=True); sys.stdin.read()"
@@ -260,7 +260,7 @@ def test_a_cluster_that_was_up_stays_up(cluster: Place) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_a_job_outlives_the_client(cluster: Place, number: signal.Signals) -> None:
-    with cluster.held():
+    with cluster.ownership():
         client = cluster.start(*SUBMIT, "m.ply", "--", *ON_WORKERS)
         assert client.stderr is not None
         assert any(WAITING in line for line in client.stderr)
@@ -279,7 +279,7 @@ def test_a_job_outlives_the_client(cluster: Place, number: signal.Signals) -> No
 
 @pytest.mark.slow
 def test_the_page_of_a_job_is_led_to(cluster: Place) -> None:
-    with cluster.held():
+    with cluster.ownership():
         output, errors = cluster.run(
             *SUBMIT, "m.ply", "--detach", "--dashboard", "--json", "--", *OPTIONS, *ON_WORKERS
         )
@@ -339,7 +339,7 @@ def test_what_cannot_be_is_one_line_and_no_job(cluster: Place) -> None:
 
 @pytest.mark.slow
 def test_down_ends_the_jobs_that_run_and_wait(cluster: Place) -> None:
-    with cluster.held():
+    with cluster.ownership():
         for _ in range(2):
             cluster.run(*SUBMIT, "m.ply", "--detach", "--", *ON_WORKERS)
         with cluster.start("attach", "cluster.yaml") as client:

@@ -54,11 +54,11 @@ class Simulation:
     def up(self, count: int = 3, least: int | None = None, market: str = "on_demand") -> None:
         spec = make_spec(count, count if least is None else least, market)
         self.calls.clear()
-        bring_up(make_cluster(spec, self.cloud), self.lines.append, pace=self.time.pace())
+        bring_up(make_cluster(spec, self.cloud), self.lines.append, polling=self.time.polling())
 
     def down(self) -> None:
         cluster = make_cluster(make_spec(), self.cloud)
-        take_down(cluster, self.lines.append, pace=self.time.pace())
+        take_down(cluster, self.lines.append, polling=self.time.polling())
 
     def alive(self) -> list[str]:
         machines = self.cloud.observe(None).machines
@@ -179,7 +179,7 @@ def test_kept_machines_stay(simulation: Simulation, set_up: SetUp) -> None:
     set_up.broken_nodes = {"worker-1"}
     cluster = make_cluster(make_spec(1, 1), simulation.cloud)
     with pytest.raises(CloudError, match="worker-1 cannot be had"):
-        bring_up(cluster, simulation.lines.append, keep=True, pace=simulation.time.pace())
+        bring_up(cluster, simulation.lines.append, keep=True, polling=simulation.time.polling())
     assert "head" in simulation.alive()
     assert "hpcapp down cluster.yaml ends it" in simulation.lines[-1]
 
@@ -189,7 +189,7 @@ def test_what_up_does_is_what_was_shown_before(simulation: Simulation, set_up: S
     set_up.broken_nodes = {"worker-1"}
     cluster = make_cluster(make_spec(1, 1), simulation.cloud)
     with pytest.raises(CloudError, match="worker-1 cannot be had"):
-        bring_up(cluster, simulation.lines.append, keep=True, pace=simulation.time.pace())
+        bring_up(cluster, simulation.lines.append, keep=True, polling=simulation.time.polling())
     simulation.time.sleep(60)
     assert simulation.alive() == ["head", "worker-1"]
     set_up.broken_nodes = set()
@@ -199,7 +199,7 @@ def test_what_up_does_is_what_was_shown_before(simulation: Simulation, set_up: S
         "terminate worker-1",
         "launch worker-1 as c6i.xlarge",
     ]
-    bring_up(cluster, simulation.lines.append, pace=simulation.time.pace(), agreed=ahead)
+    bring_up(cluster, simulation.lines.append, polling=simulation.time.polling(), agreed=ahead)
     assert simulation.alive() == ["head", "worker-1"]
     assert not any(isinstance(a, Terminate | LaunchNode) for a in look_ahead(cluster).actions)
 
@@ -254,7 +254,7 @@ def test_down_also_ends_machines_of_an_earlier_life_and_those_the_cloud_does_not
     cluster = make_cluster(make_spec(1), simulation.cloud)
     owner = cluster.access.owner()
     simulation.cloud.launch(Launch("bunny", "earlier", NodeName("worker-7"), owner=owner))
-    take_down(cluster, simulation.lines.append, pace=simulation.time.pace())
+    take_down(cluster, simulation.lines.append, polling=simulation.time.polling())
     assert simulation.left() == Observed()
 
 
@@ -276,12 +276,12 @@ def test_lost_workers_are_replaced_and_nothing_else_is_changed(
 ) -> None:
     simulation.up(2, market="spot")
     cluster = make_cluster(make_spec(2, market="spot"), simulation.cloud)
-    replace_lost(cluster, simulation.lines.append, pace=simulation.time.pace())
+    replace_lost(cluster, simulation.lines.append, polling=simulation.time.polling())
     assert len(set_up.calls) == 1
     simulation.cloud.interrupt("worker-2")
     simulation.time.sleep(3600)
     simulation.calls.clear()
-    replace_lost(cluster, simulation.lines.append, pace=simulation.time.pace())
+    replace_lost(cluster, simulation.lines.append, polling=simulation.time.polling())
     assert simulation.alive() == ["head", "worker-1", "worker-2"]
     assert CHANGES & simulation.calls.keys() == {"launch"}
     assert set_up.calls[-1] == ("head", "worker-1", "worker-2")
@@ -292,7 +292,7 @@ def test_a_lost_head_is_not_replaced_during_a_job(simulation: Simulation) -> Non
     simulation.cloud.interrupt("head")
     cluster = make_cluster(make_spec(2), simulation.cloud)
     with pytest.raises(CloudError, match=r"the head of cluster bunny does not run; run hpcapp up"):
-        replace_lost(cluster, simulation.lines.append, pace=simulation.time.pace())
+        replace_lost(cluster, simulation.lines.append, polling=simulation.time.polling())
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])
@@ -304,7 +304,7 @@ def test_who_watches_goes_by_the_last_number_of_workers(simulation: Simulation, 
     nodes = simulation.alive()
     for _ in range(2):
         simulation.time.sleep(60)
-        watched = replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
+        watched = replace_lost(watched, simulation.lines.append, polling=simulation.time.polling())
         assert simulation.alive() == nodes
     word = "grew" if count > 3 else "shrank"
     said = f"cluster bunny {word} from 3 to {count} workers, by the last hpcapp scale or up"
@@ -335,11 +335,11 @@ def test_who_watches_keeps_nobody_from_a_change_while_nothing_is_lost(
     simulation.up(2)
     watched = make_cluster(make_spec(3), simulation.cloud)
     with open_journal("bunny"):
-        watched = replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
+        watched = replace_lost(watched, simulation.lines.append, polling=simulation.time.polling())
         assert watched.spec.worker_count == 2
         simulation.cloud.interrupt("worker-2")
         with pytest.raises(CloudError, match="is being changed by another hpcapp"):
-            replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
+            replace_lost(watched, simulation.lines.append, polling=simulation.time.polling())
 
 
 def test_who_watches_sets_up_what_an_earlier_one_has_left_half_done(
@@ -356,11 +356,11 @@ def test_who_watches_sets_up_what_an_earlier_one_has_left_half_done(
 
     set_up.during = leave
     with pytest.raises(KeyboardInterrupt):
-        replace_lost(cluster, simulation.lines.append, pace=simulation.time.pace())
+        replace_lost(cluster, simulation.lines.append, polling=simulation.time.polling())
     assert simulation.alive() == ["head", "worker-1", "worker-2"]
     calls = len(set_up.calls)
     for _ in range(2):
-        replace_lost(cluster, simulation.lines.append, pace=simulation.time.pace())
+        replace_lost(cluster, simulation.lines.append, polling=simulation.time.polling())
         assert len(set_up.calls) == calls + 1
 
 
@@ -380,7 +380,7 @@ def test_what_is_launched_for_a_lost_worker_goes_again_where_it_is_not_wanted_an
             simulation.cloud.tag([head], Tags(desired=Desired(2, 1)))
 
     simulation.cloud.hook = scale
-    replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
+    replace_lost(watched, simulation.lines.append, polling=simulation.time.polling())
     assert simulation.alive() == ["head", "worker-1"]
 
 
@@ -430,7 +430,7 @@ def test_a_failed_growth_is_not_made_good_by_who_watches(
         simulation.up(2)
     set_up.broken_nodes = set()
     simulation.time.sleep(60)
-    replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
+    replace_lost(watched, simulation.lines.append, polling=simulation.time.polling())
     assert simulation.alive() == ["head", "worker-1"]
 
 
@@ -441,5 +441,5 @@ def test_a_head_that_is_replaced_bears_the_number_of_workers(simulation: Simulat
     simulation.time.sleep(60)
     simulation.up(2)
     watched = make_cluster(make_spec(3), simulation.cloud)
-    replace_lost(watched, simulation.lines.append, pace=simulation.time.pace())
+    replace_lost(watched, simulation.lines.append, polling=simulation.time.polling())
     assert simulation.alive() == ["head", "worker-1", "worker-2"]

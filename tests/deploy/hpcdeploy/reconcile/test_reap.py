@@ -79,7 +79,7 @@ def test_a_machine_that_runs_without_a_lease_stays_and_is_named(tmp_path: Path) 
     seen = cloud.launch(Launch("bunny", "life", NodeName("head")))
     time.sleep(2 * 24 * 3600)
     lines: list[str] = []
-    reap(cloud, lines.append, time.pace())
+    reap(cloud, lines.append, time.polling())
     assert [m.state for m in cloud.observe(None).machines] == [State.RUNNING]
     assert lines == [
         f"head {seen.id} of cluster bunny runs and bears no lease: it stays, its owner's "
@@ -132,7 +132,7 @@ def time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimulatedTime:
 
 def up(cloud: MemoryProvider, time: SimulatedTime, name: str) -> None:
     cluster = make_cluster(make_spec(1, cluster=name), cloud)
-    bring_up(cluster, lambda line: None, pace=time.pace())
+    bring_up(cluster, lambda line: None, polling=time.polling())
 
 
 def test_expired_clusters_are_removed_and_others_stay(time: SimulatedTime) -> None:
@@ -142,7 +142,7 @@ def test_expired_clusters_are_removed_and_others_stay(time: SimulatedTime) -> No
     up(cloud, time, "young")
     time.sleep(1.5 * 3600)
     lines: list[str] = []
-    reap(cloud, lines.append, time.pace())
+    reap(cloud, lines.append, time.polling())
     left = cloud.observe(None)
     assert {m.cluster for m in left.machines if m.state is State.RUNNING} == {"young"}
     assert [g.cluster for g in left.lives] == [p.cluster for p in key_pairs_of(left)] == ["young"]
@@ -154,4 +154,4 @@ def test_what_cannot_be_removed_is_named(time: SimulatedTime) -> None:
     cloud.launch(Launch("bunny", "life", NodeName("head"), lease_until=START - HOUR))
     time.sleep(7200)
     with pytest.raises(LeftoverError, match=r"still there: head i-\d+ \(ending\); it may cost"):
-        reap(cloud, lambda line: None, time.pace())
+        reap(cloud, lambda line: None, time.polling())

@@ -13,7 +13,7 @@ from simulated.memory import MemoryProvider
 
 import hpcdeploy
 from hpccomponent.errors import CloudError
-from hpcdeploy.ownership.ownership import Held, foreign_owner, ours
+from hpcdeploy.ownership.ownership import Ownership, foreign_owner, ours
 from hpcdeploy.provider import MachineSeen, Observed, State
 from hpcdeploy.providers.ec2.observe import GroupSeen, KeyPairSeen
 from hpcdeploy.reconcile.termination import Proof, Reason, end, may_terminate
@@ -81,41 +81,45 @@ PAIR = KeyPairSeen("bunny", "n", "life", fingerprint="aa:bb")
 
 
 @pytest.mark.parametrize(
-    ("observed", "held", "whose"),
+    ("observed", "ownership", "whose"),
     [
-        (Observed(), Held(Owner("ben@lab")), None),
-        (Observed((RUNS,)), Held(BEN), ANNA),
-        (Observed((RUNS,)), Held(Owner("ben@lab")), ANNA),
-        (Observed((RUNS,)), Held(Owner("ben@lab", ANNA.key)), None),  # the key handed over
-        (Observed((replace(RUNS, state=State.GONE),)), Held(BEN), None),
-        (Observed((replace(RUNS, state=State.UNKNOWN, owner=Owner()),)), Held(BEN), None),
+        (Observed(), Ownership(Owner("ben@lab")), None),
+        (Observed((RUNS,)), Ownership(BEN), ANNA),
+        (Observed((RUNS,)), Ownership(Owner("ben@lab")), ANNA),
+        (Observed((RUNS,)), Ownership(Owner("ben@lab", ANNA.key)), None),  # the key handed over
+        (Observed((replace(RUNS, state=State.GONE),)), Ownership(BEN), None),
+        (Observed((replace(RUNS, state=State.UNKNOWN, owner=Owner()),)), Ownership(BEN), None),
         # a life without an owner's key: by its group, by our journal, by its key pair
-        (Observed((replace(RUNS, owner=Owner("anna@lab")),)), Held(BEN), Owner("anna@lab")),
+        (Observed((replace(RUNS, owner=Owner("anna@lab")),)), Ownership(BEN), Owner("anna@lab")),
         (
             Observed(
                 (replace(RUNS, incarnation=LIFE, owner=Owner()),), (replace(GROUP, owner=ANNA),)
             ),
-            Held(ANNA),
+            Ownership(ANNA),
             None,
         ),
-        (Observed((replace(RUNS, owner=Owner()),)), Held(BEN, lives=frozenset({"life"})), None),
+        (
+            Observed((replace(RUNS, owner=Owner()),)),
+            Ownership(BEN, lives=frozenset({"life"})),
+            None,
+        ),
         (
             Observed((replace(RUNS, owner=Owner()),), (PAIR,)),
-            Held(BEN, frozenset({"aa:bb"})),
+            Ownership(BEN, frozenset({"aa:bb"})),
             None,
         ),
         # a group alone
-        (Observed((), (replace(GROUP, owner=ANNA),)), Held(BEN), ANNA),
-        (Observed((), (GROUP,)), Held(BEN), None),  # left, and nobody's machine is in it
-        (Observed((), (replace(GROUP, incarnation=YOUNG),)), Held(BEN), Owner()),
+        (Observed((), (replace(GROUP, owner=ANNA),)), Ownership(BEN), ANNA),
+        (Observed((), (GROUP,)), Ownership(BEN), None),  # left, and nobody's machine is in it
+        (Observed((), (replace(GROUP, incarnation=YOUNG),)), Ownership(BEN), Owner()),
         (
             Observed((), (replace(GROUP, incarnation=YOUNG),)),
-            Held(BEN, lives=frozenset({YOUNG})),
+            Ownership(BEN, lives=frozenset({YOUNG})),
             None,
         ),
     ],
 )
-def test_whose_a_cluster_is(observed: Observed, held: Held, whose: Owner | None) -> None:
-    assert foreign_owner(observed, held, START) == whose
+def test_whose_a_cluster_is(observed: Observed, ownership: Ownership, whose: Owner | None) -> None:
+    assert foreign_owner(observed, ownership, START) == whose
     if whose is not None and observed.machines:
-        assert ours(observed, held) == frozenset()
+        assert ours(observed, ownership) == frozenset()

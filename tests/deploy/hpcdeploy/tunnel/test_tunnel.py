@@ -185,12 +185,12 @@ def test_a_master_elsewhere_waits_for_its_turn(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     cluster = standing_cluster(head.home / FOLDER, running=0)
-    with ExitStack() as held, caplog.at_level("INFO", "hpcapp"):
-        held.enter_context(hold_cluster(cluster.inventory, pytest.fail))
+    with ExitStack() as ownership, caplog.at_level("INFO", "hpcapp"):
+        ownership.enter_context(hold_cluster(cluster.inventory, pytest.fail))
 
         def free(record: logging.LogRecord) -> bool:
             if "in use by another program" in record.getMessage():
-                held.close()
+                ownership.close()
             return True
 
         caplog.handler.addFilter(free)

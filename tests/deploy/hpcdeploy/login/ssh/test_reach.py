@@ -19,14 +19,14 @@ from machines.rude import ACTS, open_rude
 from machines.servers import USER, Machines, Server
 
 from hpcdeploy.login.ssh.connect import connect
-from hpcdeploy.login.ssh.connection import Connection, Patience
+from hpcdeploy.login.ssh.connection import Connection, Timeouts
 from hpcdeploy.login.ssh.keys import find_identities, public_key, read_key
 from hpcdeploy.login.ssh.reach import Reach, ReachError
 from hpcdeploy.login.ssh.shell import SshShell
 from hpcdeploy.login.ssh.target import Target
 
-IMPATIENT = Patience(login_s=0.7)
-HANGS = Patience(login_s=20.0, beat_s=0.1, silence_s=0.5)
+IMPATIENT = Timeouts(login_s=0.7)
+HANGS = Timeouts(login_s=20.0, beat_s=0.1, silence_s=0.5)
 
 
 @pytest.fixture
@@ -53,9 +53,9 @@ def target_of(server: Server, key: Path) -> Target:
     return Target(server.address, server.port, USER, (str(key),), (known(server),))
 
 
-def fail(target: Target, patience: Patience = IMPATIENT) -> ReachError:
+def fail(target: Target, timeouts: Timeouts = IMPATIENT) -> ReachError:
     with ExitStack() as closer, pytest.raises(ReachError) as caught:
-        connect(target, closer, patience)
+        connect(target, closer, timeouts)
     return caught.value
 
 
@@ -117,7 +117,7 @@ def test_nobody_at_a_port_is_unreachable(key: Path) -> None:
 
 def test_a_name_that_nobody_knows_is_unreachable(key: Path) -> None:
     for name in ("nobody.invalid", "x" * 70, "a..b"):
-        error = fail(Target(name, 22, "me", (str(key),)), Patience(login_s=20.0))
+        error = fail(Target(name, 22, "me", (str(key),)), Timeouts(login_s=20.0))
         assert (error.reach, "no such host name" in error.problem) == (Reach.UNREACHABLE, True)
 
 
@@ -126,22 +126,22 @@ def test_the_four_refusals_of_a_machine_that_is_up_are_told_apart(
 ) -> None:
     server, other = machines.add(), machines.add()
     good = target_of(server, key)
-    error = fail(good, Patience())
+    error = fail(good, Timeouts())
     assert error.reach is Reach.KEY_REFUSED
     assert str(key) in error.problem
     own = replace(good, host_keys=(), known_hosts=(str(tmp_path / "known"),))
-    error = fail(own, Patience())
+    error = fail(own, Timeouts())
     assert error.reach is Reach.HOST_KEY_UNKNOWN
     assert f"run ssh -p {server.port} {USER}@{server.address} once" in error.advice
     (tmp_path / "known").write_text(f"[{server.address}]:{server.port} {other.host_line}\n")
-    error = fail(own, Patience())
+    error = fail(own, Timeouts())
     assert error.reach is Reach.HOST_KEY_CHANGED
     assert f"ssh-keygen -R '[{server.address}]:{server.port}'" in error.advice
     (tmp_path / "known").write_text(f"[{server.address}]:{server.port} {server.host_line}\n")
-    error = fail(own, Patience())
+    error = fail(own, Timeouts())
     assert (error.reach, "ssh-copy-id" in error.advice) == (Reach.KEY_REFUSED, True)
     lock(key)
-    error = fail(own, Patience())
+    error = fail(own, Timeouts())
     assert (error.reach, error.advice) == (Reach.PASSPHRASE_NEEDED, f"run ssh-add {key}")
 
 
@@ -265,10 +265,10 @@ def test_on_the_way_the_machine_that_fails_is_named(machines: Machines, key: Pat
     server = machines.add()
     target = jumped(machines, key, target_of(server, key))
     machines.stop(server)
-    error = fail(target, Patience())
+    error = fail(target, Timeouts())
     assert (error.reach, server.address in error.problem) == (Reach.UNREACHABLE, True)
     gate = target.jumps[0]
-    error = fail(replace(target, jumps=(replace(gate, user="stranger"),)), Patience())
+    error = fail(replace(target, jumps=(replace(gate, user="stranger"),)), Timeouts())
     assert error.reach is Reach.KEY_REFUSED
     assert f"on the way, at {gate.place}" in error.problem
 
@@ -280,7 +280,7 @@ def test_a_bad_server_behind_a_jump_is_named_too(
 ) -> None:
     with open_rude(ACTS[name]) as port:
         target = jumped(machines, key, Target("127.0.0.1", port, "me", (str(key),)))
-        error = fail(target, Patience(login_s=3.0))
+        error = fail(target, Timeouts(login_s=3.0))
     assert error.reach is CAUSES[name][0]
     assert capfd.readouterr().err == ""
 

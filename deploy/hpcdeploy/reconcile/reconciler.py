@@ -33,21 +33,21 @@ from hpcdeploy.reconcile.plan import (
 from hpcdeploy.reconcile.removal import remove
 from hpcdeploy.reconcile.termination import Proof, Reason, end, may_terminate
 from hpcdeploy.spec.names import HEAD, Desired, NodeName, Owner, draw_incarnation
-from hpcdeploy.spec.polling import Pace
+from hpcdeploy.spec.polling import Polling
 from hpcdeploy.spec.ssh_networks import ssh_networks
 
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
     from hpcdeploy.spec.cluster import ClusterSpec
 
-__all__ = ["Effort", "Report"]
+__all__ = ["Reconciler", "Report"]
 
 Report = Callable[[str], None]
 CONSOLE_LINES = 5
 Failed = tuple[MachineSeen, str]
 
 
-class Effort:
+class Reconciler:
     """One run of `up`: what it has launched, what it has given up."""
 
     def __init__(
@@ -55,7 +55,7 @@ class Effort:
         cluster: Cluster,
         journal: Journal,
         report: Report,
-        pace: Pace,
+        polling: Polling,
         only_replace: bool = False,
     ) -> None:
         self._cluster, self._spec, self._provider = cluster, cluster.spec, cluster.provider
@@ -63,11 +63,11 @@ class Effort:
         self._desired: Desired | None = None
         self._before: Desired | None = None
         self._has_set_workers = False
-        self._journal, self._report, self._pace = journal, report, pace
+        self._journal, self._report, self._polling = journal, report, polling
         self._only_replace = only_replace
         self._is_unsettled = self._provider.makes_machines and bool(journal.unfinished())
         self._ssh_from = frozenset[str]() if only_replace else ssh_networks(self._spec)
-        self._incarnation = draw_incarnation(pace.now())
+        self._incarnation = draw_incarnation(polling.now())
         self._life = ""
         self._owner = Owner()
         self._seen = Observed()
@@ -76,7 +76,7 @@ class Effort:
         self._has_begun = False
         nodes = len(self._spec.nodes())
         self._replacements = 2 + nodes // 4 if self._provider.makes_machines else 0
-        self._deadline = pace.now() + timedelta(seconds=pace.total_s)
+        self._deadline = polling.now() + timedelta(seconds=polling.total_s)
 
     @property
     def spec(self) -> ClusterSpec:
@@ -86,7 +86,7 @@ class Effort:
     def first_plan(self) -> Plan:
         """Return what is to be done, once the cloud lists what an earlier command asked for."""
         if self._is_unsettled:
-            self._pace.sleep(self._pace.settle_s)
+            self._polling.sleep(self._polling.settle_s)
         return self.plan()
 
     def converge(self, plan: Plan) -> None:
@@ -113,7 +113,7 @@ class Effort:
 
     def _is_settled(self, plan: Plan) -> bool:
         """Tell whether all are there and nobody else: some are lost or listed only by now."""
-        is_late = self._pace.now() >= self._deadline
+        is_late = self._polling.now() >= self._deadline
         return is_late or not any(isinstance(a, LaunchNode | Terminate) for a in plan.actions)
 
     def undo(self, reason: str) -> None:
@@ -130,7 +130,9 @@ class Effort:
         is_slow = self._provider.makes_machines  # clouds list with a delay
         errors = self._given_up.values()
         if is_slow and any(not isinstance(error, CapacityError) for error in errors):
-            self._pace.sleep(self._pace.settle_s)  # an answer may be lost, its machine not listed
+            self._polling.sleep(
+                self._polling.settle_s
+            )  # an answer may be lost, its machine not listed
 
         def made() -> tuple[Observed, Proof]:
             seen = self._observe()
@@ -142,7 +144,7 @@ class Effort:
             return Observed(going, seen.resources), proof
 
         looks = 3 if is_slow and self._journal.unfinished() else 1
-        args = (Reason.ROLL_BACK, self._journal.step, self._report, self._pace, looks)
+        args = (Reason.ROLL_BACK, self._journal.step, self._report, self._polling, looks)
         try:
             self._take_back()
         finally:
@@ -152,7 +154,7 @@ class Effort:
 
     def _is_ours(self, seen: Observed) -> bool:
         try:
-            require_ours(self._cluster, seen, self._pace.now())
+            require_ours(self._cluster, seen, self._polling.now())
         except CloudError:
             return False
         return True
@@ -189,22 +191,22 @@ class Effort:
 
     def _proof(self, seen: Observed) -> Proof:
         """Return what may be ended of what is seen: ours, and what of it nobody can be using."""
-        held = self._cluster.access.held()
-        mine = ours(seen, held)
+        ownership = self._cluster.access.ownership()
+        own_machines = ours(seen, ownership)
         if not self._spec.provider.is_shared:
-            mine = frozenset(machine.id for machine in seen.machines)
+            own_machines = frozenset(machine.id for machine in seen.machines)
         asked, now_asked = self._journal.launched(), self._journal.launched(since_opened=True)
 
         def among(machines: frozenset[tuple[str, NodeName]]) -> frozenset[str]:
             # Who shares our key may have launched the very same node: it bears their name.
-            users = (held.owner.user, "")
+            users = (ownership.owner.user, "")
             return frozenset(
                 m.id
                 for m in seen.machines
                 if (m.incarnation, m.name) in machines and m.owner.user in users
             )
 
-        return Proof(mine, among(asked) - self._journal.used, among(now_asked))
+        return Proof(own_machines, among(asked) - self._journal.used, among(now_asked))
 
     def _observe(self) -> Observed:
         """Look at the cloud; what was launched and was never listed is pending.
@@ -220,16 +222,16 @@ class Effort:
     def plan(self) -> Plan:
         """Look at the cloud, and return what is to be done now; nothing is changed."""
         observed = self._seen = self._observe()
-        require_ours(self._cluster, observed, self._pace.now())
+        require_ours(self._cluster, observed, self._polling.now())
         self._follow(observed)
         plan = make_plan(
             self._spec,
             observed,
-            self._pace.now(),
+            self._polling.now(),
             self._incarnation,
             lambda life: self._provider.prepare(self._needs(life), observed),
             self._journal.known_bad & self._proof(observed).unused,
-            self._cluster.access.held().owner,
+            self._cluster.access.ownership().owner,
             self._desired,
         )
         self._life = plan.incarnation
@@ -302,7 +304,7 @@ class Effort:
             self._life,
             self._owner,
             self._report,
-            self._pace,
+            self._polling,
         )
         self._unlisted.update((machine.id, machine) for machine in launched)
         self._given_up.update((shortage.node, shortage.error) for shortage in short)
@@ -315,7 +317,7 @@ class Effort:
             case Step():
                 self._life = action.carry_out(self._cluster.access)
                 if action.begins not in ("", self._life):  # another hurried user was first
-                    require_ours(self._cluster, self._observe(), self._pace.now())
+                    require_ours(self._cluster, self._observe(), self._polling.now())
             case Mark(machines, resources, owner):
                 self._provider.tag(machines, Tags(owner), resources)
             case SetWorkers(head, desired):
@@ -333,7 +335,7 @@ class Effort:
         """Wait until machines run and have an address; tell which do not, and why."""
         kind = self._spec.provider.address_kind
         limit_s = self._spec.limits.boot
-        for look, _ in enumerate(self._pace.looks(limit_s)):
+        for look, _ in enumerate(self._polling.looks(limit_s)):
             late = [m for m in awaited if not _is_ready(m, kind) and m.state in LIVE]
             if not late:
                 break
@@ -382,7 +384,9 @@ class Effort:
             return
         if self._provider.makes_machines and not is_preempted:  # hosts have no other id
             self._journal.note_bad(machine.id, reason)
-        may_go_on = self._pace.now() < self._deadline and (is_preempted or self._replacements > 0)
+        may_go_on = self._polling.now() < self._deadline and (
+            is_preempted or self._replacements > 0
+        )
         if may_go_on:
             self._replacements -= not is_preempted
             self._report(f"{machine.name.node}: {reason}; replacing it")
