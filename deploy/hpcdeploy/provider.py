@@ -260,6 +260,8 @@ class Step:
 
     Parameters
     ----------
+    kind : str
+        As programs read it: ``CreateKeyPair``.
     what : str
         As users read it, in the infinitive: "create the key pair".
     carry_out : callable
@@ -271,6 +273,7 @@ class Step:
         Whether it makes what is to be taken away in the end.
     """
 
+    kind: str
     what: str
     carry_out: Callable[[Maker], str] = field(repr=False, compare=False)
     begins: str = ""

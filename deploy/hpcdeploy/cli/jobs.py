@@ -6,7 +6,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -161,7 +161,7 @@ def fetch(file: Path, job: str | None, output: Path | None, as_json: bool) -> No
         _tell_report(target, cluster_job.fetch(opened, status, target), as_json)
 
 
-def _tell_report(mesh: Path, report: dict[str, Any], as_json: bool) -> None:
+def _tell_report(mesh: Path, report: dict[str, object], as_json: bool) -> None:
     if as_json:
         echo_json(report)
     else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -83,13 +83,11 @@ def _lines(
 
 def _as_json(
     name: str, ahead: Plan, cost: Cost, missing: Sequence[Problem], decided: Sequence[str]
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Write a plan for programs; money is in dollars, and null where a price is not known."""
     return {
         "cluster": name,
-        "actions": [
-            {"kind": type(action).__name__, "description": str(action)} for action in ahead.actions
-        ],
+        "actions": [{"kind": action.kind, "description": str(action)} for action in ahead.actions],
         "obstacles": ahead.obstacles(),
         "decided": list(decided),
         "cost": {

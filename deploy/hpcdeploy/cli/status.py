@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from hpccomponent.terminal import echo, echo_json
+
+if TYPE_CHECKING:
+    from hpcdeploy.reconcile.status import ClusterLine
 
 __all__ = ["ls", "status"]
 
@@ -48,7 +51,8 @@ def ls(files: tuple[Path, ...], is_all: bool, as_json: bool) -> None:
     if not files and not is_all:
         raise UsageError("no cluster file is given", "name some, or add --all")
     names = None if is_all else {read_spec(path).cluster for path in files}
-    rows, silent = list[dict[str, Any]](), list[CloudError]()
+    rows: list[ClusterLine] = []
+    silent: list[CloudError] = []
     for where, provider in open_clouds(files):
         try:
             listed = list_clusters(where, provider.observe(None))

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 from hpccomponent.errors import CloudError, HpcError, OutputError, UsageError
 from hpccomponent.files.paths import new_file_here
@@ -41,7 +41,7 @@ QUICK_S, LEAVE_S = 1.0, 60.0  # until the replacing of workers has ended: withou
 
 def run_on_cluster(
     path: Path, verb: str, points: Path, target: Path, options: Sequence[str]
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Run a verb on a cluster: up if needed, submit, watch, fetch, and down if it was us.
 
     Parameters
@@ -91,7 +91,7 @@ def run_on_cluster(
                 take_down(cluster, log.info)
 
 
-def _describe_cost(cluster: Cluster, seconds: float) -> dict[str, Any]:
+def _describe_cost(cluster: Cluster, seconds: float) -> dict[str, object]:
     """Return what a job has cost at most, for its report; nothing where that is not known."""
     cost = estimate_cost(cluster.spec)
     if cost.unknown or not cost.hourly:
@@ -155,7 +155,7 @@ def submit(jobs: Jobs, verb: str, points: Path, mesh: str, options: Sequence[str
     return status
 
 
-def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, Any]:
+def fetch(jobs: Jobs, status: JobStatus, target: Path) -> dict[str, object]:
     """Fetch a job's mesh, and show how it travels; return the report of its verb.
 
     Parameters

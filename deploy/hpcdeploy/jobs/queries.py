@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hpccomponent.errors import (
     CloudError,
@@ -193,7 +193,7 @@ class Jobs:
         """End a job, and return its status when nothing of it runs any more."""
         return self._ask_status("cancel", number)
 
-    def report(self, status: JobStatus) -> dict[str, Any]:
+    def report(self, status: JobStatus) -> dict[str, object]:
         """Return what the verb of a finished job reported; its `summary` is for people.
 
         Raises
@@ -204,7 +204,7 @@ class Jobs:
         place = f"{self._folder}/jobs/{status.job}"
         lines = self._run(f"cat {shlex.quote(place)}/report.json")
         try:
-            report: dict[str, Any] = decode("\n".join(lines), dict[str, Any])
+            report: dict[str, object] = decode("\n".join(lines), dict[str, object])
             convert(report, _Summary)
         except ValueError as error:
             raise CloudError(
@@ -218,7 +218,7 @@ class Jobs:
         status: JobStatus,
         target: Path,
         on_progress: Callable[[int, int], None] | None = None,
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         """Fetch a finished job's mesh; return its report.
 
         Parameters

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from typing import ClassVar
 
 from hpcdeploy.provider import LaunchChoice, MachineSeen, Observed, Resource, State, Step
 from hpcdeploy.reconcile.termination import Reason
@@ -45,6 +46,8 @@ class LaunchNode:
         For the head, which bears it.
     """
 
+    kind: ClassVar[str] = "LaunchNode"
+
     name: NodeName
     profile: str
     choices: tuple[LaunchChoice, ...]
@@ -60,6 +63,8 @@ class LaunchNode:
 class Extend:
     """Write a new end of the lease."""
 
+    kind: ClassVar[str] = "Extend"
+
     machines: tuple[MachineSeen, ...]
     lease_until: datetime
 
@@ -71,6 +76,8 @@ class Extend:
 @dataclass(frozen=True, slots=True)
 class Terminate:
     """End machines for one reason."""
+
+    kind: ClassVar[str] = "Terminate"
 
     machines: tuple[MachineSeen, ...]
     why: Reason
@@ -84,6 +91,8 @@ class Terminate:
 class Mark:
     """Write down whose machines and resources are that bear no owner's key yet."""
 
+    kind: ClassVar[str] = "Mark"
+
     machines: tuple[MachineSeen, ...]
     resources: tuple[Resource, ...]
     owner: Owner
@@ -96,6 +105,8 @@ class Mark:
 @dataclass(frozen=True, slots=True)
 class SetWorkers:
     """Write down how many workers are wanted from now on, before any comes or goes."""
+
+    kind: ClassVar[str] = "SetWorkers"
 
     head: MachineSeen
     desired: Desired

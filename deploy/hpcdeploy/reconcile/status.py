@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from datetime import datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict
 
 from hpccomponent.errors import CloudError, HpcError
 from hpccomponent.terminal import visible_line
@@ -22,13 +22,56 @@ from hpcdeploy.spec.polling import utc_now
 if TYPE_CHECKING:
     from hpcdeploy.reconcile.cluster import Cluster
 
-__all__ = ["describe_cluster", "list_clusters", "write_list", "write_table"]
+__all__ = ["ClusterLine", "describe_cluster", "list_clusters", "write_list", "write_table"]
+
+
+class MachineStatus(TypedDict):
+    """A machine as JSON has it; its loader is null where it was not asked."""
+
+    node: str
+    generation: int
+    id: str
+    state: str
+    reason: str
+    owner: str
+    instance_type: str
+    market: str
+    public_address: str
+    private_address: str
+    age_s: float | None
+    lease_left_s: float | None
+    loader: str | None
+
+
+class ClusterStatus(TypedDict):
+    """A cluster as JSON has it; nodes are hidden whose machine cannot be looked at."""
+
+    cluster: str
+    provider: str
+    made_elsewhere: str
+    is_up: bool
+    elsewhere: str
+    hidden: list[str]
+    missing: list[str]
+    unwanted: list[str]
+    machines: list[MachineStatus]
+
+
+class ClusterLine(TypedDict):
+    """A cluster in a list, as JSON has it."""
+
+    cloud: str
+    cluster: str
+    states: dict[str, int]
+    instance_types: list[str]
+    lease_left_s: float | None
+
 
 ANSWER_S = 10.0
 """How long a machine may take to tell about its loader."""
 
 
-def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> dict[str, Any]:
+def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> ClusterStatus:
     """Return what is known of a cluster, as JSON takes it.
 
     Parameters
@@ -42,7 +85,7 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> dict[str, A
     elsewhere = _made_elsewhere(cluster, seen)
     loaders = _ask_loaders(cluster, machines) if ask_machines and not elsewhere else {}
     hidden = {m.id: m.reason for m in machines if m.state is State.UNKNOWN}
-    rows = [{**_machine(m, now), "loader": (loaders | hidden).get(m.id)} for m in machines]
+    rows = [_machine(m, now, (loaders | hidden).get(m.id)) for m in machines]
     wanted = cluster.spec.nodes()
     there = [machine.name.node for machine in machines if machine.state is State.RUNNING]
     unknown = [machine.name.node for machine in machines if machine.state is State.UNKNOWN]
@@ -60,7 +103,7 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> dict[str, A
     }
 
 
-def list_clusters(where: str, observed: Observed) -> list[dict[str, Any]]:
+def list_clusters(where: str, observed: Observed) -> list[ClusterLine]:
     """Return a line for every cluster of a cloud.
 
     Parameters
@@ -78,7 +121,7 @@ def list_clusters(where: str, observed: Observed) -> list[dict[str, Any]]:
     alive = [machine for machine in observed.machines if machine.state is not State.GONE]
     names = {m.cluster for m in alive} | {r.cluster for r in observed.resources}
     now = utc_now()
-    rows = []
+    rows: list[ClusterLine] = []
     for name in sorted(names):
         machines = [machine for machine in alive if machine.cluster == name]
         leases = [machine.lease_until for machine in machines if machine.lease_until]
@@ -94,12 +137,16 @@ def list_clusters(where: str, observed: Observed) -> list[dict[str, Any]]:
     return rows
 
 
-def write_table(status: dict[str, Any]) -> str:
+def write_table(status: ClusterStatus) -> str:
     """Write what `describe_cluster` returns for people."""
-    texts = ("node", "state", "instance_type", "market", "public_address", "private_address")
     lines = [("NODE", "STATE", "TYPE", "MARKET", "PUBLIC", "PRIVATE", "AGE", "LEASE", "LOADER")] + [
         (
-            *(machine[key] for key in texts),
+            machine["node"],
+            machine["state"],
+            machine["instance_type"],
+            machine["market"],
+            machine["public_address"],
+            machine["private_address"],
             _duration(machine["age_s"]),
             _duration(machine["lease_left_s"]),
             without_node(machine["loader"] or machine["reason"], machine["node"]),
@@ -112,7 +159,7 @@ def write_table(status: dict[str, Any]) -> str:
     return "\n".join([*heads, *(_aligned(lines) if status["machines"] else [])])
 
 
-def _verdict(status: dict[str, Any]) -> str:
+def _verdict(status: ClusterStatus) -> str:
     """Say how what runs differs from the file: after `scale`, that is as it was asked for."""
     missing, unwanted, hidden = status["missing"], status["unwanted"], status["hidden"]
     running = sum(machine["state"] == State.RUNNING for machine in status["machines"])
@@ -135,7 +182,7 @@ def _verdict(status: dict[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def write_list(rows: list[dict[str, Any]]) -> str:
+def write_list(rows: list[ClusterLine]) -> str:
     """Write what `list_clusters` returns for people."""
     if not rows:
         return "no clusters"
@@ -155,7 +202,7 @@ def _state(machine: MachineSeen) -> str:
     return str(machine.state)
 
 
-def _machine(machine: MachineSeen, now: datetime) -> dict[str, Any]:
+def _machine(machine: MachineSeen, now: datetime, loader: str | None) -> MachineStatus:
     launched, until = machine.launched, machine.lease_until
     return {
         "node": machine.name.node,
@@ -170,6 +217,7 @@ def _machine(machine: MachineSeen, now: datetime) -> dict[str, Any]:
         "private_address": machine.private_address,
         "age_s": (now - launched).total_seconds() if launched else None,
         "lease_left_s": (until - now).total_seconds() if until else None,
+        "loader": loader,
     }
 
 

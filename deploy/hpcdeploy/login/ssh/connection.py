@@ -18,7 +18,6 @@ import threading
 import time
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from typing import Any
 
 import paramiko
 
@@ -196,7 +195,7 @@ class Connection(paramiko.Transport):
                 self.global_request("keepalive@openssh.com", wait=True)
 
 
-def _is_wanted(record: Any) -> bool:
+def _is_wanted(record: logging.LogRecord) -> bool:
     """Let what paramiko logs, tracebacks among it, through only where everything is logged."""
     del record
     return logging.getLogger("hpcapp").isEnabledFor(logging.DEBUG)

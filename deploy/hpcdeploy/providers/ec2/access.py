@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import ipaddress
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol
+from typing import Protocol
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.provider import Maker, Needs, Observed, Resource, Step
 from hpcdeploy.providers.ec2.capabilities import Capabilities
-from hpcdeploy.providers.ec2.client import Calls
+from hpcdeploy.providers.ec2.client import Calls, Parameters
 from hpcdeploy.providers.ec2.errors import code_of
 from hpcdeploy.providers.ec2.names import CLUSTER_TAG, OWNER_TAG, PREFIX, group_name, key_pair_name
 from hpcdeploy.providers.ec2.observe import (
@@ -52,19 +52,20 @@ def plan_access(keeper: AccessKeeper, needs: Needs, observed: Observed) -> list[
     plan = _AccessPlan(keeper, needs, observed)
     group, steps = plan.group, []
     if group is None:
-        begun = needs.incarnation
-        steps.append(Step("create the security group", plan.create_group, begun, makes=True))
+        begins, what = needs.incarnation, "create the security group"
+        steps.append(Step("CreateGroup", what, plan.create_group, begins, makes=True))
     if group is None or (group.ssh_from, group.internal_ports) != (
         needs.ssh_from,
         needs.internal_ports,
     ):
         ports = ", ".join(str(port) for port in sorted(needs.internal_ports))
         networks = ", ".join(sorted(needs.ssh_from))
-        steps.append(Step(f"allow SSH from {networks}, port {ports} inside", plan.allow))
+        what = f"allow SSH from {networks}, port {ports} inside"
+        steps.append(Step("Allow", what, plan.allow))
     life = (needs.cluster, needs.incarnation)
     pairs = (r for r in observed.resources if isinstance(r, KeyPairSeen))
     if all((pair.cluster, pair.incarnation) != life for pair in pairs):
-        steps.append(Step("create the key pair", plan.create_key_pair, makes=True))
+        steps.append(Step("CreateKeyPair", "create the key pair", plan.create_key_pair, makes=True))
     return steps
 
 
@@ -132,7 +133,7 @@ class KeyPairKeeper:
             Without a fingerprint.
         """
         name = key_pair_name(cluster, incarnation)
-        parameters: dict[str, Any] = {"KeyName": name, "PublicKeyMaterial": public_key.encode()}
+        parameters: Parameters = {"KeyName": name, "PublicKeyMaterial": public_key.encode()}
         if self._by_tag:
             tags = {CLUSTER_TAG: cluster}
             parameters["TagSpecifications"] = _specification("key-pair", tags)
@@ -198,7 +199,7 @@ class GroupKeeper:
             A group of this name is not hpcapp's, or the cloud refuses.
         """
         name = group_name(cluster)
-        parameters: dict[str, Any] = {
+        parameters: Parameters = {
             "GroupName": name,
             "Description": group_description(cluster, incarnation),
         }
@@ -296,16 +297,16 @@ class GroupKeeper:
         return True
 
 
-def _specification(kind: str, tags: Mapping[str, str]) -> list[dict[str, Any]]:
+def _specification(kind: str, tags: Mapping[str, str]) -> list[dict[str, object]]:
     # What the cloud's keys may change can so be bound to the tag: see
     # docs/how-to/run-on-a-cluster.md.
     pairs = [{"Key": key, "Value": value} for key, value in tags.items()]
     return [{"ResourceType": kind, "Tags": pairs}]
 
 
-def _permission(rule: Rule) -> dict[str, Any]:
+def _permission(rule: Rule) -> dict[str, object]:
     protocol, first, last, kind, source = rule
-    permission: dict[str, Any] = {"IpProtocol": protocol}
+    permission: dict[str, object] = {"IpProtocol": protocol}
     if protocol != "-1":
         permission |= {"FromPort": first, "ToPort": last}
     if kind == "group":

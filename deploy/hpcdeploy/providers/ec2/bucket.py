@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from boto3.exceptions import Boto3Error
 from botocore.exceptions import BotoCoreError, ClientError
@@ -22,7 +21,7 @@ from hpccomponent.errors import CloudError
 from hpccomponent.files.paths import expand_home
 from hpccomponent.terminal import visible_line
 from hpcdeploy.login.shell import part_of, sha256_of
-from hpcdeploy.providers.ec2.client import open_client
+from hpcdeploy.providers.ec2.client import Client, open_client
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.job_folder import JobOrder, JobStatus
 
@@ -49,7 +48,7 @@ class S3Bucket:
     """
 
     def __init__(
-        self, client: Any, url: str, cluster: str, valid_s: float, ca_bundle: str = ""
+        self, client: Client, url: str, cluster: str, valid_s: float, ca_bundle: str = ""
     ) -> None:
         self._client = client
         self._bucket, _, prefix = url.removeprefix("s3://").partition("/")

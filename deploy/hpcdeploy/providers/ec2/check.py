@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.provider import Problem
 from hpcdeploy.providers.ec2.capabilities import Capabilities
-from hpcdeploy.providers.ec2.client import Calls
+from hpcdeploy.providers.ec2.client import Calls, Parameters
 from hpcdeploy.providers.ec2.errors import code_of
 from hpcdeploy.providers.ec2.images import ImageKeeper
 from hpcdeploy.providers.ec2.launch import root_disk
@@ -78,7 +77,7 @@ def _problem(error: CloudError) -> Problem:
     return Problem(error.problem, error.advice, is_fatal=code_of(error) != "UnauthorizedOperation")
 
 
-def _tried(calls: Calls, operation: str, doing: str, **parameters: Any) -> list[Problem]:
+def _tried(calls: Calls, operation: str, doing: str, parameters: Parameters) -> list[Problem]:
     try:
         calls.call(operation, doing, **parameters)
     except CloudError as error:
@@ -95,7 +94,7 @@ def _check_types(calls: Calls, name: str, profile: Profile) -> list[Problem]:
             calls,
             "describe_instance_types",
             f"find instance type {kind} of profile {name}",
-            InstanceTypes=[kind],
+            {"InstanceTypes": [kind]},
         )
     ]
     has_one = len(problems) < len(profile.instance_types)
@@ -118,7 +117,7 @@ def _dry_run(
         image = images.find(profile.image)
     except CloudError:
         return []  # it is told already
-    parameters: dict[str, Any] = {
+    parameters: Parameters = {
         "ImageId": image["ImageId"],
         "InstanceType": profile.instance_types[0],
         "MinCount": 1,

@@ -28,8 +28,23 @@ from hpcdeploy.providers.ec2.errors import (
 from hpcdeploy.providers.ec2.login import Login, Timeouts
 from hpcdeploy.spec.provider import CloudSpec
 
-__all__ = ["Calls", "cloud_name", "open_calls", "open_client", "read_parameter"]
+__all__ = [
+    "Calls",
+    "Client",
+    "Described",
+    "Parameters",
+    "cloud_name",
+    "open_calls",
+    "open_client",
+    "read_parameter",
+]
 
+Client = Any
+"""A client of boto3, which makes its methods at run time from Amazon's description."""
+Described = dict[str, Any]
+"""What a cloud replies, or a part of it, as Amazon's description has it."""
+Parameters = dict[str, Any]
+"""What a call is given."""
 ATTEMPTS = 5
 MOST_PAGES = 1000  # of a list
 FIRST_WAIT_S = 0.5  # doubled each time: 7.5 s at most in all
@@ -42,7 +57,7 @@ def cloud_name(cloud: CloudSpec) -> str:
 
 def open_client(
     service: str, cloud: CloudSpec, base: Path, timeouts: Timeouts | None = None
-) -> Any:
+) -> Client:
     """Return a client of boto3 for a cloud.
 
     Parameters
@@ -109,26 +124,26 @@ class _Clients:
         self._cloud, self._base, self.timeouts = cloud, base, timeouts
         self._lock = threading.Lock()
         self._login: Login | None = None
-        self._acting: Any = None
+        self._acting: Client = None
 
-    def asking(self) -> Any:
+    def asking(self) -> Client:
         """Return a client for questions."""
         return self.client("ec2", self.timeouts.ask_s)
 
-    def acting(self) -> Any:
+    def acting(self) -> Client:
         """Return the client for changes."""
         with self._lock:
             if self._acting is None:
                 self._acting = self.client("ec2", self.timeouts.act_s)
             return self._acting
 
-    def renew(self) -> Any:
+    def renew(self) -> Client:
         """Read the keys anew; return another client for questions."""
         with self._lock:
             self._login = self._acting = None
             return self.asking()
 
-    def client(self, service: str, read_s: float) -> Any:
+    def client(self, service: str, read_s: float) -> Client:
         """Return a client; the first one logs in."""
         cloud, keys = self._cloud, find_keys(self._cloud, self._base, os.environ)
         if service == "ec2":
@@ -219,12 +234,12 @@ class Calls:
 
     def __init__(
         self,
-        client: Any,
+        client: Client,
         place: str,
         sleep: Callable[[float], None] = time.sleep,
         *,
-        acting: Callable[[], Any] | None = None,
-        renew: Callable[[], Any] | None = None,
+        acting: Callable[[], Client] | None = None,
+        renew: Callable[[], Client] | None = None,
         first_s: float = float("inf"),
     ) -> None:
         self._client = client
@@ -242,7 +257,7 @@ class Calls:
         *,
         not_yet: Collection[str] = (),
         **parameters: Any,
-    ) -> dict[str, Any]:
+    ) -> Described:
         """Make a call.
 
         Parameters
@@ -276,11 +291,11 @@ class Calls:
                     raise translate(error, doing, self._place) from error
         raise AssertionError("the last try returns or raises")
 
-    def _ask(self, operation: str, parameters: dict[str, Any]) -> dict[str, Any]:
+    def _ask(self, operation: str, parameters: Parameters) -> Described:
         is_question = operation.startswith(("describe_", "get_"))
         client = self._client if is_question or self._acting is None else self._acting()
         try:
-            reply: dict[str, Any] = getattr(client, operation)(**parameters)
+            reply: Described = getattr(client, operation)(**parameters)
         except ClientError:
             self._has_answered = True
             raise
@@ -296,7 +311,7 @@ class Calls:
             wait *= 2
         yield True
 
-    def all_of(self, operation: str, key: str, doing: str, **parameters: Any) -> list[Any]:
+    def all_of(self, operation: str, key: str, doing: str, **parameters: Any) -> list[Described]:
         """Return all entries of a list, page by page.
 
         Parameters
@@ -306,7 +321,7 @@ class Calls:
         doing : str
             What it is for, in the words of an error.
         """
-        entries: list[Any] = []
+        entries: list[Described] = []
         tokens: set[str] = set()
         while True:
             reply = self.call(operation, doing, **parameters)

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.providers.ec2.client import Calls
+from hpcdeploy.providers.ec2.client import Calls, Described
 from hpcdeploy.spec.provider import CloudSpec, Image
 
 __all__ = ["ImageKeeper", "describe_image"]
@@ -29,10 +28,10 @@ class ImageKeeper:
     def __init__(self, calls: Calls, read_parameter: Callable[[str], str]) -> None:
         self._calls = calls
         self._read_parameter = read_parameter
-        self._images: dict[Image, dict[str, Any]] = {}
+        self._images: dict[Image, Described] = {}
         self._lock = threading.Lock()
 
-    def find(self, image: Image) -> dict[str, Any]:
+    def find(self, image: Image) -> Described:
         """Return an image as the cloud describes it.
 
         Returns
@@ -67,7 +66,7 @@ class ImageKeeper:
             for described in [self.find(profile.image)]
         )
 
-    def _look_up(self, image: Image) -> dict[str, Any]:
+    def _look_up(self, image: Image) -> Described:
         if image.name is not None:
             return self._newest(image)
         image_id = image.id
@@ -79,7 +78,7 @@ class ImageKeeper:
                 return dict(described)
         raise CloudError(f"image {image_id} is not available", "check the profile's image")
 
-    def _newest(self, image: Image) -> dict[str, Any]:
+    def _newest(self, image: Image) -> Described:
         what = describe_image(image)
         images = self._calls.call(
             "describe_images",

@@ -39,7 +39,7 @@ class Source:
     """
 
     profile: str | None
-    profiles: Mapping[str, Mapping[str, Any]]
+    profiles: Mapping[str, Mapping[str, object]]
 
     @classmethod
     def of(cls, session: Any, named: str | None) -> Source:
@@ -62,11 +62,11 @@ class Source:
         return f" --profile {self.profile}" if self.profile else ""
 
     @property
-    def settings(self) -> list[Mapping[str, Any]]:
+    def settings(self) -> list[Mapping[str, object]]:
         """What its profile says, and each that this one builds on."""
         return list(self._chain())
 
-    def _chain(self) -> Iterator[Mapping[str, Any]]:
+    def _chain(self) -> Iterator[Mapping[str, object]]:
         name, seen = self.profile or "default", set[str]()
         while name in self.profiles and name not in seen:
             seen.add(name)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.provider import Launch
 from hpcdeploy.providers.ec2.capabilities import Capabilities
+from hpcdeploy.providers.ec2.client import Described, Parameters
 from hpcdeploy.providers.ec2.names import (
     LEASE_TAG,
     MADE_TAG,
@@ -65,8 +64,8 @@ def launch_parameters(
     capabilities: Capabilities,
     launch: Launch,
     group_id: str,
-    image: Mapping[str, Any],
-) -> dict[str, Any]:
+    image: Described,
+) -> Parameters:
     """Return what RunInstances is asked for.
 
     Parameters
@@ -89,7 +88,7 @@ def launch_parameters(
             f"user data of {launch.name.node} has {size} bytes, the limit is {USER_DATA_LIMIT}"
         )
     profile = profile_of(cloud, launch.profile)
-    parameters: dict[str, Any] = {
+    parameters: Parameters = {
         "ImageId": image["ImageId"],
         "InstanceType": launch.instance_type,
         "MinCount": 1,
@@ -119,7 +118,7 @@ def launch_parameters(
 
 
 def _set_public_ip(
-    parameters: dict[str, Any], has_one: bool, cloud: CloudSpec, capabilities: Capabilities
+    parameters: Parameters, has_one: bool, cloud: CloudSpec, capabilities: Capabilities
 ) -> None:
     """Describe the interface of a machine, which then has the subnet and the group too."""
     if not capabilities.network_interfaces:
@@ -147,8 +146,8 @@ def _place(cloud: CloudSpec, profile: Profile, launch: Launch) -> tuple[str, str
     return subnet, launch.place or zone
 
 
-def _where_known(capabilities: Capabilities, launch: Launch) -> dict[str, Any]:
-    parameters: dict[str, Any] = {}
+def _where_known(capabilities: Capabilities, launch: Launch) -> Parameters:
+    parameters: Parameters = {}
     if capabilities.tags_at_launch:
         tags = [{"Key": key, "Value": value} for key, value in launch_tags(launch).items()]
         kinds = ["instance", *(_PARTS if capabilities.tags_on_parts else ())]
@@ -170,7 +169,7 @@ def _where_known(capabilities: Capabilities, launch: Launch) -> dict[str, Any]:
     return parameters
 
 
-def root_disk(image: Mapping[str, Any], disk_gb: int | None) -> dict[str, Any] | None:
+def root_disk(image: Described, disk_gb: int | None) -> dict[str, object] | None:
     """Return how the root disk is to differ from the image's; None where it need not.
 
     A disk that outlives its machine would be left behind, so none does.

@@ -11,9 +11,10 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from hpcdeploy.provider import MachineSeen, Resource, State
+from hpcdeploy.providers.ec2.client import Described
 from hpcdeploy.providers.ec2.names import (
     CLUSTER_TAG,
     GENERATION_TAG,
@@ -110,7 +111,7 @@ def identity_tags(cluster: str, incarnation: str, name: NodeName) -> dict[str, s
     }
 
 
-def read_machine(described: Mapping[str, Any]) -> MachineSeen | None:
+def read_machine(described: Described) -> MachineSeen | None:
     """Return an instance as a machine of ours, or None where it is none.
 
     Parameters
@@ -122,9 +123,7 @@ def read_machine(described: Mapping[str, Any]) -> MachineSeen | None:
     return None if known is None else as_machine(described, *known)
 
 
-def as_machine(
-    described: Mapping[str, Any], cluster: str, incarnation: str, name: NodeName
-) -> MachineSeen:
+def as_machine(described: Described, cluster: str, incarnation: str, name: NodeName) -> MachineSeen:
     """Return an instance as the machine that it is known to be.
 
     Parameters
@@ -156,7 +155,7 @@ def as_machine(
     )
 
 
-def _tags(described: Mapping[str, Any]) -> dict[str, str]:
+def _tags(described: Described) -> dict[str, str]:
     return {tag["Key"]: tag["Value"] for tag in described.get("Tags", [])}
 
 
@@ -168,7 +167,7 @@ def _known_by_tags(tags: Mapping[str, str]) -> tuple[str, str, NodeName] | None:
     return tags[CLUSTER_TAG], tags.get(INCARNATION_TAG, ""), name
 
 
-def _known_by_token(described: Mapping[str, Any]) -> tuple[str, str, NodeName] | None:
+def _known_by_token(described: Described) -> tuple[str, str, NodeName] | None:
     known = read_client_token(described.get("ClientToken", ""))
     for group in described.get("SecurityGroups", []):
         if known is not None and group.get("GroupName", "").startswith(PREFIX):
@@ -183,7 +182,7 @@ def _read_lease(text: str) -> datetime | None:
         return None
 
 
-def read_group(described: Mapping[str, Any], ssh_port: int) -> GroupSeen | None:
+def read_group(described: Described, ssh_port: int) -> GroupSeen | None:
     """Return a security group as one of ours, or None where it is none.
 
     Parameters
@@ -217,7 +216,7 @@ def read_group(described: Mapping[str, Any], ssh_port: int) -> GroupSeen | None:
     )
 
 
-def ingress_rules(described: Mapping[str, Any]) -> set[Rule]:
+def ingress_rules(described: Described) -> set[Rule]:
     """Return the rules of a group, one for each source.
 
     Parameters
@@ -249,7 +248,7 @@ def ingress_rules(described: Mapping[str, Any]) -> set[Rule]:
     return rules
 
 
-def read_key_pair(described: Mapping[str, Any], cluster: str | None) -> KeyPairSeen | None:
+def read_key_pair(described: Described, cluster: str | None) -> KeyPairSeen | None:
     """Return a key pair as one of ours, or None where it is none.
 
     Parameters

@@ -20,7 +20,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.provider import (
@@ -38,7 +38,7 @@ from hpcdeploy.providers.ec2.access import GroupKeeper, KeyPairKeeper, plan_acce
 from hpcdeploy.providers.ec2.bucket import S3Bucket, open_bucket
 from hpcdeploy.providers.ec2.capabilities import capabilities_of
 from hpcdeploy.providers.ec2.check import check_cloud
-from hpcdeploy.providers.ec2.client import Calls, open_calls, read_parameter
+from hpcdeploy.providers.ec2.client import Calls, Described, open_calls, read_parameter
 from hpcdeploy.providers.ec2.errors import code_of
 from hpcdeploy.providers.ec2.images import ImageKeeper
 from hpcdeploy.providers.ec2.launch import attempt_of, launch_parameters, launch_tags, profile_of
@@ -305,7 +305,7 @@ class Ec2Provider:
             reply = self._console(machine, doing)
         return str(reply.get("Output") or "")
 
-    def _console(self, machine: MachineSeen, doing: str, **latest: bool) -> dict[str, Any]:
+    def _console(self, machine: MachineSeen, doing: str, **latest: bool) -> Described:
         return self._calls.call(
             "get_console_output", doing, not_yet=_NOT_YET, InstanceId=machine.id, **latest
         )

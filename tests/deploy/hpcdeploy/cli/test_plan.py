@@ -76,6 +76,9 @@ def test_a_plan_says_what_would_be_made_and_what_it_costs(
                  "cost: head: 1 x m6i.large, $0.10", "cost: together $0.45"):  # fmt: skip
         assert part in told
     assert not cloud.observe(None).lives
+    assert run("plan", file, "--json") == 0
+    kinds = [action["kind"] for action in json.loads(capsys.readouterr().out)["actions"]]
+    assert kinds == ["CreateGroup", "Allow", "CreateKeyPair", *["LaunchNode"] * 3]
 
 
 def test_of_a_cluster_that_is_up_there_is_nothing_to_change(

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.providers.ec2.client import Calls
+from hpcdeploy.providers.ec2.client import Calls, Described
 
 
 class Pages:
@@ -19,17 +19,18 @@ class Pages:
 
     def describe_things(self, **parameters: str) -> dict[str, object]:
         return {
-            "Things": [parameters.get("NextToken", "first")],
+            "Things": [{"Name": parameters.get("NextToken", "first")}],
             "NextToken": next(self._tokens, ""),
         }
 
 
-def things(tokens: Iterator[str]) -> list[str]:
+def things(tokens: Iterator[str]) -> list[Described]:
     return Calls(Pages(tokens), "the cloud").all_of("describe_things", "Things", "list things")
 
 
 def test_all_pages_of_a_list_come() -> None:
-    assert things(iter(["b", "c"])) == ["first", "b", "c"]
+    names = [thing["Name"] for thing in things(iter(["b", "c"]))]
+    assert names == ["first", "b", "c"]
 
 
 @pytest.mark.parametrize(
