@@ -38,13 +38,7 @@ _ORPHAN_GRACE_S = 1.0  # without a master a component has nobody left to say goo
 
 
 class Component:
-    """A running component and the write end of its lifeline.
-
-    Raises
-    ------
-    OSError
-        It cannot be started.
-    """
+    """A running component and the write end of its lifeline."""
 
     def __init__(self, argv: Sequence[str]) -> None:
         reader, self._lifeline = os.pipe()

@@ -52,11 +52,6 @@ def read_settings(path: Path) -> LoaderSettings:
 def read_catalogue(path: Path) -> tuple[Build, ...]:
     """Read a catalogue of worker builds.
 
-    Returns
-    -------
-    tuple of Build
-        In the order of the file.
-
     Raises
     ------
     ConfigError

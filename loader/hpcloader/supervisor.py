@@ -171,13 +171,7 @@ class Supervisor:
         return []
 
     def tick(self, now: float) -> list[Action]:
-        """Act on a deadline that has passed.
-
-        Returns
-        -------
-        list of Action
-            `Start`, `Kill`, or nothing.
-        """
+        """Act on a deadline that has passed; `Start`, `Kill`, or nothing."""
         if self.deadline is None or now < self.deadline:
             return []
         if self.state is State.WAITING:

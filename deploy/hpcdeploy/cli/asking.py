@@ -41,8 +41,6 @@ def ask_to_go_on(cluster: Cluster) -> None:
 
     Raises
     ------
-    click.Abort
-        The user does not want to.
     UsageError
         Nobody has answered with yes.
     """
@@ -56,17 +54,6 @@ def ask_name(cluster: Cluster, purpose: str, advice: str) -> None:
     ----------
     purpose : str
         What is done to it, as an infinitive: "take it away".
-    advice : str
-        Which option answers instead.
-
-    Raises
-    ------
-    click.Abort
-        The user does not want to.
-    CloudError
-        Another name was typed.
-    UsageError
-        Nobody has answered.
     """
     question = f"Type the cluster's name to {purpose}"
     typed = _ask(cluster, lambda: str(click.prompt(question, err=True)), advice)

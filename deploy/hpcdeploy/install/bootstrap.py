@@ -102,13 +102,7 @@ def set_up(
 
 
 def check_wheels(spec: ClusterSpec, base: Path) -> list[Problem]:
-    """Return what is missing in the wheelhouse, one problem for each wheel.
-
-    Raises
-    ------
-    CloudError
-        A requirement or a wheel cannot be read.
-    """
+    """Return what is missing in the wheelhouse, one problem for each wheel."""
     return find_problems(spec, base)
 
 

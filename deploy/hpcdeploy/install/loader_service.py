@@ -141,11 +141,6 @@ def start_loader(
     ----------
     has_systemd : bool
         Whether the loader is made a service of systemd; otherwise a process watches over it.
-
-    Raises
-    ------
-    CloudError
-        It cannot be started.
     """
     if has_systemd:
         unit = unit_name(cluster)

@@ -56,11 +56,6 @@ def user_data(spec: ClusterSpec, market: str, lease_until: datetime) -> str:
 def extend_lease(shell: Shell, lease_until: datetime) -> None:
     """Tell the guard of a machine a new end of the lease; where none runs, nothing happens.
 
-    Parameters
-    ----------
-    lease_until : datetime
-        With its time zone.
-
     Raises
     ------
     CloudError

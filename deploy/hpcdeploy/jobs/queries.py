@@ -87,8 +87,6 @@ class Jobs:
             What `hpcapp` is to do.
         points : pathlib.Path
             The input; a cloud that is on the head already is not sent again.
-        on_progress : callable, optional
-            Told (bytes sent, bytes in all).
 
         Raises
         ------

@@ -27,8 +27,6 @@ class Claim:
 
     Parameters
     ----------
-    launched : datetime
-        With its time zone.
     owner : str
         See `Owner`.
     """

@@ -143,8 +143,6 @@ def open_cluster(path: Path) -> Iterator[Cluster]:
 
     Raises
     ------
-    ConfigError
-        The file has mistakes.
     CloudError
         The cloud's keys are not to be found.
     """

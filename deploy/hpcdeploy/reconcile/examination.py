@@ -84,11 +84,6 @@ def visit(
     ----------
     wait_s, answer_s : float
         How long a machine may take to let us in, and to answer, in seconds.
-
-    Returns
-    -------
-    list of Visit
-        In the order of the machines.
     """
 
     def look(machine: MachineSeen) -> Visit:

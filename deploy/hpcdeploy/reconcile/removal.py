@@ -89,13 +89,7 @@ def _leftover(provider: Provider, remains: Observed, trouble: str) -> LeftoverEr
 
 
 def describe(observed: Observed) -> str:
-    """Name all that was observed, in one line.
-
-    Returns
-    -------
-    str
-        Empty where there is nothing.
-    """
+    """Name all that was observed, in one line; empty where there is nothing."""
     return ", ".join(
         [
             f"{machine.name.node} {machine.id} ({_condition(machine)})"

@@ -157,13 +157,7 @@ class JobStatus:
 
     @classmethod
     def from_json(cls, text: str | bytes) -> JobStatus:
-        """Read what `to_json` wrote; what a later release added is left out.
-
-        Raises
-        ------
-        ValueError
-            It is no status; one line.
-        """
+        """Read what `to_json` wrote; what a later release added is left out."""
         return decode(text, cls)
 
 

@@ -142,11 +142,6 @@ def this_user() -> str:
 def draw_incarnation(now: datetime) -> str:
     """Draw the name of a new life of a cluster; it tells when that life began.
 
-    Parameters
-    ----------
-    now : datetime
-        With its time zone.
-
     Returns
     -------
     str

@@ -92,11 +92,6 @@ def needs_of(
     -------
     missing : tuple of str
         Requirements that no wheel of the wheelhouse fulfils; empty without one.
-
-    Raises
-    ------
-    CloudError
-        A requirement or a wheel cannot be read.
     """
     local = [path for text in spec.env.packages if (path := base / text).is_file()]
     named = [text for text in spec.env.packages if not (base / text).is_file()]
@@ -127,11 +122,6 @@ def find_problems(spec: ClusterSpec, base: Path) -> list[Problem]:
 
     Before the machines are there, the wheelhouse itself says which machines it is for: each kind
     that it has compiled wheels for should be complete. Where none is, `up` would fail.
-
-    Raises
-    ------
-    CloudError
-        A requirement or a wheel cannot be read.
     """
     if spec.env.wheelhouse is None or spec.provider.is_here:
         return []
@@ -163,11 +153,6 @@ def missing_wheels(spec: ClusterSpec, base: Path, kind: Kind, *, is_head: bool) 
     ----------
     is_head : bool
         A worker needs only what a component and a loader import.
-
-    Raises
-    ------
-    CloudError
-        A requirement or a wheel cannot be read.
     """
     package = spec.env.package if spec.env.package != "auto" else Path(f"{DISTRIBUTION}.whl")
     return needs_of(spec, base, package, kind, is_head=is_head)[1]

@@ -129,11 +129,6 @@ def select_wheels(
     -------
     Selection
         The wheels, and the requirements that none fulfils.
-
-    Raises
-    ------
-    CloudError
-        A requirement or a wheel cannot be read.
     """
     offered = _offered(places, kind)
     chosen: dict[str, Path] = {}
@@ -159,13 +154,7 @@ def select_wheels(
 
 
 def read_requirements(wheel: Path) -> list[str]:
-    """Return what a wheel requires, extras left out.
-
-    Raises
-    ------
-    CloudError
-        The file is no wheel.
-    """
+    """Return what a wheel requires, extras left out."""
     try:
         with zipfile.ZipFile(wheel) as archive:
             [name] = [n for n in archive.namelist() if n.endswith(".dist-info/METADATA")]
@@ -179,13 +168,7 @@ def read_requirements(wheel: Path) -> list[str]:
 
 
 def kinds_of(folder: Path) -> list[Kind]:
-    """Return the kinds of machines that the compiled wheels of a folder are for.
-
-    Returns
-    -------
-    list of Kind
-        Sorted, each once.
-    """
+    """Return the kinds of machines that the compiled wheels of a folder are for."""
     kinds = set()
     for path in folder.glob("*.whl"):
         for tag in _tags_of(path):

@@ -38,13 +38,7 @@ _MAGIC = b"openssh-key-v1\0"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identity:
-    """A key that can sign.
-
-    Parameters
-    ----------
-    name : str
-        Where it is.
-    """
+    """A key that can sign."""
 
     key: paramiko.PKey
     name: str

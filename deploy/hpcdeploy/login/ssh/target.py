@@ -81,13 +81,7 @@ def host_id(host: Host) -> str:
 
 
 def host_address(host: Host) -> str:
-    """Return the address of a host, following ``~/.ssh/config``.
-
-    Raises
-    ------
-    ConfigError
-        The configuration cannot be read.
-    """
+    """Return the address of a host, following ``~/.ssh/config``."""
     return str(_read_config().lookup(host.address).get("hostname", host.address))
 
 
@@ -100,16 +94,6 @@ def host_target(host: Host, auth: Auth, key_files: tuple[str, ...]) -> Target:
         Its user and port are used where neither the host nor the configuration has one.
     key_files : tuple of str
         The file's own; by default the configuration's.
-
-    Returns
-    -------
-    Target
-        With the machines on the way.
-
-    Raises
-    ------
-    ConfigError
-        The configuration cannot be read.
     """
     config = _read_config()
     target = _resolve(config, host.address, host.user or "", host.port, auth, key_files)
@@ -133,11 +117,6 @@ def jump_targets(auth: Auth, key_files: tuple[str, ...] = ()) -> tuple[Target, .
     ----------
     key_files : tuple of str
         Tried first.
-
-    Raises
-    ------
-    ConfigError
-        The configuration cannot be read.
     """
     if not auth.proxy_jumps:
         return ()

@@ -41,13 +41,6 @@ def send_file(
 ) -> None:
     """Send a file; see `Shell.put`.
 
-    Parameters
-    ----------
-    mode : int
-        Permission bits of the target.
-    on_progress : callable, optional
-        Told (bytes sent, bytes in all).
-
     Raises
     ------
     CloudError
@@ -78,11 +71,6 @@ def fetch_file(
     shell: Shell, sftp: paramiko.SFTPClient, source: str, target: Path, on_progress: Progress
 ) -> None:
     """Fetch a file; see `Shell.get`.
-
-    Parameters
-    ----------
-    on_progress : callable, optional
-        Told (bytes fetched, bytes in all).
 
     Raises
     ------

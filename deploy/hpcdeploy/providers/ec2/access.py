@@ -232,15 +232,7 @@ class GroupKeeper:
     def allow(
         self, group: GroupSeen, ssh_from: frozenset[str], internal_ports: frozenset[int]
     ) -> None:
-        """Make these the ways in; the ways out stay as they are.
-
-        Parameters
-        ----------
-        ssh_from : frozenset of str
-            Networks (CIDR) that may reach the SSH port.
-        internal_ports : frozenset of int
-            Ports that machines of the group may reach on one another.
-        """
+        """Make these the ways in; the ways out stay as they are."""
         described = self._calls.call(
             "describe_security_groups",
             f"read security group {group.name}",

@@ -61,13 +61,6 @@ class S3Bucket:
     ) -> JobOrder:
         """Send a job's points unless they are there; return the order with its addresses.
 
-        Parameters
-        ----------
-        digest : str
-            Its SHA-256, which is part of the object's name.
-        on_progress : callable, optional
-            Told (bytes sent, bytes in all).
-
         Raises
         ------
         CloudError
@@ -241,11 +234,6 @@ def open_bucket(spec: ClusterSpec, base: Path) -> S3Bucket | None:
     """Return the bucket that a cluster file names in ``data.s3``.
 
     None where it names none.
-
-    Raises
-    ------
-    CloudError
-        The keys of its cloud are not to be found.
     """
     cloud = spec.provider.cloud
     if cloud is None or spec.data.s3 is None:

@@ -64,11 +64,6 @@ def open_client(
     ----------
     service : str
         ``ec2``, ``s3`` or ``ssm``.
-
-    Raises
-    ------
-    CloudError
-        Keys or endpoint are not to be found.
     """
     clients = _Clients(cloud, base, timeouts or Timeouts())
     return clients.client(service, clients.timeouts.act_s)
@@ -83,11 +78,6 @@ def open_calls(
     """Return the calls of a cloud's EC2; see `open_client` for the rest.
 
     Where its keys have expired in mid-work, those that lie where they came from are taken.
-
-    Raises
-    ------
-    CloudError
-        Keys or endpoint are not to be found.
     """
     clients = _Clients(cloud, base, timeouts or Timeouts())
     return Calls(
@@ -220,8 +210,6 @@ class Calls:
 
     Parameters
     ----------
-    place : str
-        The cloud, as the user calls it.
     sleep : callable
         Replaced in tests.
     acting : callable, optional
@@ -264,8 +252,6 @@ class Calls:
         ----------
         operation : str
             In boto3's spelling: ``run_instances``.
-        doing : str
-            What it is for, in the words of an error.
         not_yet : collection of str
             Codes that a cloud gives until it has noticed its own last change: waited out.
 
@@ -318,8 +304,6 @@ class Calls:
         ----------
         key : str
             Of the list in each reply.
-        doing : str
-            What it is for, in the words of an error.
         """
         entries: list[Described] = []
         tokens: set[str] = set()

@@ -134,8 +134,6 @@ def translate(error: Exception, doing: str, place: str) -> CloudError:
         boto3's.
     doing : str
         What was asked for: "launch worker-2 (m5.large, spot)".
-    place : str
-        The cloud, as the user calls it.
 
     Returns
     -------

@@ -34,11 +34,6 @@ class ImageKeeper:
     def find(self, image: Image) -> Described:
         """Return an image as the cloud describes it.
 
-        Returns
-        -------
-        dict
-            As DescribeImages describes it.
-
         Raises
         ------
         CloudError

@@ -90,8 +90,6 @@ def explain_keys(error: Exception, source: Source, place: str) -> CloudError:
     ----------
     error : Exception
         Whatever the chain raised.
-    place : str
-        The cloud, as the user calls it.
     """
     if isinstance(error, CloudError):
         return error

@@ -68,11 +68,6 @@ def launch_parameters(
 ) -> Parameters:
     """Return what RunInstances is asked for.
 
-    Parameters
-    ----------
-    image : mapping
-        As DescribeImages describes it.
-
     Raises
     ------
     CloudError
@@ -176,15 +171,8 @@ def root_disk(image: Described, disk_gb: int | None) -> dict[str, object] | None
 
     Parameters
     ----------
-    image : mapping
-        As DescribeImages describes it.
     disk_gb : int, optional
         The size that is wanted, 10^9 bytes; by default the image's own.
-
-    Returns
-    -------
-    dict or None
-        A block device mapping.
 
     Raises
     ------

@@ -70,8 +70,6 @@ class Login:
     ----------
     region : str
         Where a role is assumed, if its profile does not say it.
-    place : str
-        The cloud, as the user calls it.
 
     Raises
     ------

@@ -90,13 +90,7 @@ def group_description(cluster: str, incarnation: str) -> str:
 
 
 def lease_text(lease_until: datetime) -> str:
-    """Return the end of a lease as its tag says it.
-
-    Parameters
-    ----------
-    lease_until : datetime
-        With its time zone.
-    """
+    """Return the end of a lease as its tag says it."""
     return lease_until.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
@@ -112,25 +106,13 @@ def identity_tags(cluster: str, incarnation: str, name: NodeName) -> dict[str, s
 
 
 def read_machine(described: Described) -> MachineSeen | None:
-    """Return an instance as a machine of ours, or None where it is none.
-
-    Parameters
-    ----------
-    described : mapping
-        As DescribeInstances describes it.
-    """
+    """Return an instance as a machine of ours, or None where it is none."""
     known = _known_by_tags(_tags(described)) or _known_by_token(described)
     return None if known is None else as_machine(described, *known)
 
 
 def as_machine(described: Described, cluster: str, incarnation: str, name: NodeName) -> MachineSeen:
-    """Return an instance as the machine that it is known to be.
-
-    Parameters
-    ----------
-    described : mapping
-        As DescribeInstances describes it.
-    """
+    """Return an instance as the machine that it is known to be."""
     reason = described.get("StateReason", {}).get("Message")
     tags = _tags(described)
     return MachineSeen(
@@ -187,8 +169,6 @@ def read_group(described: Described, ssh_port: int) -> GroupSeen | None:
 
     Parameters
     ----------
-    described : mapping
-        As DescribeSecurityGroups describes it.
     ssh_port : int
         The port whose networks are `ssh_from`.
     """
@@ -218,11 +198,6 @@ def read_group(described: Described, ssh_port: int) -> GroupSeen | None:
 
 def ingress_rules(described: Described) -> set[Rule]:
     """Return the rules of a group, one for each source.
-
-    Parameters
-    ----------
-    described : mapping
-        As DescribeSecurityGroups describes it.
 
     Returns
     -------

@@ -72,13 +72,7 @@ _NOT_YET_FOR_LAUNCH = {"InvalidGroup.NotFound", "InvalidKeyPair.NotFound"}
 
 
 def open_ec2(spec: ClusterSpec, base: Path) -> Ec2Provider:
-    """Return the provider of a cluster on an EC2-compatible cloud.
-
-    Raises
-    ------
-    CloudError
-        The cloud's keys or its endpoint are not to be found.
-    """
+    """Return the provider of a cluster on an EC2-compatible cloud."""
     cloud = cast(CloudSpec, spec.provider)
     calls = open_calls(cloud, base)
     return Ec2Provider(
