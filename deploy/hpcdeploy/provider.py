@@ -21,9 +21,9 @@ __all__ = [
     "Launch",
     "LaunchChoice",
     "MachineSeen",
-    "Maker",
-    "Needs",
     "Observed",
+    "Prerequisites",
+    "Principal",
     "Problem",
     "Provider",
     "Resource",
@@ -235,7 +235,7 @@ class Problem:
 
 
 @dataclass(frozen=True, slots=True)
-class Needs:
+class Prerequisites:
     """What a cluster needs before its machines are launched.
 
     Parameters
@@ -275,7 +275,7 @@ class Step:
 
     kind: str
     what: str
-    carry_out: Callable[[Maker], str] = field(repr=False, compare=False)
+    carry_out: Callable[[Principal], str] = field(repr=False, compare=False)
     begins: str = ""
     makes: bool = False
 
@@ -283,8 +283,8 @@ class Step:
         return self.what
 
 
-class Maker(Protocol):
-    """Who carries out a preparation."""
+class Principal(Protocol):
+    """Who carries out a preparation: an owner with a key."""
 
     def owner(self) -> Owner:
         """Return who is to own what is made."""
@@ -355,7 +355,7 @@ class Provider(Protocol):
         """Return all that exists of a cluster of ours, or of every one where None."""
         ...
 
-    def prepare(self, needs: Needs, observed: Observed) -> Sequence[Step]:
+    def prepare(self, wanted: Prerequisites, observed: Observed) -> Sequence[Step]:
         """Return what must still be done before machines are launched; nothing is changed.
 
         Parameters

@@ -81,7 +81,7 @@ def lab(
     capsys: pytest.CaptureFixture[str],
 ) -> Iterator[Lab]:
     monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", set_up)
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.check_wheels", lambda spec, base: [])
+    monkeypatch.setattr("hpcdeploy.install.wheels.requirements.check_wheels", lambda spec, base: [])
     monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!/bin/sh\n")
     monkeypatch.setattr("hpcdeploy.login.access.DENIED_S", 0.2)
     with Machines.open(tmp_path) as machines, StrictCloud(request.param, lag=0) as cloud:

@@ -41,8 +41,8 @@ def plan(file: Path, as_json: bool) -> None:
 
     Changes nothing. Names the wheels that are missing; refuses what the file's limits forbid.
     """
-    from hpcdeploy.install.bootstrap import check_wheels
     from hpcdeploy.install.probe import check_this_python
+    from hpcdeploy.install.wheels.requirements import check_wheels
     from hpcdeploy.reconcile.cluster import describe_elsewhere, open_cluster
     from hpcdeploy.reconcile.converge import look_ahead
     from hpcdeploy.reconcile.cost import check_limits, estimate_cost

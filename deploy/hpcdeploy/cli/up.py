@@ -106,7 +106,7 @@ def _bring_up(cluster: Cluster, yes: bool, keep: bool, is_unchecked: bool) -> No
 
 def _look_ahead(cluster: Cluster, is_unchecked: bool) -> Plan:
     """Return the plan once it is shown, and nothing is known to stand in its way."""
-    from hpcdeploy.install.bootstrap import check_wheels
+    from hpcdeploy.install.wheels.requirements import check_wheels
     from hpcdeploy.reconcile.converge import look_ahead
     from hpcdeploy.reconcile.cost import check_limits, describe_cost, estimate_cost
     from hpcdeploy.reconcile.drift import describe_drift

@@ -35,16 +35,16 @@ from hpcdeploy.install.probe import (
     probe,
 )
 from hpcdeploy.install.user_data import extend_lease
-from hpcdeploy.install.wheels.requirements import Needs, choose_release, find_problems, needs_of
+from hpcdeploy.install.wheels.requirements import Needs, choose_release, needs_of
 from hpcdeploy.login.access import Access
 from hpcdeploy.login.shell import MOST_REASON, Shell, sha256_of
 from hpcdeploy.ownership.node_keys import NodeKeys
-from hpcdeploy.provider import MachineSeen, Problem
+from hpcdeploy.provider import MachineSeen
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import machine_folder, state_folder
 from hpcdeploy.spec.names import HEAD, without_node
 
-__all__ = ["Failure", "check_wheels", "set_up"]
+__all__ = ["Failure", "set_up"]
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -99,11 +99,6 @@ def set_up(
     if head is None:
         raise CloudError(f"cluster {spec.cluster} has no head that runs", "run hpcapp up again")
     return _SetUp(spec, access, report, head).run(machines)
-
-
-def check_wheels(spec: ClusterSpec, base: Path) -> list[Problem]:
-    """Return what is missing in the wheelhouse, one problem for each wheel."""
-    return find_problems(spec, base)
 
 
 class _SetUp:

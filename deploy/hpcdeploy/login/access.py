@@ -35,7 +35,7 @@ from hpcdeploy.spec.layout import state_folder
 from hpcdeploy.spec.names import Owner, this_user
 from hpcdeploy.spec.polling import utc_now
 
-__all__ = ["Access", "make_access"]
+__all__ = ["Access"]
 
 log = logging.getLogger("hpcapp")
 
@@ -252,11 +252,6 @@ class Access:
             error.reach,
             "\n".join(lines),
         )
-
-
-def make_access(spec: ClusterSpec, base: Path, provider: Provider) -> Access:
-    """Return the way to the machines of a cluster."""
-    return Access(spec, base, provider)
 
 
 def _curve_print(pair: KeyPair) -> str:

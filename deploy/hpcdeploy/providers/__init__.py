@@ -15,7 +15,7 @@ _OPENERS = {
     "aws": "ec2.provider:open_ec2",
     "eucalyptus": "ec2.provider:open_ec2",
     "ec2": "ec2.provider:open_ec2",
-    "ssh": "ssh_hosts:open_ssh_hosts",
+    "ssh": "ssh_hosts:SshHosts",
     "local": "local:open_local",
 }
 

@@ -12,10 +12,10 @@ import msgspec
 from msgspec import Meta
 
 from hpccomponent.foreign_json import decode
-from hpcdeploy.provider import Launch, MachineSeen, Needs, Observed, Resource, Step, Tags
+from hpcdeploy.provider import Launch, MachineSeen, Observed, Prerequisites, Resource, Step, Tags
 from hpcdeploy.spec.names import NAME_PATTERN, NodeName, read_owner
 
-__all__ = ["CLAIM", "Claim", "StandingMachines"]
+__all__ = ["CLAIM", "Claim", "FixedMachines"]
 
 CLAIM = "machine.json"
 """The file on a machine that says which of a cluster it is."""
@@ -65,14 +65,14 @@ class Claim:
         )
 
 
-class StandingMachines:
+class FixedMachines:
     """The part of `Provider` that is about networks, keys, leases and buckets: there are none."""
 
     makes_machines = False
 
-    def prepare(self, needs: Needs, observed: Observed) -> list[Step]:
+    def prepare(self, wanted: Prerequisites, observed: Observed) -> list[Step]:
         """Return nothing: the network is as it is, and who may log in is settled."""
-        del needs, observed
+        del wanted, observed
         return []
 
     def tag(

@@ -22,7 +22,7 @@ from hpcdeploy.provider import (
     Problem,
     State,
 )
-from hpcdeploy.providers.fixed import CLAIM, Claim, StandingMachines
+from hpcdeploy.providers.fixed import CLAIM, Claim, FixedMachines
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import clusters_folder, machine_folder, state_folder
 from hpcdeploy.spec.names import NodeName
@@ -39,7 +39,7 @@ def open_local(spec: ClusterSpec, base: Path) -> LocalProvider:
     return LocalProvider(spec.env.python)
 
 
-class LocalProvider(StandingMachines):
+class LocalProvider(FixedMachines):
     """Folders for machines."""
 
     name = "local"

@@ -15,7 +15,7 @@ from hpccomponent.errors import CloudError
 from hpcdeploy.install.installing import write_text
 from hpcdeploy.install.job_end import end_jobs
 from hpcdeploy.install.loader_service import stop_command
-from hpcdeploy.login.access import Access, make_access
+from hpcdeploy.login.access import Access
 from hpcdeploy.login.parallel import connections_at_once, run_parallel
 from hpcdeploy.login.ssh.reach import Reach, ReachError
 from hpcdeploy.login.ssh.target import host_address, host_id
@@ -28,13 +28,13 @@ from hpcdeploy.provider import (
     State,
     Tags,
 )
-from hpcdeploy.providers.fixed import CLAIM, Claim, StandingMachines
+from hpcdeploy.providers.fixed import CLAIM, Claim, FixedMachines
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import machine_folder
 from hpcdeploy.spec.names import HEAD, NodeName, without_node
 from hpcdeploy.spec.provider import Host
 
-__all__ = ["SshHosts", "open_ssh_hosts"]
+__all__ = ["SshHosts"]
 
 LOOK_S = 8.0
 """For the login, and again for the one command: so long a look at a host may take."""
@@ -42,19 +42,14 @@ UNASKED = (Reach.NO_KEY, Reach.PASSPHRASE_NEEDED)
 """Why no host was asked at all."""
 
 
-def open_ssh_hosts(spec: ClusterSpec, base: Path) -> SshHosts:
-    """Return the provider of the hosts of a cluster file."""
-    return SshHosts(spec, base)
-
-
-class SshHosts(StandingMachines):
+class SshHosts(FixedMachines):
     """Hosts, and what we have put on them."""
 
     name = "ssh"
 
     def __init__(self, spec: ClusterSpec, base: Path) -> None:
         self._spec = spec
-        self._access: Access = make_access(spec, base, self)
+        self._access = Access(spec, base, self)
         self._hosts: dict[str, Host] = {
             f"worker-{number}" if number else HEAD: host
             for number, host in enumerate(spec.provider.fixed_hosts)

@@ -146,13 +146,13 @@ def open_cluster(path: Path) -> Iterator[Cluster]:
     CloudError
         The cloud's keys are not to be found.
     """
-    from hpcdeploy.login.access import make_access  # it imports paramiko, which is slow
+    from hpcdeploy.login.access import Access  # it imports paramiko, which is slow
     from hpcdeploy.providers import open_provider
 
     spec = read_spec(path)
     base = path.absolute().parent
     provider = open_provider(spec, base)
-    access = make_access(spec, base, provider)
+    access = Access(spec, base, provider)
     cluster = Cluster(path, spec, provider, access)
     if elsewhere := describe_elsewhere(cluster):
         log.warning("warning: %s", elsewhere)

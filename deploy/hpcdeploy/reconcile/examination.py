@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from hpccomponent.errors import CloudError
 from hpccomponent.runtime.numerics import package_version
 from hpccomponent.terminal import write_block
-from hpcdeploy.install.bootstrap import MIN_FREE, check_wheels
+from hpcdeploy.install.bootstrap import MIN_FREE
 from hpcdeploy.install.probe import DAMAGED, Probed, no_python, probe
-from hpcdeploy.install.wheels.requirements import missing_wheels
+from hpcdeploy.install.wheels.requirements import check_wheels, missing_wheels
 from hpcdeploy.login.parallel import connections_at_once, run_parallel
 from hpcdeploy.provider import MachineSeen, Problem
 from hpcdeploy.reconcile.cluster import Cluster

@@ -29,7 +29,7 @@ def check_ready(
     actions : sequence of Action
         Planned; only where nodes are launched is anything looked at.
     missing : sequence of Problem
-        In the wheelhouse, see `bootstrap.check_wheels`; said already.
+        In the wheelhouse, see `requirements.check_wheels`; said already.
 
     Raises
     ------

@@ -15,7 +15,7 @@ from hpccomponent.errors import CapacityError, CloudError
 from hpccomponent.terminal import write_block
 from hpcdeploy.ownership.journal import Journal
 from hpcdeploy.ownership.ownership import ours
-from hpcdeploy.provider import MachineSeen, Needs, Observed, State, Step, Tags
+from hpcdeploy.provider import MachineSeen, Observed, Prerequisites, State, Step, Tags
 from hpcdeploy.providers.clouds import places_of
 from hpcdeploy.reconcile.cluster import as_desired, node_order, require_ours
 from hpcdeploy.reconcile.launching import launch_nodes
@@ -229,7 +229,7 @@ class Reconciler:
             observed,
             self._polling.now(),
             self._incarnation,
-            lambda life: self._provider.prepare(self._needs(life), observed),
+            lambda life: self._provider.prepare(self._wanted(life), observed),
             self._journal.known_bad & self._proof(observed).unused,
             self._cluster.access.ownership().owner,
             self._desired,
@@ -253,9 +253,9 @@ class Reconciler:
         due = (self._due(action) for action in plan.actions)
         return replace(plan, actions=tuple(action for action in due if action is not None))
 
-    def _needs(self, life: str) -> Needs:
+    def _wanted(self, life: str) -> Prerequisites:
         ports = frozenset({self._spec.communicator.port})
-        return Needs(self._spec.cluster, life, self._ssh_from, ports)
+        return Prerequisites(self._spec.cluster, life, self._ssh_from, ports)
 
     def _due(self, action: Action) -> Action | None:
         """Return what of an action is this command's to do."""

@@ -46,7 +46,7 @@ def profile() -> str:
 def cloud(profile: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[StrictCloud]:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setattr("hpcdeploy.install.bootstrap.set_up", SetUp())
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.check_wheels", lambda spec, base: [])
+    monkeypatch.setattr("hpcdeploy.install.wheels.requirements.check_wheels", lambda spec, base: [])
     monkeypatch.setattr("hpcdeploy.install.user_data.user_data", lambda *about: "#!/bin/sh")
     with StrictCloud(profile, lag=0) as opened:
         for name, value in opened.environment().items():

@@ -20,8 +20,8 @@ from hpcdeploy.provider import (
     Bucket,
     Launch,
     MachineSeen,
-    Needs,
     Observed,
+    Prerequisites,
     Problem,
     Resource,
     State,
@@ -112,9 +112,9 @@ class MemoryProvider:
                 ),
             )
 
-    def prepare(self, needs: Needs, observed: Observed) -> list[Step]:
+    def prepare(self, wanted: Prerequisites, observed: Observed) -> list[Step]:
         """Plan as on a cloud that speaks EC2."""
-        return plan_access(self, needs, observed)
+        return plan_access(self, wanted, observed)
 
     def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
         """Make a key pair."""

@@ -24,7 +24,7 @@ from hpcdeploy.provider import Problem
 from hpcdeploy.spec.cluster import ClusterSpec
 from hpcdeploy.spec.layout import state_folder
 
-__all__ = ["WORKER_NEEDS", "Needs", "choose_release", "find_problems", "missing_wheels", "needs_of"]
+__all__ = ["WORKER_NEEDS", "Needs", "check_wheels", "choose_release", "missing_wheels", "needs_of"]
 
 WORKER_NEEDS = ("msgspec", "numpy", "pydantic", "pyyaml", "pyzmq")
 """What `hpccomponent` and `hpcloader` import; a test compares it with their source."""
@@ -117,7 +117,7 @@ def needs_of(
     return Needs((*pip, *wheels), (), bare_names, is_offline=True), missing
 
 
-def find_problems(spec: ClusterSpec, base: Path) -> list[Problem]:
+def check_wheels(spec: ClusterSpec, base: Path) -> list[Problem]:
     """Return what is missing in the wheelhouse, one problem for each wheel.
 
     Before the machines are there, the wheelhouse itself says which machines it is for: each kind

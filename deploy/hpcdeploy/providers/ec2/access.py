@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Protocol
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.provider import Maker, Needs, Observed, Resource, Step
+from hpcdeploy.provider import Observed, Prerequisites, Principal, Resource, Step
 from hpcdeploy.providers.ec2.capabilities import Capabilities
 from hpcdeploy.providers.ec2.client import Calls, Parameters
 from hpcdeploy.providers.ec2.errors import code_of
@@ -23,13 +23,13 @@ from hpcdeploy.providers.ec2.observe import (
 )
 from hpcdeploy.spec.names import Owner
 
-__all__ = ["AccessKeeper", "GroupKeeper", "KeyPairKeeper", "plan_access"]
+__all__ = ["AccessCalls", "KeyPairs", "SecurityGroups", "plan_access"]
 
 _IN_USE = {"DependencyViolation", "InvalidGroup.InUse"}
 _NO_GROUP = {"InvalidGroup.NotFound", "InvalidGroupId.NotFound"}
 
 
-class AccessKeeper(Protocol):
+class AccessCalls(Protocol):
     """What makes a cluster's security group and key pair."""
 
     def create_group(self, cluster: str, incarnation: str, owner: Owner) -> GroupSeen:
@@ -47,22 +47,22 @@ class AccessKeeper(Protocol):
         ...
 
 
-def plan_access(keeper: AccessKeeper, needs: Needs, observed: Observed) -> list[Step]:
+def plan_access(cloud: AccessCalls, wanted: Prerequisites, observed: Observed) -> list[Step]:
     """Return what of group, rules and key pair is missing, in the order in which it is made."""
-    plan = _AccessPlan(keeper, needs, observed)
+    plan = _AccessPlan(cloud, wanted, observed)
     group, steps = plan.group, []
     if group is None:
-        begins, what = needs.incarnation, "create the security group"
+        begins, what = wanted.incarnation, "create the security group"
         steps.append(Step("CreateGroup", what, plan.create_group, begins, makes=True))
     if group is None or (group.ssh_from, group.internal_ports) != (
-        needs.ssh_from,
-        needs.internal_ports,
+        wanted.ssh_from,
+        wanted.internal_ports,
     ):
-        ports = ", ".join(str(port) for port in sorted(needs.internal_ports))
-        networks = ", ".join(sorted(needs.ssh_from))
+        ports = ", ".join(str(port) for port in sorted(wanted.internal_ports))
+        networks = ", ".join(sorted(wanted.ssh_from))
         what = f"allow SSH from {networks}, port {ports} inside"
         steps.append(Step("Allow", what, plan.allow))
-    life = (needs.cluster, needs.incarnation)
+    life = (wanted.cluster, wanted.incarnation)
     pairs = (r for r in observed.resources if isinstance(r, KeyPairSeen))
     if all((pair.cluster, pair.incarnation) != life for pair in pairs):
         steps.append(Step("CreateKeyPair", "create the key pair", plan.create_key_pair, makes=True))
@@ -72,32 +72,32 @@ def plan_access(keeper: AccessKeeper, needs: Needs, observed: Observed) -> list[
 class _AccessPlan:
     """The group that the steps are about: the one there was, or what the first of them makes."""
 
-    def __init__(self, keeper: AccessKeeper, needs: Needs, observed: Observed) -> None:
-        self._keeper, self._needs = keeper, needs
+    def __init__(self, cloud: AccessCalls, wanted: Prerequisites, observed: Observed) -> None:
+        self._cloud, self._wanted = cloud, wanted
         groups = (r for r in observed.resources if isinstance(r, GroupSeen))
-        self.group = next((group for group in groups if group.cluster == needs.cluster), None)
+        self.group = next((group for group in groups if group.cluster == wanted.cluster), None)
 
-    def _made(self, maker: Maker) -> GroupSeen:
+    def _made(self, principal: Principal) -> GroupSeen:
         if self.group is None:
-            cluster, life = self._needs.cluster, self._needs.incarnation
-            self.group = self._keeper.create_group(cluster, life, maker.owner())
+            cluster, life = self._wanted.cluster, self._wanted.incarnation
+            self.group = self._cloud.create_group(cluster, life, principal.owner())
         return self.group
 
-    def create_group(self, maker: Maker) -> str:
-        return self._made(maker).incarnation
+    def create_group(self, principal: Principal) -> str:
+        return self._made(principal).incarnation
 
-    def allow(self, maker: Maker) -> str:
-        group = self._made(maker)
-        self._keeper.allow(group, self._needs.ssh_from, self._needs.internal_ports)
+    def allow(self, principal: Principal) -> str:
+        group = self._made(principal)
+        self._cloud.allow(group, self._wanted.ssh_from, self._wanted.internal_ports)
         return group.incarnation
 
-    def create_key_pair(self, maker: Maker) -> str:
-        life = self._made(maker).incarnation
-        self._keeper.create_key_pair(self._needs.cluster, life, maker.public_key())
+    def create_key_pair(self, principal: Principal) -> str:
+        life = self._made(principal).incarnation
+        self._cloud.create_key_pair(self._wanted.cluster, life, principal.public_key())
         return life
 
 
-class KeyPairKeeper:
+class KeyPairs:
     """The key pairs of an account that are ours."""
 
     def __init__(self, calls: Calls, capabilities: Capabilities) -> None:
@@ -155,7 +155,7 @@ class KeyPairKeeper:
                 raise
 
 
-class GroupKeeper:
+class SecurityGroups:
     """The security groups of an account that are ours, and their rules.
 
     Parameters

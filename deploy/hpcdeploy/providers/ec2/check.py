@@ -9,7 +9,7 @@ from hpcdeploy.provider import Problem
 from hpcdeploy.providers.ec2.capabilities import Capabilities
 from hpcdeploy.providers.ec2.client import Calls, Parameters
 from hpcdeploy.providers.ec2.errors import code_of
-from hpcdeploy.providers.ec2.images import ImageKeeper
+from hpcdeploy.providers.ec2.images import Images
 from hpcdeploy.providers.ec2.launch import root_disk
 from hpcdeploy.spec.provider import CloudSpec, Profile
 
@@ -17,7 +17,7 @@ __all__ = ["check_cloud"]
 
 
 def check_cloud(
-    calls: Calls, cloud: CloudSpec, capabilities: Capabilities, images: ImageKeeper
+    calls: Calls, cloud: CloudSpec, capabilities: Capabilities, images: Images
 ) -> list[Problem]:
     """Look at credentials, images, types, zones, subnet and rights.
 
@@ -101,7 +101,7 @@ def _check_types(calls: Calls, name: str, profile: Profile) -> list[Problem]:
     return [replace(problem, is_fatal=problem.is_fatal and not has_one) for problem in problems]
 
 
-def _check_image(images: ImageKeeper, name: str, profile: Profile) -> list[Problem]:
+def _check_image(images: Images, name: str, profile: Profile) -> list[Problem]:
     try:
         root_disk(images.find(profile.image), profile.disk_gb)
     except CloudError as error:
@@ -109,9 +109,7 @@ def _check_image(images: ImageKeeper, name: str, profile: Profile) -> list[Probl
     return []
 
 
-def _dry_run(
-    calls: Calls, cloud: CloudSpec, profile: Profile, images: ImageKeeper
-) -> list[Problem]:
+def _dry_run(calls: Calls, cloud: CloudSpec, profile: Profile, images: Images) -> list[Problem]:
     """Ask whether a launch would be let through; the answer is an error either way."""
     try:
         image = images.find(profile.image)

@@ -26,21 +26,21 @@ from hpccomponent.errors import CloudError
 from hpcdeploy.provider import (
     Launch,
     MachineSeen,
-    Needs,
     Observed,
+    Prerequisites,
     Problem,
     Resource,
     State,
     Step,
     Tags,
 )
-from hpcdeploy.providers.ec2.access import GroupKeeper, KeyPairKeeper, plan_access
+from hpcdeploy.providers.ec2.access import KeyPairs, SecurityGroups, plan_access
 from hpcdeploy.providers.ec2.bucket import S3Bucket, open_bucket
 from hpcdeploy.providers.ec2.capabilities import capabilities_of
 from hpcdeploy.providers.ec2.check import check_cloud
 from hpcdeploy.providers.ec2.client import Calls, Described, open_calls, read_parameter
 from hpcdeploy.providers.ec2.errors import code_of
-from hpcdeploy.providers.ec2.images import ImageKeeper
+from hpcdeploy.providers.ec2.images import Images
 from hpcdeploy.providers.ec2.launch import attempt_of, launch_parameters, launch_tags, profile_of
 from hpcdeploy.providers.ec2.names import (
     CLUSTER_TAG,
@@ -114,9 +114,9 @@ class Ec2Provider:
         self._cloud = cloud
         self._calls = calls
         self._knows = capabilities_of(cloud)
-        self._groups = GroupKeeper(calls, self._knows, ssh_port, cloud.subnets)
-        self._key_pairs = KeyPairKeeper(calls, self._knows)
-        self._images = ImageKeeper(calls, read_parameter)
+        self._groups = SecurityGroups(calls, self._knows, ssh_port, cloud.subnets)
+        self._key_pairs = KeyPairs(calls, self._knows)
+        self._images = Images(calls, read_parameter)
 
     def observe(self, cluster: str | None) -> Observed:
         """Return all that exists of a cluster of ours, or of every one where None."""
@@ -155,9 +155,9 @@ class Ec2Provider:
                     machines.append(machine)
         return machines
 
-    def prepare(self, needs: Needs, observed: Observed) -> list[Step]:
+    def prepare(self, wanted: Prerequisites, observed: Observed) -> list[Step]:
         """Return what of security group, rules and key pair is missing."""
-        return plan_access(self, needs, observed)
+        return plan_access(self, wanted, observed)
 
     def create_key_pair(self, cluster: str, incarnation: str, public_key: str) -> KeyPairSeen:
         """Make the key pair of a cluster's life known, or return the one there is."""

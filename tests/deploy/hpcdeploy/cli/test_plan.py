@@ -43,7 +43,7 @@ def cloud(monkeypatch: pytest.MonkeyPatch) -> MemoryProvider:
         yield make_cluster(read_spec(path), provider)
 
     monkeypatch.setattr("hpcdeploy.reconcile.cluster.open_cluster", opened)
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.check_wheels", lambda spec, base: [])
+    monkeypatch.setattr("hpcdeploy.install.wheels.requirements.check_wheels", lambda spec, base: [])
     return provider
 
 
@@ -109,7 +109,9 @@ def test_what_is_missing_is_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     missing = [Problem("no wheel of numpy for cp312", "add it to wheels/")]
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.check_wheels", lambda spec, base: missing)
+    monkeypatch.setattr(
+        "hpcdeploy.install.wheels.requirements.check_wheels", lambda spec, base: missing
+    )
     assert run("plan", file) == 0
     assert "missing: no wheel of numpy for cp312; add it to wheels/\n" in capsys.readouterr().out
 

@@ -269,7 +269,7 @@ def test_a_file_that_leads_elsewhere_says_where_its_cluster_lives(
     elsewhere = MemoryProvider(utc_now)
     elsewhere.makes_machines = "aws" in other
     monkeypatch.setattr("hpcdeploy.providers.open_provider", lambda spec, base: elsewhere)
-    monkeypatch.setattr("hpcdeploy.install.bootstrap.check_wheels", lambda spec, base: [])
+    monkeypatch.setattr("hpcdeploy.install.wheels.requirements.check_wheels", lambda spec, base: [])
     assert there in run("plan", file).output
     assert there in json.loads(run("plan", "--json", file).stdout)["elsewhere"]
     assert there in run("up", file, typed="n\n").output

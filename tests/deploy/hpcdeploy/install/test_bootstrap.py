@@ -16,7 +16,7 @@ from hpccomponent.errors import CloudError
 from hpccomponent.inventory import read_inventory
 from hpccomponent.protocol.connection import read_connection
 from hpcdeploy.install.bootstrap import set_up
-from hpcdeploy.login.access import Access, make_access
+from hpcdeploy.login.access import Access
 from hpcdeploy.provider import Launch, MachineSeen
 from hpcdeploy.providers.local import LocalProvider
 from hpcdeploy.spec.cluster import ClusterSpec
@@ -45,7 +45,7 @@ def spec() -> ClusterSpec:
 def access(spec: ClusterSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Access]:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     provider = LocalProvider()
-    access = make_access(spec, tmp_path, provider)
+    access = Access(spec, tmp_path, provider)
     for node in NODES:
         provider.launch(Launch("desk", "life", NodeName(node)))
     yield access

@@ -16,7 +16,7 @@ from simulated.memory import MemoryProvider
 
 from hpccomponent.errors import CloudError
 from hpcdeploy.login import access as access_module
-from hpcdeploy.login.access import Access, make_access
+from hpcdeploy.login.access import Access
 from hpcdeploy.login.ssh.reach import Reach, ReachError
 from hpcdeploy.login.ssh.target import jump_targets
 from hpcdeploy.ownership.journal import open_journal
@@ -86,7 +86,7 @@ def cloud() -> Consoles:
 
 @pytest.fixture
 def access(server: Server, cloud: Consoles, tmp_path: Path) -> Iterator[Access]:
-    access = make_access(cloud_spec(server.port), tmp_path, cloud)
+    access = Access(cloud_spec(server.port), tmp_path, cloud)
     server.keys.append(access.public_key())
     cloud.text[f"i-{server.port}"] = server.console
     yield access
@@ -178,7 +178,7 @@ def test_a_machine_that_has_booted_once_is_not_waited_for_as_a_new_one(
     else:
         with open_journal("bunny") as journal:
             journal.note_set_up([machine.id], is_done=True)
-    access = make_access(slow, tmp_path, cloud)
+    access = Access(slow, tmp_path, cloud)
     access.public_key()
     cloud.text[machine.id] = server.console
     with pytest.raises(ReachError, match="refused"):
@@ -219,7 +219,7 @@ def configured(server: Server, access: Access, tmp_path: Path) -> Iterator[Acces
         f"Host lab1\n  HostName {server.address}\n  Port {server.port}\n  User admin\n"
     )
     spec = ssh_spec(server, state_folder("bunny") / "id")
-    access = make_access(spec, tmp_path, MemoryProvider())
+    access = Access(spec, tmp_path, MemoryProvider())
     yield access
     access.close()
 
@@ -292,7 +292,7 @@ def behind(
 ) -> Iterator[tuple[Access, MachineSeen]]:
     """A cloud's machine whose address leads nowhere from here, only from the bastion."""
     jump = f"{USER}@{bastion.address}:{bastion.port}"
-    access = make_access(cloud_spec(server.port, ssh_proxy_jump=jump), tmp_path, cloud)
+    access = Access(cloud_spec(server.port, ssh_proxy_jump=jump), tmp_path, cloud)
     server.keys.append(access.public_key())
     cloud.text[f"i-{server.port}"] = server.console
     bastion.routes["198.51.100.7"] = server.address  # of a network for documentation

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from simulated import START, key_pairs_of, make_spec
 
 from hpccomponent.config.reader import parse_config
-from hpcdeploy.provider import MachineSeen, Needs, Observed, Resource, State, Step
+from hpcdeploy.provider import MachineSeen, Observed, Prerequisites, Resource, State, Step
 from hpcdeploy.providers.ec2.access import plan_access
 from hpcdeploy.providers.ec2.observe import GroupSeen, KeyPairSeen
 from hpcdeploy.reconcile.plan import (
@@ -113,8 +113,8 @@ def plan_for(spec: ClusterSpec, observed: Observed) -> Plan:
 
 def preparing(model: Model) -> Callable[[str], Sequence[Step]]:
     def prepare(life: str) -> Sequence[Step]:
-        needs = Needs("bunny", life, NETWORKS, frozenset({7070}))
-        return plan_access(model, needs, model.observed)
+        wanted = Prerequisites("bunny", life, NETWORKS, frozenset({7070}))
+        return plan_access(model, wanted, model.observed)
 
     return prepare
 

@@ -17,8 +17,8 @@ from hpccomponent.errors import CloudError
 from hpcdeploy.install.wheels.release import pack_release
 from hpcdeploy.install.wheels.requirements import (
     WORKER_NEEDS,
+    check_wheels,
     choose_release,
-    find_problems,
     needs_of,
 )
 from hpcdeploy.install.wheels.wheelhouse import Kind, fits, kinds_of, select_wheels
@@ -160,19 +160,19 @@ def test_a_wheelhouse_is_checked_for_every_kind_it_has_wheels_for(tmp_path: Path
         "Python 3.12, aarch64, musl",
         "Python 3.11, x86_64, glibc",
     ]
-    lines = [problem.what for problem in find_problems(spec(wheelhouse="."), tmp_path)]
+    lines = [problem.what for problem in check_wheels(spec(wheelhouse="."), tmp_path)]
     assert any("no wheel of pyzmq>=25.1 for Python 3.11, x86_64, glibc" in line for line in lines)
     assert any("no wheel of numpy>=1.26 for Python 3.12, aarch64" in line for line in lines)
     assert not any("numpy>=1.26 for Python 3.11" in line for line in lines)
 
 
 def test_an_empty_wheelhouse_is_one_line(tmp_path: Path) -> None:
-    [problem] = find_problems(spec(wheelhouse="."), tmp_path)
+    [problem] = check_wheels(spec(wheelhouse="."), tmp_path)
     assert "no compiled wheel" in problem.what
 
 
 def test_without_a_wheelhouse_nothing_can_be_missing(tmp_path: Path) -> None:
-    assert find_problems(spec(), tmp_path) == []
+    assert check_wheels(spec(), tmp_path) == []
 
 
 def test_a_head_gets_what_the_dashboard_needs_where_it_can(tmp_path: Path) -> None:
