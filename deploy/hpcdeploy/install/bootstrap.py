@@ -136,18 +136,18 @@ class _SetUp:
                 member.shell.close()
 
     def _each(
-        self, things: Sequence[T], machine_of: Callable[[T], MachineSeen], step: Callable[[T], R]
+        self, items: Sequence[T], machine_of: Callable[[T], MachineSeen], step: Callable[[T], R]
     ) -> tuple[list[R], list[Failure]]:
         """Do one step for all, several at once; tell what came of it, and who failed."""
         pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="set-up")
         try:
-            futures = [pool.submit(step, thing) for thing in things]
+            futures = [pool.submit(step, item) for item in items]
             results, failures = [], []
-            for thing, future in zip(things, futures, strict=True):
+            for item, future in zip(items, futures, strict=True):
                 try:
                     results.append(future.result())
                 except (HpcError, OSError) as error:
-                    machine = machine_of(thing)
+                    machine = machine_of(item)
                     reason = without_node(str(error), machine.name.node)
                     if isinstance(error, HpcError) and error.excerpt:
                         self._report(f"{machine.name.node}:\n{write_block(error.excerpt)}")
@@ -309,8 +309,8 @@ class _SetUp:
             )
         )
         path = f"{self._folder}/inventory.json"
-        there = head.shell.run(f"cat {path} 2>/dev/null").output
-        if there != text:
+        previous = head.shell.run(f"cat {path} 2>/dev/null").output
+        if previous != text:
             write_text(head.shell, path, text)
             self._report(f"{HEAD}: knows {len(workers)} workers")
 

@@ -73,25 +73,25 @@ def check_way_in(cluster: Cluster, key: Path | None) -> tuple[Observed, dict[str
     """
     spec = cluster.spec
     observed = cluster.provider.observe(spec.cluster)
-    there = [m for m in observed.machines if m.state not in (State.ENDING, State.GONE)]
-    if not there:
+    present = [m for m in observed.machines if m.state not in (State.ENDING, State.GONE)]
+    if not present:
         raise CloudError(
             f"cluster {spec.cluster} has no machine that could be taken over",
             f"run hpcapp up {cluster.path}, or hpcapp down {cluster.path} to remove its rest",
         )
-    _choose_key(cluster, key, there)
-    for machine in there:
+    _choose_key(cluster, key, present)
+    for machine in present:
         if machine.state is not State.RUNNING:
             raise CloudError(
                 f"{machine.name.node} ({machine.id}) is {machine.state}, not running",
                 "try again when it runs, or take the cluster down",
             )
     with ThreadPoolExecutor(AT_ONCE, "adopt") as pool:
-        found = list(pool.map(lambda machine: _read_keys(cluster, machine), there))
-    return observed, {name: pair for keys in found for name, pair in keys.items()}
+        keys_by_machine = list(pool.map(lambda machine: _read_keys(cluster, machine), present))
+    return observed, {name: pair for keys in keys_by_machine for name, pair in keys.items()}
 
 
-def _choose_key(cluster: Cluster, key: Path | None, there: Iterable[MachineSeen]) -> None:
+def _choose_key(cluster: Cluster, key: Path | None, present: Iterable[MachineSeen]) -> None:
     """Log in with the key that was handed over, where it is the one that fits."""
     spec, access = cluster.spec, cluster.access
     if not spec.provider.makes_machines or spec.auth.ssh_private_key != "auto":
@@ -103,7 +103,7 @@ def _choose_key(cluster: Cluster, key: Path | None, there: Iterable[MachineSeen]
             )
             raise UsageError(f"--key is not used here: {why}", "leave it out")
         return
-    wanted = {machine.owner.key for machine in there} - {""}
+    wanted = {machine.owner.key for machine in present} - {""}
     if key is not None:
         access.use_key(key)
     elif not access.ownership().owner.key:

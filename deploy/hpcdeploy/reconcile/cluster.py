@@ -70,9 +70,9 @@ class Cluster:
         require_ours(self, observed)
         nodes = self.spec.nodes()
         ending = (State.ENDING, State.GONE)
-        there = (m for m in observed.machines if m.state not in ending)
+        present = (m for m in observed.machines if m.state not in ending)
         # A host that hides what it does counts where the file wants it: it may be none of ours.
-        counted = (m for m in there if m.state is not State.UNKNOWN or m.name.node in nodes)
+        counted = (m for m in present if m.state is not State.UNKNOWN or m.name.node in nodes)
         return tuple(sorted(counted, key=node_order))
 
     def head(self) -> MachineSeen:

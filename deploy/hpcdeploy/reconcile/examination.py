@@ -95,10 +95,10 @@ def visit(
 def _state_problems(cluster: Cluster) -> Iterator[Problem]:
     """Yield what keeps `up` from writing down what it does."""
     folder = state_folder(cluster.spec.cluster)
-    there = next(path for path in (folder, *folder.parents) if path.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+    nearest = next(path for path in (folder, *folder.parents) if path.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
         advice = "set XDG_STATE_HOME to a folder that can be written"
-        yield Problem(f"{there}: cannot be written", advice)
+        yield Problem(f"{nearest}: cannot be written", advice)
 
 
 def _told(

@@ -247,10 +247,10 @@ def make_plan(
     actions += endings
     actions += _extensions(spec, kept, now)
     hidden = tuple(machine for machine in machines if machine.state is State.UNKNOWN)
-    there = {machine.name.node for machine in (*kept, *hidden)}
+    present_nodes = {machine.name.node for machine in (*kept, *hidden)}
     has_spot, subnets = spec.provider.has_spot, spec.provider.subnets
     for node in spec.nodes():
-        if node not in there:
+        if node not in present_nodes:
             name = NodeName(node, _next_generation(machines, node, life))
             choices = launch_choices(spec.profile(node), has_spot, subnets)
             borne = desired if node == HEAD else None

@@ -87,18 +87,18 @@ def describe_cluster(cluster: Cluster, ask_machines: bool = True) -> ClusterStat
     hidden = {m.id: m.reason for m in machines if m.state is State.UNKNOWN}
     rows = [_machine(m, now, (loaders | hidden).get(m.id)) for m in machines]
     wanted = cluster.spec.nodes()
-    there = [machine.name.node for machine in machines if machine.state is State.RUNNING]
+    running_nodes = [machine.name.node for machine in machines if machine.state is State.RUNNING]
     unknown = [machine.name.node for machine in machines if machine.state is State.UNKNOWN]
-    unseen = [node for node in wanted if node in unknown and node not in there]
+    unseen = [node for node in wanted if node in unknown and node not in running_nodes]
     return {
         "cluster": cluster.spec.cluster,
         "provider": cluster.provider.name,
         "made_elsewhere": elsewhere,
-        "is_up": set(wanted) <= set(there),
+        "is_up": set(wanted) <= set(running_nodes),
         "elsewhere": describe_elsewhere(cluster),
         "hidden": unseen,
-        "missing": [node for node in wanted if node not in there and node not in unseen],
-        "unwanted": [node for node in there if node not in wanted],
+        "missing": [node for node in wanted if node not in running_nodes and node not in unseen],
+        "unwanted": [node for node in running_nodes if node not in wanted],
         "machines": rows,
     }
 

@@ -219,8 +219,8 @@ class SshShell:
 
 def _said(text: str) -> str:
     """Return what a command has said; all that there is where no shell ran it."""
-    before, found, after = text.partition(f"{BEGIN}\n")
-    return after if found else before
+    before, mark, after = text.partition(f"{BEGIN}\n")
+    return after if mark else before
 
 
 @contextmanager

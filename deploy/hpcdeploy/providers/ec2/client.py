@@ -178,10 +178,10 @@ def _certificates(named: str | None, base: Path) -> str | None:
     """
     path = base / expand_home(named) if named else None
     name = next((n for n in ("AWS_CA_BUNDLE", "REQUESTS_CA_BUNDLE") if os.environ.get(n)), "")
-    there = path or (Path(os.environ[name]) if name else None)
-    if there is not None and not there.exists():
+    bundle = path or (Path(os.environ[name]) if name else None)
+    if bundle is not None and not bundle.exists():
         raise CloudError(
-            f"{there}: there is no such file of certificates",
+            f"{bundle}: there is no such file of certificates",
             f"check {'provider.ca_bundle' if named else name}",
         )
     return str(path) if path else None

@@ -75,7 +75,7 @@ class Source:
 
     def setting(self, key: str) -> str:
         """Return the first of its profiles' values of a key; empty where there is none."""
-        return next((str(each[key]) for each in self.settings if key in each), "")
+        return next((str(profile[key]) for profile in self.settings if key in profile), "")
 
     @property
     def asks_for_code(self) -> bool:

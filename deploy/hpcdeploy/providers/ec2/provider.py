@@ -261,8 +261,8 @@ class Ec2Provider:
             if code_of(error) != _NO_INSTANCE:
                 raise
             # One that the cloud does not know keeps all the others alive.
-            for one in ids:
-                self._end_if_there(one)
+            for id_ in ids:
+                self._end_if_there(id_)
 
     def _end(self, ids: list[str], not_yet: Collection[str] = ()) -> None:
         self._calls.call(
@@ -272,9 +272,9 @@ class Ec2Provider:
             InstanceIds=ids,
         )
 
-    def _end_if_there(self, one: str) -> None:
+    def _end_if_there(self, id_: str) -> None:
         try:
-            self._end([one], _NOT_YET)
+            self._end([id_], _NOT_YET)
         except CloudError as error:
             if code_of(error) != _NO_INSTANCE:
                 raise
