@@ -78,7 +78,7 @@ class Login:
     """
 
     def __init__(self, keys: CloudKeys, region: str, place: str, timeouts: Timeouts) -> None:
-        self._keys, self._patience, self._place = keys, timeouts, place
+        self._keys, self._timeouts, self._place = keys, timeouts, place
         self._core = botocore.session.Session(profile=keys.profile)
         self._core.set_default_client_config(
             Config(
@@ -111,7 +111,7 @@ class Login:
         """
         if self._keys.access_key is not None:
             return
-        deadline = time.monotonic() + self._patience.keys_s
+        deadline = time.monotonic() + self._timeouts.keys_s
         for wait_s in (*_RETRIES_S, None):
             try:
                 credentials = self._core.get_credentials()
@@ -138,7 +138,7 @@ class Login:
             chain.get_provider("assume-role").cache = cache
 
     def _start(self, command: list[str], **pipes: Any) -> _BoundedProcess:
-        return _BoundedProcess(command, self._patience.process_s, **pipes)
+        return _BoundedProcess(command, self._timeouts.process_s, **pipes)
 
     def _source(self) -> Source:
         return Source.of(self._core, self._keys.profile)
