@@ -341,7 +341,7 @@ class Bucket(Protocol):
 
 
 class Provider(Protocol):
-    """A kind of cloud: seven calls, and what it answers for.
+    """A kind of cloud: seven calls, and answers that have a default.
 
     Every method raises `CloudError` with one line that says what the cloud refused, why and what
     to do; `CapacityError` where another instance type, market or zone may still be had.
@@ -389,16 +389,16 @@ class Provider(Protocol):
 
     def hosts(self) -> tuple[MachineSeen, ...]:
         """Return the machines that are there before they belong to a cluster."""
-        ...
+        return ()
 
     def decided(self) -> tuple[str, ...]:
         """Say what the file leaves open and is decided for this command, in a line each."""
-        ...
+        return ()
 
     def check(self) -> list[Problem]:
         """Look, without changing anything, for what would make `up` fail."""
-        ...
+        return []
 
     def bucket(self) -> Bucket | None:
         """Return the bucket that the cluster file names; None where it names none."""
-        ...
+        return None

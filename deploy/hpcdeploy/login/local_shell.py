@@ -9,11 +9,9 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from textwrap import shorten
-from types import TracebackType
-from typing import Self
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.login.shell import Completed, part_of
+from hpcdeploy.login.shell import Completed, Shell, part_of
 
 __all__ = ["LocalShell"]
 
@@ -21,7 +19,7 @@ _CHUNK = 1 << 20
 _FRESH = os.O_WRONLY | os.O_CREAT | os.O_EXCL
 
 
-class LocalShell:
+class LocalShell(Shell):
     """Commands and files of a node that is a folder."""
 
     def __init__(self, node: str, home: Path) -> None:
@@ -89,17 +87,6 @@ class LocalShell:
 
     def close(self) -> None:
         """Do nothing: there is no connection."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _environment(self) -> dict[str, str]:
         return {**os.environ, "HOME": str(self._home)}

@@ -12,7 +12,16 @@ import msgspec
 from msgspec import Meta
 
 from hpccomponent.foreign_json import decode
-from hpcdeploy.provider import Launch, MachineSeen, Observed, Prerequisites, Resource, Step, Tags
+from hpcdeploy.provider import (
+    Launch,
+    MachineSeen,
+    Observed,
+    Prerequisites,
+    Provider,
+    Resource,
+    Step,
+    Tags,
+)
 from hpcdeploy.spec.names import NAME_PATTERN, NodeName, read_owner
 
 __all__ = ["CLAIM", "Claim", "FixedMachines"]
@@ -65,7 +74,7 @@ class Claim:
         )
 
 
-class FixedMachines:
+class FixedMachines(Provider):
     """The part of `Provider` that is about networks, keys, leases and buckets: there are none."""
 
     makes_machines = False
@@ -89,11 +98,3 @@ class FixedMachines:
         """Return nothing: a console is its machine's owner's."""
         del machine
         return ""
-
-    def decided(self) -> tuple[str, ...]:
-        """Return nothing: the file says all."""
-        return ()
-
-    def bucket(self) -> None:
-        """Return none: files travel over SSH."""
-        return

@@ -81,10 +81,6 @@ class LocalProvider(FixedMachines):
                 )
             shutil.rmtree(home, ignore_errors=True)
 
-    def hosts(self) -> tuple[MachineSeen, ...]:
-        """Return none: this machine is looked at by whoever runs on it."""
-        return ()
-
     def check(self) -> list[Problem]:
         """Return what is missing here: an interpreter that will do."""
         try:

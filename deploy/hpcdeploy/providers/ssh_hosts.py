@@ -23,7 +23,6 @@ from hpcdeploy.provider import (
     Launch,
     MachineSeen,
     Observed,
-    Problem,
     Resource,
     State,
     Tags,
@@ -119,10 +118,6 @@ class SshHosts(FixedMachines):
     def hosts(self) -> tuple[MachineSeen, ...]:
         """Return the file's hosts, whether they answer or not."""
         return tuple(self._machine(node) for node in self._hosts)
-
-    def check(self) -> list[Problem]:
-        """Return nothing: `doctor` and `up` log in to each host themselves."""
-        return []
 
     def _machine(self, node: str) -> MachineSeen:
         host = self._hosts[node]

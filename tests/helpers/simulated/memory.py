@@ -22,7 +22,7 @@ from hpcdeploy.provider import (
     MachineSeen,
     Observed,
     Prerequisites,
-    Problem,
+    Provider,
     Resource,
     State,
     Step,
@@ -46,7 +46,7 @@ class _Machine:
     ended: datetime | None = None
 
 
-class MemoryProvider:
+class MemoryProvider(Provider):
     """A cloud in memory.
 
     Parameters
@@ -201,21 +201,9 @@ class MemoryProvider:
         """Return one line."""
         return f"{machine.name.node}: booting\n"
 
-    def hosts(self) -> tuple[MachineSeen, ...]:
-        """Return none: machines are made."""
-        return ()
-
-    def decided(self) -> tuple[str, ...]:
-        """Return nothing: the file says all."""
-        return ()
-
     def bucket(self) -> Bucket | None:
         """Return what a test has put there."""
         return self.store
-
-    def check(self) -> list[Problem]:
-        """Find no problem."""
-        return []
 
     def interrupt(self, node: str, reason: str = "Server.SpotInstanceTermination") -> None:
         """Take the machines of a node away, as a cloud does with spot machines.

@@ -12,13 +12,11 @@ from contextlib import ExitStack, contextmanager
 from itertools import chain
 from pathlib import Path
 from textwrap import shorten
-from types import TracebackType
-from typing import Self
 
 import paramiko
 
 from hpccomponent.errors import CloudError
-from hpcdeploy.login.shell import Completed
+from hpcdeploy.login.shell import Completed, Shell
 from hpcdeploy.login.ssh.connect import explain
 from hpcdeploy.login.ssh.connection import CHANNEL_S, Connection
 from hpcdeploy.login.ssh.forward import Forwarder
@@ -38,7 +36,7 @@ _CHUNK = 1 << 16
 _NO_CODE = 128  # a signal ended the shell itself, and SSH's answer to paramiko does not say which
 
 
-class SshShell:
+class SshShell(Shell):
     """Commands and files on one machine over one connection; safe to use from several threads."""
 
     def __init__(self, node: str, connection: Connection, closer: ExitStack) -> None:
@@ -126,17 +124,6 @@ class SshShell:
     def close(self) -> None:
         """End the connection."""
         self._closer.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _files(self) -> paramiko.SFTPClient:
         with self._lock:

@@ -29,6 +29,7 @@ from hpcdeploy.provider import (
     Observed,
     Prerequisites,
     Problem,
+    Provider,
     Resource,
     State,
     Step,
@@ -88,7 +89,7 @@ def _no_parameters(name: str) -> str:
     raise CloudError(f"there is no parameter store to find {name} in", "give the image's id")
 
 
-class Ec2Provider:
+class Ec2Provider(Provider):
     """A `Provider` over EC2's interface; safe to use from several threads.
 
     Parameters
@@ -109,7 +110,7 @@ class Ec2Provider:
         read_parameter: Callable[[str], str] = _no_parameters,
         open_bucket: Callable[[], S3Bucket | None] = lambda: None,
     ) -> None:
-        self.bucket = open_bucket
+        self._open_bucket = open_bucket
         self.name: str = cloud.type
         self._cloud = cloud
         self._calls = calls
@@ -133,10 +134,6 @@ class Ec2Provider:
             machines=tuple(m for m in machines if cluster in (None, m.cluster)),
             resources=(*groups, *self._key_pairs.find(cluster, groups)),
         )
-
-    def hosts(self) -> tuple[MachineSeen, ...]:
-        """Return none: machines are made."""
-        return ()
 
     def _find(self, condition: str, value: str) -> list[MachineSeen]:
         reservations = self._calls.all_of(
@@ -307,6 +304,10 @@ class Ec2Provider:
     def check(self) -> list[Problem]:
         """Look, without changing anything, for what would make `up` fail."""
         return check_cloud(self._calls, self._cloud, self._knows, self._images)
+
+    def bucket(self) -> S3Bucket | None:
+        """Return the bucket that the cluster file names; None where it names none."""
+        return self._open_bucket()
 
     def decided(self) -> tuple[str, ...]:
         """Say which images were found for profiles that name none by its id."""
