@@ -20,7 +20,6 @@ def batch_points(parts: Iterable[PointCloud], rows: int) -> Iterator[PointCloud]
     ----------
     parts : iterable of PointCloud
         With the same attributes, one of them at least; some may be empty.
-    rows : int
 
     Yields
     ------

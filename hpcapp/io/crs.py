@@ -72,10 +72,6 @@ def parse_wkt(text: str) -> Crs:
     text : str
         May be damaged: then the unit is not found.
 
-    Returns
-    -------
-    Crs
-
     Examples
     --------
     >>> parse_wkt('PROJCS["a",GEOGCS["b",UNIT["degree",0.017]],UNIT["foot",0.3048]]').unit
@@ -138,14 +134,6 @@ def parse_geokeys(directory: bytes, texts: bytes) -> Crs | None:
 
 def parse_epsg(text: str) -> int | None:
     """Return the code of a text like ``EPSG:32632``, or None.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    int or None
 
     Examples
     --------

@@ -72,10 +72,6 @@ def needs_double(positions: FloatArray, origin: FloatArray) -> bool:
         Relative to `origin`, as they are in memory.
     origin : ndarray of float64, shape (3,)
         Will be added on writing.
-
-    Returns
-    -------
-    bool
     """
     if origin.any():
         return True

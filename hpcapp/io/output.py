@@ -34,10 +34,6 @@ def open_output(
     kind : {"mesh", "points"}
         What is written.
 
-    Yields
-    ------
-    Path
-
     Raises
     ------
     OutputError

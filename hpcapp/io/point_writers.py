@@ -51,12 +51,6 @@ class PointWriter:
     ) -> list[str]:
         """Return what a file of this format does not hold.
 
-        Parameters
-        ----------
-        cloud : PointCloud
-        crs, unit : str or None
-        scans : sequence of Scan
-
         Returns
         -------
         list of str

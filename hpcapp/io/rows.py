@@ -38,13 +38,8 @@ def numbered(lines: Iterable[str], first: int = 1) -> Iterator[Line]:
 
     Parameters
     ----------
-    lines : iterable of str
     first : int, optional
         The number of the first of them.
-
-    Returns
-    -------
-    iterator of (int, str)
 
     Examples
     --------
@@ -57,10 +52,6 @@ def numbered(lines: Iterable[str], first: int = 1) -> Iterator[Line]:
 def is_count(word: str) -> bool:
     """Tell whether a word is a whole number that can count the lines of a file.
 
-    Parameters
-    ----------
-    word : str
-
     Returns
     -------
     bool
@@ -71,14 +62,6 @@ def is_count(word: str) -> bool:
 
 def parse_index(word: str) -> int:
     """Parse an index, perhaps negative; ValueError if it is none, or beyond 64 bits.
-
-    Parameters
-    ----------
-    word : str
-
-    Returns
-    -------
-    int
 
     Raises
     ------
@@ -96,8 +79,6 @@ def line_error(path: Path, line: Line, problem: str, advice: str) -> InputError:
 
     Parameters
     ----------
-    path : Path
-        The file.
     line : (int, str)
         Its number is named.
     problem : str
@@ -120,15 +101,10 @@ def take_lines(lines: Iterator[Line], count: int, path: Path, rows: str) -> Iter
     ----------
     lines : iterator of (int, str)
         Is consumed so far.
-    count : int
     path : Path
         The file, for the message.
     rows : str
         What the lines are, in the plural, for the message.
-
-    Yields
-    ------
-    (int, str)
 
     Raises
     ------
@@ -155,8 +131,6 @@ def parse_table(lines: Iterator[Line], columns: int, path: Path) -> FloatArray:
         Is consumed.
     columns : int
         How many numbers each line must hold.
-    path : Path
-        The file, for messages.
 
     Returns
     -------

@@ -39,9 +39,6 @@ class Element:
     ----------
     name : str
         With the prefix that it has in the file.
-    attributes : dict of str to str
-    children : list of Element
-    text : str
     """
 
     name: str
@@ -81,22 +78,13 @@ class Element:
         return found.scale(value) if kind == "ScaledInteger" else value
 
     def scale(self, value: float) -> float:
-        """Return what an integer of this element stands for.
-
-        Parameters
-        ----------
-        value : float
-        """
+        """Return what an integer of this element stands for."""
         named = self.attributes
         return value * float(named.get("scale", 1)) + float(named.get("offset", 0))
 
 
 def read_document(path: Path) -> Element:
     """Read the XML section of a file.
-
-    Parameters
-    ----------
-    path : Path
 
     Returns
     -------
@@ -119,13 +107,7 @@ def read_document(path: Path) -> Element:
 
 
 def refuse(path: Path, why: str) -> InputError:
-    """Make the error for a file that is damaged.
-
-    Parameters
-    ----------
-    path : Path
-    why : str
-    """
+    """Make the error for a file that is damaged."""
     return InputError(f"{path}: is no sound E57 file: {why}", "copy or export the file again")
 
 

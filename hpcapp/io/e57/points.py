@@ -51,10 +51,6 @@ def open_e57(path: Path) -> PointSource:
     another has are NaN, or zero for colours and normals; these are left out where not even half
     of the points have them.
 
-    Parameters
-    ----------
-    path : Path
-
     Returns
     -------
     PointSource

@@ -102,16 +102,7 @@ class E57Scan:
         return self.grid is not None or self.position is SPHERICAL
 
     def has(self, names: tuple[str, ...]) -> bool:
-        """Tell whether it has all of some columns.
-
-        Parameters
-        ----------
-        names : tuple of str
-
-        Returns
-        -------
-        bool
-        """
+        """Tell whether it has all of some columns."""
         return all(name in self.columns for name in names)
 
 
@@ -120,7 +111,6 @@ def describe_scan(node: Element, index: int, path: Path) -> E57Scan:
 
     Parameters
     ----------
-    node : Element
     index : int
         Number of the scan, from 0.
     path : Path
@@ -198,9 +188,6 @@ def open_fields(path: Path, scans: Sequence[E57Scan], rows: int) -> Iterator[Dec
 
     Parameters
     ----------
-    path : Path
-        The file.
-    scans : sequence of E57Scan
     rows : int
         Points in a part, at most.
 
@@ -223,14 +210,10 @@ def read_fields(
 
     Parameters
     ----------
-    decoder : Decoder
-    one : E57Scan
     names : sequence of str
         Of the fields.
     rows : int
         Points in a part, at most.
-    path : Path
-        The file, for messages.
 
     Yields
     ------
@@ -261,12 +244,6 @@ def read_fields(
 
 def bound_grids(scans: Sequence[E57Scan], path: Path) -> list[E57Scan]:
     """Find the grids of scans that have rows and columns.
-
-    Parameters
-    ----------
-    scans : sequence of E57Scan
-    path : Path
-        The file.
 
     Returns
     -------

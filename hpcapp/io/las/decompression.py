@@ -27,16 +27,6 @@ _ONE_STREAM = 1  # the compressor of the oldest files: no chunks, and lazrs has 
 def find_library(header: LasHeader, path: Path) -> str:
     """Choose the library that decompresses the points of a file.
 
-    Parameters
-    ----------
-    header : LasHeader
-    path : Path
-        For messages.
-
-    Returns
-    -------
-    str
-
     Raises
     ------
     InputError
@@ -64,8 +54,6 @@ def open_decompressor(path: Path, header: LasHeader, rows: int) -> Iterator[Take
 
     Parameters
     ----------
-    path : Path
-    header : LasHeader
     rows : int
         Points that are taken at once, at most.
 

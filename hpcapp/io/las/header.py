@@ -96,10 +96,6 @@ def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
     findings : Findings
         Gets a warning where there are fewer records than announced.
 
-    Returns
-    -------
-    LasHeader
-
     Raises
     ------
     InputError

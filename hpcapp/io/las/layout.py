@@ -76,7 +76,6 @@ class LasLayout:
 
     Parameters
     ----------
-    point_format : int
     dtype : dtype
         Of a point, structured.
     scales, offsets : ndarray of float64, shape (3,)
@@ -189,16 +188,6 @@ def _scaled(values: NDArray[Any], extra: _Extra) -> NDArray[Any]:
 
 def find_layout(header: LasHeader, path: Path) -> LasLayout:
     """Find out how the points of a file are decoded.
-
-    Parameters
-    ----------
-    header : LasHeader
-    path : Path
-        The file, for messages.
-
-    Returns
-    -------
-    LasLayout
 
     Raises
     ------

@@ -33,10 +33,6 @@ def open_las(path: Path) -> PointSource:
     counted. Waveforms are passed over. COPC is read in the order of the file, which is that of its
     octree.
 
-    Parameters
-    ----------
-    path : Path
-
     Returns
     -------
     PointSource

@@ -22,7 +22,6 @@ class MeshStream:
 
     Parameters
     ----------
-    vertex_count, face_count : int
     origin : ndarray of float64, shape (3,)
         To be added to the vertices for the input's own coordinates.
     box : ndarray of float64, shape (2, 3)
@@ -49,10 +48,6 @@ class MeshStream:
 
 def as_stream(mesh: Mesh | MeshStream) -> MeshStream:
     """Return a mesh in memory as a stream, and a stream as it is.
-
-    Parameters
-    ----------
-    mesh : Mesh or MeshStream
 
     Returns
     -------

@@ -22,11 +22,6 @@ __all__ = ["coordinate_format", "holds_obj_faces", "read_obj", "write_obj"]
 def read_obj(path: Path) -> Mesh:
     """Read an OBJ file as a triangle mesh; polygons become triangle fans.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Returns
     -------
     Mesh
@@ -68,14 +63,6 @@ def read_obj(path: Path) -> Mesh:
 
 def holds_obj_faces(path: Path) -> bool:
     """Tell whether an OBJ file has faces.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bool
 
     Raises
     ------
@@ -139,9 +126,5 @@ def coordinate_format(origin: FloatArray) -> str:
     ----------
     origin : ndarray of float64, shape (3,)
         Will be added to the coordinates: they need all their digits where it is not zero.
-
-    Returns
-    -------
-    str
     """
     return "%.17g" if origin.any() else "%.9g"

@@ -37,10 +37,6 @@ def read_off(path: Path) -> Mesh:
     path : Path
         The file; ``#`` starts a comment, numbers after a face's corners are passed over.
 
-    Returns
-    -------
-    Mesh
-
     Raises
     ------
     InputError

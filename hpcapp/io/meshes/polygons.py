@@ -24,12 +24,6 @@ def mesh_of_polygons(vertices: FloatArray, polygons: Ragged, path: Path) -> Mesh
         In the file's coordinates.
     polygons : Ragged
         Vertex indices, counted from 0.
-    path : Path
-        The file, for messages.
-
-    Returns
-    -------
-    Mesh
 
     Raises
     ------

@@ -29,10 +29,6 @@ def read_stl(path: Path) -> Mesh:
     path : Path
         ascii or binary.
 
-    Returns
-    -------
-    Mesh
-
     Raises
     ------
     InputError

@@ -26,8 +26,6 @@ def read_ascii(path: Path, header: Header, wanted: Container[str]) -> dict[str, 
 
     Parameters
     ----------
-    path : Path
-        The file.
     header : Header
         As `read_header` gave it.
     wanted : container of str

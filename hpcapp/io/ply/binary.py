@@ -32,8 +32,6 @@ def read_binary(path: Path, header: Header, wanted: Container[str]) -> dict[str,
 
     Parameters
     ----------
-    path : Path
-        The file.
     header : Header
         As `read_header` gave it.
     wanted : container of str
@@ -108,8 +106,6 @@ def find_records(path: Path, header: Header, name: str) -> tuple[int, np.dtype[A
 
     Parameters
     ----------
-    path : Path
-        The file.
     header : Header
         As `read_header` gave it.
     name : str

@@ -42,10 +42,6 @@ class VertexProperties:
         points : PointCloud
             Any number. Attributes keep their types; whole numbers of 64 bits, which PLY lacks,
             become ``double``.
-
-        Returns
-        -------
-        VertexProperties
         """
         names: list[str] = []
         types: list[str] = []
@@ -105,10 +101,6 @@ def _spell(name: str, taken: list[str]) -> str:
 def choose_type(dtype: np.dtype[Any]) -> str:
     """Return the type that numbers are written as.
 
-    Parameters
-    ----------
-    dtype : dtype
-
     Returns
     -------
     str
@@ -121,14 +113,5 @@ def choose_type(dtype: np.dtype[Any]) -> str:
 
 
 def name_type(dtype: str) -> str:
-    """Return what PLY calls a type of `choose_type`.
-
-    Parameters
-    ----------
-    dtype : str
-
-    Returns
-    -------
-    str
-    """
+    """Return what PLY calls a type of `choose_type`."""
     return _NAMES[dtype.lstrip("<|")]

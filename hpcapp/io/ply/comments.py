@@ -26,7 +26,6 @@ class Kept:
 
     Parameters
     ----------
-    unit, crs : str or None
     scanners : dict of int to ndarray of float64, shape (3,)
         By the number of the scan.
     """
@@ -47,10 +46,6 @@ def keep(crs: str | None, unit: str | None, scans: Sequence[Scan]) -> Iterator[s
         Of the coordinates.
     scans : sequence of Scan
         In the order of their numbers.
-
-    Yields
-    ------
-    str
     """
     if unit:
         yield f"comment unit {unit}"
@@ -68,10 +63,6 @@ def parse_comments(comments: Sequence[Sequence[str]]) -> Kept:
     ----------
     comments : sequence of sequence of str
         The words behind ``comment`` of each line.
-
-    Returns
-    -------
-    Kept
     """
     kept = Kept()
     for words in comments:

@@ -22,10 +22,6 @@ _FACE_LISTS = ("vertex_indices", "vertex_index")
 def find_polygons(header: Header) -> str | None:
     """Return the name of the list of element ``face`` that holds the corners of polygons.
 
-    Parameters
-    ----------
-    header : Header
-
     Returns
     -------
     str or None
@@ -48,8 +44,6 @@ def vertex_normals(
     positions : ndarray of float64, shape (n, 3)
     polygons : iterable of Ragged
         Vertex indices, counted from 0; some polygons at a time.
-    path : Path
-        The file, for messages.
 
     Returns
     -------

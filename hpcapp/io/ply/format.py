@@ -52,14 +52,6 @@ _MOST_VERTICES = 2**31 - 1
 def holds_ply_faces(path: Path) -> bool:
     """Tell whether a PLY file has faces.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bool
-
     Raises
     ------
     InputError
@@ -135,7 +127,6 @@ def write_ply_points(
         these under their names, whose blanks become ``_``; whole numbers of 64 bits as ``double``.
     crs, unit : str, optional
         Kept in comments of the header, as are the scanners.
-    scans : sequence of Scan
 
     Raises
     ------

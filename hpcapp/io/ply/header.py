@@ -105,15 +105,6 @@ class Header:
 def read_header(path: Path) -> Header:
     """Read the header of a PLY file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    Header
-
     Raises
     ------
     InputError

@@ -113,17 +113,6 @@ def open_ply(path: Path) -> PointSource:
 def plan_vertex(header: Header, path: Path) -> tuple[Element, ColumnPlan]:
     """Find the element ``vertex`` of a header, and what its scalars are.
 
-    Parameters
-    ----------
-    header : Header
-    path : Path
-        The file, for messages.
-
-    Returns
-    -------
-    vertex : Element
-    plan : ColumnPlan
-
     Raises
     ------
     InputError

@@ -30,10 +30,6 @@ GRID_LIST = "vertex_indices"
 def find_range_grid(header: Header) -> tuple[int, int] | None:
     """Return width and height of the grid.
 
-    Parameters
-    ----------
-    header : Header
-
     Returns
     -------
     tuple of int, or None
@@ -57,8 +53,6 @@ def find_cells(lists: Iterable[Ragged], vertices: int, path: Path) -> IntArray:
         Of the cells, some at a time.
     vertices : int
         How many there are.
-    path : Path
-        The file, for messages.
 
     Returns
     -------

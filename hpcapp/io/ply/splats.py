@@ -30,10 +30,6 @@ _CONSTANT_BAND = 0.28209479177387814
 def are_splats(names: Collection[str]) -> bool:
     """Tell by the properties of the vertices whether they are splats.
 
-    Parameters
-    ----------
-    names : collection of str
-
     Returns
     -------
     bool
@@ -43,16 +39,7 @@ def are_splats(names: Collection[str]) -> bool:
 
 
 def plan_splats(plan: ColumnPlan) -> ColumnPlan:
-    """Leave out what makes a splat, and the normals, which are zero by custom.
-
-    Parameters
-    ----------
-    plan : ColumnPlan
-
-    Returns
-    -------
-    ColumnPlan
-    """
+    """Leave out what makes a splat, and the normals, which are zero by custom."""
     own = (*_BANDS, *_SCALES, *_ROTATION)
     others = (
         (ours, name)

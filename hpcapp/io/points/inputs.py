@@ -105,10 +105,6 @@ def gather_points(
 def find_files(names: Sequence[str]) -> list[str]:
     """Return the files that a user has named, patterns replaced by the files they fit.
 
-    Parameters
-    ----------
-    names : sequence of str
-
     Returns
     -------
     list of str
@@ -138,10 +134,6 @@ def find_files(names: Sequence[str]) -> list[str]:
 
 def find_paths(names: Sequence[str]) -> tuple[Path, ...]:
     """Return the files that a user has named, without the standard input.
-
-    Parameters
-    ----------
-    names : sequence of str
 
     Returns
     -------

@@ -18,7 +18,6 @@ def expand_lzf(packed: bytes, size: int) -> bytearray:
 
     Parameters
     ----------
-    packed : bytes
     size : int
         Of what it holds, in bytes.
 

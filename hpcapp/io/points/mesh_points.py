@@ -37,10 +37,6 @@ def open_stl(path: Path) -> PointSource:
     path : Path
         ascii or binary.
 
-    Returns
-    -------
-    PointSource
-
     Raises
     ------
     InputError
@@ -53,14 +49,6 @@ def open_stl(path: Path) -> PointSource:
 
 def open_off(path: Path) -> PointSource:
     """Open the vertices of an OFF file as points.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    PointSource
 
     Raises
     ------
@@ -80,10 +68,6 @@ def open_obj(path: Path) -> PointSource:
     path : Path
         Colours behind the coordinates of ``v`` are read; ``vn`` are the normals where there are
         no faces and as many of them as vertices.
-
-    Returns
-    -------
-    PointSource
 
     Raises
     ------
@@ -156,11 +140,6 @@ def slice_cloud(
         Of the format, for people.
     cloud : PointCloud
         In the file's coordinates.
-    findings : Findings, optional
-
-    Returns
-    -------
-    PointSource
     """
 
     def scan(rows: int) -> Iterator[PointCloud]:
@@ -184,7 +163,6 @@ def sample_faces(mesh: Mesh, points: int) -> PointCloud:
 
     Parameters
     ----------
-    mesh : Mesh
     points : int
         How many.
 

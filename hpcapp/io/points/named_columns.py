@@ -49,10 +49,6 @@ def plan_columns(names: Sequence[str], place: str) -> ColumnPlan:
     place : str
         Of the columns, for messages: the file, and what in it.
 
-    Returns
-    -------
-    ColumnPlan
-
     Raises
     ------
     InputError
@@ -98,7 +94,6 @@ def build_cloud(columns: Mapping[str, NDArray[Any]], plan: ColumnPlan) -> PointC
     ----------
     columns : mapping of str to ndarray, shape (n,)
         By their names in the file, of any numeric type and byte order.
-    plan : ColumnPlan
 
     Returns
     -------
@@ -154,7 +149,6 @@ def add_grid(cloud: PointCloud, cells: IntArray, width: int) -> PointCloud:
 
     Parameters
     ----------
-    cloud : PointCloud
     cells : ndarray of int64, shape (n,)
         Numbers of their cells, row by row; -1 of points that are in none.
     width : int
@@ -178,16 +172,10 @@ def describe_records(
 
     Parameters
     ----------
-    path : Path
     start, length, count : int
         See `PointRecords`.
     columns : mapping of str to Column
         By their names in the file.
-    plan : ColumnPlan
-
-    Returns
-    -------
-    PointRecords
     """
 
     def pick(names: tuple[str, ...]) -> tuple[Column, ...]:

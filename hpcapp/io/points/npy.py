@@ -61,10 +61,6 @@ def open_npy(path: Path) -> PointSource:
     path : Path
         NPY, which is read in parts, or NPZ, which is read whole.
 
-    Returns
-    -------
-    PointSource
-
     Raises
     ------
     InputError

@@ -36,26 +36,13 @@ _DAMAGED = (
 
 
 def is_archive(path: Path) -> bool:
-    """Tell by its first bytes whether a file is an NPZ file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bool
-    """
+    """Tell by its first bytes whether a file is an NPZ file."""
     with path.open("rb") as file:
         return file.read(2) == b"PK"
 
 
 def map_array(path: Path) -> NDArray[Any]:
     """Map the array of an NPY file into memory.
-
-    Parameters
-    ----------
-    path : Path
 
     Returns
     -------
@@ -84,7 +71,6 @@ def read_archive(path: Path, findings: Findings) -> dict[str, NDArray[Any]]:
 
     Parameters
     ----------
-    path : Path
     findings : Findings
         Gets a warning where something follows after an array.
 

@@ -55,8 +55,6 @@ class PcdHeader:
 
     Parameters
     ----------
-    fields : tuple of PcdField
-    points : int
     grid : tuple of int or None
         Width and height of an organised cloud.
     scanner : ndarray of float64, shape (3,), or None
@@ -84,14 +82,6 @@ class PcdHeader:
 
 def read_pcd_header(path: Path) -> PcdHeader:
     """Read the header of a PCD file, of any version.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    PcdHeader
 
     Raises
     ------

@@ -63,23 +63,12 @@ class Findings:
     dropped: dict[str, int] = field(default_factory=dict)
 
     def warn(self, warning: str) -> None:
-        """Add a warning, once.
-
-        Parameters
-        ----------
-        warning : str
-        """
+        """Add a warning, once."""
         if warning not in self.warnings:
             self.warnings.append(warning)
 
     def drop(self, reason: str, points: int) -> None:
-        """Count points that are left out.
-
-        Parameters
-        ----------
-        reason : str
-        points : int
-        """
+        """Count points that are left out."""
         if points:
             self.dropped[reason] = self.dropped.get(reason, 0) + points
 
@@ -101,13 +90,10 @@ class PointSource:
 
     Parameters
     ----------
-    path : Path
-        The file.
     count : int or None
         How many points the file says it has; None where it says nothing.
     is_double : bool
         Whether coordinates may have more digits than float32 holds.
-    has_normals : bool
     scan : callable
         Given a number of rows, yields the file's points in parts of so many, the last of fewer;
         a file without points is one empty part.
@@ -173,12 +159,7 @@ class PointSource:
             yield from self.scan(rows)
 
     def without_normals(self) -> PointSource:
-        """Return the same points without the normals that the file has.
-
-        Returns
-        -------
-        PointSource
-        """
+        """Return the same points without the normals that the file has."""
         records = None if self.records is None else replace(self.records, normals=())
 
         def scan(rows: int) -> Iterator[PointCloud]:
@@ -231,14 +212,6 @@ def keep_small(source: PointSource) -> PointSource:
 
 def read_whole(source: PointSource) -> PointCloud:
     """Read all points at once, and bring them into a local frame.
-
-    Parameters
-    ----------
-    source : PointSource
-
-    Returns
-    -------
-    PointCloud
 
     Raises
     ------

@@ -75,7 +75,6 @@ class _Decisions:
     ----------
     colours : ColourScale or None
         How colours are scaled; None where there are none.
-    normals : Use
     missing : ndarray of float64, shape (k, 3)
         Places of missing returns.
     """

@@ -52,14 +52,6 @@ class PointFormat:
     def open(self, path: Path) -> PointSource:
         """Open a file of this format.
 
-        Parameters
-        ----------
-        path : Path
-
-        Returns
-        -------
-        PointSource
-
         Raises
         ------
         InputError
@@ -103,14 +95,6 @@ POINT_FORMATS = (
 
 def find_point_format(path: Path) -> PointFormat:
     """Return the format of a file by its suffix, in any case.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    PointFormat
 
     Raises
     ------

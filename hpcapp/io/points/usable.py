@@ -79,13 +79,8 @@ def drop_non_finite(cloud: PointCloud, path: Path) -> PointCloud:
 
     Parameters
     ----------
-    cloud : PointCloud
     path : Path
         Of the output: how many are dropped is logged as a warning.
-
-    Returns
-    -------
-    PointCloud
 
     Raises
     ------
@@ -176,9 +171,6 @@ def refuse_line(some: Parts, every: Parts, points: int, source: str) -> None:
     some, every : callable
         Return iterables of positions: those of a few points, which tell enough of most clouds,
         and all of them, which are asked for where they do not.
-    points : int
-    source : str
-        For messages.
 
     Raises
     ------
@@ -214,13 +206,8 @@ def take_finite(cloud: PointCloud, source: str) -> PointCloud:
 
     Parameters
     ----------
-    cloud : PointCloud
     source : str
         The file, for the message.
-
-    Returns
-    -------
-    PointCloud
 
     Raises
     ------

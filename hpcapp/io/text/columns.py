@@ -171,10 +171,6 @@ def assign_by_value(
     findings : Findings
         Is told what was guessed against the usual, and what could not be told.
 
-    Returns
-    -------
-    Columns
-
     Raises
     ------
     InputError

@@ -38,14 +38,12 @@ class Layout:
 
     Parameters
     ----------
-    encoding : str
     first_row : int
         Number of the line where the rows begin.
     counts : tuple of (int, int)
         Lines that announce a number of rows (PTS has one for each scan), and these numbers.
     names : tuple of str, or None
         Of all columns, as the file has them; empty where there are more columns than names.
-    rows : RowFormat
     """
 
     encoding: str
@@ -70,13 +68,11 @@ def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
 
     Parameters
     ----------
-    path : Path
     findings : Findings
         Is told what is odd before the rows, and of columns that are passed over.
 
     Returns
     -------
-    layout : Layout
     sample : ndarray of float64, shape (n, len(layout.rows.wanted))
         Rows from all over the file, those that are as they should be.
 

@@ -24,10 +24,6 @@ _BYTE_ORDER_MARK = "\ufeff"
 def find_encoding(path: Path) -> str:
     """Tell UTF-8 (or ASCII) from UTF-16.
 
-    Parameters
-    ----------
-    path : Path
-
     Returns
     -------
     str
@@ -60,7 +56,6 @@ def read_blocks(path: Path, encoding: str) -> Iterator[Block]:
 
     Parameters
     ----------
-    path : Path
     encoding : str
         From `find_encoding`; what does not decode becomes U+FFFD.
 
@@ -94,11 +89,6 @@ def read_blocks(path: Path, encoding: str) -> Iterator[Block]:
 
 def sample_lines(path: Path, encoding: str) -> list[str]:
     """Read some lines from all over a file.
-
-    Parameters
-    ----------
-    path : Path
-    encoding : str
 
     Returns
     -------
@@ -145,12 +135,7 @@ class LineReader:
         return not self._text
 
     def next_line(self) -> Block | None:
-        """Return the next line that is not blank, without its end; None at the end of the file.
-
-        Returns
-        -------
-        (int, str) or None
-        """
+        """Return the next line that is not blank, without its end; None at the end of the file."""
         while not self._is_at_end():
             number, start = self._number, self._at
             self._advance(1)
@@ -160,16 +145,7 @@ class LineReader:
         return None
 
     def take(self, lines: int) -> Iterator[Block]:
-        """Yield the next lines, blank ones counted; fewer at the end of the file.
-
-        Parameters
-        ----------
-        lines : int
-
-        Yields
-        ------
-        (int, str)
-        """
+        """Yield the next lines, blank ones counted; fewer at the end of the file."""
         while lines and not self._is_at_end():
             number, start = self._number, self._at
             self._advance(lines)

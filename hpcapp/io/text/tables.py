@@ -61,10 +61,6 @@ class RowFormat:
     def clean(self, text: str) -> str:
         """Take comments and quotes from lines, and make commas what they stand for.
 
-        Parameters
-        ----------
-        text : str
-
         Returns
         -------
         str
@@ -82,10 +78,6 @@ class RowFormat:
     def without_comments(self, text: str) -> str:
         """Take comments from lines.
 
-        Parameters
-        ----------
-        text : str
-
         Returns
         -------
         str
@@ -97,16 +89,7 @@ class RowFormat:
         return comments.sub("", text)
 
     def split(self, line: str) -> list[str]:
-        """Return the fields of a clean line; none of a blank one.
-
-        Parameters
-        ----------
-        line : str
-
-        Returns
-        -------
-        list of str
-        """
+        """Return the fields of a clean line; none of a blank one."""
         if self.separator is None or not line or line.isspace():
             return line.split()
         return [part.strip() for part in line.split(self.separator)]
@@ -114,13 +97,7 @@ class RowFormat:
 
 @dataclass(slots=True, eq=False)
 class RowNotes:
-    """What is odd about single rows, to be told when all were read.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    """
+    """What is odd about single rows, to be told when all were read."""
 
     path: Path
     _firsts: dict[str, str] = field(default_factory=dict)
@@ -140,12 +117,7 @@ class RowNotes:
         self._counts[kind] = self._counts.get(kind, 0) + 1
 
     def tell(self, findings: Findings) -> None:
-        """Warn once of each kind.
-
-        Parameters
-        ----------
-        findings : Findings
-        """
+        """Warn once of each kind."""
         for kind, sentence in self._firsts.items():
             more = self._counts[kind] - 1
             findings.warn(f"{sentence} ({more} more such lines)" if more else sentence)
@@ -158,10 +130,6 @@ def is_number(word: str) -> bool:
     ----------
     word : str
         Without blanks around it.
-
-    Returns
-    -------
-    bool
     """
     return bool(_NUMBER.fullmatch(word) or _NOT_FINITE.fullmatch(word))
 
@@ -173,10 +141,6 @@ def is_missing(word: str) -> bool:
     ----------
     word : str
         Without blanks around it.
-
-    Returns
-    -------
-    bool
     """
     return word.lower() in _MISSING
 
@@ -186,8 +150,6 @@ def parse_block(block: Block, rows: RowFormat, notes: RowNotes) -> FloatArray:
 
     Parameters
     ----------
-    block : (int, str)
-    rows : RowFormat
     notes : RowNotes
         Is told of missing and surplus numbers.
 
@@ -221,7 +183,6 @@ def parse_sample(lines: list[str], rows: RowFormat) -> FloatArray:
     ----------
     lines : list of str
         Clean ones.
-    rows : RowFormat
 
     Returns
     -------
