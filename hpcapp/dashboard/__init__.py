@@ -8,3 +8,8 @@
 The job writes into plain lists and waits for nobody. Starlette and uvicorn are imported when a
 dashboard is opened.
 """
+
+__all__ = ["DEFAULT_ADDRESS"]
+
+DEFAULT_ADDRESS = "127.0.0.1:0"
+"""Any free port of loopback."""

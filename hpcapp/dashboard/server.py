@@ -18,12 +18,9 @@ from hpccomponent.errors import UsageError
 if TYPE_CHECKING:
     import uvicorn
 
-__all__ = ["DEFAULT_ADDRESS", "open_dashboard", "parse_address"]
+__all__ = ["open_dashboard", "parse_address"]
 
 log = logging.getLogger("hpcapp")
-
-DEFAULT_ADDRESS = "127.0.0.1:0"
-"""Any free port of loopback."""
 
 INSTALL = "pip install 'hpcapp[dashboard]'"
 BACKLOG = 64  # connections that are taken in at once

@@ -1,10 +1,12 @@
 """Point clouds and meshes in files, by suffix.
 
 Readers give values in a local frame (see `frame`); every file is written beside its place and
-renamed. Only this package knows formats; it imports `hpccomponent` and nothing else of ours.
+renamed. Only this package knows formats, and imports one when a file of it is read or written; it
+imports `hpccomponent` and nothing else of ours.
 """
 
 from hpcapp.io.formats import (
+    FOLDER_SUFFIXES,
     MESH_SUFFIXES,
     check_writable,
     describe_losses,
@@ -17,14 +19,12 @@ from hpcapp.io.formats import (
 )
 from hpcapp.io.frame import needs_double
 from hpcapp.io.meshes.mesh_stream import MeshStream
-from hpcapp.io.meshes.tiles import TILES_SUFFIX, shared_tiles, write_tiles
-from hpcapp.io.ply.format import shared_ply
 from hpcapp.io.points.point_source import PointSource, read_whole
 from hpcapp.io.points.usable import Dropped, drop_unusable, take_finite
 
 __all__ = [
+    "FOLDER_SUFFIXES",
     "MESH_SUFFIXES",
-    "TILES_SUFFIX",
     "Dropped",
     "MeshStream",
     "PointSource",
@@ -37,10 +37,7 @@ __all__ = [
     "read_mesh",
     "read_points",
     "read_whole",
-    "shared_ply",
-    "shared_tiles",
     "take_finite",
     "write_mesh",
     "write_points",
-    "write_tiles",
 ]

@@ -7,7 +7,7 @@ there. Used by every writer of this package.
 from __future__ import annotations
 
 import os
-import secrets
+import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from hpccomponent.errors import OutputError
-from hpccomponent.files.private_files import create_private
+from hpccomponent.files.private_files import create_private, make_private_folder
 
-__all__ = ["check_place", "replacing"]
+__all__ = ["check_folder", "check_place", "replacing", "replacing_folder"]
 
 
 @contextmanager
@@ -25,17 +25,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     """Open a temporary file beside `path` that takes its place when the block ends well.
 
     Whatever ends the block otherwise, an interrupt included, removes the temporary file and
-    leaves what was at `path`.
-
-    Parameters
-    ----------
-    path : Path
-        Where the file shall appear; of a symbolic link, the file it points to.
-
-    Yields
-    ------
-    file
-        Binary, open for writing.
+    leaves what was at `path`: of a symbolic link, the file it points to.
 
     Raises
     ------
@@ -56,11 +46,6 @@ def check_place(path: Path) -> None:
     Permissions are tried, not read: what root may do, or a read-only file system forbids,
     they do not tell.
 
-    Parameters
-    ----------
-    path : Path
-        Where a file will be written.
-
     Raises
     ------
     OutputError
@@ -68,6 +53,44 @@ def check_place(path: Path) -> None:
     """
     with _beside(path) as (_, beside):
         _usual_mode(beside)
+
+
+@contextmanager
+def replacing_folder(path: Path) -> Iterator[Path]:
+    """Make a temporary folder beside `path` that gets its name when the block ends well.
+
+    Raises
+    ------
+    OutputError
+        There is something at `path`, or the folder cannot be written.
+    """
+    check_folder(path)
+    beside = _name_beside(path.absolute())
+    try:
+        with _translated(path, path):
+            mode = _usual_folder_mode(beside)
+            make_private_folder(beside)
+            yield beside
+            beside.chmod(mode)
+            os.replace(beside, path)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+
+
+def check_folder(path: Path) -> None:
+    """Find out now whether a folder can be written later, and leave nothing behind.
+
+    Raises
+    ------
+    OutputError
+        It cannot, or there is something in it.
+    """
+    if path.exists() and not path.is_dir():
+        raise OutputError(f"{path}: is not a folder", "tiles need a new folder")
+    with _translated(path, path):
+        if path.is_dir() and any(path.iterdir()):
+            raise OutputError(f"{path}: is not empty", "name a new folder, or remove this one")
+        _usual_folder_mode(_name_beside(path))
 
 
 def _usual_mode(path: Path) -> int:
@@ -81,25 +104,40 @@ def _usual_mode(path: Path) -> int:
     return mode
 
 
+def _usual_folder_mode(path: Path) -> int:
+    """Return the rights that a new folder of this name has, by making one."""
+    path.mkdir()
+    mode = stat.S_IMODE(path.stat().st_mode)
+    path.rmdir()
+    return mode
+
+
+def _name_beside(path: Path) -> Path:
+    return path.with_name(f".hpcapp-{os.urandom(8).hex()}.tmp")
+
+
 @contextmanager
 def _beside(path: Path) -> Iterator[tuple[Path, Path]]:
     """Give the file meant by `path` and a new name beside it, and free that name afterwards."""
     target = Path(os.path.realpath(path))
-    beside = target.with_name(f".hpcapp-{secrets.token_hex(8)}.tmp")
-    try:
+    beside = _name_beside(target)
+    with _translated(path, target):
         if target.exists() and not target.is_file():
             raise OutputError(f"{path}: is not a file", "name a file to write to")
         try:
             yield target, beside
         finally:
             beside.unlink(missing_ok=True)
+
+
+@contextmanager
+def _translated(path: Path, target: Path) -> Iterator[None]:
+    """Turn the system's errors of writing into ours: advice is on where `path` leads to."""
+    try:
+        yield
     except OSError as error:
+        advice = f"check the name, and that {target.parent} has room and lets you write"
         raise OutputError(
-            f"{path}: cannot be written: {error.strerror or error}", _advice(target)
+            f"{path}: cannot be written: {error.strerror or error}",
+            advice if target.parent.is_dir() else f"create the folder {target.parent} first",
         ) from error
-
-
-def _advice(target: Path) -> str:
-    if not target.parent.is_dir():
-        return f"create the folder {target.parent} first"
-    return f"check the name, and that {target.parent} has room and lets you write"

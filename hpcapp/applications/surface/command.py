@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import isfinite, nan
 from pathlib import Path
@@ -29,8 +29,7 @@ from hpcapp.applications.surface.options import (
 )
 from hpcapp.applications.view.command import check_page, check_picture
 from hpcapp.communicator.policy import DEFAULT_POLICY, POLICIES
-from hpcapp.dashboard.server import DEFAULT_ADDRESS, open_dashboard, parse_address
-from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
+from hpcapp.dashboard import DEFAULT_ADDRESS
 from hpcapp.progress import Progress
 from hpcapp.timeline import Timeline
 from hpccomponent.errors import UsageError
@@ -176,6 +175,8 @@ def check_flags(ctx: click.Context) -> None:
 
         check_backend(ctx.params["backend"])
     if ctx.params["dashboard"] is not None:
+        from hpcapp.dashboard.server import parse_address
+
         parse_address(ctx.params["dashboard"])
     parse_attributes(ctx.params["attributes"])
     check_page(ctx.params["report"], "--report")
@@ -401,34 +402,42 @@ class Watching:
     dashboard: str | None
 
     @contextmanager
-    def open(self, job: WatchedJob) -> Iterator[Progress]:
-        """Open all of it, for one job.
-
-        Parameters
-        ----------
-        job : WatchedJob
-            Whose timeline the job fills.
+    def open(
+        self, title: str, timeline: Timeline
+    ) -> Iterator[tuple[Progress, Callable[[str], None]]]:
+        """Open all of it, for one job, which fills the timeline.
 
         Yields
         ------
-        Progress
+        progress : Progress
+            Where the job's stages are announced.
+        say : callable
+            Shows a line to who watches on a page.
         """
         from hpcapp.progress_display import open_events, open_progress
         from hpcapp.trace import open_trace
 
-        with (
-            open_trace(self.trace, job.timeline),
-            open_dashboard(self.dashboard, job) if self.dashboard else nullcontext() as address,
-            open_progress(sys.stderr) as display,
-            open_events(self.events, display, address) as progress,
-        ):
-            if address is None:
-                yield progress
+        with open_trace(self.trace, timeline):
+            if not self.dashboard:
+                with (
+                    open_progress(sys.stderr) as display,
+                    open_events(self.events, display, None) as progress,
+                ):
+                    yield progress, lambda _: None
                 return
-            if self.events is None:  # else whoever reads them shows it
-                log.info("dashboard: %s", address)
-            with job.running():
-                yield WatchedProgress(job, progress)
+            from hpcapp.dashboard.server import open_dashboard
+            from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
+
+            job = WatchedJob(timeline, title)
+            with (
+                open_dashboard(self.dashboard, job) as address,
+                open_progress(sys.stderr) as display,
+                open_events(self.events, display, address) as progress,
+            ):
+                if self.events is None:  # else whoever reads them shows it
+                    log.info("dashboard: %s", address)
+                with job.running():
+                    yield WatchedProgress(job, progress), job.say
 
 
 def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
@@ -456,9 +465,13 @@ def _run_here(options: dict[str, Any], watching: Watching) -> dict[str, Any]:
         files = find_paths(names)
         if options["resume"] and not files:
             raise UsageError("--resume needs a file to know again", "write the points to a file")
-        job = WatchedJob(Timeline(), f"{Path(names[0]).name} \u2192 {options['output']}")
-        with gather_points(names, sample) as points, watching.open(job) as progress:
+        timeline = Timeline()
+        title = f"{Path(names[0]).name} \u2192 {options['output']}"
+        with (
+            gather_points(names, sample) as points,
+            watching.open(title, timeline) as (progress, say),
+        ):
             settings = JobSettings(method=method(**chosen), points=points, inputs=files, **options)
-            report = run_job(settings, progress, machines, job.timeline)
-            job.say(f"{options['output']}: {report['summary']}")  # the terminal's comes last
+            report = run_job(settings, progress, machines, timeline)
+            say(f"{options['output']}: {report['summary']}")  # the terminal's comes last
             return report

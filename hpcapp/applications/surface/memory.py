@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hpcapp.applications.surface.method import TILE_POINTS, MethodSettings
-from hpcapp.io.points.registry import find_point_format
+from hpcapp.io.registry import find_point_reader
 from hpccomponent.errors import HpcError, UsageError
 from hpccomponent.limits import available_memory
 from hpccomponent.surface import kernels
@@ -108,7 +108,7 @@ def count_most_points(path: Path) -> int:
     if not path.is_file():  # looking into a pipe would wait for ever
         return 0
     try:
-        known = find_point_format(path)
+        known = find_point_reader(path)
         counted = known.open(path).count if known.states_count else None
         return int(path.stat().st_size / known.least_bytes) if counted is None else counted
     except (OSError, HpcError):

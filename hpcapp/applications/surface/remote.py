@@ -9,9 +9,7 @@ import click
 
 from hpcapp.applications.surface.options import typed_command, typed_options
 from hpcapp.backends.cluster_jobs import load_cluster_function
-from hpcapp.io import MESH_SUFFIXES, drop_unusable, read_points
-from hpcapp.io.meshes.tiles import TILES_SUFFIX
-from hpcapp.io.meshes.tileset import TILESET_SUFFIX
+from hpcapp.io import FOLDER_SUFFIXES, MESH_SUFFIXES, drop_unusable, read_points
 from hpcapp.io.output import open_output
 from hpcapp.io.points.inputs import find_paths, gather_points
 from hpccomponent.errors import UsageError
@@ -43,7 +41,7 @@ def check_file(output: str) -> None:
     UsageError
         It is.
     """
-    if Path(output).suffix.lower() in (TILES_SUFFIX, TILESET_SUFFIX):
+    if Path(output).suffix.lower() in FOLDER_SUFFIXES:
         raise UsageError(
             f"{output}: is a folder, and one file comes from a cluster",
             f"write {', '.join(MESH_SUFFIXES)} or .3mf",

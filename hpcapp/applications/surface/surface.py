@@ -22,16 +22,9 @@ from hpcapp.applications.surface.stitching.assemble import (
 )
 from hpcapp.applications.surface.stitching.plan import WeldPlan, plan_weld
 from hpcapp.applications.surface.stitching.topology import Topology, check_mesh
-from hpcapp.io import (
-    TILES_SUFFIX,
-    describe_losses,
-    needs_double,
-    shared_ply,
-    shared_tiles,
-    write_mesh,
-    write_tiles,
-)
+from hpcapp.io import describe_losses, needs_double, write_mesh
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.io.registry import TILES_SUFFIX
 from hpcapp.simplification.mesh import Target
 from hpcapp.simplification.stream import simplify_stream
 from hpcapp.workforce import Workforce, stream_batches
@@ -336,6 +329,8 @@ class PartSurface:
             return
         with self._fetched() as load:
             if suffix == TILES_SUFFIX:
+                from hpcapp.io.meshes.tiles import write_tiles
+
                 if losses := describe_losses(path, carrying.columns):
                     log.warning("warning: %s", losses)
                 tiles = stream_tiles(self.plan, load, self.origin)
@@ -360,6 +355,8 @@ class PartSurface:
 
     def _share_ply(self, path: Path, workforce: Workforce, place: str) -> None:
         """Let the workers write a PLY."""
+        from hpcapp.io.ply.format import shared_ply
+
         plan = self.plan
         counts = (plan.vertex_count, plan.face_count)
         with shared_ply(path, counts, self.origin, plan.box) as shared:
@@ -371,6 +368,8 @@ class PartSurface:
 
     def _share_tiles(self, path: Path, workforce: Workforce, place: str) -> None:
         """Let the workers write a folder of tiles."""
+        from hpcapp.io.meshes.tiles import shared_tiles
+
         plan = self.plan
         is_double = needs_double(plan.box, self.origin)
         with shared_tiles(path) as file_of:

@@ -24,15 +24,13 @@ import numpy as np
 
 from hpcapp.io.meshes.glb import write_glb
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
-from hpcapp.io.meshes.tiles import new_folder
+from hpcapp.io.staging import replacing_folder
 from hpcapp.simplification.mesh import Target, simplify_mesh
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray, IntArray
 
-__all__ = ["TILESET_SUFFIX", "TILE_FACES", "write_tileset"]
+__all__ = ["TILE_FACES", "write_tileset"]
 
-TILESET_SUFFIX = ".3dtiles"
-"""Of an output that is to be a folder for web viewers."""
 TILE_FACES = 1 << 16
 """Triangles of a tile at most, but for those that its rim needs: some 2 MB."""
 
@@ -60,7 +58,7 @@ def write_tileset(path: Path, mesh: Mesh | MeshStream, tile_faces: int = TILE_FA
     whole = _collect(as_stream(mesh))
     if len(whole.faces) > tile_faces:
         Target(faces=tile_faces).check()
-    with new_folder(path) as folder:
+    with replacing_folder(path) as folder:
         root, _ = _write_tile(folder, "0", whole, np.arange(len(whole.faces)), tile_faces)
         root["refine"] = "REPLACE"
         if whole.origin.any():

@@ -13,27 +13,26 @@ So every later step, on workers and other machines too, has one file to read.
 from __future__ import annotations
 
 import glob
-import gzip
 import logging
 import re
 import shutil
 import sys
 import tempfile
-import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import FileIO
 from pathlib import Path
-from typing import IO, BinaryIO
+from typing import IO, TYPE_CHECKING, BinaryIO
 
 from hpcapp.io.formats import STANDARD_INPUT, open_points, read_mesh
-from hpcapp.io.ply.joined import write_joined
-from hpcapp.io.points.mesh_points import sample_faces, slice_cloud
 from hpcapp.io.points.point_source import PointSource, translated
-from hpcapp.io.points.registry import find_point_format
+from hpcapp.io.registry import find_point_reader
 from hpccomponent.errors import HpcError, InputError, UsageError
 from hpccomponent.files.held_folders import temporary_folder
 from hpccomponent.limits import is_shortage
+
+if TYPE_CHECKING:
+    import gzip
 
 __all__ = ["find_files", "find_paths", "gather_points"]
 
@@ -92,6 +91,8 @@ def gather_points(
             with _named(renamed):
                 yield paths[0]
             return
+        from hpcapp.io.ply.joined import write_joined
+
         joined = folder / "points.ply"
         with _named(renamed):
             sources = [_open(path, sample) for path in paths]
@@ -154,7 +155,7 @@ def _is_packed(file: str) -> bool:
 
 def _is_special(file: str | Path) -> bool:
     """Tell whether a file is read with a library that is not everywhere."""
-    return find_point_format(Path(file)).needs_library
+    return find_point_reader(Path(file)).needs_library
 
 
 def _fetch(file: str, folder: Path) -> Path:
@@ -219,6 +220,9 @@ def _endless(file: str, folder: str, written: int) -> InputError:
 
 
 def _decompress(packed: BinaryIO, target: FileIO, file: str) -> None:
+    import gzip
+    import zlib
+
     try:
         with gzip.open(packed) as stream:
             _spool(stream, target, file)
@@ -235,6 +239,8 @@ def _decompress(packed: BinaryIO, target: FileIO, file: str) -> None:
 def _open(path: Path, sample: int | None) -> PointSource:
     if sample is None:
         return open_points(path)
+    from hpcapp.io.points.mesh_points import sample_faces, slice_cloud
+
     return slice_cloud(path, "a sampled mesh", sample_faces(read_mesh(path), sample))
 
 

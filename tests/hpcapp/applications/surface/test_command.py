@@ -16,6 +16,7 @@ from hpcapp.applications.surface.job.run import JobSettings
 from hpcapp.applications.surface.methods import METHODS, find_method
 from hpcapp.applications.surface.options import WATCHED, option_names
 from hpcapp.applications.view.command import view
+from hpcapp.io.registry import FORMATS
 from hpccomponent.errors import UsageError
 
 
@@ -52,6 +53,29 @@ def test_a_job_with_good_normals_imports_no_scipy(sphere_file: Path, tmp_path: P
         "assert not {'scipy', 'zmq'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-P", "-c", script, *arguments], check=True)
+
+
+def test_a_small_job_imports_no_other_format_and_no_dashboard(
+    sphere_file: Path, tmp_path: Path
+) -> None:
+    arguments = [str(sphere_file), "-o", str(tmp_path / "m.ply"), "--grid", "32"]
+    script = (
+        "import sys; from hpcapp.cli import hpcapp\n"
+        "hpcapp.main(sys.argv[1:], standalone_mode=False)\n"
+        "print(*sys.modules)"
+    )
+    command = [sys.executable, "-P", "-c", script, "reconstruct", *arguments]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    imported = set(done.stdout.split())
+    others = {
+        f"hpcapp.io.{role.function.partition(':')[0]}"
+        for known in FORMATS
+        for role in (known.point_reader, known.mesh_reader, known.point_writer, known.mesh_writer)
+        if role is not None and ".ply" not in known.suffixes
+    }
+    assert not imported & {*others, "hpcapp.io.ply.joined", "hpcapp.dashboard.server"}
+    assert not imported & {"xml", "http", "ssl", "email", "zipfile", "gzip", "asyncio", "csv"}
+    assert not imported & {"multiprocessing", "urllib.request"}
 
 
 def test_a_default_is_no_contradiction(sphere_file: Path, tmp_path: Path) -> None:

@@ -15,7 +15,9 @@ from hypothesis import strategies as st
 from hpcapp.applications.surface.stitching import assemble as welded
 from hpcapp.applications.surface.stitching.plan import WeldPlan, plan_weld
 from hpcapp.applications.surface.stitching.topology import check_mesh
-from hpcapp.io import read_mesh, shared_ply, write_mesh, write_tiles
+from hpcapp.io import read_mesh, write_mesh
+from hpcapp.io.meshes.tiles import write_tiles
+from hpcapp.io.ply.format import shared_ply
 from hpccomponent.surface.extraction.parts import MeshPart
 from hpccomponent.surface.extraction.summary import summarize_part
 from hpccomponent.surface.tasks.shared_ply import write_part

@@ -1,6 +1,8 @@
-"""What a file of points holds, and what is said of the rest."""
+"""The table of formats: what a file of points holds, and what is said of the rest."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 
 from hpcapp.io import open_points, read_points, write_points
 from hpcapp.io.points.point_source import Scan
+from hpcapp.io.registry import FORMATS, Format, list_suffixes
 from hpccomponent.surface.types.points import PointCloud
 
 WKT = 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925]],UNIT["metre",1]]'
@@ -75,3 +78,23 @@ def test_text_holds_the_intensity_before_colours(
     write_points(tmp_path / "a.xyz", cloud)
     assert "holds no mark of points" in caplog.text
     assert read_points(tmp_path / "a.xyz").attributes["intensity"].tolist() == list(range(9))
+
+
+@pytest.mark.parametrize(
+    "role",
+    [
+        lambda one: one.point_reader,
+        lambda one: one.mesh_reader,
+        lambda one: one.point_writer,
+        lambda one: one.mesh_writer,
+    ],
+)
+def test_a_suffix_means_one_format_and_its_functions_are_there(
+    role: Callable[[Format], object],
+) -> None:
+    suffixes = list_suffixes(role)
+    assert len(set(suffixes)) == len(suffixes) > 0
+    for one in FORMATS:
+        named = [getattr(role(one), name, None) for name in ("function", "finds_faces")]
+        for module, _, name in (function.partition(":") for function in named if function):
+            assert callable(getattr(import_module(f"hpcapp.io.{module}"), name))
