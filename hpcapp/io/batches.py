@@ -1,16 +1,14 @@
-"""Parts of a cloud, of any sizes, into parts of one size."""
+"""Parts of a cloud: joined, cut, and of any sizes into parts of one size."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface.types.points import PointCloud
 
-__all__ = ["batch_points"]
+__all__ = ["batch_points", "cut_points", "join_points"]
 
 
 def batch_points(parts: Iterable[PointCloud], rows: int) -> Iterator[PointCloud]:
@@ -34,39 +32,35 @@ def batch_points(parts: Iterable[PointCloud], rows: int) -> Iterator[PointCloud]
         points += len(part)
         if points < rows:
             continue
-        whole, at = _join(waiting), 0
+        whole, at = join_points(waiting), 0
         while points - at >= rows:
-            yield _cut(whole, at, at + rows)
+            yield whole.view(slice(at, at + rows))
             at, has_yielded = at + rows, True
-        waiting, points = [_cut(whole, at, points)], points - at
+        waiting, points = [whole.view(slice(at, points))], points - at
     if points or not has_yielded:
-        yield _join(waiting)
+        yield join_points(waiting)
 
 
-def _cut(cloud: PointCloud, start: int, stop: int) -> PointCloud:
-    def cut(values: NDArray[Any]) -> NDArray[Any]:
-        return values[start:stop]
+def cut_points(cloud: PointCloud, rows: int) -> Iterator[PointCloud]:
+    """Yield copies of so many points, the last of fewer; one empty part of a cloud of none."""
+    for start in range(0, max(len(cloud), 1), rows):
+        yield cloud.take(np.arange(start, min(start + rows, len(cloud))))
 
+
+def join_points(parts: Sequence[PointCloud]) -> PointCloud:
+    """Join parts with the same columns and origin, one or more; a single one is not copied."""
+    parts = [part for part in parts if len(part)] or parts[:1]
+    if len(parts) == 1:
+        return parts[0]
+    normals = [part.normals for part in parts if part.normals is not None]
+    colours = [part.colours for part in parts if part.colours is not None]
     return PointCloud(
-        cut(cloud.positions),
-        None if cloud.normals is None else cut(cloud.normals),
-        None if cloud.colours is None else cut(cloud.colours),
-        {name: cut(column) for name, column in cloud.attributes.items()},
-    )
-
-
-def _join(clouds: list[PointCloud]) -> PointCloud:
-    clouds = [cloud for cloud in clouds if len(cloud)] or clouds[:1]
-    if len(clouds) == 1:
-        return clouds[0]
-    normals = [cloud.normals for cloud in clouds if cloud.normals is not None]
-    colours = [cloud.colours for cloud in clouds if cloud.colours is not None]
-    return PointCloud(
-        np.concatenate([cloud.positions for cloud in clouds]),
+        np.concatenate([part.positions for part in parts]),
         np.concatenate(normals) if normals else None,
         np.concatenate(colours) if colours else None,
         {
-            name: np.concatenate([cloud.attributes[name] for cloud in clouds])
-            for name in clouds[0].attributes
+            name: np.concatenate([part.attributes[name] for part in parts])
+            for name in parts[0].attributes
         },
+        parts[0].origin,
     )

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.surface.types.points import IntArray
 
-__all__ = ["Ragged", "Rows", "cut_fans", "positions_within"]
+Numbers = NDArray[np.number | np.bool_]
+"""Numbers of any type."""
+
+__all__ = ["Numbers", "Ragged", "Rows", "cut_fans", "positions_within"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +28,7 @@ class Ragged:
     """
 
     lengths: IntArray
-    values: NDArray[Any]
+    values: Numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +43,7 @@ class Rows:
         The list properties.
     """
 
-    scalars: dict[str, NDArray[Any]]
+    scalars: dict[str, Numbers]
     lists: dict[str, Ragged]
 
 

@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.points import FloatArray
 
@@ -180,7 +179,7 @@ def _is_number(token: str) -> bool:
     return parsed is not None and parsed.size == 1
 
 
-def write_rows(template: str, table: NDArray[Any]) -> Iterator[bytes]:
+def write_rows(template: str, table: Numbers) -> Iterator[bytes]:
     """Format the rows of a table, many at once.
 
     Parameters

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 from xml.parsers import expat
 
 import numpy as np
@@ -220,5 +220,5 @@ class _Parser:
         if len(element.text) < _LONGEST_TEXT:
             element.text += text
 
-    def _refuse_declarations(self, *declared: Any) -> None:  # noqa: ARG002
+    def _refuse_declarations(self, *declared: object) -> None:  # noqa: ARG002
         raise refuse(self._path, "its XML declares a document type")

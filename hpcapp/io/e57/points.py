@@ -6,12 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpcapp.io.batches import batch_points
+from hpcapp.io.columns import Numbers
 from hpcapp.io.e57.document import Element, read_document, refuse
 from hpcapp.io.e57.scans import (
     GRID,
@@ -206,12 +205,12 @@ def _decode(fields: dict[str, FloatArray], one: E57Scan, columns: _Columns) -> P
         normals = np.zeros((count, 3))
         if one.has(NORMALS):
             normals = _rotate(stack([one.columns[name] for name in NORMALS]), one.rotation)
-    colours: NDArray[Any] | None = None
+    colours: Numbers | None = None
     if columns.colours is not None:
         colours = np.zeros((count, 3), columns.colours)
         if one.has(COLOURS):
             colours = _scale(stack([one.columns[name] for name in COLOURS]), one, columns.colours)
-    attributes: dict[str, NDArray[Any]] = {}
+    attributes: dict[str, Numbers] = {}
     for name in columns.attributes:
         held = count and name in one.columns
         attributes[name] = fields[one.columns[name]].copy() if held else np.full(count, np.nan)
@@ -242,12 +241,12 @@ def _from_spherical(points: FloatArray) -> FloatArray:
     )
 
 
-def _scale(colours: FloatArray, one: E57Scan, dtype: type[np.generic]) -> NDArray[Any]:
+def _scale(colours: FloatArray, one: E57Scan, dtype: type[np.generic]) -> Numbers:
     """Bring colours to the type of the file; as they are where their limit is that of the type."""
     if dtype is np.float64 or one.colour_limit is None:
         return colours
     most = 255 if dtype is np.uint8 else 65535
-    scaled: NDArray[Any] = np.nan_to_num(colours)
+    scaled: FloatArray = np.nan_to_num(colours)
     if one.colour_limit != most:
         scaled = np.rint(scaled * (most / one.colour_limit))
     return np.clip(scaled, 0, most, out=scaled).astype(dtype)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import finite_bounds
 from hpcapp.io.points.usable import drop_non_finite
 from hpcapp.io.staging import replacing
@@ -19,6 +19,8 @@ from hpccomponent.errors import OutputError, UsageError
 from hpccomponent.surface.types.points import PointCloud
 
 __all__ = ["write_e57"]
+
+_Foreign = Any  # of libE57, which has no stubs: the library, an image, and its nodes
 
 _NORMALS_URI = "http://www.libe57.org/E57_NOR_surface_normals.txt"
 _ROWS_AT_ONCE = 1 << 18
@@ -59,7 +61,7 @@ def write_e57(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
             raise OutputError(f"{path}: cannot be written: {why}", "check for room") from error
 
 
-def _load_library(path: Path) -> Any:
+def _load_library(path: Path) -> _Foreign:
     try:
         return import_module("pye57.libe57")
     except ImportError as error:
@@ -68,7 +70,7 @@ def _load_library(path: Path) -> Any:
         ) from error
 
 
-def _write_image(library: Any, image: Any, cloud: PointCloud, crs: str | None) -> None:
+def _write_image(library: _Foreign, image: _Foreign, cloud: PointCloud, crs: str | None) -> None:
     image.extensionsAdd("", library.E57_V1_0_URI)
     if cloud.normals is not None:
         image.extensionsAdd("nor", _NORMALS_URI)
@@ -101,9 +103,9 @@ def _write_image(library: Any, image: Any, cloud: PointCloud, crs: str | None) -
     _write_columns(library, image, points, columns, len(cloud))
 
 
-def _find_columns(cloud: PointCloud) -> dict[str, NDArray[Any]]:
+def _find_columns(cloud: PointCloud) -> dict[str, Numbers]:
     """Return what is written, by the names of the format, as arrays or views of the cloud."""
-    columns: dict[str, NDArray[Any]] = {
+    columns: dict[str, Numbers] = {
         f"cartesian{axis}": cloud.positions[:, i] + cloud.origin[i] for i, axis in enumerate("XYZ")
     }
     if "intensity" in cloud.attributes:
@@ -118,7 +120,7 @@ def _find_columns(cloud: PointCloud) -> dict[str, NDArray[Any]]:
 
 
 def _find_limits(
-    cloud: PointCloud, columns: Mapping[str, NDArray[Any]]
+    cloud: PointCloud, columns: Mapping[str, Numbers]
 ) -> dict[str, dict[str, float | int]]:
     """Return the limits that a scan states: of coordinates, intensities and colours."""
     low, high = (corner + cloud.origin for corner in finite_bounds(cloud.positions))
@@ -143,24 +145,24 @@ def _find_limits(
     return limits
 
 
-def _guid(library: Any, image: Any) -> Any:
+def _guid(library: _Foreign, image: _Foreign) -> _Foreign:
     return library.StringNode(image, f"{{{uuid.uuid4()}}}")
 
 
-def _number(library: Any, image: Any, value: float | int) -> Any:
+def _number(library: _Foreign, image: _Foreign, value: float | int) -> _Foreign:
     kind = library.IntegerNode if isinstance(value, int) else library.FloatNode
     return kind(image, value)
 
 
-def _field(library: Any, image: Any, values: NDArray[Any]) -> Any:
+def _field(library: _Foreign, image: _Foreign, values: Numbers) -> _Foreign:
     """Return the prototype of a column: floats of double precision, or small integers."""
     if values.dtype.kind == "f":
         return library.FloatNode(image, 0.0, library.E57_DOUBLE)
-    return library.IntegerNode(image, 0, 0, int(np.iinfo(values.dtype).max))
+    return library.IntegerNode(image, 0, 0, int(np.iinfo(values.dtype.str).max))
 
 
 def _write_columns(
-    library: Any, image: Any, points: Any, columns: Mapping[str, NDArray[Any]], count: int
+    library: _Foreign, image: _Foreign, points: _Foreign, columns: Mapping[str, Numbers], count: int
 ) -> None:
     rows = max(min(_ROWS_AT_ONCE, count), 1)
     arrays = {name: np.empty(rows, values.dtype) for name, values in columns.items()}

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.las.header import LasHeader
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
 from hpccomponent.errors import InputError
@@ -59,6 +59,10 @@ _DESCRIPTION = np.dtype(
 )
 _EXTRA_TYPES = ("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f4", "<f8")
 _HAS_SCALE, _HAS_OFFSET = 8, 16
+
+
+Field = tuple[str | tuple[str, int] | np.dtype[np.number], int]
+"""The type of a field, and its byte."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,17 +160,17 @@ class LasLayout:
         normals = None
         if self.has_normals:
             normals = np.stack([attributes.pop(n) for n in NORMALS], axis=1).astype(np.float64)
-        colours: NDArray[Any] | None = None
+        colours: Numbers | None = None
         if self.point_format in _COLOURS_AT:
             colours = points["colours"].copy()
         return PointCloud(positions, normals, colours, attributes)
 
-    def _standard(self, points: NDArray[np.void]) -> dict[str, NDArray[Any]]:
+    def _standard(self, points: NDArray[np.void]) -> dict[str, Numbers]:
         is_new = self.point_format >= 6
         returns, classes, angles = (
             points[name] for name in ("returns", "classification", "scan_angle")
         )
-        columns: dict[str, NDArray[Any]] = {
+        columns: dict[str, Numbers] = {
             "intensity": points["intensity"].copy(),
             "return_number": returns & (15 if is_new else 7),
             "number_of_returns": returns >> 4 if is_new else returns >> 3 & 7,
@@ -179,10 +183,10 @@ class LasLayout:
         return columns
 
 
-def _scaled(values: NDArray[Any], extra: _Extra) -> NDArray[Any]:
+def _scaled(values: Numbers, extra: _Extra) -> Numbers:
     if extra.scale == 1 and extra.offset == 0:
         return values.copy()
-    scaled: FloatArray = values * extra.scale + extra.offset
+    scaled: FloatArray = np.multiply(values, extra.scale) + extra.offset
     return scaled
 
 
@@ -206,7 +210,7 @@ def find_layout(header: LasHeader, path: Path) -> LasLayout:
             f"{SIZES[point_format]} bytes, not {header.record_length}",
             "export the file again",
         )
-    fields: dict[str, tuple[Any, int]] = {"xyz": (("<i4", 3), 0)}
+    fields: dict[str, Field] = {"xyz": (("<i4", 3), 0)}
     fields.update(_OLD if point_format < 6 else _NEW)
     for name, kind, places in (
         ("gps_time", "<f8", _GPS_TIME_AT),
@@ -227,7 +231,7 @@ def find_layout(header: LasHeader, path: Path) -> LasLayout:
     return LasLayout(point_format, dtype, header.scales, header.offsets, tuple(extras))
 
 
-def _add_extras(header: LasHeader, fields: dict[str, tuple[Any, int]]) -> list[_Extra]:
+def _add_extras(header: LasHeader, fields: dict[str, Field]) -> list[_Extra]:
     """Add the columns of the extra bytes that are described, and lie within the record."""
     extras: list[_Extra] = []
     taken = {*fields, *AXES, *COLOURS, "return_number", "number_of_returns"}

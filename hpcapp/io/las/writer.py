@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.crs import UNIT_CODES, parse_epsg
 from hpcapp.io.frame import finite_bounds
 from hpcapp.io.las.layout import DEGREES_A_STEP
@@ -21,6 +22,8 @@ from hpccomponent.errors import OutputError, UsageError
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["choose_grid", "write_las"]
+
+_Foreign = Any  # of laspy, which has no stubs
 
 _FINEST = 1e-6  # length units; of small clouds, the same share of their extent
 _MOST_STEPS = 4e9  # of an int32, counted from the middle, with room for a rounded offset
@@ -129,7 +132,7 @@ def choose_grid(low: FloatArray, high: FloatArray) -> tuple[float, FloatArray]:
     return float(f"1e{power}"), offset
 
 
-def _load_laspy(path: Path) -> Any:
+def _load_laspy(path: Path) -> _Foreign:
     try:
         return import_module("laspy")
     except ImportError as error:
@@ -138,12 +141,10 @@ def _load_laspy(path: Path) -> Any:
         ) from error
 
 
-def _assign(
-    cloud: PointCloud, reserved: set[str]
-) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+def _assign(cloud: PointCloud, reserved: set[str]) -> tuple[dict[str, Numbers], dict[str, Numbers]]:
     """Assign columns to the fields of the format, and what is left to extra bytes."""
-    fields: dict[str, NDArray[Any]] = {}
-    extras: dict[str, NDArray[Any]] = {}
+    fields: dict[str, Numbers] = {}
+    extras: dict[str, Numbers] = {}
     if cloud.colours is not None:
         widened = cloud.colours.astype(np.uint16)
         if cloud.colours.dtype == np.uint8:
@@ -170,7 +171,7 @@ def _assign(
     return fields, extras
 
 
-def _stretch(values: NDArray[Any]) -> NDArray[np.uint16]:
+def _stretch(values: Numbers) -> NDArray[np.uint16]:
     """Scale values to what an intensity can be; without a value it is 0."""
     finite = np.where(np.isfinite(values), values, np.nan)
     low, high = (np.nanmin(finite), np.nanmax(finite)) if np.isfinite(values).any() else (0, 0)
@@ -178,12 +179,12 @@ def _stretch(values: NDArray[Any]) -> NDArray[np.uint16]:
     return np.rint(np.nan_to_num(share) * _MOST["intensity"]).astype(np.uint16)
 
 
-def _is_whole(values: NDArray[Any], most: int) -> bool:
+def _is_whole(values: Numbers, most: int) -> bool:
     with np.errstate(invalid="ignore"):
         return bool(((values >= 0) & (values <= most) & (values == np.rint(values))).all())
 
 
-def _as_extra(values: NDArray[Any]) -> NDArray[Any]:
+def _as_extra(values: Numbers) -> Numbers:
     """Return values in a type that extra bytes can have."""
     if values.dtype.kind in "iu":
         return values.astype(values.dtype.newbyteorder("="))
@@ -200,7 +201,9 @@ def _free_name(name: str, taken: Mapping[str, object]) -> str:
     return free
 
 
-def _add_crs(laspy: Any, header: Any, crs: str | None, unit: str | None, path: Path) -> None:
+def _add_crs(
+    laspy: _Foreign, header: _Foreign, crs: str | None, unit: str | None, path: Path
+) -> None:
     """Add the coordinate reference system and the unit: as WKT, or GeoTIFF keys without it."""
     is_wkt = crs is not None and "[" in crs
     record = crs.encode() + b"\0" if crs is not None and is_wkt else _encode_keys(crs, unit)

@@ -14,11 +14,10 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import OutputError
@@ -117,7 +116,7 @@ def _list_arrays(layout: PointCloud, names: dict[str, str]) -> Iterator[_Array]:
         yield _Array(names[name], "<f4", 1)
 
 
-def _place(origin: FloatArray, turns_up: bool) -> dict[str, Any]:
+def _place(origin: FloatArray, turns_up: bool) -> dict[str, object]:
     """Return how the node of a mesh is placed."""
     if turns_up:
         return {"matrix": [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]}  # column by column
@@ -126,15 +125,15 @@ def _place(origin: FloatArray, turns_up: bool) -> dict[str, Any]:
 
 def _describe(
     stream: MeshStream,
-    place: dict[str, Any],
+    place: dict[str, object],
     names: dict[str, str],
     arrays: list[_Array],
     sizes: list[int],
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return the JSON of a mesh."""
-    accessors: list[dict[str, Any]] = []
+    accessors: list[dict[str, object]] = []
     for number, array in enumerate(arrays):
-        accessor = {
+        accessor: dict[str, object] = {
             "bufferView": number,
             "componentType": _FLOAT if array.dtype == "<f4" else _BYTE,
             "count": stream.vertex_count,
@@ -169,7 +168,7 @@ def _describe(
     }
 
 
-def _columns(vertices: PointCloud) -> Iterator[NDArray[Any]]:
+def _columns(vertices: PointCloud) -> Iterator[Numbers]:
     """Yield what some vertices have."""
     yield np.ascontiguousarray(vertices.positions, "<f4")
     if vertices.normals is not None:

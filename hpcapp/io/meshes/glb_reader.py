@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
 from hpccomponent.foreign_json import decode
@@ -82,7 +82,7 @@ class _File:
         inner = {child for node in nodes for child in node.get("children", [])}
         return [number for number in range(len(nodes)) if number not in inner]
 
-    def array(self, number: int) -> NDArray[Any]:
+    def array(self, number: int) -> Numbers:
         """Return the rows of an accessor."""
         accessor = self.told["accessors"][number]
         if "sparse" in accessor or "bufferView" not in accessor:
@@ -186,7 +186,7 @@ def _read_primitive(
     colours: ByteArray | None = None
     if "COLOR_0" in columns:
         shares = np.clip(file.array(columns["COLOR_0"])[:, :3], 0.0, 1.0)
-        colours = np.rint(255.0 * shares).astype(np.uint8)
+        colours = np.rint(np.multiply(255.0, shares)).astype(np.uint8)
     attributes = {
         name: file.array(columns[semantic])[:, 0].copy()
         for name, semantic in names.items()

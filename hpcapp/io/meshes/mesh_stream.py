@@ -11,7 +11,7 @@ from hpcapp.io.frame import finite_bounds
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
-__all__ = ["MeshStream", "as_stream"]
+__all__ = ["MeshStream", "as_stream", "find_vertices", "make_mesh"]
 
 _ROWS_AT_ONCE = 1 << 16
 
@@ -56,7 +56,7 @@ def as_stream(mesh: Mesh | MeshStream) -> MeshStream:
     """
     if isinstance(mesh, MeshStream):
         return mesh
-    vertices = PointCloud(mesh.vertices, mesh.normals, mesh.colours, mesh.attributes)
+    vertices = find_vertices(mesh)
     return MeshStream(
         len(mesh.vertices),
         len(mesh.faces),
@@ -67,6 +67,17 @@ def as_stream(mesh: Mesh | MeshStream) -> MeshStream:
         lambda: (mesh.vertices[mesh.faces[rows]] for rows in _blocks(len(mesh.faces))),
         vertices.view(slice(0)),
     )
+
+
+def find_vertices(mesh: Mesh) -> PointCloud:
+    """Return the vertices of a mesh with what they carry, in its local frame."""
+    return PointCloud(mesh.vertices, mesh.normals, mesh.colours, mesh.attributes)
+
+
+def make_mesh(vertices: PointCloud, faces: IntArray, origin: FloatArray) -> Mesh:
+    """Return a mesh of vertices in its local frame, with what they carry."""
+    columns = (vertices.normals, vertices.colours, vertices.attributes)
+    return Mesh(vertices.positions, faces, origin, *columns)
 
 
 def _blocks(rows: int) -> Iterator[slice]:

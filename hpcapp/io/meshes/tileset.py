@@ -16,14 +16,14 @@ https://docs.ogc.org/cs/22-025r4/22-025r4.html
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from hpcapp.io.batches import join_points
 from hpcapp.io.meshes.glb import write_glb
-from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
+from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream, find_vertices, make_mesh
 from hpcapp.io.staging import replacing_folder
 from hpcapp.simplification.mesh import Target, simplify_mesh
 from hpccomponent.surface.types.mesh import Mesh
@@ -59,14 +59,13 @@ def write_tileset(path: Path, mesh: Mesh | MeshStream, tile_faces: int = TILE_FA
     if len(whole.faces) > tile_faces:
         Target(faces=tile_faces).check()
     with replacing_folder(path) as folder:
-        root, _ = _write_tile(folder, "0", whole, np.arange(len(whole.faces)), tile_faces)
-        root["refine"] = "REPLACE"
+        tile, _ = _write_tile(folder, "0", whole, np.arange(len(whole.faces)), tile_faces)
+        root = {**tile.to_json(), "refine": "REPLACE"}
         if whole.origin.any():
             root["transform"] = [*np.eye(4)[:3].ravel().tolist(), *whole.origin.tolist(), 1.0]
-        diagonal = 2.0 * float(np.linalg.norm(_half_sides(root)))
         tileset = {
             "asset": {"version": "1.1", "generator": "hpcapp"},
-            "geometricError": max(diagonal, root["geometricError"]),
+            "geometricError": max(2.0 * float(np.linalg.norm(tile.half_sides)), tile.error),
             "root": root,
         }
         (folder / "tileset.json").write_text(json.dumps(tileset, indent=1) + "\n")
@@ -74,27 +73,50 @@ def write_tileset(path: Path, mesh: Mesh | MeshStream, tile_faces: int = TILE_FA
 
 def _collect(stream: MeshStream) -> Mesh:
     """Return a mesh in memory, with what its vertices carry."""
-    blocks, layout = list(stream.vertices()), stream.layout
-    normals = [block.normals for block in blocks if block.normals is not None]
-    colours = [block.colours for block in blocks if block.colours is not None]
-    return Mesh(
-        np.concatenate([np.empty((0, 3)), *(block.positions for block in blocks)]),
-        np.concatenate([np.empty((0, 3), np.int64), *stream.faces()]),
-        stream.origin,
-        np.concatenate(normals) if normals else None,
-        np.concatenate(colours) if colours else None,
-        {name: np.concatenate([b.attributes[name] for b in blocks]) for name in layout.attributes},
-    )
+    vertices = join_points([stream.layout, *stream.vertices()])
+    faces = np.concatenate([np.empty((0, 3), np.int64), *stream.faces()])
+    return make_mesh(vertices, faces, stream.origin)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tile:
+    """A tile that is written.
+
+    Parameters
+    ----------
+    centre, half_sides : ndarray of float64, shape (3,)
+        Of the box around it and all below it.
+    error : float
+        How far the mesh is from it, at most, in length units.
+    """
+
+    name: str
+    centre: FloatArray
+    half_sides: FloatArray
+    error: float
+    children: list[_Tile]
+
+    def to_json(self) -> dict[str, object]:
+        """Return what the tileset says of it, and of all below it."""
+        box = [*self.centre.tolist(), *np.diag(self.half_sides).ravel().tolist()]
+        described: dict[str, object] = {
+            "boundingVolume": {"box": box},
+            "geometricError": self.error,
+            "content": {"uri": f"{self.name}.glb"},
+        }
+        if self.children:
+            described["children"] = [child.to_json() for child in self.children]
+        return described
 
 
 def _write_tile(
     folder: Path, name: str, whole: Mesh, faces: IntArray, most: int
-) -> tuple[dict[str, Any], Mesh]:
-    """Write a tile and all below it; return what the tileset says of it, and its mesh."""
-    children: list[dict[str, Any]] = []
+) -> tuple[_Tile, Mesh]:
+    """Write a tile and all below it, and return it with its mesh."""
+    children: list[_Tile] = []
     error = 0.0
     if len(faces) <= most:
-        tile = _take(whole, faces)
+        mesh = _take(whole, faces)
     else:
         halves = []
         for number, part in enumerate(_halve(whole, faces)):
@@ -102,28 +124,14 @@ def _write_tile(
             children.append(child)
             halves.append(half)
         joined = _unite(*halves)
-        tile = simplify_mesh(joined, Target(faces=most))
-        error = max(child["geometricError"] for child in children) + _distance(joined, tile)
-    write_glb(folder / f"{name}.glb", replace(tile, origin=np.zeros(3)), turns_up=True)
-    low, high = tile.vertices.min(axis=0), tile.vertices.max(axis=0)
+        mesh = simplify_mesh(joined, Target(faces=most))
+        error = max(child.error for child in children) + _distance(joined, mesh)
+    write_glb(folder / f"{name}.glb", replace(mesh, origin=np.zeros(3)), turns_up=True)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     for child in children:  # a box holds the boxes below it
-        centre, sides = np.array(child["boundingVolume"]["box"][:3]), _half_sides(child)
-        low, high = np.minimum(low, centre - sides), np.maximum(high, centre + sides)
-    described: dict[str, Any] = {
-        "boundingVolume": {
-            "box": [*((low + high) / 2).tolist(), *np.diag((high - low) / 2).ravel().tolist()]
-        },
-        "geometricError": error,
-        "content": {"uri": f"{name}.glb"},
-    }
-    if children:
-        described["children"] = children
-    return described, tile
-
-
-def _half_sides(tile: dict[str, Any]) -> FloatArray:
-    sides: FloatArray = np.array(tile["boundingVolume"]["box"][3:]).reshape(3, 3).diagonal()
-    return sides
+        low = np.minimum(low, child.centre - child.half_sides)
+        high = np.maximum(high, child.centre + child.half_sides)
+    return _Tile(name, (low + high) / 2, (high - low) / 2, error, children), mesh
 
 
 def _halve(whole: Mesh, faces: IntArray) -> tuple[IntArray, IntArray]:
@@ -138,37 +146,16 @@ def _halve(whole: Mesh, faces: IntArray) -> tuple[IntArray, IntArray]:
 def _take(whole: Mesh, faces: IntArray) -> Mesh:
     """Return some faces as a mesh of their own."""
     used, rows = np.unique(whole.faces[faces], return_inverse=True)
-    return Mesh(
-        whole.vertices[used],
-        rows.reshape(-1, 3),
-        whole.origin,
-        None if whole.normals is None else whole.normals[used],
-        None if whole.colours is None else whole.colours[used],
-        {name: column[used] for name, column in whole.attributes.items()},
-    )
+    return make_mesh(find_vertices(whole).take(used), rows.reshape(-1, 3), whole.origin)
 
 
 def _unite(first: Mesh, second: Mesh) -> Mesh:
     """Join two tiles at the places of vertices that both have on their rims."""
-    places = np.concatenate([first.vertices, second.vertices])
-    _, rows, which = np.unique(places, axis=0, return_index=True, return_inverse=True)
-    both = Mesh(
-        places,
-        np.concatenate([first.faces, second.faces + len(first.vertices)]),
-        first.origin,
-        _stack(first.normals, second.normals),
-        _stack(first.colours, second.colours),
-        {
-            name: np.concatenate([column, second.attributes[name]])
-            for name, column in first.attributes.items()
-        },
-    )
+    vertices = join_points([find_vertices(first), find_vertices(second)])
+    _, rows, which = np.unique(vertices.positions, axis=0, return_index=True, return_inverse=True)
+    faces = np.concatenate([first.faces, second.faces + len(first.vertices)])
     same = rows[which.reshape(-1)]
-    return _take(replace(both, faces=same[both.faces]), np.arange(len(both.faces)))
-
-
-def _stack(first: Any, second: Any) -> Any:
-    return None if first is None else np.concatenate([first, second])
+    return _take(make_mesh(vertices, same[faces], first.origin), np.arange(len(faces)))
 
 
 def _distance(fine: Mesh, coarse: Mesh) -> float:

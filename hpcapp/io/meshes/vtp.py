@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.frame import needs_double
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.staging import replacing
@@ -107,13 +107,13 @@ def _list_arrays(layout: PointCloud, rows: int) -> Iterator[_Array]:
         yield _Array(name, np.dtype(dtype).newbyteorder("<").str, 1, rows)
 
 
-def _columns(block: PointCloud) -> list[NDArray[Any]]:
+def _columns(block: PointCloud) -> list[Numbers]:
     """Return what vertices carry."""
     given = (block.normals, block.colours)
     return [*(column for column in given if column is not None), *block.attributes.values()]
 
 
-def _index_faces(stream: MeshStream) -> Iterator[list[NDArray[Any]]]:
+def _index_faces(stream: MeshStream) -> Iterator[list[Numbers]]:
     """Yield the corners of faces, and where each face's end."""
     done = 0
     for faces in stream.faces():
@@ -160,7 +160,7 @@ def _write_arrays(
     file: BinaryIO,
     arrays: Sequence[_Array],
     places: Sequence[int],
-    blocks: Iterable[Sequence[NDArray[Any]]],
+    blocks: Iterable[Sequence[Numbers]],
 ) -> None:
     """Write arrays side by side, some rows of each at a time."""
     at = []

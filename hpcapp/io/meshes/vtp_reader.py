@@ -12,13 +12,11 @@ import zlib
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree as Xml
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hpcapp.io.columns import Ragged
+from hpcapp.io.columns import Numbers, Ragged
 from hpcapp.io.meshes.polygons import mesh_of_polygons
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.mesh import Mesh
@@ -93,9 +91,9 @@ class _File:
     root: Xml.Element
     appended: bytes
     order: str
-    length: np.dtype[Any]
+    length: np.dtype[np.unsignedinteger]
 
-    def array(self, element: Xml.Element) -> NDArray[Any]:
+    def array(self, element: Xml.Element) -> Numbers:
         """Return the numbers of a ``DataArray``, flat."""
         kind = element.get("type", "")
         size = re.fullmatch(r"(U?Int|Float)(8|16|32|64)", kind)
@@ -135,7 +133,7 @@ class _File:
         edges = np.cumsum([0, *sizes.tolist()]).tolist()
         return b"".join(zlib.decompress(body[a:b]) for a, b in pairwise(edges))
 
-    def _numbers(self, packed: bytes, count: int, is_text: bool) -> NDArray[Any]:
+    def _numbers(self, packed: bytes, count: int, is_text: bool) -> Numbers:
         found = _take(packed, 0, count * self.length.itemsize, is_text)
         return np.frombuffer(found, self.length, count)
 
@@ -181,7 +179,7 @@ def _add_columns(file: _File, piece: Xml.Element, mesh: Mesh) -> Mesh:
     for element in piece.iterfind("PointData/DataArray"):
         name, values = element.get("Name", ""), file.array(element)
         if name == "RGB" and values.dtype == np.uint8 and len(values) == 3 * count:
-            mesh = replace(mesh, colours=values.reshape(-1, 3))
+            mesh = replace(mesh, colours=values.view(np.uint8).reshape(-1, 3))
         elif name == "Normals" and len(values) == 3 * count:
             mesh = replace(mesh, normals=values.reshape(-1, 3).astype(np.float64))
         elif len(values) == count:

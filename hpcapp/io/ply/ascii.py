@@ -3,46 +3,19 @@
 from __future__ import annotations
 
 import io
-import sys
 from collections.abc import Callable, Container, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hpcapp.io.columns import Ragged, Rows
+from hpcapp.io.columns import Numbers, Ragged, Rows
 from hpcapp.io.ply.header import Element, Header, Property
 from hpcapp.io.rows import Line, line_error, numbered, parse_table, take_lines
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.points import FloatArray
 
-__all__ = ["read_ascii", "scan_ascii"]
-
-
-def read_ascii(path: Path, header: Header, wanted: Container[str]) -> dict[str, Rows]:
-    """Read elements of an ascii PLY file, one line per row.
-
-    Parameters
-    ----------
-    header : Header
-        As `read_header` gave it.
-    wanted : container of str
-        The names of the elements to read.
-
-    Returns
-    -------
-    dict of str to Rows
-        The elements of `wanted` that the file has, every property as float64.
-
-    Raises
-    ------
-    InputError
-        There are fewer or more lines than the header says, or a line of a wanted element is
-        not a row of it.
-    """
-    return dict(scan_ascii(path, header, wanted, sys.maxsize))
+__all__ = ["scan_ascii"]
 
 
 def scan_ascii(
@@ -52,29 +25,13 @@ def scan_ascii(
     at_once: int,
     warn: Callable[[str], None] | None = None,
 ) -> Iterator[tuple[str, Rows]]:
-    """Read elements of an ascii PLY file in parts; see `read_ascii`.
+    """Read elements of an ascii file in parts, one line per row; see `scan_body`.
 
     Parameters
     ----------
-    path, header, wanted
-        As for `read_ascii`.
-    at_once : int
-        Rows in a part, at most.
     warn : callable, optional
         Is told of more rows than the header says, where these are of the last element, which is
         wanted and has no lists; without it they are refused.
-
-    Yields
-    ------
-    name : str
-        Of the element.
-    rows : Rows
-        Its next rows.
-
-    Raises
-    ------
-    InputError
-        As from `read_ascii`; what follows after the last row is looked at in the end.
     """
     with path.open("rb") as file, io.TextIOWrapper(file, "latin-1") as text:
         file.seek(header.body_start)
@@ -156,7 +113,7 @@ def _take_row(
 
 def _as_announced(
     column: FloatArray, p: Property, element: Element, path: Path, first: int
-) -> NDArray[Any]:
+) -> Numbers:
     """Return integers as the type that the header announces, if they are of it.
 
     Decimal numbers stay float64 whatever is announced: nothing is rounded that need not be.

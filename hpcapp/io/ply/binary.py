@@ -8,72 +8,29 @@ from __future__ import annotations
 
 import mmap
 import struct
-import sys
 from collections.abc import Container, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.columns import Ragged, Rows, positions_within
+from hpcapp.io.columns import Numbers, Ragged, Rows, positions_within
 from hpcapp.io.ply.header import Element, Header, Property
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.points import IntArray
 
-__all__ = ["find_records", "read_binary", "scan_binary"]
+__all__ = ["find_records", "scan_binary"]
+
+_Body = np.memmap[tuple[int, ...], np.dtype[np.uint8]]
 
 _COPY_AGAIN = "copy or export the file again"
 _ROWS_AT_ONCE = 1 << 16
 
 
-def read_binary(path: Path, header: Header, wanted: Container[str]) -> dict[str, Rows]:
-    """Read elements of a binary PLY file.
-
-    Parameters
-    ----------
-    header : Header
-        As `read_header` gave it.
-    wanted : container of str
-        The names of the elements to read.
-
-    Returns
-    -------
-    dict of str to Rows
-        The elements of `wanted` that the file has; scalars may be views of the mapped file.
-
-    Raises
-    ------
-    InputError
-        The body is shorter or longer than the header says, or holds an impossible list.
-    """
-    return dict(scan_binary(path, header, wanted, sys.maxsize))
-
-
 def scan_binary(
     path: Path, header: Header, wanted: Container[str], at_once: int
 ) -> Iterator[tuple[str, Rows]]:
-    """Read elements of a binary PLY file in parts; see `read_binary`.
-
-    Parameters
-    ----------
-    path, header, wanted
-        As for `read_binary`.
-    at_once : int
-        Rows in a part, at most.
-
-    Yields
-    ------
-    name : str
-        Of the element.
-    rows : Rows
-        Its next rows; views of the file, whose memory is given back when the next are asked for.
-
-    Raises
-    ------
-    InputError
-        As from `read_binary`; what follows after the last row is looked at in the end.
-    """
+    """Read elements of a binary file in parts; see `scan_body`."""
     body = np.memmap(path, np.uint8, "r")
     at = header.body_start
     for element in header.elements:
@@ -101,7 +58,7 @@ def scan_binary(
         )
 
 
-def find_records(path: Path, header: Header, name: str) -> tuple[int, np.dtype[Any]] | None:
+def find_records(path: Path, header: Header, name: str) -> tuple[int, np.dtype[np.void]] | None:
     """Find an element whose rows are all of one length.
 
     Parameters
@@ -138,7 +95,7 @@ def find_records(path: Path, header: Header, name: str) -> tuple[int, np.dtype[A
     return None if even is None else (at, even.dtype)
 
 
-def _give_back(body: np.memmap[Any, Any], start: int, size: int) -> None:
+def _give_back(body: _Body, start: int, size: int) -> None:
     """Let the system take back the memory of a part of the mapped file that has been read."""
     mapped = body._mmap  # type: ignore[attr-defined]
     if hasattr(mapped, "madvise") and size:
@@ -165,7 +122,7 @@ def _row_bytes(properties: tuple[Property, ...]) -> int:
 
 def _row_dtype(element: Element, lengths: list[int], byte_order: str) -> np.dtype[np.void]:
     """Describe a row whose lists have the given lengths: value i is v<i>, its length n<i>."""
-    fields: list[Any] = []
+    fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
     remaining = iter(lengths)
     for i, p in enumerate(element.properties):
         if p.count_dtype is None:
@@ -177,7 +134,7 @@ def _row_dtype(element: Element, lengths: list[int], byte_order: str) -> np.dtyp
 
 
 def _view_even(
-    body: np.memmap[Any, Any], at: int, element: Element, byte_order: str, path: Path
+    body: _Body, at: int, element: Element, byte_order: str, path: Path
 ) -> NDArray[np.void] | None:
     """View the rows as one array if their lists are all as long as the first row's."""
     least = _row_bytes(element.properties) * element.count
@@ -286,6 +243,6 @@ def _gather(
     return result
 
 
-def _pick(body: NDArray[np.uint8], at: IntArray, dtype: np.dtype[Any]) -> NDArray[Any]:
+def _pick(body: NDArray[np.uint8], at: IntArray, dtype: np.dtype[np.number]) -> Numbers:
     picked = np.asarray(body[at[:, None] + np.arange(dtype.itemsize)])
     return picked.view(dtype)[:, 0]

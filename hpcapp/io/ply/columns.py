@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.ply.header import SCALAR_TYPES
 from hpcapp.io.points.column_roles import COLOURS, NORMALS
 from hpccomponent.surface.types.points import PointCloud
@@ -69,7 +69,7 @@ class VertexProperties:
         """Fields of a structured type, in their order."""
         return list(zip(self.names, self.types, strict=True))
 
-    def fill(self, rows: NDArray[Any], points: PointCloud) -> None:
+    def fill(self, rows: NDArray[np.void], points: PointCloud) -> None:
         """Fill these fields of some rows.
 
         Parameters
@@ -78,7 +78,7 @@ class VertexProperties:
         points : PointCloud
             With the columns that the properties were made for.
         """
-        columns: list[NDArray[Any]] = []
+        columns: list[Numbers] = []
         if points.normals is not None:
             columns += list(points.normals.T)
         if points.colours is not None:
@@ -98,7 +98,7 @@ def _spell(name: str, taken: list[str]) -> str:
     return spelled
 
 
-def choose_type(dtype: np.dtype[Any]) -> str:
+def choose_type(dtype: np.dtype[np.generic]) -> str:
     """Return the type that numbers are written as.
 
     Returns

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.io.columns import Ragged, cut_fans
+from hpcapp.io.columns import Numbers, Ragged, cut_fans
 from hpcapp.io.ply.header import Header
 from hpccomponent.errors import InputError
 from hpccomponent.surface.types.points import BoolArray, FloatArray
@@ -67,7 +66,7 @@ def vertex_normals(
 
 
 def _check_corners(polygons: Ragged, vertices: int, path: Path) -> NDArray[np.int64]:
-    corners: NDArray[Any] = polygons.values
+    corners: Numbers = polygons.values
     wrong = (corners < 0) | (corners >= vertices)
     if wrong.any():
         raise InputError(

@@ -1,7 +1,7 @@
 """PLY files: strict in what is accepted, double precision where it is needed.
 
-The parts: `header` (what the body holds), `binary` and `ascii` (the body), and what the elements
-mean: ``vertex`` is a point cloud (`points`), ``vertex`` and ``face`` are a mesh.
+The parts: `header` (what the body holds), `body` (`binary` or `ascii`), and what the elements mean:
+``vertex`` is a point cloud (`points`), ``vertex`` and ``face`` are a mesh.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +17,7 @@ from numpy.typing import NDArray
 from hpcapp.io.frame import needs_double
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpcapp.io.meshes.polygons import mesh_of_polygons
-from hpcapp.io.ply.ascii import read_ascii
-from hpcapp.io.ply.binary import read_binary
+from hpcapp.io.ply.body import read_body
 from hpcapp.io.ply.columns import VertexProperties
 from hpcapp.io.ply.comments import keep
 from hpcapp.io.ply.faces import find_polygons
@@ -93,8 +91,7 @@ def read_ply_mesh(path: Path) -> Mesh:
             f"{path}: no element 'face' with a list vertex_indices of integers: not a mesh",
             "a point cloud can be meshed with 'hpcapp reconstruct'",
         )
-    read = read_binary if header.byte_order else read_ascii
-    elements = read(path, header, {"vertex", "face"})
+    elements = read_body(path, header, {"vertex", "face"})
     vertices = build_cloud(elements["vertex"].scalars, plan)
     mesh = mesh_of_polygons(vertices.positions, elements["face"].lists[polygons], path)
     has_bytes = vertices.colours is not None and vertices.colours.dtype == np.uint8
@@ -209,7 +206,7 @@ def shared_ply(
 
 def _make_rows(
     vertices: PointCloud, origin: FloatArray, is_double: bool, carried: VertexProperties
-) -> NDArray[Any]:
+) -> NDArray[np.generic]:
     """Return the rows of some vertices with what they carry."""
     places = vertex_rows(vertices.positions, origin, is_double)
     if not carried.names:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hpcapp.io.ply.columns import VertexProperties
 from hpcapp.io.ply.comments import keep
-from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS
+from hpcapp.io.points.column_roles import AXES, name_columns
 from hpcapp.io.points.point_source import PointSource
 from hpcapp.io.staging import replacing
 from hpccomponent.errors import InputError
@@ -95,7 +95,7 @@ def _find_common(sources: Sequence[PointSource]) -> PointCloud:
     if len(sources) > 1:
         number = np.empty(0, np.int32)
         held = [replace(one, attributes={SCAN: number} | dict(one.attributes)) for one in held]
-    names = [_name_columns(one) for one in held]
+    names = [name_columns(one) for one in held]
     common = [name for name in names[0] if all(name in others for others in names)]
     for own, source in zip(names, sources, strict=True):
         if left_out := [name for name in own if name not in common]:
@@ -113,12 +113,6 @@ def _find_common(sources: Sequence[PointSource]) -> PointCloud:
             if name in common
         },
     )
-
-
-def _name_columns(part: PointCloud) -> list[str]:
-    normals = NORMALS if part.normals is not None else ()
-    colours = COLOURS if part.colours is not None else ()
-    return [*normals, *colours, *part.attributes]
 
 
 def _select(part: PointCloud, layout: PointCloud, first_scan: int) -> PointCloud:

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hpcapp.io.batches import cut_points, join_points
 from hpcapp.io.columns import Ragged, Rows
-from hpcapp.io.ply.ascii import read_ascii, scan_ascii
-from hpcapp.io.ply.binary import find_records, read_binary, scan_binary
+from hpcapp.io.ply.binary import find_records
+from hpcapp.io.ply.body import read_body, scan_body
 from hpcapp.io.ply.comments import Kept, parse_comments
 from hpcapp.io.ply.faces import find_polygons, vertex_normals
 from hpcapp.io.ply.header import Element, Header, Property, read_header
@@ -137,10 +138,7 @@ class _Body:
     records: PointRecords | None = None
 
     def parts(self, element: str, rows: int) -> Iterator[Rows]:
-        if self.header.byte_order:
-            parts = scan_binary(self.path, self.header, {element}, rows)
-        else:
-            parts = scan_ascii(self.path, self.header, {element}, rows, self.findings.warn)
+        parts = scan_body(self.path, self.header, {element}, rows, self.findings.warn)
         return (part for _, part in parts)
 
     def scan(self, rows: int) -> Iterator[PointCloud]:
@@ -152,7 +150,7 @@ class _Body:
             yield self.build(part.scalars, self.plan)
 
     def check_rest(self) -> None:
-        for _ in scan_binary(self.path, self.header, (), 1):
+        for _ in scan_body(self.path, self.header, (), 1):
             """Nothing is asked for: all is measured."""
 
 
@@ -164,17 +162,13 @@ class _MeshScan:
     polygons: str
 
     def __call__(self, rows: int) -> Iterator[PointCloud]:
-        parts = list(self.body.scan(_ROWS_AT_ONCE))
-        positions = np.concatenate([part.positions for part in parts])
-        normals, has_face = vertex_normals(positions, self._polygons(), self.body.path)
-        left_out = len(positions) - int(has_face.sum())
+        cloud = join_points(list(self.body.scan(_ROWS_AT_ONCE)))
+        normals, has_face = vertex_normals(cloud.positions, self._polygons(), self.body.path)
+        cloud = replace(cloud, normals=normals)
+        left_out = len(cloud) - int(has_face.sum())
         self.body.findings.dropped.pop(_FACELESS, None)  # a file may be scanned more than once
         self.body.findings.drop(_FACELESS, left_out)
-        cloud = _join(parts, positions, normals)
-        if left_out:
-            cloud = cloud.take(has_face)
-        for start in range(0, max(len(cloud), 1), rows):
-            yield cloud.take(np.arange(start, min(start + rows, len(cloud))))
+        return cut_points(cloud.take(has_face) if left_out else cloud, rows)
 
     def _polygons(self) -> Iterator[Ragged]:
         for faces in self.body.parts("face", _ROWS_AT_ONCE):
@@ -199,16 +193,6 @@ class _GridScan:
 
 
 _FACELESS = "vertices without a face"
-
-
-def _join(parts: list[PointCloud], positions: FloatArray, normals: FloatArray) -> PointCloud:
-    colours = [part.colours for part in parts if part.colours is not None]
-    return PointCloud(
-        positions,
-        normals,
-        np.concatenate(colours) if colours else None,
-        {name: np.concatenate([p.attributes[name] for p in parts]) for name in parts[0].attributes},
-    )
 
 
 def _find_points(
@@ -299,6 +283,5 @@ def _find_scanner(path: Path, header: Header) -> FloatArray | None:
     camera = next((e for e in header.elements if e.name == "camera" and e.count == 1), None)
     if camera is None or not set(_VIEW) <= {p.name for p in camera.properties}:
         return None
-    read = read_binary if header.byte_order else read_ascii
-    place = stack(read(path, header, {"camera"})["camera"].scalars, _VIEW)[0]
+    place = stack(read_body(path, header, {"camera"})["camera"].scalars, _VIEW)[0]
     return place if place.any() and np.isfinite(place).all() else None

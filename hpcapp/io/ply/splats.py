@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.points.named_columns import ColumnPlan, build_cloud, stack
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
@@ -49,7 +49,7 @@ def plan_splats(plan: ColumnPlan) -> ColumnPlan:
     return ColumnPlan(plan.positions, (), (), tuple(others))
 
 
-def build_splats(columns: Mapping[str, NDArray[Any]], plan: ColumnPlan) -> PointCloud:
+def build_splats(columns: Mapping[str, Numbers], plan: ColumnPlan) -> PointCloud:
     """Copy splats into a point cloud.
 
     Parameters

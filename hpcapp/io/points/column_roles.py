@@ -7,11 +7,11 @@ for the role of a name; who has unnamed columns, or doubts a name, asks what the
 from __future__ import annotations
 
 import re
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = [
@@ -22,6 +22,8 @@ __all__ = [
     "find_role",
     "judge_colours",
     "judge_normals",
+    "name_columns",
+    "tell_use",
 ]
 
 AXES = ("x", "y", "z")
@@ -90,7 +92,14 @@ def find_role(name: str) -> str:
     return _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", bare), stripped)
 
 
-def judge_colours(values: NDArray[Any]) -> ColourScale | None:
+def name_columns(cloud: PointCloud) -> tuple[str, ...]:
+    """Return the names of all columns of a cloud, as we call them."""
+    normals = NORMALS if cloud.normals is not None else ()
+    colours = COLOURS if cloud.colours is not None else ()
+    return (*AXES, *normals, *colours, *cloud.attributes)
+
+
+def judge_colours(values: Numbers) -> ColourScale | None:
     """Tell which colours some columns can hold.
 
     Parameters

@@ -6,17 +6,19 @@ normals and colours of its own, or no faces at all.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.io.batches import cut_points
+from hpcapp.io.columns import Numbers
 from hpcapp.io.meshes.obj import read_obj
 from hpcapp.io.meshes.off import read_off
 from hpcapp.io.meshes.stl import read_stl
+from hpcapp.io.points.column_roles import name_columns
 from hpcapp.io.points.point_source import Findings, PointSource
 from hpcapp.io.rows import Line, line_error, numbered, parse_table
 from hpccomponent.errors import InputError
@@ -113,9 +115,7 @@ def _parse_vertices(lines: list[Line], path: Path) -> tuple[FloatArray, NDArray[
     return positions, table[:, 3:6].copy() if columns >= 6 else None
 
 
-def _open_mesh(
-    path: Path, name: str, mesh: Mesh, colours: NDArray[Any] | None = None
-) -> PointSource:
+def _open_mesh(path: Path, name: str, mesh: Mesh, colours: Numbers | None = None) -> PointSource:
     sums = np.zeros((3, len(mesh.vertices)))
     add_face_normals(sums, mesh.faces, mesh.vertices[mesh.faces])
     normals = scale_normals(sums)
@@ -141,21 +141,10 @@ def slice_cloud(
     cloud : PointCloud
         In the file's coordinates.
     """
-
-    def scan(rows: int) -> Iterator[PointCloud]:
-        for start in range(0, max(len(cloud), 1), rows):
-            yield cloud.take(np.arange(start, min(start + rows, len(cloud))))
-
     return PointSource(
-        path, len(cloud), True, cloud.normals is not None, scan, format=name,
-        columns=_columns(cloud), findings=findings or Findings(),
+        path, len(cloud), True, cloud.normals is not None, partial(cut_points, cloud), format=name,
+        columns=name_columns(cloud), findings=findings or Findings(),
     )  # fmt: skip
-
-
-def _columns(cloud: PointCloud) -> tuple[str, ...]:
-    normals = ("nx", "ny", "nz") if cloud.normals is not None else ()
-    colours = ("red", "green", "blue") if cloud.colours is not None else ()
-    return ("x", "y", "z", *normals, *colours, *cloud.attributes)
 
 
 def sample_faces(mesh: Mesh, points: int) -> PointCloud:

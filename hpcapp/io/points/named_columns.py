@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS, find_role
 from hpccomponent.errors import InputError
 from hpccomponent.surface.cloud.point_records import Column, PointRecords, colour_type
-from hpccomponent.surface.types.points import IntArray, PointCloud
+from hpccomponent.surface.types.points import FloatArray, IntArray, PointCloud
 
 __all__ = ["ColumnPlan", "add_grid", "build_cloud", "describe_records", "plan_columns", "stack"]
 
 _ROWS_AT_ONCE = 1 << 16
+
+Number = TypeVar("Number", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +90,7 @@ def _own_name(name: str, by_role: Mapping[str, str]) -> str:
     return name if by_role[role] != name or role in COLOURS else role
 
 
-def build_cloud(columns: Mapping[str, NDArray[Any]], plan: ColumnPlan) -> PointCloud:
+def build_cloud(columns: Mapping[str, Numbers], plan: ColumnPlan) -> PointCloud:
     """Copy columns into a point cloud.
 
     Parameters
@@ -103,7 +106,7 @@ def build_cloud(columns: Mapping[str, NDArray[Any]], plan: ColumnPlan) -> PointC
     colours = None
     if plan.colours:
         dtype = colour_type(columns[name].dtype for name in plan.colours)
-        colours = stack(columns, plan.colours, dtype)
+        colours = _stack(columns, plan.colours, dtype)
     return PointCloud(
         stack(columns, plan.positions),
         stack(columns, plan.normals) if plan.normals else None,
@@ -115,25 +118,15 @@ def build_cloud(columns: Mapping[str, NDArray[Any]], plan: ColumnPlan) -> PointC
     )
 
 
-def stack(
-    columns: Mapping[str, NDArray[Any]],
-    names: Sequence[str],
-    dtype: np.dtype[Any] = np.dtype(np.float64),  # noqa: B008 - a constant
-) -> NDArray[Any]:
-    """Copy columns into those of one array, block by block for the cache.
+def stack(columns: Mapping[str, Numbers], names: Sequence[str]) -> FloatArray:
+    """Copy columns, in the order of their names, into those of one array."""
+    return _stack(columns, names, np.dtype(np.float64))
 
-    Parameters
-    ----------
-    columns : mapping of str to ndarray, shape (n,)
-    names : sequence of str
-        Of columns, in order.
-    dtype : dtype, optional
-        Of the array.
 
-    Returns
-    -------
-    ndarray, shape (n, len(names))
-    """
+def _stack(
+    columns: Mapping[str, Numbers], names: Sequence[str], dtype: np.dtype[Number]
+) -> NDArray[Number]:
+    """Copy block by block, for the cache."""
     chosen = [columns[name] for name in names]
     stacked = np.empty((len(chosen[0]), len(chosen)), dtype)
     with np.errstate(invalid="ignore", over="ignore"):  # colours that are none

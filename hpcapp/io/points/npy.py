@@ -16,11 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, COLOURS, NORMALS
 from hpcapp.io.points.named_columns import (
     ColumnPlan,
@@ -39,7 +40,8 @@ from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["open_npy"]
 
-Columns = dict[str, NDArray[Any]]
+Columns = dict[str, Numbers]
+Mapped = np.memmap[tuple[int, ...], np.dtype[np.number]]
 
 _MOST_COLUMNS = 16
 _EXACT_IN_SINGLE = {"f2", "f4", "i1", "u1", "i2", "u2"}
@@ -100,7 +102,7 @@ def open_npy(path: Path) -> PointSource:
 
 
 def _find_records(
-    path: Path, mapped: np.memmap[Any, Any], columns: Columns, plan: ColumnPlan
+    path: Path, mapped: Mapped, columns: Columns, plan: ColumnPlan
 ) -> PointRecords | None:
     """Describe the rows of a mapped array as records; None where its columns are in no rows."""
     length, start = mapped.strides[0], mapped.ctypes.data
@@ -115,12 +117,12 @@ def _find_records(
 
 
 def _columns_of_array(
-    path: Path, array: NDArray[Any], findings: Findings
+    path: Path, array: Numbers, findings: Findings
 ) -> tuple[Columns, tuple[int, int] | None]:
     """Return the columns of one array, and width and height of a grid."""
     if array.dtype.names:
         grid = (array.shape[1], array.shape[0]) if array.ndim == 2 else None
-        return _columns_of_records(path, array.reshape(-1)), grid
+        return _columns_of_records(path, cast("NDArray[np.void]", array.reshape(-1))), grid
     if array.dtype.kind not in "fiu":
         raise InputError(f"{path}: an array of {array.dtype}, not of numbers", _EXPORT)
     shape = array.shape
@@ -140,7 +142,7 @@ def _columns_of_array(
     return _columns_of_table(path, array, findings), grid
 
 
-def _columns_of_table(path: Path, table: NDArray[Any], findings: Findings) -> Columns:
+def _columns_of_table(path: Path, table: Numbers, findings: Findings) -> Columns:
     """Name the columns of a table by what they can be."""
     roles: tuple[str, ...] = AXES
     if table.shape[1] > len(AXES):
@@ -150,14 +152,14 @@ def _columns_of_table(path: Path, table: NDArray[Any], findings: Findings) -> Co
     return dict(zip(roles, table.T, strict=True))
 
 
-def _sample(table: NDArray[Any]) -> FloatArray:
+def _sample(table: Numbers) -> FloatArray:
     """Return runs of rows from all over a table, which may be a mapped file."""
     starts = np.linspace(0, max(len(table) - _RUN, 0), _RUNS).astype(np.int64)
     runs = [table[start : start + _RUN] for start in np.unique(starts)]
     return np.concatenate(runs).astype(np.float64)
 
 
-def _columns_of_records(path: Path, records: NDArray[Any]) -> Columns:
+def _columns_of_records(path: Path, records: NDArray[np.void]) -> Columns:
     columns: Columns = {}
     for name in records.dtype.names or ():
         _add_columns(columns, name, records[name])
@@ -167,7 +169,7 @@ def _columns_of_records(path: Path, records: NDArray[Any]) -> Columns:
 
 
 def _columns_of_archive(
-    path: Path, arrays: dict[str, NDArray[Any]], findings: Findings
+    path: Path, arrays: dict[str, Numbers], findings: Findings
 ) -> tuple[Columns, tuple[int, int] | None]:
     """Return the columns of several arrays; those that do not belong to points are passed over."""
     if len(arrays) == 1:
@@ -194,7 +196,7 @@ def _columns_of_archive(
     return columns, grid
 
 
-def _add_columns(columns: Columns, name: str, values: NDArray[Any]) -> bool:
+def _add_columns(columns: Columns, name: str, values: Numbers) -> bool:
     """Add what a field or an array holds; False where that is none that points can have."""
     if values.dtype.kind not in "fiub" or values.ndim > 2 or name in columns:
         return False

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy_format
-from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.staging import replacing
 from hpccomponent.surface.types.points import PointCloud
 
@@ -33,7 +32,7 @@ def write_npz_points(path: Path, cloud: PointCloud) -> None:
     OutputError
         The file cannot be written.
     """
-    arrays: dict[str, NDArray[Any]] = {"positions": cloud.positions + cloud.origin}
+    arrays: dict[str, Numbers] = {"positions": cloud.positions + cloud.origin}
     if cloud.normals is not None:
         arrays["normals"] = cloud.normals
     if cloud.colours is not None:

@@ -15,12 +15,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tokenize import TokenError
-from typing import IO, Any
+from typing import IO, Literal
 
 import numpy as np
 from numpy.lib import format as npy_format
-from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.points.point_source import Findings
 from hpccomponent.errors import InputError
 
@@ -41,7 +41,7 @@ def is_archive(path: Path) -> bool:
         return file.read(2) == b"PK"
 
 
-def map_array(path: Path) -> NDArray[Any]:
+def map_array(path: Path) -> Numbers:
     """Map the array of an NPY file into memory.
 
     Returns
@@ -66,7 +66,7 @@ def map_array(path: Path) -> NDArray[Any]:
         return np.memmap(path, dtype, "r", file.tell(), shape, order)
 
 
-def read_archive(path: Path, findings: Findings) -> dict[str, NDArray[Any]]:
+def read_archive(path: Path, findings: Findings) -> dict[str, Numbers]:
     """Read the arrays of an NPZ file.
 
     Parameters
@@ -86,7 +86,7 @@ def read_archive(path: Path, findings: Findings) -> dict[str, NDArray[Any]]:
     OSError
         The file cannot be read.
     """
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, Numbers] = {}
     with _translated(path, "the archive"), zipfile.ZipFile(path) as archive:
         for member in archive.infolist():
             if not member.filename.endswith(".npy"):
@@ -100,17 +100,17 @@ def read_archive(path: Path, findings: Findings) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _read_array(file: IO[bytes], size: int, place: str) -> tuple[NDArray[Any], int]:
+def _read_array(file: IO[bytes], size: int, place: str) -> tuple[Numbers, int]:
     """Return an array, and how many bytes follow after it."""
     shape, order, dtype = _read_header(file, size, place)
     content = file.read()  # to its end, so that its checksum is looked at
-    array: NDArray[Any] = np.ndarray(shape, dtype, content, order=order)
+    array: Numbers = np.ndarray(shape, dtype, content, order=order)
     return array, len(content) - array.nbytes
 
 
 def _read_header(
     file: IO[bytes], size: int, place: str
-) -> tuple[tuple[int, ...], Any, np.dtype[Any]]:
+) -> tuple[tuple[int, ...], Literal["C", "F"], np.dtype[np.number]]:
     """Return shape, order and type of an array, of which all numbers are there."""
     version = npy_format.read_magic(file)
     read = (

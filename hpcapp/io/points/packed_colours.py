@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpccomponent.surface.types.points import ByteArray, FloatArray
 
 __all__ = ["PACKED", "unpack_float_text", "unpack_words"]
@@ -15,7 +13,7 @@ PACKED = (("red", 2), ("green", 1), ("blue", 0))
 """The colours and which bytes of the number they are, counted from its lowest."""
 
 
-def unpack_words(words: NDArray[Any], byte: int) -> ByteArray:
+def unpack_words(words: Numbers, byte: int) -> ByteArray:
     """Return one byte of each number.
 
     Parameters

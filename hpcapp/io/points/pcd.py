@@ -13,11 +13,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import accumulate, islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.points.lzf import MOST_EXPANSION, expand_lzf
 from hpcapp.io.points.named_columns import (
     ColumnPlan,
@@ -203,7 +202,7 @@ class _Ascii:
             )
 
     def _build(self, table: FloatArray, starts: list[int]) -> PointCloud:
-        columns: dict[str, NDArray[Any]] = {}
+        columns: dict[str, Numbers] = {}
         for name, column in self.columns.items():
             numbers = table[:, starts[column.field] + column.at]
             field = self.header.fields[column.field]
@@ -218,7 +217,7 @@ class _Ascii:
         return build_cloud(columns, self.plan)
 
 
-def _as_announced(numbers: FloatArray, dtype: str) -> NDArray[Any]:
+def _as_announced(numbers: FloatArray, dtype: str) -> Numbers:
     """Return whole numbers as their type; decimal ones stay float64: nothing is rounded."""
     if dtype[1] == "f":
         return numbers
@@ -240,7 +239,7 @@ class _Compressed:
         points = self.header.points
         starts = [0, *accumulate(field.size * points for field in self.header.fields)]
         body = self._expand(starts[-1])
-        columns: dict[str, NDArray[Any]] = {}
+        columns: dict[str, Numbers] = {}
         for name, column in self.columns.items():
             field = self.header.fields[column.field]
             size = np.dtype(field.dtype).itemsize

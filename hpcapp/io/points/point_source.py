@@ -9,19 +9,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hpcapp.io.batches import cut_points, join_points
 from hpcapp.io.frame import to_local
 from hpccomponent.errors import InputError
 from hpccomponent.surface.cloud.point_records import PointRecords
 from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["Findings", "PointSource", "Scan", "keep_small", "read_whole", "translated"]
-
-Number = TypeVar("Number", bound=np.generic)
 
 _ROWS_AT_ONCE = 1 << 20
 _SMALL = 1 << 16  # points
@@ -204,8 +200,7 @@ def keep_small(source: PointSource) -> PointSource:
         whole, dropped = kept[0]
         source.findings.dropped.clear()
         source.findings.dropped.update(dropped)
-        for start in range(0, max(len(whole), 1), rows):
-            yield whole.take(np.arange(start, min(start + rows, len(whole))))
+        yield from cut_points(whole, rows)
 
     return replace(source, scan=scan)
 
@@ -219,25 +214,9 @@ def read_whole(source: PointSource) -> PointCloud:
         The file is damaged.
     """
     at_once = _ROWS_AT_ONCE if source.records is None else max(source.count or 0, 1)
-    parts = list(source.chunks(at_once))
-    positions = _join([part.positions for part in parts])
-    normals = [part.normals for part in parts if part.normals is not None]
-    colours = [part.colours for part in parts if part.colours is not None]
-    attributes = {
-        name: _join([part.attributes[name] for part in parts]) for name in parts[0].attributes
-    }
-    positions, origin = to_local(positions)
-    return PointCloud(
-        positions,
-        _join(normals) if normals else None,
-        _join(colours) if colours else None,
-        attributes,
-        origin,
-    )
-
-
-def _join(parts: list[NDArray[Number]]) -> NDArray[Number]:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+    cloud = join_points(list(source.chunks(at_once)))
+    positions, origin = to_local(cloud.positions)
+    return replace(cloud, positions=positions, origin=origin)
 
 
 @contextmanager

@@ -26,11 +26,13 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpcapp.io.batches import join_points
+from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import ColourScale, judge_colours, judge_normals
 from hpcapp.io.points.point_source import Findings, PointSource, translated
 from hpccomponent.surface.cloud.point_records import PointRecords
@@ -187,13 +189,16 @@ def _keep_records(records: PointRecords | None, decisions: _Decisions) -> PointR
 def _look_through(source: PointSource) -> PointCloud:
     """Return some of a file's points; all of them where they are few."""
     if source.records is not None:
-        return _join(list(_read_runs(source.records)))
+        return join_points(list(_read_runs(source.records)))
     seen: list[PointCloud] = []
     for number, part in enumerate(source.scan(_ROWS)):
+        part = replace(part, attributes={})
         seen.append(part if number < _ENOUGH_PARTS else part.take(np.arange(0, len(part), _THIN)))
-        if number + 1 == _MOST_PARTS or (number + 1 >= _ENOUGH_PARTS and _is_certain(_join(seen))):
+        if number + 1 == _MOST_PARTS or (
+            number + 1 >= _ENOUGH_PARTS and _is_certain(join_points(seen))
+        ):
             break
-    return _join(seen)
+    return join_points(seen)
 
 
 def _read_runs(records: PointRecords) -> Iterator[PointCloud]:
@@ -203,17 +208,6 @@ def _read_runs(records: PointRecords) -> Iterator[PointCloud]:
     length = _ROWS // _RUNS
     for start in np.linspace(0, records.count - length, _RUNS).astype(int).tolist():
         yield records.read(start, start + length, _LOOKED_AT)
-
-
-def _join(parts: list[PointCloud]) -> PointCloud:
-    """Return the positions, normals and colours of some parts as one."""
-    normals = [part.normals for part in parts if part.normals is not None]
-    colours: list[NDArray[Any]] = [part.colours for part in parts if part.colours is not None]
-    return PointCloud(
-        np.concatenate([part.positions for part in parts]),
-        np.concatenate(normals) if normals else None,
-        np.concatenate(colours) if colours else None,
-    )
 
 
 def _is_certain(seen: PointCloud) -> bool:
@@ -340,7 +334,7 @@ def _scale_to_box(positions: FloatArray) -> FloatArray:
     return scaled
 
 
-def _judge_scale(colours: NDArray[Any], findings: Findings) -> ColourScale | None:
+def _judge_scale(colours: Numbers, findings: Findings) -> ColourScale | None:
     """Find out how colours are scaled; None where they are none."""
     known = colours[np.isfinite(colours).all(axis=1)]
     if not known.any():  # the format has colours, the scan has not
@@ -357,10 +351,10 @@ def _judge_scale(colours: NDArray[Any], findings: Findings) -> ColourScale | Non
     return None
 
 
-def _scale_colours(colours: NDArray[Any], scale: ColourScale) -> NDArray[np.uint8]:
+def _scale_colours(colours: Numbers, scale: ColourScale) -> NDArray[np.uint8]:
     """Return colours as bytes."""
     if colours.dtype == np.uint8:
-        return colours
+        return colours.astype(np.uint8, copy=False)
     if scale == "16 bit":  # both 256 and 257 times a byte give the byte
         scaled = np.nan_to_num(colours) // 256
     else:

@@ -18,11 +18,10 @@ References
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, find_role, judge_colours
 from hpcapp.io.points.mesh_points import slice_cloud
 from hpcapp.io.points.point_source import PointSource
@@ -40,7 +39,7 @@ _CELLS = ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS", "CELLS")
 _POINT_SETS = ("POLYDATA", "UNSTRUCTURED_GRID", "STRUCTURED_GRID")
 _LONGEST_LINE = 4096
 
-Column = NDArray[Any]
+Column = Numbers
 
 
 def open_vtk(path: Path) -> PointSource:

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import (
     AXES,
     COLOURS,
@@ -91,7 +91,7 @@ class Columns:
             A colour is none of the scale of the others.
         """
         normals = self._take(table, NORMALS) if self.has_normals else None
-        colours: NDArray[Any] | None = None
+        colours: Numbers | None = None
         if self.has_colours:
             colours = self._as_colours(self._take(table, COLOURS), first, notes)
         grouped = (*AXES, *(NORMALS if self.has_normals else ()))
@@ -104,7 +104,7 @@ class Columns:
     def _take(self, table: FloatArray, roles: tuple[str, ...]) -> FloatArray:
         return table[:, [self.roles.index(role) for role in roles]]
 
-    def _as_colours(self, values: FloatArray, first: int, notes: RowNotes) -> NDArray[Any]:
+    def _as_colours(self, values: FloatArray, first: int, notes: RowNotes) -> Numbers:
         if self.scale not in ("8 bit", "16 bit"):
             return values
         none = np.isnan(values).any(axis=1)

@@ -15,12 +15,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpcapp.io.batches import batch_points
+from hpcapp.io.columns import Numbers
 from hpcapp.io.points.column_roles import AXES, COLOURS
 from hpcapp.io.points.point_source import Findings, PointSource, Scan
 from hpcapp.io.rows import is_count, line_error
@@ -216,7 +216,7 @@ def _read_clouds(
 
 def _complete(cloud: PointCloud, roles: tuple[str, ...]) -> PointCloud:
     """Give a cloud what other scans have and its own lacks."""
-    colours: NDArray[Any] | None = cloud.colours
+    colours: Numbers | None = cloud.colours
     if colours is None and COLOURS[0] in roles:
         colours = np.zeros((len(cloud), 3), np.uint8)
     attributes = dict(cloud.attributes)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpcapp.io.columns import Numbers
 from hpcapp.io.rows import write_rows
 from hpcapp.io.staging import replacing
 from hpccomponent.surface.types.points import PointCloud
@@ -30,7 +29,7 @@ def write_text_points(path: Path, cloud: PointCloud) -> None:
     OutputError
         The file cannot be written.
     """
-    columns: list[NDArray[Any]] = [cloud.positions + cloud.origin]
+    columns: list[Numbers] = [cloud.positions + cloud.origin]
     if cloud.normals is not None:
         columns.append(cloud.normals)
     elif cloud.colours is not None:  # behind an intensity: 6 columns mean normals

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hpcapp.io.formats import read_mesh, read_points
-from hpcapp.io.ply.binary import read_binary
+from hpcapp.io.ply.body import read_body
 from hpcapp.io.ply.header import SCALAR_TYPES, read_header
 from hpccomponent.errors import InputError
 
@@ -54,7 +54,7 @@ def test_vertices_may_have_lists_themselves(make_ply: Make, lists: list[tuple[in
     rows = zip(lists, POINTS, strict=True)
     body = b"".join(struct.pack(f"<B{len(s)}i3f", len(s), *s, *p) for s, p in rows)
     path = make_ply("binary_little_endian", elements, body)
-    vertex = read_binary(path, read_header(path), {"vertex"})["vertex"]
+    vertex = read_body(path, read_header(path), {"vertex"})["vertex"]
     assert [vertex.scalars[name].tolist() for name in "xyz"] == POINTS.T.tolist()
     assert vertex.lists["seen"].lengths.tolist() == [len(s) for s in lists]
     assert vertex.lists["seen"].values.tolist() == [n for s in lists for n in s]
@@ -91,7 +91,7 @@ def test_any_scalars_come_back(make_ply: Make, drawn: Table) -> None:
     lines = "".join(f"property {name} p{i}\n" for i, (name, _) in enumerate(columns))
     encoding = {o: e for e, o in ORDERS}[order]
     path = make_ply(encoding, f"element thing {len(rows)}\n{lines}", rows.tobytes())
-    found = read_binary(path, read_header(path), {"thing"})["thing"].scalars
+    found = read_body(path, read_header(path), {"thing"})["thing"].scalars
     for i, (_, values) in enumerate(columns):
         np.testing.assert_array_equal(found[f"p{i}"], np.array(values, fields[i][1]))
 
