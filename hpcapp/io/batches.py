@@ -14,15 +14,8 @@ __all__ = ["batch_points", "cut_points", "join_points"]
 def batch_points(parts: Iterable[PointCloud], rows: int) -> Iterator[PointCloud]:
     """Cut and join parts so that all but the last have so many points.
 
-    Parameters
-    ----------
-    parts : iterable of PointCloud
-        With the same attributes, one of them at least; some may be empty.
-
-    Yields
-    ------
-    PointCloud
-        One empty part where there are no points.
+    Parts have the same attributes; there is one at least, and some may be empty. One empty part
+    comes where there are no points.
     """
     waiting: list[PointCloud] = []
     points = 0

@@ -22,9 +22,7 @@ class Ragged:
     Parameters
     ----------
     lengths : ndarray of int64, shape (n,)
-        How long each list is.
     values : ndarray, shape (lengths.sum(),)
-        The lists' values, list after list.
     """
 
     lengths: IntArray
@@ -39,8 +37,6 @@ class Rows:
     ----------
     scalars : dict of str to ndarray, shape (n,)
         May be views of the mapped file: strided, and in its byte order.
-    lists : dict of str to Ragged
-        The list properties.
     """
 
     scalars: dict[str, Numbers]
@@ -48,17 +44,11 @@ class Rows:
 
 
 def positions_within(lengths: IntArray) -> IntArray:
-    """Number the values of each list from 0.
+    """Number the values of each list from 0, list after list.
 
     Parameters
     ----------
     lengths : ndarray of int64, shape (n,)
-        How long each list is.
-
-    Returns
-    -------
-    ndarray of int64, shape (lengths.sum(),)
-        List after list.
 
     Examples
     --------

@@ -65,12 +65,7 @@ _STATED = range(1, 32767)  # codes: 0 is undefined, 32767 defined by other keys
 
 
 def parse_wkt(text: str) -> Crs:
-    """Find the unit of a coordinate reference system in WKT, of either version.
-
-    Parameters
-    ----------
-    text : str
-        May be damaged: then the unit is not found.
+    """Find the unit of a coordinate reference system in WKT, of either version, perhaps damaged.
 
     Examples
     --------
@@ -92,7 +87,7 @@ def parse_wkt(text: str) -> Crs:
 
 
 def parse_geokeys(directory: bytes, texts: bytes) -> Crs | None:
-    """Find the code and the unit of a coordinate reference system in GeoTIFF keys.
+    """Find the code and the unit of a coordinate reference system in GeoTIFF keys, or None.
 
     Parameters
     ----------
@@ -100,11 +95,6 @@ def parse_geokeys(directory: bytes, texts: bytes) -> Crs | None:
         Of the keys: four 16-bit numbers each, a header of four before.
     texts : bytes
         The ASCII parameters that keys refer to.
-
-    Returns
-    -------
-    Crs or None
-        None where the keys state neither.
 
     Notes
     -----
@@ -125,9 +115,9 @@ def parse_geokeys(directory: bytes, texts: bytes) -> Crs | None:
     else:
         code = keys.get(_PROJECTED_CODE, 0)
         lengths = (keys.get(_PROJECTED_LENGTH, 0), keys.get(_GEOGRAPHIC_LENGTH, 0))
-        found = [_UNITS_BY_CODE[length] for length in lengths if length in _UNITS_BY_CODE]
+        units = [_UNITS_BY_CODE[length] for length in lengths if length in _UNITS_BY_CODE]
         metric = model == 3 or _is_utm(code)
-        unit = found[0] if found else "m" if metric else ""
+        unit = units[0] if units else "m" if metric else ""
     text = f"EPSG:{code}" if code in _STATED else name or None
     return Crs(text, unit or None) if text or unit else None
 

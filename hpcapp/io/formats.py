@@ -94,13 +94,7 @@ def open_points(path: str | PathLike[str]) -> PointSource:
 
 
 def holds_faces(path: str | PathLike[str]) -> bool:
-    """Tell whether a file is read as a mesh, and not as points alone.
-
-    Raises
-    ------
-    InputError
-        The file cannot be opened, or its start is damaged.
-    """
+    """Tell whether a file is read as a mesh; InputError where it cannot be opened."""
     file = Path(path)
     with translated(file):
         _refuse_special(file)
@@ -201,13 +195,7 @@ def write_mesh(path: str | PathLike[str], mesh: Mesh | MeshStream) -> None:
 
 
 def describe_losses(path: str | PathLike[str], layout: PointCloud) -> str | None:
-    """Say in one line what a mesh's vertices carry that the format of a file does not hold.
-
-    Parameters
-    ----------
-    layout : PointCloud
-        Without points; see `MeshStream`.
-    """
+    """Say in a line what vertices of this layout carry that the format does not hold."""
     lost = find_mesh_writer(Path(path)).find_losses(layout)
     if not lost:
         return None

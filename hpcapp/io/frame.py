@@ -44,17 +44,7 @@ def to_local(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def choose_origin(low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return what `to_local` subtracts from coordinates in a box.
-
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box around all points that are finite.
-
-    Returns
-    -------
-    ndarray of float64, shape (3,)
-    """
+    """Return what `to_local` subtracts from coordinates in a box around the finite points."""
     with np.errstate(over="ignore"):  # a diagonal that overflows is infinite: not far from zero
         diagonal = np.linalg.norm(high - low)
     if np.abs([low, high]).max() <= FAR_IN_DIAGONALS * diagonal:
@@ -69,9 +59,7 @@ def needs_double(positions: FloatArray, origin: FloatArray) -> bool:
     Parameters
     ----------
     positions : ndarray of float64, shape (n, 3)
-        Relative to `origin`, as they are in memory.
-    origin : ndarray of float64, shape (3,)
-        Will be added on writing.
+        Relative to `origin`, which is added on writing.
     """
     if origin.any():
         return True
@@ -85,18 +73,7 @@ def needs_double(positions: FloatArray, origin: FloatArray) -> bool:
 
 
 def finite_bounds(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Bound the rows that are finite; zeros where there are none.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Rows with NaN or infinity do not count.
-
-    Returns
-    -------
-    low, high : ndarray of float64, shape (3,)
-        In the frame and the length units of the positions.
-    """
+    """Return the corners of the box around the rows that are finite; zeros without any."""
     if not len(positions):
         return np.zeros(3), np.zeros(3)
     # Column by column: four times as fast as a reduction along axis 0.

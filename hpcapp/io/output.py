@@ -31,8 +31,6 @@ def open_output(
         What the user typed; ``-`` is the standard output, which gets a PLY at the end.
     inputs : sequence of Path
         What must not be overwritten.
-    kind : {"mesh", "points"}
-        What is written.
 
     Raises
     ------

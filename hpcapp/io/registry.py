@@ -140,8 +140,8 @@ class PointWriter:
         """Return what is not held: names of attributes, and words for the rest."""
         lost: list[str] = []
         if self.choose_attributes is not None:
-            held = self.choose_attributes(cloud)
-            lost += [name for name in cloud.attributes if name not in held]
+            kept = self.choose_attributes(cloud)
+            lost += [name for name in cloud.attributes if name not in kept]
         if crs and not self.holds_crs(crs):
             shown = crs if len(crs) <= _LONGEST else f"{crs[:_LONGEST]}..."
             lost.append(f"CRS ({shown})")

@@ -33,12 +33,7 @@ _LINES_AT_ONCE = 16384
 
 
 def numbered(lines: Iterable[str], first: int = 1) -> Iterator[Line]:
-    """Number the lines of a file and leave out the blank ones.
-
-    Parameters
-    ----------
-    first : int, optional
-        The number of the first of them.
+    """Number the lines of a file, from `first`, and leave out the blank ones.
 
     Examples
     --------
@@ -49,24 +44,12 @@ def numbered(lines: Iterable[str], first: int = 1) -> Iterator[Line]:
 
 
 def is_count(word: str) -> bool:
-    """Tell whether a word is a whole number that can count the lines of a file.
-
-    Returns
-    -------
-    bool
-        False beyond 18 digits, too.
-    """
+    """Tell whether a word is a whole number that can count lines: 18 digits at most."""
     return word.isascii() and word.isdecimal() and len(word) <= 18
 
 
 def parse_index(word: str) -> int:
-    """Parse an index, perhaps negative; ValueError if it is none, or beyond 64 bits.
-
-    Raises
-    ------
-    ValueError
-        It is no whole number, or takes more than 63 bits.
-    """
+    """Parse an index, perhaps negative; ValueError if it is none, or beyond 64 bits."""
     index = int(word)
     if index.bit_length() > 63:
         raise ValueError(word)
@@ -74,42 +57,12 @@ def parse_index(word: str) -> int:
 
 
 def line_error(path: Path, line: Line, problem: str, advice: str) -> InputError:
-    """Make the error that names a line of a file.
-
-    Parameters
-    ----------
-    line : (int, str)
-        Its number is named.
-    problem : str
-        What is wrong with it.
-    advice : str
-        What the user can do.
-
-    Returns
-    -------
-    InputError
-        To be raised.
-    """
+    """Make the error that names a line of a file."""
     return InputError(f"{path}:{line[0]}: {problem}", advice)
 
 
 def take_lines(lines: Iterator[Line], count: int, path: Path, rows: str) -> Iterator[Line]:
-    """Yield the next `count` lines.
-
-    Parameters
-    ----------
-    lines : iterator of (int, str)
-        Is consumed so far.
-    path : Path
-        The file, for the message.
-    rows : str
-        What the lines are, in the plural, for the message.
-
-    Raises
-    ------
-    InputError
-        The file ends before.
-    """
+    """Yield the next `count` lines; InputError, that calls them `rows`, without so many."""
     taken = 0
     for line in islice(lines, count):
         yield line
@@ -122,18 +75,7 @@ def take_lines(lines: Iterator[Line], count: int, path: Path, rows: str) -> Iter
 
 
 def parse_table(lines: Iterator[Line], columns: int, path: Path) -> FloatArray:
-    """Parse lines of numbers between blanks, each with the same number of columns.
-
-    Parameters
-    ----------
-    lines : iterator of (int, str)
-        Is consumed.
-    columns : int
-        How many numbers each line must hold.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, columns)
+    """Parse lines of so many numbers between blanks, as an array of float64 of shape (n, columns).
 
     Raises
     ------
@@ -187,11 +129,6 @@ def write_rows(template: str, table: Numbers) -> Iterator[bytes]:
     template : str
         One row with a %-placeholder per column, ending in a newline.
     table : ndarray, shape (n, columns)
-
-    Yields
-    ------
-    bytes
-        Some rows.
     """
     for start in range(0, len(table), _LINES_AT_ONCE):
         part = table[start : start + _LINES_AT_ONCE]

@@ -33,13 +33,7 @@ _AT_ONCE = 1 << 20
 
 @dataclass(slots=True, eq=False)
 class Element:
-    """An element of the document.
-
-    Parameters
-    ----------
-    name : str
-        With the prefix that it has in the file.
-    """
+    """An element of the document, by its name with the prefix that it has in the file."""
 
     name: str
     attributes: dict[str, str]
@@ -47,35 +41,23 @@ class Element:
     text: str = ""
 
     def find(self, *path: str) -> Element | None:
-        """Return the element at a place below this one; None where there is none.
-
-        Parameters
-        ----------
-        *path : str
-            Names, each below the one before.
-        """
-        found = self
+        """Return the element below this one, named level by level; None where there is none."""
+        element = self
         for name in path:
-            child = next((child for child in found.children if child.name == name), None)
+            child = next((child for child in element.children if child.name == name), None)
             if child is None:
                 return None
-            found = child
-        return found
+            element = child
+        return element
 
     def number(self, *path: str) -> float | None:
-        """Return the number at a place below this one; None where there is none.
-
-        Parameters
-        ----------
-        *path : str
-            As `find` takes it.
-        """
-        found = self.find(*path)
-        kind = None if found is None else found.attributes.get("type")
-        if found is None or kind not in ("Float", "Integer", "ScaledInteger"):
+        """Return the number at a place as `find` takes it; None where there is none."""
+        element = self.find(*path)
+        kind = None if element is None else element.attributes.get("type")
+        if element is None or kind not in ("Float", "Integer", "ScaledInteger"):
             return None
-        value = float(found.text.strip() or 0)
-        return found.scale(value) if kind == "ScaledInteger" else value
+        value = float(element.text.strip() or 0)
+        return element.scale(value) if kind == "ScaledInteger" else value
 
     def scale(self, value: float) -> float:
         """Return what an integer of this element stands for."""
@@ -84,19 +66,12 @@ class Element:
 
 
 def read_document(path: Path) -> Element:
-    """Read the XML section of a file.
-
-    Returns
-    -------
-    Element
-        The root.
+    """Read the XML section of a file, and return its root.
 
     Raises
     ------
     InputError
         It is no E57 file, is cut, or its XML is not sound.
-    OSError
-        The file cannot be read.
     """
     with path.open("rb") as file:
         place, length = _find_xml(file, path)
@@ -136,24 +111,16 @@ def _read_pages(file: BinaryIO, path: Path, place: int, length: int) -> Iterator
     while length and (content := file.read(_AT_ONCE)):
         pages = np.frombuffer(content[: len(content) // _PAGE * _PAGE], np.uint8)
         pages = pages.reshape(-1, _PAGE)
-        held = pages[:, :-_CHECKSUM]
-        if (sum_pages(held) != pages[:, -_CHECKSUM:].copy().view(">u4")[:, 0]).any():
+        contents = pages[:, :-_CHECKSUM]
+        if (sum_pages(contents) != pages[:, -_CHECKSUM:].copy().view(">u4")[:, 0]).any():
             raise refuse(path, "checksum of its XML is wrong")
-        part = held.tobytes()[skipped : skipped + length]
+        part = contents.tobytes()[skipped : skipped + length]
         skipped, length = 0, length - len(part)
         yield part
 
 
 def sum_pages(pages: ByteArray) -> NDArray[np.uint32]:
-    """Return the CRC-32C of each row.
-
-    Parameters
-    ----------
-    pages : ndarray of uint8, shape (n, k)
-
-    Returns
-    -------
-    ndarray of uint32, shape (n,)
+    """Return the CRC-32C of each row, as an array of shape (n,).
 
     Examples
     --------

@@ -60,10 +60,6 @@ def open_e57(path: Path) -> PointSource:
     ------
     InputError
         The file is damaged, or holds no scan or no points.
-    UsageError
-        The library that reads it is not installed.
-    OSError
-        The file cannot be read.
     """
     if find_spec("pye57") is None:
         raise UsageError(f"{path}: E57 needs the package pye57", "pip install 'hpcapp[e57]'")
@@ -139,12 +135,12 @@ def _join_columns(scans: Sequence[E57Scan], findings: Findings) -> _Columns:
     kept = {}
     total = sum(one.points for one in scans)
     for names, what in ((NORMALS, "normals"), (COLOURS, "colours")):
-        having = sum(one.points for one in scans if one.has(names))
-        kept[what] = 2 * having > total
-        if 0 < having < total:
+        points_with = sum(one.points for one in scans if one.has(names))
+        kept[what] = 2 * points_with > total
+        if 0 < points_with < total:
             done = "zero there" if kept[what] else "left out"
             findings.warn(
-                f"{total - having} of {total} points are of scans without {what}: they are {done}"
+                f"{total - points_with} of {total} points are of scans without {what}: they are {done}"
             )
     limits = {one.colour_limit for one in scans if one.has(COLOURS)}
     colours = np.float64 if None in limits else np.uint8 if limits == {255.0} else np.uint16
@@ -212,8 +208,10 @@ def _decode(fields: dict[str, FloatArray], one: E57Scan, columns: _Columns) -> P
             colours = _scale(stack([one.columns[name] for name in COLOURS]), one, columns.colours)
     attributes: dict[str, Numbers] = {}
     for name in columns.attributes:
-        held = count and name in one.columns
-        attributes[name] = fields[one.columns[name]].copy() if held else np.full(count, np.nan)
+        has_column = count and name in one.columns
+        attributes[name] = (
+            fields[one.columns[name]].copy() if has_column else np.full(count, np.nan)
+        )
     for name, least in zip(GRID, one.corner, strict=True) if columns.has_grid else ():
         place: Int32Array = np.full(count, _NOWHERE, np.int32)
         if count and one.grid:

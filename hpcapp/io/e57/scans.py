@@ -107,19 +107,7 @@ class E57Scan:
 
 
 def describe_scan(node: Element, index: int, path: Path) -> E57Scan:
-    """Find out what a scan holds.
-
-    Parameters
-    ----------
-    index : int
-        Number of the scan, from 0.
-    path : Path
-        The file, for messages and for its size.
-
-    Returns
-    -------
-    E57Scan
-        Its grid is not known yet.
+    """Find out what a scan holds, its grid set aside.
 
     Raises
     ------
@@ -184,100 +172,78 @@ def _count_bits(field: Element) -> int:
 
 @contextmanager
 def open_fields(path: Path, scans: Sequence[E57Scan], rows: int) -> Iterator[Decoder]:
-    """Start what decodes the fields of scans.
-
-    Parameters
-    ----------
-    rows : int
-        Points in a part, at most.
-
-    Yields
-    ------
-    Decoder
-        For `read_fields`.
-    """
+    """Start what decodes the fields of scans, for `read_fields`: so many rows at once at most."""
     size = max(
-        (len(one.fields) * min(rows, one.points) * np.float64().nbytes for one in scans), default=0
+        (len(scan.fields) * min(rows, scan.points) * np.float64().nbytes for scan in scans),
+        default=0,
     )
     with open_decoder("e57", path, size, (), partial(refuse, path)) as decoder:
         yield decoder
 
 
 def read_fields(
-    decoder: Decoder, one: E57Scan, names: Sequence[str], rows: int, path: Path
+    decoder: Decoder, scan: E57Scan, names: Sequence[str], rows: int, path: Path
 ) -> Iterator[dict[str, FloatArray]]:
-    """Yield fields of a scan's points, so many points at a time.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Of the fields.
-    rows : int
-        Points in a part, at most.
+    """Yield fields of a scan's points, by their names, so many points at a time.
 
     Yields
     ------
     dict of str to ndarray of float64, shape (n,)
-        By name; the arrays are used again for the next part.
+        The arrays are used again for the next part.
 
     Raises
     ------
     InputError
         The file is damaged, or has not as many points as it declares.
     """
-    rows = min(rows, one.points)
+    rows = min(rows, scan.points)
     if not rows:
         return
-    decoder.ask("open", one.index, rows, *names)
+    decoder.ask("open", scan.index, rows, *names)
     whole = decoder.memory[: len(names) * rows * np.float64().nbytes].view(np.float64)
     columns = dict(zip(names, whole.reshape(len(names), rows), strict=True))
     read = 0
     while count := min(decoder.ask("next"), rows):
         read += count
         yield {name: column[:count] for name, column in columns.items()}
-    if read != one.points:
+    if read != scan.points:
         raise InputError(
-            f"{path}: scan {one.index} ends after {read} of {one.points} points",
+            f"{path}: scan {scan.index} ends after {read} of {scan.points} points",
             "the file is damaged: copy or export it again",
         )
 
 
 def bound_grids(scans: Sequence[E57Scan], path: Path) -> list[E57Scan]:
-    """Find the grids of scans that have rows and columns.
-
-    Returns
-    -------
-    list of E57Scan
-        Rows and columns that make no grid are left out.
+    """Find the grids of scans that have rows and columns; leave out those that make no grid.
 
     Raises
     ------
     InputError
         As `read_fields` does.
     """
-    if not any(one.points and one.has(GRID) for one in scans):
-        return [replace(one, columns=_without_grid(one)) for one in scans]
+    if not any(scan.points and scan.has(GRID) for scan in scans):
+        return [replace(scan, columns=_without_grid(scan)) for scan in scans]
     with open_fields(path, scans, _ROWS_AT_ONCE) as decoder:
-        return [_bound_grid(decoder, one, path) for one in scans]
+        return [_bound_grid(decoder, scan, path) for scan in scans]
 
 
-def _bound_grid(decoder: Decoder, one: E57Scan, path: Path) -> E57Scan:
+def _bound_grid(decoder: Decoder, scan: E57Scan, path: Path) -> E57Scan:
     """Find the rows and columns that points have: what the header says of them is often wrong."""
-    if one.points and one.has(GRID):
-        names = [one.columns[name] for name in GRID]
+    if scan.points and scan.has(GRID):
+        names = [scan.columns[name] for name in GRID]
         low, high = np.full(2, np.inf), np.full(2, -np.inf)
-        for part in read_fields(decoder, one, names, _ROWS_AT_ONCE, path):
+        for part in read_fields(decoder, scan, names, _ROWS_AT_ONCE, path):
             low = np.minimum(low, [part[name].min() for name in names])
             high = np.maximum(high, [part[name].max() for name in names])
         height, width = high - low + 1
-        if min(height, width) >= 2 and height * width <= _SPARSEST * one.points:
+        if min(height, width) >= 2 and height * width <= _SPARSEST * scan.points:
             corner, grid = (int(low[0]), int(low[1])), (int(width), int(height))
-            return replace(one, corner=corner, grid=grid)
-    return replace(one, columns=_without_grid(one))
+            return replace(scan, corner=corner, grid=grid)
+    return replace(scan, columns=_without_grid(scan))
 
 
-def _without_grid(one: E57Scan) -> dict[str, str]:
-    return {name: field for name, field in one.columns.items() if name not in GRID}
+def _without_grid(scan: E57Scan) -> dict[str, str]:
+    return {name: field for name, field in scan.columns.items() if name not in GRID}
 
 
 def _find_rotation(node: Element) -> FloatArray:

@@ -31,8 +31,6 @@ def write_e57(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
 
     Parameters
     ----------
-    path : Path
-        Appears whole or not at all.
     cloud : PointCloud
         Written in the input's frame, which the format takes to be in metres. Of the attributes,
         ``intensity`` is kept.
@@ -43,8 +41,6 @@ def write_e57(path: Path, cloud: PointCloud, crs: str | None = None) -> None:
     ------
     OutputError
         The file cannot be written, or no point has finite coordinates.
-    UsageError
-        The library that writes it is not installed.
     """
     library = _load_library(path)
     cloud = drop_non_finite(cloud, path)

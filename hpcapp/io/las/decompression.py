@@ -50,12 +50,7 @@ def find_library(header: LasHeader, path: Path) -> str:
 
 @contextmanager
 def open_decompressor(path: Path, header: LasHeader, rows: int) -> Iterator[Take]:
-    """Open the compressed points of a file.
-
-    Parameters
-    ----------
-    rows : int
-        Points that are taken at once, at most.
+    """Open the compressed points of a file, of which so many rows are taken at once at most.
 
     Yields
     ------

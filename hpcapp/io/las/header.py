@@ -55,10 +55,8 @@ class LasHeader:
         Major and minor.
     point_format : int
         From 0 to 10.
-    is_compressed : bool
-        Whether the points are LAZ.
     points_start : int
-        Byte at which they begin.
+        Byte at which the points begin.
     record_length : int
         Bytes of a point, uncompressed.
     count : int
@@ -85,16 +83,7 @@ class LasHeader:
 
 
 def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
-    """Read the header of a LAS file.
-
-    Parameters
-    ----------
-    file : file
-        Binary, open for reading.
-    path : Path
-        Its name, for messages.
-    findings : Findings
-        Gets a warning where there are fewer records than announced.
+    """Read the header of a LAS file; warn where there are fewer records than announced.
 
     Raises
     ------
@@ -124,10 +113,10 @@ def read_header(file: BinaryIO, path: Path, findings: Findings) -> LasHeader:
         )
     if points_start > size:
         raise _cut(path, f"before its points, which begin at byte {points_start}")
-    found, records = _read_records(file, (header_size, points_start), announced, _RECORD)
-    if found < announced:
+    present, records = _read_records(file, (header_size, points_start), announced, _RECORD)
+    if present < announced:
         findings.warn(
-            f"the header announces {announced} variable length records, there are {found}"
+            f"the header announces {announced} variable length records, there are {present}"
         )
     if extended is not None and points_start < extended[0] < size:
         _, later = _read_records(file, (extended[0], size), extended[1], _LONG_RECORD)
@@ -146,14 +135,14 @@ def _read_records(
 ) -> tuple[int, Records]:
     """Walk through variable length records as long as there are any; count them, keep some."""
     kept: Records = {}
-    found = 0
+    present = 0
     for user, number, payload, length in _walk(file, place, announced, layout):
-        found += 1
+        present += 1
         name = user.split(b"\0")[0].decode("latin-1")
         if (name, number) in _KEPT and length <= _MOST_PAYLOAD:
             file.seek(payload)
             kept.setdefault((name, number), file.read(length))
-    return found, kept
+    return present, kept
 
 
 def _walk(
@@ -187,18 +176,7 @@ def _cut(path: Path, where: str) -> InputError:
 
 
 def find_crs(records: Records) -> Crs | None:
-    """Return the coordinate reference system that a file's records state.
-
-    Parameters
-    ----------
-    records : dict
-        As `LasHeader.records`.
-
-    Returns
-    -------
-    Crs or None
-        None where they state none.
-    """
+    """Return the coordinate reference system that a header's records state, if they do."""
     keys = None
     if ("LASF_Projection", 34735) in records:
         texts = records.get(("LASF_Projection", 34737), b"")

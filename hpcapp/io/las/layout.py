@@ -115,12 +115,7 @@ class LasLayout:
         return tuple(names)
 
     def select(self, points: NDArray[np.void]) -> tuple[BoolArray, BoolArray]:
-        """Tell which points the file itself says are none.
-
-        Parameters
-        ----------
-        points : ndarray, shape (n,)
-            Of `dtype`.
+        """Tell which points, of `dtype`, the file itself says are none.
 
         Returns
         -------
@@ -136,18 +131,9 @@ class LasLayout:
         return withheld, noise & ~withheld
 
     def decode(self, points: NDArray[np.void]) -> PointCloud:
-        """Return points as a cloud.
+        """Return points, of `dtype`, as a cloud in the file's coordinates.
 
-        Parameters
-        ----------
-        points : ndarray, shape (n,)
-            Of `dtype`.
-
-        Returns
-        -------
-        PointCloud
-            In the file's coordinates, and a copy; colours are of 16 bits, whatever the file makes
-            of them.
+        A copy; colours are of 16 bits, whatever the file makes of them.
         """
         positions = np.empty((len(points), 3))
         for axis in range(3):

@@ -43,10 +43,6 @@ def open_las(path: Path) -> PointSource:
     ------
     InputError
         The file is cut, its header is damaged, or it holds no points.
-    UsageError
-        The library that decompresses is not installed.
-    OSError
-        The file cannot be read.
     """
     findings = Findings()
     with path.open("rb") as file:

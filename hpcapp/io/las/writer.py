@@ -50,8 +50,6 @@ def write_las(
 
     Parameters
     ----------
-    path : Path
-        Appears whole or not at all.
     cloud : PointCloud
         Written in the input's frame. Colours of 8 bits become 16. Normals become extra bytes
         ``NormalX``, ``NormalY``, ``NormalZ``; so do attributes that no field of the format holds,
@@ -66,8 +64,6 @@ def write_las(
     ------
     OutputError
         The file cannot be written, or no point has finite coordinates.
-    UsageError
-        The library that writes it is not installed.
 
     Notes
     -----

@@ -52,8 +52,6 @@ def write_glb(path: Path, mesh: Mesh | MeshStream, turns_up: bool = False) -> No
 
     Parameters
     ----------
-    path : Path
-        Appears whole or not at all.
     mesh : Mesh or MeshStream
         Vertices are written in single precision, in the local frame; the origin is the
         translation of the node. Colours keep their bytes, attributes become ``float`` under their

@@ -29,26 +29,16 @@ _DEEPEST = 64  # of nodes in nodes
 
 
 def read_glb(path: Path) -> Mesh:
-    """Read a GLB file as a triangle mesh.
+    """Read a GLB file, with one buffer of its own and without compression, as a triangle mesh.
 
-    Parameters
-    ----------
-    path : Path
-        With one buffer of its own, without compression.
-
-    Returns
-    -------
-    Mesh
-        Nodes are where their matrices put them; colours are kept where all primitives have some,
-        attributes (semantics with an underscore, under the name that `write_glb` gave them) where
-        there is one primitive.
+    Nodes are where their matrices put them; colours are kept where all primitives have some,
+    attributes (semantics with an underscore, under the name that `write_glb` gave them) where there
+    is one primitive.
 
     Raises
     ------
     InputError
         The file is damaged, has no triangles, or needs an extension.
-    OSError
-        The file cannot be read.
     """
     try:
         file = _open(path)
@@ -70,24 +60,24 @@ class _File:
     """What is in a GLB."""
 
     path: Path
-    told: dict[str, Any]
+    document: dict[str, Any]
     body: bytes
 
     @property
     def roots(self) -> list[int]:
-        scenes = self.told.get("scenes")
+        scenes = self.document.get("scenes")
         if scenes:
-            return list(scenes[self.told.get("scene", 0)].get("nodes", []))
-        nodes = self.told.get("nodes", [])
+            return list(scenes[self.document.get("scene", 0)].get("nodes", []))
+        nodes = self.document.get("nodes", [])
         inner = {child for node in nodes for child in node.get("children", [])}
         return [number for number in range(len(nodes)) if number not in inner]
 
     def array(self, number: int) -> Numbers:
         """Return the rows of an accessor."""
-        accessor = self.told["accessors"][number]
+        accessor = self.document["accessors"][number]
         if "sparse" in accessor or "bufferView" not in accessor:
             raise InputError(f"{self.path}: holds sparse accessors", "export it without them")
-        view = self.told["bufferViews"][accessor["bufferView"]]
+        view = self.document["bufferViews"][accessor["bufferView"]]
         dtype, width = np.dtype(_TYPES[accessor["componentType"]]), _WIDTHS[accessor["type"]]
         stride = view.get("byteStride", dtype.itemsize * width)
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
@@ -120,12 +110,12 @@ def _open(path: Path) -> _File:
         length = int.from_bytes(raw[at : at + 4], "little")
         chunks.setdefault(raw[at + 4 : at + 8], raw[at + _CHUNK : at + _CHUNK + length])
         at += _CHUNK + length
-    told = decode(chunks[b"JSON"], dict[str, Any])
-    if needed := told.get("extensionsRequired"):
+    document = decode(chunks[b"JSON"], dict[str, Any])
+    if needed := document.get("extensionsRequired"):
         raise InputError(
             f"{path}: needs the extension {needed[0]}", "export it without compression"
         )
-    return _File(path, told, chunks.get(b"BIN\0", b""))
+    return _File(path, document, chunks.get(b"BIN\0", b""))
 
 
 def _read_node(
@@ -139,10 +129,10 @@ def _read_node(
     if depth > _DEEPEST:
         raise ValueError("nodes are nested too deep")
     known.add(number)
-    node = file.told["nodes"][number]
+    node = file.document["nodes"][number]
     matrix = outer @ _matrix(node)
     if "mesh" in node:
-        mesh = file.told["meshes"][node["mesh"]]
+        mesh = file.document["meshes"][node["mesh"]]
         is_single = len(mesh["primitives"]) == 1
         for primitive in mesh["primitives"]:
             if primitive.get("mode", _TRIANGLES) == _TRIANGLES:

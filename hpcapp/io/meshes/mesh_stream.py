@@ -27,11 +27,11 @@ class MeshStream:
     box : ndarray of float64, shape (2, 3)
         The lowest and highest finite coordinates of the vertices; zeros where there are none.
     vertices : callable
-        Returns an iterator over blocks of vertices, in the local frame, with what they carry.
+        Returns blocks of vertices, in the local frame, with what they carry.
     faces : callable
-        Returns an iterator over blocks of faces, shape (n, 3).
+        Returns blocks of faces, shape (n, 3).
     corners : callable
-        Returns an iterator over blocks of the faces' corners, shape (n, 3, 3), in the local frame.
+        Returns blocks of the faces' corners, shape (n, 3, 3), in the local frame.
     layout : PointCloud
         Without points: tells which normals, colours and attributes the vertices carry.
     """
@@ -47,13 +47,7 @@ class MeshStream:
 
 
 def as_stream(mesh: Mesh | MeshStream) -> MeshStream:
-    """Return a mesh in memory as a stream, and a stream as it is.
-
-    Returns
-    -------
-    MeshStream
-        Blocks of a mesh in memory have some 65000 rows; vertices and faces are views of it.
-    """
+    """Return a mesh as a stream of views of it, of some 65000 rows, and a stream as it is."""
     if isinstance(mesh, MeshStream):
         return mesh
     vertices = find_vertices(mesh)

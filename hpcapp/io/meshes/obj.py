@@ -22,17 +22,12 @@ __all__ = ["coordinate_format", "holds_obj_faces", "read_obj", "write_obj"]
 def read_obj(path: Path) -> Mesh:
     """Read an OBJ file as a triangle mesh; polygons become triangle fans.
 
-    Returns
-    -------
-    Mesh
-        With colours, where each vertex has its own behind its coordinates, from 0 to 1.
+    It has colours where each vertex has its own behind its coordinates, from 0 to 1.
 
     Raises
     ------
     InputError
         A line is wrong, or there are no faces.
-    OSError
-        The file cannot be read.
     """
     vertex_lines: list[Line] = []
     colour_lines: list[Line] = []
@@ -62,13 +57,7 @@ def read_obj(path: Path) -> Mesh:
 
 
 def holds_obj_faces(path: Path) -> bool:
-    """Tell whether an OBJ file has faces.
-
-    Raises
-    ------
-    OSError
-        The file cannot be read.
-    """
+    """Tell whether an OBJ file has faces."""
     with path.open("rb") as file:
         return any(line.startswith((b"f ", b"f\t")) for line in file)
 
@@ -86,18 +75,8 @@ def _corners(words: list[str], vertices: int, line: Line, path: Path) -> list[in
 def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as OBJ, in the input's frame.
 
-    Parameters
-    ----------
-    path : Path
-        Appears whole or not at all.
-    mesh : Mesh or MeshStream
-        Its coordinates are written to the last digit if an origin was subtracted, else to the
-        nine digits that tell one ``float`` from another; colours behind them, from 0 to 1.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    Coordinates are written to the last digit if an origin was subtracted, else to the nine digits
+    that tell one ``float`` from another; colours behind them, from 0 to 1.
     """
     stream = as_stream(mesh)
     formats = [coordinate_format(stream.origin)] * 3
@@ -120,11 +99,5 @@ def write_obj(path: Path, mesh: Mesh | MeshStream) -> None:
 
 
 def coordinate_format(origin: FloatArray) -> str:
-    """Return the %-placeholder for a coordinate of a mesh with an origin in a text file.
-
-    Parameters
-    ----------
-    origin : ndarray of float64, shape (3,)
-        Will be added to the coordinates: they need all their digits where it is not zero.
-    """
+    """Return the %-placeholder of a coordinate: all digits where an origin is added to it."""
     return "%.17g" if origin.any() else "%.9g"

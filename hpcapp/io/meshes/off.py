@@ -32,17 +32,12 @@ __all__ = ["read_off", "write_off"]
 def read_off(path: Path) -> Mesh:
     """Read an OFF file as a triangle mesh; polygons become triangle fans.
 
-    Parameters
-    ----------
-    path : Path
-        The file; ``#`` starts a comment, numbers after a face's corners are passed over.
+    ``#`` starts a comment; numbers after a face's corners are passed over.
 
     Raises
     ------
     InputError
         A line is wrong, or the file is shorter or longer than its counts say.
-    OSError
-        The file cannot be read.
     """
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         lines = numbered(line.partition("#")[0] for line in file)
@@ -91,20 +86,7 @@ def _polygons(lines: Iterator[Line], path: Path) -> Ragged:
 
 
 def write_off(path: Path, mesh: Mesh | MeshStream) -> None:
-    """Write a triangle mesh as OFF, in the input's frame.
-
-    Parameters
-    ----------
-    path : Path
-        Appears whole or not at all.
-    mesh : Mesh or MeshStream
-        Its coordinates are written like those of an OBJ file.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write a triangle mesh as OFF, in the input's frame, with coordinates like an OBJ's."""
     stream = as_stream(mesh)
     row = " ".join([coordinate_format(stream.origin)] * 3) + "\n"
     with replacing(path) as file:

@@ -22,19 +22,12 @@ _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attrib
 
 
 def read_stl(path: Path) -> Mesh:
-    """Read an STL file as a triangle mesh; corners at the same place become one vertex.
-
-    Parameters
-    ----------
-    path : Path
-        ascii or binary.
+    """Read an STL file, ascii or binary; corners at the same place become one vertex.
 
     Raises
     ------
     InputError
         The file is shorter or longer than it says, or a line is wrong.
-    OSError
-        The file cannot be read.
     """
     corners = _binary_corners(path)
     if corners is None:
@@ -84,18 +77,8 @@ def _ascii_corners(path: Path) -> FloatArray:
 def write_stl(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as binary STL, in the local frame.
 
-    Parameters
-    ----------
-    path : Path
-        Appears whole or not at all.
-    mesh : Mesh or MeshStream
-        Single precision would ruin georeferenced coordinates: its origin is not added, but
-        noted in the file's header.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    Single precision would ruin georeferenced coordinates: the origin is not added, but noted in the
+    file's header.
     """
     stream = as_stream(mesh)
     head = "hpcapp"

@@ -53,19 +53,9 @@ _END = """</mesh></object>
 def write_3mf(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as 3MF.
 
-    Parameters
-    ----------
-    path : Path
-        Appears whole or not at all.
-    mesh : Mesh or MeshStream
-        Vertices are written in the local frame, with nine digits; the origin is the translation of
-        the build item. Lengths are written as they are, and read as millimetres. Colours are those
-        of the triangles' corners, blended between them.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    Vertices are written in the local frame, with nine digits; the origin is the translation of the
+    build item. Lengths are written as they are, and read as millimetres. Colours are those of the
+    triangles' corners, blended between them.
     """
     stream = as_stream(mesh)
     with replacing(path) as file, ZipFile(file, "w") as package:

@@ -27,11 +27,6 @@ def write_tiles(path: Path, tiles: Iterable[tuple[int, MeshStream]]) -> None:
         The folder; it appears with all tiles, or not at all.
     tiles : iterable of (int, MeshStream)
         Their numbers and meshes; a vertex that several have is written alike in each.
-
-    Raises
-    ------
-    OutputError
-        The folder holds something, or cannot be written.
     """
     with shared_tiles(path) as file_of:
         for index, tile in tiles:
@@ -42,10 +37,8 @@ def write_tiles(path: Path, tiles: Iterable[tuple[int, MeshStream]]) -> None:
 def shared_tiles(path: Path) -> Iterator[Callable[[int], Path]]:
     """Open a new folder for many to write tiles into, as `replacing_folder` does.
 
-    Yields
-    ------
-    callable
-        Returns the file of a tile, by its number, under the name that it has while it is written.
+    Yields what returns the file of a tile, by its number, under the name that it has while it is
+    written.
     """
     with replacing_folder(path) as folder:
         yield lambda index: folder / f"tile-{index:04d}.ply"

@@ -40,8 +40,6 @@ def write_tileset(path: Path, mesh: Mesh | MeshStream, tile_faces: int = TILE_FA
 
     Parameters
     ----------
-    path : Path
-        The folder; it appears with all tiles, or not at all.
     mesh : Mesh or MeshStream
         Is brought into memory as a whole. The tiles are in the local frame, in single precision;
         the transform of the root adds the origin.
@@ -50,8 +48,6 @@ def write_tileset(path: Path, mesh: Mesh | MeshStream, tile_faces: int = TILE_FA
 
     Raises
     ------
-    OutputError
-        The folder holds something, or cannot be written.
     UsageError
         The mesh needs coarser levels, and pyfqmr is not installed.
     """
@@ -166,6 +162,6 @@ def _distance(fine: Mesh, coarse: Mesh) -> float:
     across = np.cross(b - a, c - a)
     normals = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
     centres = (a + b + c) / 3.0
-    _, near = cKDTree(centres).query(fine.vertices)
-    away = np.abs(((fine.vertices - centres[near]) * normals[near]).sum(axis=1))
+    _, nearest = cKDTree(centres).query(fine.vertices)
+    away = np.abs(((fine.vertices - centres[nearest]) * normals[nearest]).sum(axis=1))
     return float(away.max(initial=0.0))

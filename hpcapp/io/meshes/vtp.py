@@ -54,18 +54,8 @@ class _Array:
 def write_vtp(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as VTP, in the input's frame.
 
-    Parameters
-    ----------
-    path : Path
-        Appears whole or not at all.
-    mesh : Mesh or MeshStream
-        Coordinates are written like those of a PLY file; attributes are arrays of their names and
-        types, normals and colours arrays called ``Normals`` and ``RGB``.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    Coordinates are written like those of a PLY file; attributes are arrays of their names and
+    types, normals and colours arrays called ``Normals`` and ``RGB``.
     """
     stream = as_stream(mesh)
     is_double = needs_double(stream.box, stream.origin)

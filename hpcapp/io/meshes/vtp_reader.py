@@ -29,25 +29,15 @@ _MOST_XML = 1 << 20  # bytes in front of appended data: far more than any list o
 
 
 def read_vtp(path: Path) -> Mesh:
-    """Read a VTP file as a triangle mesh; polygons become triangle fans.
+    """Read a VTP file of one piece, compressed by zlib or not at all, as a triangle mesh.
 
-    Parameters
-    ----------
-    path : Path
-        With one piece; compressed by zlib, or not at all.
-
-    Returns
-    -------
-    Mesh
-        An array ``RGB`` of bytes becomes its colours, ``Normals`` its normals, and every other
-        array of one number for each vertex an attribute.
+    Polygons become triangle fans. An array ``RGB`` of bytes becomes the colours, ``Normals`` the
+    normals, and every other array of one number for each vertex an attribute.
 
     Raises
     ------
     InputError
         The file is damaged, has no polygons, or is compressed in another way.
-    OSError
-        The file cannot be read.
     """
     try:
         file = _open(path)
@@ -75,11 +65,11 @@ def read_vtp(path: Path) -> Mesh:
 
 def _check_counts(piece: Xml.Element, path: Path, points: int, polygons: int) -> None:
     """Compare what a piece announces with what it holds."""
-    for name, found in (("NumberOfPoints", points), ("NumberOfPolys", polygons)):
+    for name, present in (("NumberOfPoints", points), ("NumberOfPolys", polygons)):
         announced = piece.get(name)
-        if announced is not None and int(announced) != found:
+        if announced is not None and int(announced) != present:
             raise InputError(
-                f"{path}: {name} is {announced}, and {found} are there",
+                f"{path}: {name} is {announced}, and {present} are there",
                 "copy or export the file again",
             )
 
@@ -134,8 +124,8 @@ class _File:
         return b"".join(zlib.decompress(body[a:b]) for a, b in pairwise(edges))
 
     def _numbers(self, packed: bytes, count: int, is_text: bool) -> Numbers:
-        found = _take(packed, 0, count * self.length.itemsize, is_text)
-        return np.frombuffer(found, self.length, count)
+        numbers = _take(packed, 0, count * self.length.itemsize, is_text)
+        return np.frombuffer(numbers, self.length, count)
 
 
 def _take(packed: bytes, start: int, size: int, is_text: bool, is_apart: bool = False) -> bytes:
@@ -153,14 +143,14 @@ def _take(packed: bytes, start: int, size: int, is_text: bool, is_apart: bool = 
 
 def _open(path: Path) -> _File:
     raw = path.read_bytes()
-    found = _APPENDED.search(raw, 0, _MOST_XML)
+    marker = _APPENDED.search(raw, 0, _MOST_XML)
     if b"<!DOCTYPE" in raw[:_MOST_XML]:
         raise ValueError("it declares a document type")
     appended = b""
     text = raw
-    if found:
-        appended = raw[found.end() :]
-        text = raw[: found.end() - 1] + b"</AppendedData></VTKFile>"
+    if marker:
+        appended = raw[marker.end() :]
+        text = raw[: marker.end() - 1] + b"</AppendedData></VTKFile>"
     root = Xml.fromstring(text)  # noqa: S314 - without a document type nothing is expanded
     if root.tag != "VTKFile" or root.get("type") != "PolyData":
         raise ValueError("it is no PolyData")

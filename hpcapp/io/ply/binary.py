@@ -61,13 +61,6 @@ def scan_binary(
 def find_records(path: Path, header: Header, name: str) -> tuple[int, np.dtype[np.void]] | None:
     """Find an element whose rows are all of one length.
 
-    Parameters
-    ----------
-    header : Header
-        As `read_header` gave it.
-    name : str
-        Of the element, which the header has.
-
     Returns
     -------
     start : int

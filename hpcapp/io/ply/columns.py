@@ -35,13 +35,9 @@ class VertexProperties:
 
     @classmethod
     def of(cls, points: PointCloud) -> VertexProperties:
-        """Return the properties for what some points have.
+        """Return the properties for what some points have, with the types of their attributes.
 
-        Parameters
-        ----------
-        points : PointCloud
-            Any number. Attributes keep their types; whole numbers of 64 bits, which PLY lacks,
-            become ``double``.
+        Whole numbers of 64 bits, which PLY lacks, become ``double``.
         """
         names: list[str] = []
         types: list[str] = []
@@ -70,14 +66,7 @@ class VertexProperties:
         return list(zip(self.names, self.types, strict=True))
 
     def fill(self, rows: NDArray[np.void], points: PointCloud) -> None:
-        """Fill these fields of some rows.
-
-        Parameters
-        ----------
-        rows : structured ndarray, shape (n,)
-        points : PointCloud
-            With the columns that the properties were made for.
-        """
+        """Fill these fields of some rows with the columns that the properties were made for."""
         columns: list[Numbers] = []
         if points.normals is not None:
             columns += list(points.normals.T)
@@ -99,12 +88,9 @@ def _spell(name: str, taken: list[str]) -> str:
 
 
 def choose_type(dtype: np.dtype[np.generic]) -> str:
-    """Return the type that numbers are written as.
+    """Return the type that numbers are written as: of numpy, little-endian.
 
-    Returns
-    -------
-    str
-        Of numpy, little-endian; whole numbers of 64 bits, which PLY lacks, become float64.
+    Whole numbers of 64 bits, which PLY lacks, become float64.
     """
     code = {"b1": "u1", "f2": "f4"}.get(dtype.str[1:], dtype.str[1:])
     if code not in _NAMES:

@@ -22,13 +22,7 @@ __all__ = ["Kept", "keep", "parse_comments"]
 
 @dataclass(slots=True, eq=False)
 class Kept:
-    """What comments say of a file's points.
-
-    Parameters
-    ----------
-    scanners : dict of int to ndarray of float64, shape (3,)
-        By the number of the scan.
-    """
+    """What comments say of a file's points; where the scanners stood, by the number of the scan."""
 
     unit: str | None = None
     crs: str | None = None
@@ -36,17 +30,7 @@ class Kept:
 
 
 def keep(crs: str | None, unit: str | None, scans: Sequence[Scan]) -> Iterator[str]:
-    """Yield the comment lines that keep what is known of some points.
-
-    Parameters
-    ----------
-    crs : str or None
-        Coordinate reference system, as WKT or an EPSG code.
-    unit : str or None
-        Of the coordinates.
-    scans : sequence of Scan
-        In the order of their numbers.
-    """
+    """Yield the comment lines that keep what is known of some points; scans in order."""
     if unit:
         yield f"comment unit {unit}"
     if crs:
@@ -57,13 +41,7 @@ def keep(crs: str | None, unit: str | None, scans: Sequence[Scan]) -> Iterator[s
 
 
 def parse_comments(comments: Sequence[Sequence[str]]) -> Kept:
-    """Find what `keep` has written; other comments are passed over.
-
-    Parameters
-    ----------
-    comments : sequence of sequence of str
-        The words behind ``comment`` of each line.
-    """
+    """Find what `keep` has written in the words behind each ``comment``; others are passed over."""
     kept = Kept()
     for words in comments:
         match words:

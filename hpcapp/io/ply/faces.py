@@ -21,10 +21,7 @@ _FACE_LISTS = ("vertex_indices", "vertex_index")
 def find_polygons(header: Header) -> str | None:
     """Return the name of the list of element ``face`` that holds the corners of polygons.
 
-    Returns
-    -------
-    str or None
-        None where there is no such element or list, or its numbers are not whole.
+    None where there is no such element or list, or its numbers are not whole.
     """
     for element in header.elements:
         if element.name == "face":
@@ -56,9 +53,9 @@ def vertex_normals(
         A polygon names a vertex that does not exist.
     """
     normals, has_face = np.zeros_like(positions), np.zeros(len(positions), np.bool_)
-    for some in polygons:
-        corners = _check_corners(some, len(positions), path)
-        areas = np.repeat(_area_vectors(positions, some.lengths, corners), some.lengths, axis=0)
+    for part in polygons:
+        corners = _check_corners(part, len(positions), path)
+        areas = np.repeat(_area_vectors(positions, part.lengths, corners), part.lengths, axis=0)
         has_face[corners] = True
         for target, weights in zip(normals.T, areas.T, strict=True):
             np.add.at(target, corners, weights)

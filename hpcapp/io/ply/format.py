@@ -48,15 +48,7 @@ _MOST_VERTICES = 2**31 - 1
 
 
 def holds_ply_faces(path: Path) -> bool:
-    """Tell whether a PLY file has faces.
-
-    Raises
-    ------
-    InputError
-        The header is damaged.
-    OSError
-        The file cannot be read.
-    """
+    """Tell whether a PLY file has faces; InputError where its header is damaged."""
     header = read_header(path)
     if find_polygons(header) is None:
         return False
@@ -64,24 +56,14 @@ def holds_ply_faces(path: Path) -> bool:
 
 
 def read_ply_mesh(path: Path) -> Mesh:
-    """Read a PLY file as a triangle mesh; polygons become triangle fans.
+    """Read a PLY file, ascii or binary in either byte order; polygons become triangle fans.
 
-    Parameters
-    ----------
-    path : Path
-        ascii or binary in either byte order.
-
-    Returns
-    -------
-    Mesh
-        Its normals, colours of one byte and attributes are those of the vertices.
+    Normals, colours of one byte and attributes are those of the vertices.
 
     Raises
     ------
     InputError
         The file is damaged, has no faces, or a face names a vertex that is not there.
-    OSError
-        The file cannot be read.
     """
     header = read_header(path)
     _, plan = plan_vertex(header, path)
@@ -113,22 +95,10 @@ def write_ply_points(
     """Write a point cloud as binary little-endian PLY.
 
     Coordinates are written in the input's frame, as ``double`` if an origin was subtracted or
-    ``float`` would round by more than a millionth of the extent; otherwise as ``float``.
-
-    Parameters
-    ----------
-    path : Path
-        Appears whole or not at all.
-    cloud : PointCloud
-        Its normals are written as ``float``, its colours and attributes as the type they have,
-        these under their names, whose blanks become ``_``; whole numbers of 64 bits as ``double``.
-    crs, unit : str, optional
-        Kept in comments of the header, as are the scanners.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    ``float`` would round by more than a millionth of the extent; otherwise as ``float``. Normals
+    are written as ``float``, colours and attributes as the type they have, these under their names,
+    whose blanks become ``_``; whole numbers of 64 bits as ``double``. Unit, coordinate reference
+    system and scanners are kept in comments of the header.
     """
     is_double = needs_double(cloud.positions, cloud.origin)
     properties = VertexProperties.of(cloud)
@@ -136,25 +106,15 @@ def write_ply_points(
     with replacing(path) as file:
         file.write(ply_header(lines))
         for start in range(0, len(cloud), _ROWS_AT_ONCE):
-            some = cloud.view(slice(start, start + _ROWS_AT_ONCE))
-            file.write(_make_rows(some, cloud.origin, is_double, properties).data)
+            part = cloud.view(slice(start, start + _ROWS_AT_ONCE))
+            file.write(_make_rows(part, cloud.origin, is_double, properties).data)
 
 
 def write_ply_mesh(path: Path, mesh: Mesh | MeshStream) -> None:
     """Write a triangle mesh as binary little-endian PLY.
 
-    Parameters
-    ----------
-    path : Path
-        Appears whole or not at all.
-    mesh : Mesh or MeshStream
-        Vertices are written like the points of `write_ply_points`, with all that they carry:
-        normals as ``float``, colours as ``uchar``, attributes under their names.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    Vertices are written like the points of `write_ply_points`, with all that they carry: normals as
+    ``float``, colours as ``uchar``, attributes under their names.
     """
     stream = as_stream(mesh)
     is_double = needs_double(stream.box, stream.origin)
@@ -188,11 +148,6 @@ def shared_ply(
     SharedPly
         Where `write_part` and `write_kept` of `hpccomponent.surface.tasks.shared_ply` are to write,
         until the block ends.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
     """
     is_double = needs_double(box, origin)
     header = _mesh_header(counts, is_double)

@@ -109,8 +109,6 @@ def read_header(path: Path) -> Header:
     ------
     InputError
         The file is empty, is no PLY file, or a line of its header is wrong.
-    OSError
-        The file cannot be read.
     """
     with path.open("rb") as file:
         head = file.read(_LONGEST_HEADER)

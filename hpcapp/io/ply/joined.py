@@ -28,31 +28,16 @@ _COUNT_DIGITS = 20  # the count is known when the last point is written
 
 
 def write_joined(path: Path, sources: Sequence[PointSource]) -> int:
-    """Write the points of sources, one after the other, as one PLY.
+    """Write the points of sources, one after the other, as one PLY; return their number.
 
-    Parameters
-    ----------
-    path : Path
-        Appears whole or not at all.
-    sources : sequence of PointSource
-        One or more. Memory is bounded where all of them stream.
-
-    Returns
-    -------
-    int
-        How many points were written.
+    Memory is bounded where all sources stream. Coordinates are written as ``double``, in those of
+    the sources; normals as ``float``. What only some of the sources have is left out, with a
+    warning.
 
     Raises
     ------
     InputError
         A source is damaged, or one has another unit or coordinate reference system.
-    OutputError
-        The file cannot be written.
-
-    Notes
-    -----
-    Coordinates are written as ``double``, in those of the sources; normals as ``float``. What
-    only some of the sources have is left out, with a warning.
     """
     _refuse_mixed(sources)
     layout = _find_common(sources)
@@ -91,25 +76,28 @@ def _refuse_mixed(sources: Sequence[PointSource]) -> None:
 
 def _find_common(sources: Sequence[PointSource]) -> PointCloud:
     """Return the columns that all sources have, without points."""
-    held = [next(source.chunks(1)).view(slice(0)) for source in sources]
+    layouts = [next(source.chunks(1)).view(slice(0)) for source in sources]
     if len(sources) > 1:
         number = np.empty(0, np.int32)
-        held = [replace(one, attributes={SCAN: number} | dict(one.attributes)) for one in held]
-    names = [name_columns(one) for one in held]
+        layouts = [
+            replace(layout, attributes={SCAN: number} | dict(layout.attributes))
+            for layout in layouts
+        ]
+    names = [name_columns(layout) for layout in layouts]
     common = [name for name in names[0] if all(name in others for others in names)]
-    for own, source in zip(names, sources, strict=True):
-        if left_out := [name for name in own if name not in common]:
+    for columns, source in zip(names, sources, strict=True):
+        if left_out := [name for name in columns if name not in common]:
             lost = ", ".join(left_out)
             log.warning("warning: %s: left out, as not all files have it: %s", source.path, lost)
-    normals = [one.normals for one in held if one.normals is not None]
-    colours = [one.colours for one in held if one.colours is not None]
+    normals = [layout.normals for layout in layouts if layout.normals is not None]
+    colours = [layout.colours for layout in layouts if layout.colours is not None]
     return PointCloud(
         np.empty((0, 3)),
-        normals[0] if len(normals) == len(held) else None,
-        np.concatenate(colours) if len(colours) == len(held) else None,
+        normals[0] if len(normals) == len(layouts) else None,
+        np.concatenate(colours) if len(colours) == len(layouts) else None,
         {
-            name: np.concatenate([one.attributes[name] for one in held])
-            for name in held[0].attributes
+            name: np.concatenate([layout.attributes[name] for layout in layouts])
+            for name in layouts[0].attributes
             if name in common
         },
     )

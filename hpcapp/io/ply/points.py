@@ -41,27 +41,15 @@ _VIEW = ("view_px", "view_py", "view_pz")
 
 
 def open_ply(path: Path) -> PointSource:
-    """Open the vertices of a PLY file.
+    """Open the vertices of a PLY file, ascii or binary in either byte order.
 
-    Where a mesh has no normals, they come from its faces. The shortest axes of splats are taken
-    for their normals.
-
-    Parameters
-    ----------
-    path : Path
-        ascii or binary in either byte order.
-
-    Returns
-    -------
-    PointSource
-        Normals as they are in the file, of any length; colours as they are, too.
+    Normals and colours are as in the file. Where a mesh has no normals, they come from its faces.
+    The shortest axes of splats are taken for their normals.
 
     Raises
     ------
     InputError
         The file has no vertices with coordinates, or is cut before their end.
-    OSError
-        The file cannot be read.
     """
     header = read_header(path)
     findings = Findings(list(header.warnings))
@@ -199,10 +187,10 @@ def _find_points(
     path: Path, header: Header, vertex: Element, plan: ColumnPlan
 ) -> PointRecords | None:
     """Describe the vertices of a binary file as records; None where they differ in length."""
-    found = find_records(path, header, vertex.name)
-    if found is None:
+    located = find_records(path, header, vertex.name)
+    if located is None:
         return None
-    start, dtype = found
+    start, dtype = located
     columns: dict[str, Column] = {}
     for number, p in enumerate(vertex.properties):
         if p.count_dtype is None:

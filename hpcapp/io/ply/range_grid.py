@@ -28,13 +28,7 @@ GRID_LIST = "vertex_indices"
 
 
 def find_range_grid(header: Header) -> tuple[int, int] | None:
-    """Return width and height of the grid.
-
-    Returns
-    -------
-    tuple of int, or None
-        None where there is no such element, or it is not of the size that is named.
-    """
+    """Return width and height of the grid; None without one of the size that is named."""
     element = next((e for e in header.elements if e.name == "range_grid"), None)
     size = [header.remarks.get(name, "") for name in ("num_cols", "num_rows")]
     if element is None or not all(is_count(word) for word in size):
@@ -45,19 +39,12 @@ def find_range_grid(header: Header) -> tuple[int, int] | None:
 
 
 def find_cells(lists: Iterable[Ragged], vertices: int, path: Path) -> IntArray:
-    """Find the cell of each vertex.
+    """Find the cell of each vertex, numbered row by row; -1 for none.
 
     Parameters
     ----------
     lists : iterable of Ragged
         Of the cells, some at a time.
-    vertices : int
-        How many there are.
-
-    Returns
-    -------
-    ndarray of int64, shape (vertices,)
-        Numbered row by row; -1 for none.
 
     Raises
     ------
@@ -66,13 +53,13 @@ def find_cells(lists: Iterable[Ragged], vertices: int, path: Path) -> IntArray:
     """
     cells = np.full(vertices, -1)
     first = 0
-    for some in lists:
-        named = some.values
+    for part in lists:
+        named = part.values
         if ((named < 0) | (named >= vertices)).any():
             raise InputError(
                 f"{path}: element 'range_grid' names vertices beyond the {vertices} of the file",
                 "the file is damaged: export it again",
             )
-        cells[named] = np.repeat(np.arange(first, first + len(some.lengths)), some.lengths)
-        first += len(some.lengths)
+        cells[named] = np.repeat(np.arange(first, first + len(part.lengths)), part.lengths)
+        first += len(part.lengths)
     return cells

@@ -28,41 +28,26 @@ _CONSTANT_BAND = 0.28209479177387814
 
 
 def are_splats(names: Collection[str]) -> bool:
-    """Tell by the properties of the vertices whether they are splats.
-
-    Returns
-    -------
-    bool
-        Flat splats, which have two scales only, are some, too.
-    """
+    """Tell by their properties whether vertices are splats, perhaps flat, of two scales."""
     return all(name in names for name in (*_BANDS, *_SCALES[:2], *_ROTATION))
 
 
 def plan_splats(plan: ColumnPlan) -> ColumnPlan:
     """Leave out what makes a splat, and the normals, which are zero by custom."""
-    own = (*_BANDS, *_SCALES, *_ROTATION)
+    splat_columns = (*_BANDS, *_SCALES, *_ROTATION)
     others = (
         (ours, name)
         for ours, name in plan.attributes
-        if name not in own and not name.startswith("f_rest_")
+        if name not in splat_columns and not name.startswith("f_rest_")
     )
     return ColumnPlan(plan.positions, (), (), tuple(others))
 
 
 def build_splats(columns: Mapping[str, Numbers], plan: ColumnPlan) -> PointCloud:
-    """Copy splats into a point cloud.
+    """Copy splats into a point cloud, as `plan_splats` has planned it.
 
-    Parameters
-    ----------
-    columns : mapping of str to ndarray, shape (n,)
-    plan : ColumnPlan
-        As `plan_splats` gave it.
-
-    Returns
-    -------
-    PointCloud
-        Normals are the shortest axes, up to their sign; colours, from 0 to 1, those of the
-        constant band.
+    Normals are the shortest axes, up to their sign; colours, from 0 to 1, those of the constant
+    band.
     """
     scales = [name for name in _SCALES if name in columns]
     shortest = np.full(len(columns[scales[0]]), 2)

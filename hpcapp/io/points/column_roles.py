@@ -70,11 +70,6 @@ _MOST = 0.9  # share of the rows that decide: a file may have some bad ones
 def find_role(name: str) -> str:
     """Return the name of a column as we call it.
 
-    Parameters
-    ----------
-    name : str
-        As the file spells it.
-
     Returns
     -------
     str
@@ -100,18 +95,10 @@ def name_columns(cloud: PointCloud) -> tuple[str, ...]:
 
 
 def judge_colours(values: Numbers) -> ColourScale | None:
-    """Tell which colours some columns can hold.
+    """Tell which colours the columns of all rows, or of a sample, can hold.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n, k)
-        Of all rows, or of a sample.
-
-    Returns
-    -------
-    ColourScale or None
-        None where a value is negative, NaN, or too large for any of them. All zeros are 8 bit;
-        zeros and ones alone are 8 bit where they are whole numbers by their type.
+    None where a value is negative, NaN, or too large for any of them. All zeros are 8 bit; zeros
+    and ones alone are 8 bit where they are whole numbers by their type.
     """
     if not len(values) or not np.isfinite(values).all() or values.min() < 0:
         return None
@@ -124,17 +111,9 @@ def judge_colours(values: Numbers) -> ColourScale | None:
 
 
 def judge_normals(values: FloatArray) -> NormalKind:
-    """Tell which normals three columns can hold.
+    """Tell which normals three columns of all rows, or of a sample, can hold.
 
-    Parameters
-    ----------
-    values : ndarray of float64, shape (n, 3)
-        Of all rows, or of a sample.
-
-    Returns
-    -------
-    NormalKind
-        Rows with NaN or infinity do not count.
+    Rows with NaN or infinity do not count.
     """
     finite = values[np.isfinite(values).all(axis=1)]
     lengths = _lengths(finite)
@@ -160,19 +139,9 @@ def _lengths(vectors: FloatArray) -> FloatArray:
 
 
 def tell_use(name: str, cloud: PointCloud) -> str:
-    """Say as what a column was taken.
+    """Say as what a column of a file was taken, given what was read from it.
 
-    Parameters
-    ----------
-    name : str
-        Of the column, in the file.
-    cloud : PointCloud
-        What was read from the file.
-
-    Returns
-    -------
-    str
-        ``position``, ``normal``, ``colour``, ``attribute`` or ``left out``.
+    ``position``, ``normal``, ``colour``, ``attribute`` or ``left out``.
     """
     role = find_role(name)
     if role in AXES:

@@ -104,12 +104,7 @@ def gather_points(
 
 
 def find_files(names: Sequence[str]) -> list[str]:
-    """Return the files that a user has named, patterns replaced by the files they fit.
-
-    Returns
-    -------
-    list of str
-        In the order of the names; those of a pattern sorted.
+    """Return the files that a user has named, patterns replaced by the files that fit, sorted.
 
     Raises
     ------
@@ -124,28 +119,17 @@ def find_files(names: Sequence[str]) -> list[str]:
         if not glob.has_magic(name) or Path(name).exists():
             files.append(name)
             continue
-        found = sorted(glob.glob(name, recursive=True))
-        if not found:
+        matches = sorted(glob.glob(name, recursive=True))
+        if not matches:
             raise InputError(f"{name}: no file fits", "check the pattern")
-        files += found
+        files += matches
     if _PIPED in files and len(files) > 1:
         raise UsageError("- reads the standard input, and stands alone", "give files, or -")
     return files
 
 
 def find_paths(names: Sequence[str]) -> tuple[Path, ...]:
-    """Return the files that a user has named, without the standard input.
-
-    Returns
-    -------
-    tuple of Path
-        None where the standard input is named.
-
-    Raises
-    ------
-    InputError, UsageError
-        See `find_files`.
-    """
+    """Return the files that a user has named, as `find_files` does, without the standard input."""
     return tuple(Path(name) for name in find_files(names) if name != _PIPED)
 
 

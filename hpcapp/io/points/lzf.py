@@ -14,17 +14,7 @@ MOST_EXPANSION = 88
 
 
 def expand_lzf(packed: bytes, size: int) -> bytearray:
-    """Expand a block of LZF.
-
-    Parameters
-    ----------
-    size : int
-        Of what it holds, in bytes.
-
-    Returns
-    -------
-    bytearray
-        Of that size.
+    """Expand a block of LZF that holds `size` bytes.
 
     Raises
     ------

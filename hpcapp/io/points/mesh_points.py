@@ -32,51 +32,25 @@ UNUSED = "vertices without a face"
 
 
 def open_stl(path: Path) -> PointSource:
-    """Open the corners of an STL file as points, each place once.
-
-    Parameters
-    ----------
-    path : Path
-        ascii or binary.
-
-    Raises
-    ------
-    InputError
-        The file is damaged, or has no triangles.
-    OSError
-        The file cannot be read.
-    """
+    """Open the corners of an STL file as points, each place once; InputError without triangles."""
     return _open_mesh(path, "STL, a mesh", read_stl(path))
 
 
 def open_off(path: Path) -> PointSource:
-    """Open the vertices of an OFF file as points.
-
-    Raises
-    ------
-    InputError
-        The file is damaged.
-    OSError
-        The file cannot be read.
-    """
+    """Open the vertices of an OFF file as points."""
     return _open_mesh(path, "OFF, a mesh", read_off(path))
 
 
 def open_obj(path: Path) -> PointSource:
     """Open the vertices of an OBJ file as points, with faces or without.
 
-    Parameters
-    ----------
-    path : Path
-        Colours behind the coordinates of ``v`` are read; ``vn`` are the normals where there are
-        no faces and as many of them as vertices.
+    Colours behind the coordinates of ``v`` are read; ``vn`` are the normals where there are no
+    faces and as many of them as vertices.
 
     Raises
     ------
     InputError
         A line is wrong, or there are no vertices.
-    OSError
-        The file cannot be read.
     """
     vertex_lines: list[Line] = []
     normal_lines: list[Line] = []
@@ -130,17 +104,7 @@ def _open_mesh(path: Path, name: str, mesh: Mesh, colours: Numbers | None = None
 def slice_cloud(
     path: Path, name: str, cloud: PointCloud, findings: Findings | None = None
 ) -> PointSource:
-    """Return a cloud in memory as a source.
-
-    Parameters
-    ----------
-    path : Path
-        Where it is from.
-    name : str
-        Of the format, for people.
-    cloud : PointCloud
-        In the file's coordinates.
-    """
+    """Return a cloud in memory, in the file's coordinates, as a source of a named format."""
     return PointSource(
         path, len(cloud), True, cloud.normals is not None, partial(cut_points, cloud), format=name,
         columns=name_columns(cloud), findings=findings or Findings(),
@@ -150,16 +114,8 @@ def slice_cloud(
 def sample_faces(mesh: Mesh, points: int) -> PointCloud:
     """Sample points evenly on the faces of a mesh, with the faces' normals.
 
-    Parameters
-    ----------
-    points : int
-        How many.
-
-    Returns
-    -------
-    PointCloud
-        In the mesh's own coordinates (its origin is added). The same mesh and number give the
-        same points.
+    They are in the mesh's own coordinates (its origin is added). The same mesh and number give the
+    same points.
 
     Raises
     ------

@@ -42,15 +42,10 @@ class ColumnPlan:
 
 
 def plan_columns(names: Sequence[str], place: str) -> ColumnPlan:
-    """Tell what columns are by their names.
+    """Tell what columns are by their names; messages say in what `place` they are.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Each once. Where two have one role, it goes to the one that is spelled like it, else to the
-        first; the other is an attribute.
-    place : str
-        Of the columns, for messages: the file, and what in it.
+    Where two have one role, it goes to the one that is spelled like it, else to the first; the
+    other is an attribute.
 
     Raises
     ------
@@ -91,17 +86,9 @@ def _own_name(name: str, by_role: Mapping[str, str]) -> str:
 
 
 def build_cloud(columns: Mapping[str, Numbers], plan: ColumnPlan) -> PointCloud:
-    """Copy columns into a point cloud.
+    """Copy columns, of any numeric type and byte order, into a point cloud.
 
-    Parameters
-    ----------
-    columns : mapping of str to ndarray, shape (n,)
-        By their names in the file, of any numeric type and byte order.
-
-    Returns
-    -------
-    PointCloud
-        Colours as they are, uint8, uint16 or float32.
+    Colours stay as they are: uint8, uint16 or float32.
     """
     colours = None
     if plan.colours:
@@ -138,19 +125,12 @@ def _stack(
 
 
 def add_grid(cloud: PointCloud, cells: IntArray, width: int) -> PointCloud:
-    """Give the points of an organised scan their places in its grid.
+    """Give the points of an organised scan attributes ``row`` and ``column``.
 
     Parameters
     ----------
     cells : ndarray of int64, shape (n,)
-        Numbers of their cells, row by row; -1 of points that are in none.
-    width : int
-        Of the grid.
-
-    Returns
-    -------
-    PointCloud
-        With the attributes ``row`` and ``column``, -1 of points in no cell.
+        Numbers of their cells, row by row; -1 of points that are in none, as are row and column.
     """
     row, column = np.divmod(cells, width)
     column[cells < 0] = -1
@@ -161,15 +141,7 @@ def add_grid(cloud: PointCloud, cells: IntArray, width: int) -> PointCloud:
 def describe_records(
     path: Path, start: int, length: int, count: int, columns: Mapping[str, Column], plan: ColumnPlan
 ) -> PointRecords:
-    """Describe points in a binary file, to be read from any of them on.
-
-    Parameters
-    ----------
-    start, length, count : int
-        See `PointRecords`.
-    columns : mapping of str to Column
-        By their names in the file.
-    """
+    """Describe points in a binary file, to be read from any of them on; see `PointRecords`."""
 
     def pick(names: tuple[str, ...]) -> tuple[Column, ...]:
         return tuple(columns[name] for name in names)

@@ -56,19 +56,12 @@ _EXPORT = "save points as (n, 3) numbers, or as records with fields x, y and z"
 
 
 def open_npy(path: Path) -> PointSource:
-    """Open a NumPy file.
-
-    Parameters
-    ----------
-    path : Path
-        NPY, which is read in parts, or NPZ, which is read whole.
+    """Open a NumPy file: NPY, which is read in parts, or NPZ, which is read whole.
 
     Raises
     ------
     InputError
         The file is damaged, is a pickle, or holds no points.
-    OSError
-        The file cannot be read.
     """
     findings = Findings()
     mapped = None if is_archive(path) else map_array(path)

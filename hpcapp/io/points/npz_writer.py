@@ -20,17 +20,7 @@ _OWN = ("positions", "normals", "colours")
 def write_npz_points(path: Path, cloud: PointCloud) -> None:
     """Write a point cloud as arrays ``positions``, ``normals``, ``colours`` and its attributes.
 
-    Parameters
-    ----------
-    path : Path
-        Appears whole or not at all. The same cloud gives the same bytes.
-    cloud : PointCloud
-        Positions are written in the input's frame, to the last digit.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    Positions are in the input's frame, to the last digit. The same cloud gives the same bytes.
     """
     arrays: dict[str, Numbers] = {"positions": cloud.positions + cloud.origin}
     if cloud.normals is not None:

@@ -42,19 +42,12 @@ def is_archive(path: Path) -> bool:
 
 
 def map_array(path: Path) -> Numbers:
-    """Map the array of an NPY file into memory.
-
-    Returns
-    -------
-    ndarray
-        Of numbers, or of records.
+    """Map the array of an NPY file, of numbers or of records, into memory.
 
     Raises
     ------
     InputError
         The file is damaged, or its array is of objects.
-    OSError
-        The file cannot be read.
     """
     size = path.stat().st_size
     if not size:
@@ -67,24 +60,12 @@ def map_array(path: Path) -> Numbers:
 
 
 def read_archive(path: Path, findings: Findings) -> dict[str, Numbers]:
-    """Read the arrays of an NPZ file.
-
-    Parameters
-    ----------
-    findings : Findings
-        Gets a warning where something follows after an array.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Those of numbers or records, by their names in the file.
+    """Read the arrays of an NPZ file; warn where something follows after one.
 
     Raises
     ------
     InputError
         The file is damaged, or has arrays of objects.
-    OSError
-        The file cannot be read.
     """
     arrays: dict[str, Numbers] = {}
     with _translated(path, "the archive"), zipfile.ZipFile(path) as archive:

@@ -14,36 +14,18 @@ PACKED = (("red", 2), ("green", 1), ("blue", 0))
 
 
 def unpack_words(words: Numbers, byte: int) -> ByteArray:
-    """Return one byte of each number.
-
-    Parameters
-    ----------
-    words : ndarray of four bytes, shape (n,)
-        Of any type and byte order.
-    byte : int
-        Counted from the lowest.
-
-    Returns
-    -------
-    ndarray of uint8, shape (n,)
-    """
+    """Return one byte, from the lowest, of each number of four of any type and byte order."""
     little = np.ascontiguousarray(words.astype(words.dtype.newbyteorder("<")))
     return little.view(np.uint8).reshape(-1, 4)[:, byte]
 
 
 def unpack_float_text(numbers: FloatArray, byte: int) -> ByteArray:
-    """Return one byte of each packed number that stood in a text.
+    """Return one byte, counted from the lowest, of each packed number that stood in a text.
 
     Parameters
     ----------
     numbers : ndarray of float64, shape (n,)
         The float32 as it is, or the whole number that its bits make.
-    byte : int
-        Counted from the lowest.
-
-    Returns
-    -------
-    ndarray of uint8, shape (n,)
     """
     is_whole = (numbers >= 1) & (numbers < 2**32) & (numbers == np.rint(numbers))
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):

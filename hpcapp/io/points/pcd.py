@@ -41,25 +41,15 @@ _COPY_AGAIN = "copy or export the file again"
 
 
 def open_pcd(path: Path) -> PointSource:
-    """Open a PCD file.
+    """Open a PCD file: ascii, binary or binary_compressed.
 
-    Parameters
-    ----------
-    path : Path
-        ascii, binary or binary_compressed.
-
-    Returns
-    -------
-    PointSource
-        Coordinates stay as they are in the file: its viewpoint is where the scanner stood. The
-        points of an organised cloud have the attributes ``row`` and ``column``.
+    Coordinates stay as they are in the file: its viewpoint is where the scanner stood. The points
+    of an organised cloud have the attributes ``row`` and ``column``.
 
     Raises
     ------
     InputError
         There is no header, no field x, y or z, or the file is cut.
-    OSError
-        The file cannot be read.
     """
     header = read_pcd_header(path)
     findings = Findings(list(header.warnings))
@@ -191,8 +181,8 @@ class _Ascii:
             lines = numbered(rows_of_text, self.header.body_line)
             taken = take_lines(lines, self.header.points, self.path, "points")
             for _ in range(0, max(self.header.points, 1), rows):
-                some = islice(taken, rows)
-                table = parse_table(some, starts[-1], self.path)
+                chunk = islice(taken, rows)
+                table = parse_table(chunk, starts[-1], self.path)
                 yield self._build(table, starts)
             more = sum(1 for _ in lines)
         if more:

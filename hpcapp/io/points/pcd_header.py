@@ -62,10 +62,8 @@ class PcdHeader:
         it is taken for one in organised clouds only, which are images of a camera there.
     encoding : str
         ``ascii``, ``binary`` or ``binary_compressed``.
-    body_start : int
-        In bytes from the start of the file.
-    body_line : int
-        The number of the body's first line, counted from 1.
+    body_start, body_line : int
+        Bytes in front of the body, and the number of its first line, from 1.
     warnings : tuple of str
         What is odd about the header.
     """
@@ -87,8 +85,6 @@ def read_pcd_header(path: Path) -> PcdHeader:
     ------
     InputError
         The file is empty, has no header, or a line of it is wrong.
-    OSError
-        The file cannot be read.
     """
     with path.open("rb") as file:
         head = file.read(_LONGEST_HEADER)
@@ -103,9 +99,11 @@ def read_pcd_header(path: Path) -> PcdHeader:
             continue
         keyword = words[0].upper()
         if keyword not in _KEYWORDS:
-            found = "no PCD header" if not entries else f"{words[0][:20]!r} is no part of a header"
+            problem = (
+                "no PCD header" if not entries else f"{words[0][:20]!r} is no part of a header"
+            )
             raise InputError(
-                f"{path}:{number}: {found}", "a PCD file starts with VERSION, FIELDS .. DATA"
+                f"{path}:{number}: {problem}", "a PCD file starts with VERSION, FIELDS .. DATA"
             )
         entries[{"COLUMNS": "FIELDS"}.get(keyword, keyword)] = words[1:]
         if keyword == "DATA":

@@ -69,13 +69,7 @@ class Findings:
             self.dropped[reason] = self.dropped.get(reason, 0) + points
 
     def lines(self) -> list[str]:
-        """Return all that is to be said of the file, a line each.
-
-        Returns
-        -------
-        list of str
-            The warnings, and what was dropped.
-        """
+        """Return a line for each warning, and for each reason why points were dropped."""
         dropped = [f"dropped {points} points: {reason}" for reason, points in self.dropped.items()]
         return self.warnings + dropped
 
@@ -134,12 +128,7 @@ class PointSource:
     oriented: bool = True
 
     def chunks(self, rows: int) -> Iterator[PointCloud]:
-        """Yield the points in parts.
-
-        Parameters
-        ----------
-        rows : int
-            Points in a part, at most; memory is proportional to it, not to the file.
+        """Yield the points in parts of so many at most, to which memory is proportional.
 
         Yields
         ------
@@ -164,31 +153,14 @@ class PointSource:
         return replace(self, scan=scan, has_normals=False, records=records)
 
     def check(self) -> None:
-        """Find out whether all of the file but its points is as it should be, given `records`.
-
-        Raises
-        ------
-        InputError
-            It is damaged.
-        """
+        """Find out, given `records`, whether all of the file but its points is as it should be."""
         assert self.check_rest is not None  # noqa: S101 - there are records
         with translated(self.path):
             self.check_rest()
 
 
 def keep_small(source: PointSource) -> PointSource:
-    """Decode a small file once for all passes: the process that does takes a while to start.
-
-    Parameters
-    ----------
-    source : PointSource
-        Its points are counted.
-
-    Returns
-    -------
-    PointSource
-        The same one where the file is large.
-    """
+    """Decode a small file once for all passes: the process that does takes a while to start."""
     if source.count is None or source.count > _SMALL:
         return source
     kept: list[tuple[PointCloud, dict[str, int]]] = []
@@ -206,13 +178,7 @@ def keep_small(source: PointSource) -> PointSource:
 
 
 def read_whole(source: PointSource) -> PointCloud:
-    """Read all points at once, and bring them into a local frame.
-
-    Raises
-    ------
-    InputError
-        The file is damaged.
-    """
+    """Read all points at once, and bring them into a local frame."""
     at_once = _ROWS_AT_ONCE if source.records is None else max(source.count or 0, 1)
     cloud = join_points(list(source.chunks(at_once)))
     positions, origin = to_local(cloud.positions)
@@ -221,18 +187,7 @@ def read_whole(source: PointSource) -> PointCloud:
 
 @contextmanager
 def translated(path: Path) -> Iterator[None]:
-    """Turn the system's errors of reading a file into ours.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for the message.
-
-    Raises
-    ------
-    InputError
-        The block ended by an OSError.
-    """
+    """Turn the system's errors of reading a file into an InputError."""
     try:
         yield
     except OSError as error:

@@ -97,10 +97,10 @@ class _Decisions:
         meant = replace(part, normals=normals, colours=scaled)
         dropped = np.zeros(len(part), np.bool_)
         for place in self.missing:
-            found = _find_at(part.positions, place)
-            if found.any():
+            is_there = _find_at(part.positions, place)
+            if is_there.any():
                 findings.warn(_name_missing(place))
-                dropped |= found
+                dropped |= is_there
         if not dropped.any():
             return meant
         findings.drop("repeated", int(dropped.sum()))
@@ -121,11 +121,6 @@ def recognise(source: PointSource) -> PointSource:
         Colours of its parts are uint8, normals are some. It has `records` only where a point is
         what they say. What is odd is in its findings; what is dropped is counted anew by each
         pass.
-
-    Raises
-    ------
-    InputError
-        The file is damaged where it was looked at.
 
     Notes
     -----
@@ -277,8 +272,8 @@ def _find_at(positions: FloatArray, place: FloatArray) -> BoolArray:
     """Tell which points are at a place."""
     # Column by column: reductions along rows of three are several times slower.
     columns = zip(positions.T, place, strict=True)
-    found: BoolArray = np.logical_and.reduce([column == value for column, value in columns])
-    return found
+    is_there: BoolArray = np.logical_and.reduce([column == value for column, value in columns])
+    return is_there
 
 
 def _judge_use(seen: PointCloud, findings: Findings) -> Use:
@@ -317,8 +312,8 @@ def _fit_surface(positions: FloatArray, normals: FloatArray) -> bool:
         return True
     rows = rows[:: -(-len(rows) // _TREE_ROWS)]  # scan lines of a file's order are broken up
     places = _scale_to_box(positions[rows])
-    _, near = cKDTree(places).query(places, k=min(_NEIGHBOURS, len(rows)))
-    arms = places[near] - places[near].mean(axis=1, keepdims=True)
+    _, neighbours = cKDTree(places).query(places, k=min(_NEIGHBOURS, len(rows)))
+    arms = places[neighbours] - places[neighbours].mean(axis=1, keepdims=True)
     squares, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", arms, arms))
     is_plane = squares[:, 1] > _NARROWEST * squares[:, 2]
     units = normals[rows] / np.linalg.norm(normals[rows], axis=1, keepdims=True)

@@ -43,19 +43,10 @@ _FLATTEST = 1e-6
 def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[PointCloud, Dropped]:
     """Drop points without a finite position, or without a normal where others have one.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-        As it was read.
-    source : str, optional
-        The file it came from, for messages.
-
     Returns
     -------
     usable : PointCloud
         In the order of `cloud`; its colours and origin are kept, its normals have unit length.
-    dropped : Dropped
-        What is missing in it.
 
     Raises
     ------
@@ -68,19 +59,14 @@ def drop_unusable(cloud: PointCloud, source: str = "the point cloud") -> tuple[P
     usable, dropped = select_usable(cloud)
     refuse_too_few(len(usable), dropped, source)
     low, high = bound_points(usable.positions)
-    some = usable.positions[:: -(-len(usable) // _SAMPLE)]  # in most clouds they tell enough
+    sample = usable.positions[:: -(-len(usable) // _SAMPLE)]  # in most clouds they tell enough
     refuse_degenerate(low, high, len(usable), source)
-    refuse_line(lambda: [some], lambda: [usable.positions], len(usable), source)
+    refuse_line(lambda: [sample], lambda: [usable.positions], len(usable), source)
     return usable, dropped
 
 
 def drop_non_finite(cloud: PointCloud, path: Path) -> PointCloud:
-    """Drop points with NaN or infinite coordinates, for a format that holds none.
-
-    Parameters
-    ----------
-    path : Path
-        Of the output: how many are dropped is logged as a warning.
+    """Drop points with NaN or infinite coordinates, with a warning, for a format that holds none.
 
     Raises
     ------
@@ -105,22 +91,7 @@ def drop_non_finite(cloud: PointCloud, path: Path) -> PointCloud:
 
 
 def refuse_too_few(points: int, dropped: Dropped, source: str) -> None:
-    """Refuse a cloud of fewer than `FEWEST_POINTS` usable points.
-
-    Parameters
-    ----------
-    points : int
-        How many are usable.
-    dropped : Dropped
-        What was not, for the message.
-    source : str
-        The file, for the message.
-
-    Raises
-    ------
-    InputError
-        There are fewer.
-    """
+    """Raise InputError for a cloud of fewer than `FEWEST_POINTS` usable points."""
     if points >= FEWEST_POINTS:
         return
     without = (
@@ -134,16 +105,7 @@ def refuse_too_few(points: int, dropped: Dropped, source: str) -> None:
 
 
 def refuse_degenerate(low: FloatArray, high: FloatArray, points: int, source: str) -> None:
-    """Refuse a cloud by the box around it: coordinates out of range, or one place.
-
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box, in length units of the input.
-    points : int
-        How many there are, for the message.
-    source : str
-        The file, for the message.
+    """Refuse a cloud by the box around it, in length units of the input.
 
     Raises
     ------
@@ -163,12 +125,12 @@ def refuse_degenerate(low: FloatArray, high: FloatArray, points: int, source: st
         )
 
 
-def refuse_line(some: Parts, every: Parts, points: int, source: str) -> None:
+def refuse_line(sample: Parts, every: Parts, points: int, source: str) -> None:
     """Refuse a cloud whose points lie on one line.
 
     Parameters
     ----------
-    some, every : callable
+    sample, every : callable
         Return iterables of positions: those of a few points, which tell enough of most clouds,
         and all of them, which are asked for where they do not.
 
@@ -177,7 +139,7 @@ def refuse_line(some: Parts, every: Parts, points: int, source: str) -> None:
     InputError
         They do: their second extent is less than a millionth of the first.
     """
-    if _is_line(some) and _is_line(every):
+    if _is_line(sample) and _is_line(every):
         raise InputError(
             f"{source}: all {points} points lie on one line",
             "a surface cannot be fitted to a line: check how the file was exported",
@@ -203,11 +165,6 @@ def _is_line(parts: Parts) -> bool:
 
 def take_finite(cloud: PointCloud, source: str) -> PointCloud:
     """Leave out the points that have no place: for what is looked at and not reconstructed.
-
-    Parameters
-    ----------
-    source : str
-        The file, for the message.
 
     Raises
     ------

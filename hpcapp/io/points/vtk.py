@@ -43,24 +43,14 @@ Column = Numbers
 
 
 def open_vtk(path: Path) -> PointSource:
-    """Open the points of a legacy VTK file.
+    """Open the points of a legacy VTK file: polydata, an unstructured or a structured grid.
 
-    Parameters
-    ----------
-    path : Path
-        A data set with points of its own: polydata, an unstructured or a structured grid.
-
-    Returns
-    -------
-    PointSource
-        Scalars of a point are attributes by their names; cells are passed over.
+    Scalars of a point are attributes by their names; cells are passed over.
 
     Raises
     ------
     InputError
         The file is damaged, or no such data set.
-    OSError
-        The file cannot be read.
     """
     reader = _Reader(path)
     reader.read()
@@ -114,11 +104,11 @@ class _Reader:
                 "export it as polydata or an unstructured grid",
             )
         self.kind = f"VTK legacy, {coding.lower()}"
-        found = False
+        has_points = False
         while (words := self._words()) and words[0].upper() != "CELL_DATA":
-            found = found or words[0].upper() == "POINTS"
+            has_points = has_points or words[0].upper() == "POINTS"
             self._section(words[0].upper(), words[1:])
-        if not found:
+        if not has_points:
             raise self._error("no POINTS", "check that the right file was exported")
 
     def _section(self, keyword: str, words: list[str]) -> None:
@@ -227,8 +217,8 @@ class _Reader:
             raise self._error(f"not a count: {word[:20]!r}", "export it again")
         return int(word)
 
-    def _truncated(self, announced: int, found: int) -> InputError:
-        problem = f"truncated: {announced} numbers are announced, the file ends after {found}"
+    def _truncated(self, announced: int, has_points: int) -> InputError:
+        problem = f"truncated: {announced} numbers are announced, the file ends after {has_points}"
         return self._error(problem, "copy or export the file again")
 
     def _error(self, problem: str, advice: str) -> InputError:

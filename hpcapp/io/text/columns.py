@@ -70,15 +70,13 @@ class Columns:
         return set(COLOURS) <= set(self.roles)
 
     def make_cloud(self, table: FloatArray, first: int, notes: RowNotes) -> PointCloud:
-        """Make points of rows.
+        """Make points of rows; note those without a colour.
 
         Parameters
         ----------
         table : ndarray of float64, shape (n, columns)
         first : int
             The number of the first of these points in the file, for messages.
-        notes : RowNotes
-            Is told of points without a colour.
 
         Returns
         -------
@@ -123,18 +121,9 @@ class Columns:
 
 
 def assign_by_name(names: list[str], sample: FloatArray) -> Columns:
-    """Say what columns are by their names.
+    """Say what columns are by their names, x, y and z among them, as the file spells them.
 
-    Parameters
-    ----------
-    names : list of str
-        As the file spells them; x, y and z are among them.
-    sample : ndarray of float64, shape (n, columns)
-
-    Returns
-    -------
-    Columns
-        Of several columns with one role the best named has it, the others keep their names.
+    Of several columns with one role the best named has it, the others keep their names.
     """
     best: dict[str, int] = {}
     for i in sorted(range(len(names)), key=lambda i: _rank(names[i])):
@@ -158,12 +147,10 @@ def _rank(name: str) -> int:
 def assign_by_value(
     path: Path, sample: FloatArray, numbers: tuple[int, ...], findings: Findings
 ) -> Columns:
-    """Say what columns without names are.
+    """Say what columns without names are; the file's suffix may promise some.
 
     Parameters
     ----------
-    path : Path
-        Its suffix may promise columns.
     sample : ndarray of float64, shape (n, columns)
         Rows from all over the file.
     numbers : tuple of int

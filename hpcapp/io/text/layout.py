@@ -64,12 +64,7 @@ class _Head:
 
 
 def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
-    """Find out how a text file is made.
-
-    Parameters
-    ----------
-    findings : Findings
-        Is told what is odd before the rows, and of columns that are passed over.
+    """Find out how a text file is made; warn of what is odd, and of columns that are passed over.
 
     Returns
     -------
@@ -80,8 +75,6 @@ def find_layout(path: Path, findings: Findings) -> tuple[Layout, FloatArray]:
     ------
     InputError
         Names the line that is neither numbers nor names, or says which columns are missing.
-    OSError
-        The file cannot be read.
     """
     encoding = find_encoding(path)
     number, text = next(read_blocks(path, encoding), (1, ""))

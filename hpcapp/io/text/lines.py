@@ -22,19 +22,12 @@ _BYTE_ORDER_MARK = "\ufeff"
 
 
 def find_encoding(path: Path) -> str:
-    """Tell UTF-8 (or ASCII) from UTF-16.
-
-    Returns
-    -------
-    str
-        ``utf-8``, ``utf-16-le`` or ``utf-16-be``, by the byte order mark or the place of zeros.
+    """Tell ``utf-8`` from ``utf-16-le`` and ``utf-16-be``, by the mark or by zeros.
 
     Raises
     ------
     InputError
         There are zeros as no text has them.
-    OSError
-        The file cannot be read.
     """
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
@@ -68,8 +61,6 @@ def read_blocks(path: Path, encoding: str) -> Iterator[Block]:
     ------
     InputError
         A line is longer than a million characters.
-    OSError
-        The file cannot be read.
     """
     number = 1
     with path.open(encoding=encoding, errors="replace") as file:
@@ -88,18 +79,9 @@ def read_blocks(path: Path, encoding: str) -> Iterator[Block]:
 
 
 def sample_lines(path: Path, encoding: str) -> list[str]:
-    """Read some lines from all over a file.
+    """Read some lines from all over a file, about half a million characters, in its order.
 
-    Returns
-    -------
-    list of str
-        About half a million characters, in the order of the file; all lines are whole. None of
-        a file that fits into the first block that is read of it.
-
-    Raises
-    ------
-    OSError
-        The file cannot be read.
+    All lines are whole. None of a file that fits into the first block that is read of it.
     """
     size = path.stat().st_size
     lines: list[str] = []
@@ -110,19 +92,13 @@ def sample_lines(path: Path, encoding: str) -> list[str]:
             at = max(size - _PIECE_BYTES, 0) * piece // (_PIECES - 1) // 2 * 2
             file.seek(at)
             text = file.read(_PIECE_BYTES).decode(encoding, errors="replace")
-            some = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-            lines += some[bool(at) : -1]
+            piece_lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+            lines += piece_lines[bool(at) : -1]
     return lines
 
 
 class LineReader:
-    """Lines one by one, and many at a time, of the same file.
-
-    Parameters
-    ----------
-    blocks : iterator of (int, str)
-        From `read_blocks`.
-    """
+    """Lines one by one, and many at a time, of the same file: of the blocks of `read_blocks`."""
 
     def __init__(self, blocks: Iterator[Block]) -> None:
         self._blocks = blocks

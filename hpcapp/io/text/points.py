@@ -27,25 +27,14 @@ _LEAST_BYTES = 6  # of a row
 
 
 def open_text(path: Path) -> PointSource:
-    """Open lines of numbers as a point cloud.
+    """Open lines of numbers as a point cloud: its first lines, and samples, tell its columns.
 
-    Parameters
-    ----------
-    path : Path
-        The file. Its first lines are read, and samples from all over it, to tell its columns.
-
-    Returns
-    -------
-    PointSource
-        Coordinates, normals and colours as they are in the file; what other columns hold, as
-        attributes.
+    Coordinates, normals and colours are as in the file; what other columns hold are attributes.
 
     Raises
     ------
     InputError
         Names the first line that does not fit.
-    OSError
-        The file cannot be read.
     """
     findings = Findings()
     layout, sample = find_layout(path, findings)

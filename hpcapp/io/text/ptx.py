@@ -45,12 +45,10 @@ _EXPORT_AGAIN = "export the scans again"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Header:
-    """The ten lines before the points of a scan.
+    """The ten lines before the points of a scan, from `line` on.
 
     Parameters
     ----------
-    line : int
-        The first of them.
     grid : tuple of int
         Columns and rows.
     scanner : ndarray of float64, shape (3,)
@@ -69,24 +67,14 @@ class _Header:
 
 
 def open_ptx(path: Path) -> PointSource:
-    """Open the scans of a PTX file as one point cloud.
+    """Open the scans of a PTX file as one point cloud; it is read to its end to find them.
 
-    Parameters
-    ----------
-    path : Path
-        The file. It is read to its end, though not parsed, to find its scans.
-
-    Returns
-    -------
-    PointSource
-        Poses are applied, missing returns are left out and counted.
+    Poses are applied, missing returns are left out and counted.
 
     Raises
     ------
     InputError
         Names the first line that does not fit, or the scan that is cut.
-    OSError
-        The file cannot be read.
     """
     encoding = find_encoding(path)
     scans: list[Scan] = []
@@ -190,17 +178,17 @@ def _read_clouds(
     notes = RowNotes(path)
     points = missing = 0
     for number, (header, blocks) in enumerate(_read_scans(path, encoding)):
-        own: tuple[str, ...] = ()
+        scan_roles: tuple[str, ...] = ()
         first = 0
         for block in blocks:
-            own = own or _find_roles(block, path)
-            rows = RowFormat(None, ",", len(own), tuple(range(len(own))))
+            scan_roles = scan_roles or _find_roles(block, path)
+            rows = RowFormat(None, ",", len(scan_roles), tuple(range(len(scan_roles))))
             table = parse_block(block, rows, notes)
             cells = np.arange(first, first + len(table))
             places = {"column": cells // header.grid[1], "row": cells % header.grid[1]}
             if scans > 1:
                 places["scan"] = np.full(len(table), number)
-            cloud = Columns(own, "8 bit").make_cloud(table, points + first, notes)
+            cloud = Columns(scan_roles, "8 bit").make_cloud(table, points + first, notes)
             returned = (cloud.positions != 0).any(axis=1)
             missing += len(table) - int(returned.sum())
             yield _place(_complete(cloud, roles), header.pose, places).take(returned)

@@ -59,13 +59,7 @@ class RowFormat:
     takes_surplus: bool = False
 
     def clean(self, text: str) -> str:
-        """Take comments and quotes from lines, and make commas what they stand for.
-
-        Returns
-        -------
-        str
-            As many lines.
-        """
+        """Take comments and quotes from as many lines, and make commas what they stand for."""
         text = self.without_comments(text)
         if '"' in text:
             text = _QUOTED.sub(self._unquote, text)
@@ -76,13 +70,7 @@ class RowFormat:
         return re.sub(r"[\s,;]", "_", quoted[1].strip())
 
     def without_comments(self, text: str) -> str:
-        """Take comments from lines.
-
-        Returns
-        -------
-        str
-            As many lines.
-        """
+        """Take comments from as many lines."""
         if not any(mark in text for mark in _MARKS):
             return text
         comments = _COMMENTS_BUT_SEMICOLONS if self.separator == ";" else _COMMENTS
@@ -104,15 +92,7 @@ class RowNotes:
     _counts: dict[str, int] = field(default_factory=dict)
 
     def note(self, kind: str, sentence: str) -> None:
-        """Count a row.
-
-        Parameters
-        ----------
-        kind : str
-            Rows of one kind are told together.
-        sentence : str
-            Kept of the first.
-        """
+        """Count a row; rows of one kind are told together, by the sentence of the first."""
         self._firsts.setdefault(kind, sentence)
         self._counts[kind] = self._counts.get(kind, 0) + 1
 
@@ -124,34 +104,17 @@ class RowNotes:
 
 
 def is_number(word: str) -> bool:
-    """Tell whether a field is a number, perhaps not finite.
-
-    Parameters
-    ----------
-    word : str
-        Without blanks around it.
-    """
+    """Tell whether a field, without blanks around it, is a number, perhaps not finite."""
     return bool(_NUMBER.fullmatch(word) or _NOT_FINITE.fullmatch(word))
 
 
 def is_missing(word: str) -> bool:
-    """Tell whether a field is empty, or says that it is.
-
-    Parameters
-    ----------
-    word : str
-        Without blanks around it.
-    """
+    """Tell whether a field, without blanks around it, is empty, or says that it is."""
     return word.lower() in _MISSING
 
 
 def parse_block(block: Block, rows: RowFormat, notes: RowNotes) -> FloatArray:
-    """Parse lines of numbers.
-
-    Parameters
-    ----------
-    notes : RowNotes
-        Is told of missing and surplus numbers.
+    """Parse lines of numbers; note missing and surplus ones.
 
     Returns
     -------
@@ -170,29 +133,19 @@ def parse_block(block: Block, rows: RowFormat, notes: RowNotes) -> FloatArray:
         return table
     parts = []
     for first in range(0, len(lines), _GROUP):
-        some = lines[first : first + _GROUP]
-        part = _parse_clean(some, rows)
-        parts.append(_parse_odd(some, number + first, rows, notes) if part is None else part)
+        group = lines[first : first + _GROUP]
+        part = _parse_clean(group, rows)
+        parts.append(_parse_odd(group, number + first, rows, notes) if part is None else part)
     return np.concatenate(parts)
 
 
 def parse_sample(lines: list[str], rows: RowFormat) -> FloatArray:
-    """Parse those of some lines that are as they should be.
-
-    Parameters
-    ----------
-    lines : list of str
-        Clean ones.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, len(rows.wanted))
-    """
+    """Parse those of some clean lines that are as they should be: shape (n, len(rows.wanted))."""
     parts = []
     for first in range(0, len(lines), _GROUP):
-        some = lines[first : first + _GROUP]
-        part = _parse_clean(some, rows)
-        for line in some if part is None else ():
+        group = lines[first : first + _GROUP]
+        part = _parse_clean(group, rows)
+        for line in group if part is None else ():
             with suppress(InputError):
                 parts.append(_parse_odd([line], 0, rows, RowNotes(Path())))
         if part is not None:

@@ -15,20 +15,7 @@ __all__ = ["write_text_points"]
 
 
 def write_text_points(path: Path, cloud: PointCloud) -> None:
-    """Write a point cloud as lines of numbers that `open_text` reads back.
-
-    Parameters
-    ----------
-    path : Path
-        Appears whole or not at all.
-    cloud : PointCloud
-        Written in the input's frame, to the last digit.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write a cloud, in the input's frame, as lines of numbers that `open_text` reads back."""
     columns: list[Numbers] = [cloud.positions + cloud.origin]
     if cloud.normals is not None:
         columns.append(cloud.normals)
