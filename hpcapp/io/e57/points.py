@@ -135,12 +135,12 @@ def _join_columns(scans: Sequence[E57Scan], findings: Findings) -> _Columns:
     kept = {}
     total = sum(one.points for one in scans)
     for names, what in ((NORMALS, "normals"), (COLOURS, "colours")):
-        points_with = sum(one.points for one in scans if one.has(names))
-        kept[what] = 2 * points_with > total
-        if 0 < points_with < total:
+        covered = sum(one.points for one in scans if one.has(names))
+        kept[what] = 2 * covered > total
+        if 0 < covered < total:
             done = "zero there" if kept[what] else "left out"
             findings.warn(
-                f"{total - points_with} of {total} points are of scans without {what}: they are {done}"
+                f"{total - covered} of {total} points are of scans without {what}: they are {done}"
             )
     limits = {one.colour_limit for one in scans if one.has(COLOURS)}
     colours = np.float64 if None in limits else np.uint8 if limits == {255.0} else np.uint16
