@@ -6,9 +6,9 @@
                └──> portable   numpy: the specification, and what runs elsewhere
 
 Both builds offer the same names with the same parameters (a test compares them), and each
-function is described in full where it stands in `portable`. A kernel's row depends on no other row
-of its batch and on no number of threads; the two builds agree to rounding, and the workers of one
-job run the same one (see `build`).
+function is described in full where it stands in `portable`, whose types are those of both. A
+kernel's row depends on no other row of its batch and on no number of threads; the two builds agree
+to rounding, and the workers of one job run the same one (see `build`).
 """
 
 from typing import TYPE_CHECKING
@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING
 from hpccomponent.surface.build import load_native
 from hpccomponent.surface.kernels.constants import BASIS, COLUMNS, FINE, UNSURE, WRONG
 
-if TYPE_CHECKING or load_native() is not None:
-    from hpccomponent.surface.kernels.native import *  # noqa: F403
-    from hpccomponent.surface.kernels.native import __all__ as _kernels
-else:
+if TYPE_CHECKING or load_native() is None:
     from hpccomponent.surface.kernels.portable import *  # noqa: F403
     from hpccomponent.surface.kernels.portable import __all__ as _kernels
+else:
+    from hpccomponent.surface._native import *  # noqa: F403
+    from hpccomponent.surface._native import __all__ as _kernels
 
 __all__ = ["BASIS", "COLUMNS", "FINE", "UNSURE", "WRONG"]
 __all__ += _kernels

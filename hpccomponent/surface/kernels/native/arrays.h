@@ -17,8 +17,20 @@
 namespace hpc {
 
 namespace nb = nanobind;
+using namespace nb::literals;
 
+// An array as it comes, to be checked.
 using Input = nb::ndarray<nb::ro, nb::device::cpu>;
+
+// An array that is converted first where it is of another type or order; see its caster below.
+template <class Array>
+struct Converted : Input {};
+using Contiguous = Converted<nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu>>;
+using Doubles = Converted<nb::ndarray<const double, nb::c_contig, nb::device::cpu>>;
+using Singles = Converted<nb::ndarray<const float, nb::c_contig, nb::device::cpu>>;
+using Integers = Converted<nb::ndarray<const int64_t, nb::c_contig, nb::device::cpu>>;
+using Bytes = Converted<nb::ndarray<const uint8_t, nb::c_contig, nb::device::cpu>>;
+
 template <class T>
 using Output = nb::ndarray<nb::numpy, T>;
 
@@ -91,4 +103,40 @@ Output<T> give(Large<T>&& values) {
   return Output<T>(kept->data(), {kept->size()}, owner);
 }
 
+// Return what Python defines in a module of the surface.
+inline nb::object python_object(const char* module, const char* name) {
+  return nb::module_::import_((std::string("hpccomponent.surface.") + module).c_str()).attr(name);
+}
+
+// Return a field of a record of Python.
+template <class T>
+T field_of(nb::handle record, const char* name) {
+  T value{};
+  if (!nb::hasattr(record, name) || !nb::try_cast(nb::object(record.attr(name)), value))
+    refuse(std::string(name) + ": missing, or of another type");
+  return value;
+}
+
 }  // namespace hpc
+
+namespace nanobind::detail {
+
+// What cannot be converted is passed on, for `check` to refuse by name.
+template <class Array>
+struct type_caster<hpc::Converted<Array>> {
+  NB_TYPE_CASTER(hpc::Converted<Array>, make_caster<Array>::Name)
+
+  bool from_python(handle given, uint32_t flags, cleanup_list* cleanup) noexcept {
+    make_caster<Array> converted;
+    if (converted.from_python(given, flags, cleanup)) {
+      static_cast<hpc::Input&>(value) = hpc::Input(converted.value);
+      return true;
+    }
+    make_caster<hpc::Input> unconverted;
+    if (!unconverted.from_python(given, flags, cleanup)) return false;
+    static_cast<hpc::Input&>(value) = std::move(unconverted.value);
+    return true;
+  }
+};
+
+}  // namespace nanobind::detail

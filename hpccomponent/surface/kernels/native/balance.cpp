@@ -1,4 +1,4 @@
-// Vertices moved off the surface, so that the faces balance around it (see extraction.py).
+// Vertices moved off the surface, so that the faces balance around it (see marching_cubes.py).
 #include <cmath>
 
 #include "families.h"
@@ -113,7 +113,7 @@ void hold_folds(const Surface& mesh, double* moved) {
   }
 }
 
-Output<double> balance_vertices(Input vertices_of, Input faces_of, double step) {
+Output<double> balance_vertices(Doubles vertices_of, Integers faces_of, double step) {
   const int64_t count = vertices_of.ndim() ? rows_of(vertices_of) : 0;
   const Surface mesh{check<double>(vertices_of, "vertices", {ANY, 3}), check_faces(faces_of, count), count,
                      rows_of(faces_of)};
@@ -131,6 +131,8 @@ Output<double> balance_vertices(Input vertices_of, Input faces_of, double step) 
 
 }  // namespace
 
-void bind_balance(nb::module_& module) { module.def("balance_vertices", &balance_vertices); }
+void bind_balance(nb::module_& module) {
+  module.def("balance_vertices", &balance_vertices, "vertices"_a, "faces"_a, "step"_a);
+}
 
 }  // namespace hpc

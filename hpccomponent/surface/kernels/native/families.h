@@ -6,9 +6,6 @@
 
 namespace hpc {
 
-// Check the number of bricks along each axis.
-const int64_t* check_sides(const Input& bricks);
-
 // Return the points' rows in the order of their cells, stably, and the cells' squeezed keys.
 Ranking rank_points(const double* points, int64_t count, const double* origin, double size, Span& span);
 

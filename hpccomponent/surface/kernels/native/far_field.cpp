@@ -14,7 +14,7 @@ int64_t check_side(int64_t side) {
   return side;
 }
 
-Output<double> sample_grid(Input values_of, Input places_of) {
+Output<double> sample_grid(Input values_of, Doubles places_of) {
   const int64_t side = check_side(values_of.ndim() == 3 ? rows_of(values_of) : 0);
   const float* values = check<float>(values_of, "values", {side, side, side});
   const double* places = check<double>(places_of, "places", {ANY, 3});
@@ -46,7 +46,7 @@ HPC_CLONES void sample_keys(const float* values, int64_t side, const int64_t* ke
   }
 }
 
-Output<double> sample_corners(Input values_of, Input keys_of, Input origin_of, double spacing) {
+Output<double> sample_corners(Input values_of, Integers keys_of, Doubles origin_of, double spacing) {
   const int64_t side = check_side(values_of.ndim() == 3 ? rows_of(values_of) : 0);
   const float* values = check<float>(values_of, "values", {side, side, side});
   const int64_t* keys = check_keys(keys_of, "keys");
@@ -65,8 +65,8 @@ Output<double> sample_corners(Input values_of, Input keys_of, Input origin_of, d
 }  // namespace
 
 void bind_far_field(nb::module_& module) {
-  module.def("sample_corners", &sample_corners);
-  module.def("sample_grid", &sample_grid);
+  module.def("sample_corners", &sample_corners, "values"_a, "keys"_a, "origin"_a, "spacing"_a);
+  module.def("sample_grid", &sample_grid, "values"_a, "places"_a);
 }
 
 }  // namespace hpc

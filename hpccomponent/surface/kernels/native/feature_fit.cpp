@@ -306,7 +306,7 @@ void gather(const Cells& cells, std::vector<Finger>& fingers, const Place& verte
   }
 }
 
-nb::tuple fit_features(Input vertices_of, Input cells_of, Input offsets_of, Input local_of, Input normals_of,
+nb::tuple fit_features(Integers vertices_of, Integers cells_of, Integers offsets_of, Doubles local_of, Doubles normals_of,
                        double noise, int64_t threads) {
   const int64_t* vertices = check_keys(vertices_of, "vertices");
   const int64_t count = rows_of(vertices_of), points = rows_of(local_of), known = rows_of(cells_of);
@@ -350,6 +350,9 @@ nb::tuple fit_features(Input vertices_of, Input cells_of, Input offsets_of, Inpu
 
 }  // namespace
 
-void bind_features(nb::module_& module) { module.def("fit_features", &fit_features); }
+void bind_features(nb::module_& module) {
+  module.def("fit_features", &fit_features, "vertices"_a, "cells"_a, "offsets"_a, "local_positions"_a, "normals"_a,
+             "noise"_a, "threads"_a = 1);
+}
 
 }  // namespace hpc

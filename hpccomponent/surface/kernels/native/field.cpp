@@ -6,6 +6,8 @@
 // The loops over lanes index plain pointers: through a lambda GCC no longer sees what to vectorise.
 #include "field.h"
 
+#include <nanobind/stl/array.h>
+
 #include <algorithm>
 
 #include "families.h"
@@ -218,10 +220,9 @@ void close_border(const Place& brick, const Grid& grid, float* values) {
         if (outer(0, x) || outer(1, y) || outer(2, z)) *values = std::fabs(*values);
 }
 
-Output<float> evaluate_bricks(nb::tuple arguments, Input origin, double step, Input bricks, Input places_of,
-                              int64_t threads) {
-  const Grid grid = take_grid(origin, step, bricks);
-  const Field field = take_field(arguments, grid);
+Output<float> evaluate_bricks(nb::handle field_given, nb::handle grid_given, Integers places_of, int64_t threads) {
+  const Grid grid = take_grid(grid_given);
+  const Field field = take_field(field_given, grid);
   const int64_t* places = check<int64_t>(places_of, "places", {ANY, 3});
   const int64_t count = rows_of(places_of);
   for (int64_t i = 0; i < 3 * count; ++i)
@@ -239,30 +240,45 @@ Output<float> evaluate_bricks(nb::tuple arguments, Input origin, double step, In
   return give(std::move(values), {static_cast<size_t>(count), NODES, NODES, NODES});
 }
 
-// The arrays live as long as the tuple does, which the caller holds.
-std::vector<FieldLevel> take_levels(const nb::tuple& levels_of) {
-  std::vector<FieldLevel> levels;
-  if (levels_of.size() > MOST_LEVELS) refuse("levels: too many");
-  for (size_t depth = 0; depth < levels_of.size(); ++depth) {
-    const nb::tuple level = nb::cast<nb::tuple>(levels_of[depth]);
-    if (level.size() != 3) refuse("level: expected keys, coefficients and trust");
-    const Input keys = nb::cast<Input>(level[0]);
-    const int64_t* sorted = check_keys(keys, "keys");
-    const int64_t count = rows_of(keys);
-    levels.push_back({sorted, count, check<float>(nb::cast<Input>(level[1]), "coefficients", {count, 10}),
-                      check<float>(nb::cast<Input>(level[2]), "trust", {count})});
-  }
-  return levels;
+void take_origin(nb::handle given, double* origin) {
+  const auto array = field_of<Doubles>(given, "origin");
+  std::copy_n(check<double>(array, "origin", {3}), 3, origin);
+  check_finite(origin, 3, "origin");
 }
 
-Features take_features(const nb::tuple& arguments) {
-  if (arguments.size() == 0) return {nullptr, 0, nullptr, nullptr};
-  if (arguments.size() != 3) refuse("features: expected keys, pieces and joints");
-  const Input keys = nb::cast<Input>(arguments[0]);
+void take_levels(nb::handle given, Field& field) {
+  const auto levels = field_of<nb::tuple>(given, "levels");
+  if (levels.size() > MOST_LEVELS) refuse("levels: too many");
+  for (const nb::handle level : levels) {
+    const Input keys = field.hold<Integers>(level, "keys");
+    const int64_t* sorted = check_keys(keys, "keys");
+    const int64_t count = rows_of(keys);
+    field.levels.push_back({sorted, count,
+                            check<float>(field.hold<Singles>(level, "coefficients"), "coefficients", {count, 10}),
+                            check<float>(field.hold<Singles>(level, "trust"), "trust", {count})});
+  }
+}
+
+void take_features(nb::handle given, Field& field) {
+  const auto features = field_of<nb::object>(given, "features");
+  if (features.is_none()) return;
+  const Input keys = field.hold<Input>(features, "keys");
   const int64_t* sorted = check_keys(keys, "keys");
   const int64_t count = rows_of(keys);
-  return {sorted, count, check<float>(nb::cast<Input>(arguments[1]), "pieces", {count, PIECES, QUADRIC}),
-          check<uint8_t>(nb::cast<Input>(arguments[2]), "joints", {count})};
+  field.features = {sorted, count,
+                    check<float>(field.hold<Input>(features, "pieces"), "pieces", {count, PIECES, QUADRIC}),
+                    check<uint8_t>(field.hold<Input>(features, "joints"), "joints", {count})};
+}
+
+void take_far(nb::handle given, Field& field) {
+  const auto far = field_of<nb::object>(given, "far");
+  const Input values = field.hold<Input>(far, "values");
+  field.far_nodes = values.ndim() == 3 ? rows_of(values) : 0;
+  if (field.far_nodes < 2 || field.far_nodes > 1024) refuse("far: expected a cube of 2 to 1024 nodes");
+  field.far_values = check<float>(values, "far", {field.far_nodes, field.far_nodes, field.far_nodes});
+  field.far_step = field_of<double>(far, "step");
+  take_origin(far, field.far_origin);
+  check_positive(field.far_step, "far step");
 }
 
 void round_values(const Real* total, float* values) {
@@ -275,29 +291,27 @@ void round_values(const Real* total, float* values) {
 
 }  // namespace
 
-Grid take_grid(const Input& origin, double step, const Input& bricks) {
-  const int64_t* sides = check_sides(bricks);
-  const double* corner = check<double>(origin, "origin", {3});
-  check_finite(corner, 3, "origin");
-  check_positive(step, "step");
-  return {corner, step, {sides[0], sides[1], sides[2]}};
+Grid take_grid(nb::handle given) {
+  Grid grid;
+  take_origin(given, grid.origin);
+  grid.step = field_of<double>(given, "step");
+  check_positive(grid.step, "step");
+  const auto bricks = field_of<std::array<int64_t, 3>>(given, "bricks");
+  for (int axis = 0; axis < 3; ++axis) {
+    if (bricks[axis] < 1 || bricks[axis] > 2048) refuse("bricks: expected 1 to 2048 along each axis");
+    grid.bricks[axis] = bricks[axis];
+  }
+  return grid;
 }
 
-Field take_field(const nb::tuple& arguments, const Grid& grid) {
-  if (arguments.size() != 7) refuse("field: expected seven values");
-  const auto array = [&](size_t i) { return nb::cast<Input>(arguments[i]); };
-  const Input far = array(3);
-  const int64_t side = far.ndim() == 3 ? rows_of(far) : 0;
-  if (side < 2 || side > 1024) refuse("far: expected a cube of 2 to 1024 nodes");
-  const Field field{check<double>(array(0), "origin", {3}), nb::cast<double>(arguments[1]),
-                    take_levels(nb::cast<nb::tuple>(arguments[2])),
-                    check<float>(far, "far", {side, side, side}), side,
-                    check<double>(array(4), "far origin", {3}), nb::cast<double>(arguments[5]),
-                    take_features(nb::cast<nb::tuple>(arguments[6]))};
+Field take_field(nb::handle given, const Grid& grid) {
+  Field field;
+  take_origin(given, field.origin);
+  field.cell_size = field_of<double>(given, "cell_size");
   check_positive(field.cell_size, "cell_size");
-  check_positive(field.far_step, "far step");
-  check_finite(field.origin, 3, "origin");
-  check_finite(field.far_origin, 3, "far origin");
+  take_levels(given, field);
+  take_far(given, field);
+  take_features(given, field);
   for (int axis = 0; axis < 3; ++axis) {
     const double reach = grid.step * BRICK * static_cast<double>(grid.bricks[axis]);
     const double low = std::fabs(grid.origin[axis] - field.origin[axis]) + reach;
@@ -356,6 +370,8 @@ void BrickEvaluator::evaluate(const Place& brick, float* values) {
   close_border(brick, grid_, values);
 }
 
-void bind_field(nb::module_& module) { module.def("evaluate_bricks", &evaluate_bricks); }
+void bind_field(nb::module_& module) {
+  module.def("evaluate_bricks", &evaluate_bricks, "field"_a, "grid"_a, "places"_a, "threads"_a = 1);
+}
 
 }  // namespace hpc

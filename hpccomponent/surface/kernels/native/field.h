@@ -18,8 +18,7 @@ constexpr int BRICK_NODES = NODES * NODES * NODES;
 using Real = float;
 
 struct Grid {
-  const double* origin;
-  double step;
+  double origin[3], step;
   int64_t bricks[3];
 };
 
@@ -32,26 +31,32 @@ struct FieldLevel {
 
 // Those vertices of the finest lattice that have three quadrics, joined by max or min.
 struct Features {
-  const int64_t* keys;
-  int64_t count;
-  const float* pieces;
-  const uint8_t* joints;
+  const int64_t* keys = nullptr;
+  int64_t count = 0;
+  const float* pieces = nullptr;
+  const uint8_t* joints = nullptr;
 };
 
 struct Field {
-  const double* origin;
-  double cell_size;
+  double origin[3], cell_size;
   std::vector<FieldLevel> levels;
   const float* far_values;
   int64_t far_nodes;
-  const double* far_origin;
-  double far_step;
+  double far_origin[3], far_step;
   Features features;
+  std::vector<Input> arrays;  // what the pointers above point into
+
+  // Return an array of a record, and hold it.
+  template <class Array>
+  Input hold(nb::handle record, const char* name) {
+    arrays.push_back(field_of<Array>(record, name));
+    return arrays.back();
+  }
 };
 
-// What every call takes as (origin, step, bricks) and as seven arguments.
-Grid take_grid(const Input& origin, double step, const Input& bricks);
-Field take_field(const nb::tuple& arguments, const Grid& grid);
+// Check a `Grid` and a `Field` of Python.
+Grid take_grid(nb::handle given);
+Field take_field(nb::handle given, const Grid& grid);
 
 class FeatureBlend;
 

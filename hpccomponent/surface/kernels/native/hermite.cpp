@@ -275,7 +275,7 @@ HPC_CLONES void fit_layer(CornerSums& sums, const int64_t* corners, const Fits& 
   }
 }
 
-Output<double> corner_moments(Input touched_of, Input cells_of, Input moments_of, int64_t threads) {
+Output<double> corner_moments(Integers touched_of, Integers cells_of, Doubles moments_of, int64_t threads) {
   const int64_t* touched = check_keys(touched_of, "touched");
   const int64_t* cells = check_keys(cells_of, "cells");
   const int64_t count = rows_of(touched_of), known = rows_of(cells_of);
@@ -293,8 +293,8 @@ Output<double> corner_moments(Input touched_of, Input cells_of, Input moments_of
   return give(std::move(total), {static_cast<size_t>(count), COLUMNS});
 }
 
-nb::tuple fit_corners(Input touched_of, Input cells_of, Input moments_of, Input prior_of,
-                      Input noise_of, double lam, double least_mu, double most_mu, int64_t threads) {
+nb::tuple fit_corners(Integers touched_of, Integers cells_of, Doubles moments_of, Singles prior_of,
+                      Singles noise_of, double lam, double least_mu, double most_mu, int64_t threads) {
   const int64_t* touched = check_keys(touched_of, "touched");
   const int64_t* cells = check_keys(cells_of, "cells");
   const int64_t count = rows_of(touched_of), known = rows_of(cells_of);
@@ -326,7 +326,7 @@ nb::tuple fit_corners(Input touched_of, Input cells_of, Input moments_of, Input 
                         give(std::move(variances), {rows}), give(std::move(misfits), {rows}));
 }
 
-Output<double> evaluate_residuals(Input moments_of, Input coefficients_of) {
+Output<double> evaluate_residuals(Doubles moments_of, Doubles coefficients_of) {
   const double* moments = check<double>(moments_of, "moments", {ANY, COLUMNS});
   const int64_t count = rows_of(moments_of);
   const double* coefficients = check<double>(coefficients_of, "coefficients", {count, BASIS});
@@ -345,9 +345,10 @@ Output<double> evaluate_residuals(Input moments_of, Input coefficients_of) {
 }  // namespace
 
 void bind_hermite(nb::module_& module) {
-  module.def("corner_moments", &corner_moments);
-  module.def("fit_corners", &fit_corners);
-  module.def("evaluate_residuals", &evaluate_residuals);
+  module.def("corner_moments", &corner_moments, "touched"_a, "cells"_a, "moments"_a, "threads"_a = 1);
+  module.def("fit_corners", &fit_corners, "touched"_a, "cells"_a, "moments"_a, "prior"_a, "noise"_a, "lam"_a,
+             "least_mu"_a, "most_mu"_a, "threads"_a = 1);
+  module.def("evaluate_residuals", &evaluate_residuals, "moments"_a, "coefficients"_a);
 }
 
 }  // namespace hpc

@@ -104,7 +104,7 @@ HPC_CLONES bool inherit_range(const int64_t* vertices, const Parents& parents, i
   return true;
 }
 
-nb::tuple inherit_level(Input vertices_of, Input keys_of, Input coefficients_of, Input values_of,
+nb::tuple inherit_level(Integers vertices_of, Integers keys_of, Singles coefficients_of, Singles values_of,
                         int64_t threads) {
   const int64_t* vertices = check_keys(vertices_of, "vertices");
   const int64_t* keys = check_keys(keys_of, "parent_keys");
@@ -132,6 +132,9 @@ nb::tuple inherit_level(Input vertices_of, Input keys_of, Input coefficients_of,
 
 }  // namespace
 
-void bind_inheritance(nb::module_& module) { module.def("inherit_level", &inherit_level); }
+void bind_inheritance(nb::module_& module) {
+  module.def("inherit_level", &inherit_level, "vertices"_a, "parents"_a, "coefficients"_a, "values"_a,
+             "threads"_a = 1);
+}
 
 }  // namespace hpc

@@ -92,7 +92,7 @@ Large<int64_t> spread_sorted(const int64_t* keys, int64_t count, int64_t low, in
   return spread;
 }
 
-Output<int64_t> spread_keys(Input keys_of, int64_t low, int64_t high) {
+Output<int64_t> spread_keys(Integers keys_of, int64_t low, int64_t high) {
   const int64_t* keys = check_keys(keys_of, "keys");
   if (low > high || low < -8 || high > 8) refuse("low, high: expected -8 <= low <= high <= 8");
   Large<int64_t> spread;
@@ -168,7 +168,7 @@ Keys halve_fastest(const int64_t* keys, int64_t count) {
   return halved;
 }
 
-Output<int64_t> parent_keys(Input keys_of) {
+Output<int64_t> parent_keys(Integers keys_of) {
   const int64_t* keys = check_keys(keys_of, "keys");
   Keys parents{};
   {
@@ -179,7 +179,7 @@ Output<int64_t> parent_keys(Input keys_of) {
   return give(std::move(parents.at), {static_cast<size_t>(parents.count)});
 }
 
-Output<int64_t> find_keys(Input keys_of, Input wanted_of, int64_t threads) {
+Output<int64_t> find_keys(Integers keys_of, Integers wanted_of, int64_t threads) {
   const int64_t* keys = check_keys(keys_of, "keys");
   const int64_t* wanted = check<int64_t>(wanted_of, "wanted", {ANY});
   const int64_t known = rows_of(keys_of), count = rows_of(wanted_of);
@@ -198,7 +198,7 @@ Output<int64_t> find_keys(Input keys_of, Input wanted_of, int64_t threads) {
   return give(std::move(rows), {static_cast<size_t>(count)});
 }
 
-Output<uint32_t> mark_ancestors(Input cells_of, int64_t depth, Input ancestors_of) {
+Output<uint32_t> mark_ancestors(Integers cells_of, int64_t depth, Integers ancestors_of) {
   const int64_t* cells = check_keys(cells_of, "cells");
   const int64_t* ancestors = check_keys(ancestors_of, "ancestors");
   if (depth < 0 || depth >= BITS) refuse("depth: expected 0 to 20");
@@ -223,7 +223,7 @@ Output<uint32_t> mark_ancestors(Input cells_of, int64_t depth, Input ancestors_o
   return give(std::move(marks), {static_cast<size_t>(known)});
 }
 
-Output<bool> look_near(Input cells_of, Input origin_of, double size, Input pairs_of, Input corner_of, double edge,
+Output<bool> look_near(Integers cells_of, Input origin_of, double size, Input pairs_of, Input corner_of, double edge,
                        double margin, int64_t beyond) {
   const int64_t* cells = check_keys(cells_of, "cells");
   const double* origin = check<double>(origin_of, "origin", {3});
@@ -258,7 +258,7 @@ Output<bool> look_near(Input cells_of, Input origin_of, double size, Input pairs
   return give(std::move(near), {static_cast<size_t>(count)});
 }
 
-Output<int64_t> unite_keys(Input first_of, Input second_of) {
+Output<int64_t> unite_keys(Integers first_of, Integers second_of) {
   const int64_t* first = check_keys(first_of, "first");
   const int64_t* second = check_keys(second_of, "second");
   const int64_t count = rows_of(first_of), others = rows_of(second_of);
@@ -305,7 +305,7 @@ Ranges add_moved(const Ranges& ranges, int64_t step) {
   return both;
 }
 
-Output<bool> mark_near(Input keys_of, Input cells_of, Input low_of, Input high_of) {
+Output<bool> mark_near(Integers keys_of, Integers cells_of, Input low_of, Input high_of) {
   const int64_t* keys = check_keys(keys_of, "keys");
   const int64_t* cells = check_keys(cells_of, "cells");
   const int64_t* low = check<int64_t>(low_of, "low", {3});
@@ -343,7 +343,7 @@ Output<bool> mark_near(Input keys_of, Input cells_of, Input low_of, Input high_o
   return give(std::move(near), {static_cast<size_t>(asked)});
 }
 
-nb::tuple label_cells(Input cells_of) {
+nb::tuple label_cells(Integers cells_of) {
   const int64_t* cells = check_keys(cells_of, "cells");
   const int64_t count = rows_of(cells_of);
   auto label = make_buffer<int32_t>(count);
@@ -369,14 +369,15 @@ nb::tuple label_cells(Input cells_of) {
 }  // namespace
 
 void bind_lattice(nb::module_& module) {
-  module.def("spread_keys", &spread_keys);
-  module.def("parent_keys", &parent_keys);
-  module.def("find_keys", &find_keys);
-  module.def("unite_keys", &unite_keys);
-  module.def("mark_ancestors", &mark_ancestors);
-  module.def("look_near", &look_near);
-  module.def("mark_near", &mark_near);
-  module.def("label_cells", &label_cells);
+  module.def("spread_keys", &spread_keys, "keys"_a, "low"_a, "high"_a);
+  module.def("parent_keys", &parent_keys, "vertices"_a);
+  module.def("find_keys", &find_keys, "keys"_a, "wanted"_a, "threads"_a = 1);
+  module.def("unite_keys", &unite_keys, "first"_a, "second"_a);
+  module.def("mark_ancestors", &mark_ancestors, "cells"_a, "depth"_a, "ancestors"_a);
+  module.def("look_near", &look_near, "cells"_a, "origin"_a, "cell_size"_a, "pairs"_a, "corner"_a, "edge"_a,
+             "margin"_a, "beyond"_a);
+  module.def("mark_near", &mark_near, "keys"_a, "cells"_a, "low"_a, "high"_a);
+  module.def("label_cells", &label_cells, "keys"_a);
 }
 
 }  // namespace hpc

@@ -1,6 +1,8 @@
 // Moments of points: sums over the points of a cell, moved and merged into parents.
 #include "moments.h"
 
+#include <nanobind/stl/optional.h>
+
 #include "families.h"
 #include "keys.h"
 #include "threads.h"
@@ -83,12 +85,13 @@ HPC_CLONES void sum_cells(const double* local, const double* normals, const doub
   }
 }
 
-Output<double> sum_points(const Input& local_of, const Input& normals_of, const double* weights, const Input& offsets_of,
-                          int64_t threads) {
+Output<double> accumulate_moments(Doubles local_of, Doubles normals_of, Integers offsets_of,
+                                  std::optional<Doubles> weights_of, int64_t threads) {
   const double* local = check<double>(local_of, "local_positions", {ANY, 3});
   const int64_t points = rows_of(local_of);
   const double* normals = check<double>(normals_of, "normals", {points, 3});
   const int64_t* offsets = check_offsets(offsets_of, ANY, points);
+  const double* weights = weights_of ? check<double>(*weights_of, "weights", {points}) : nullptr;
   const int64_t cells = rows_of(offsets_of) - 1;
   const int workers = check_threads(threads);
   auto moments = make_buffer<double>(cells * COLUMNS);
@@ -99,44 +102,6 @@ Output<double> sum_points(const Input& local_of, const Input& normals_of, const 
     });
   }
   return give(std::move(moments), {static_cast<size_t>(cells), COLUMNS});
-}
-
-Output<double> accumulate_moments(Input local_of, Input normals_of, Input offsets_of, int64_t threads) {
-  return sum_points(local_of, normals_of, nullptr, offsets_of, threads);
-}
-
-Output<double> accumulate_weighted(Input local_of, Input normals_of, Input weights_of, Input offsets_of, int64_t threads) {
-  const double* weights = check<double>(weights_of, "weights", {local_of.ndim() ? rows_of(local_of) : 0});
-  return sum_points(local_of, normals_of, weights, offsets_of, threads);
-}
-
-HPC_CLONES void shift_rows(const double* from, int64_t count, const double* step, double* to) {
-  Block block;
-  double steps[3][LANES];
-  for (int axis = 0; axis < 3; ++axis)
-    for (int lane = 0; lane < LANES; ++lane) steps[axis][lane] = step[axis];
-  for (int64_t start = 0; start < count; start += LANES) {
-    const int width = static_cast<int>(std::min<int64_t>(LANES, count - start));
-    for (int lane = 0; lane < LANES; ++lane)
-      for (int column = 0; column < COLUMNS; ++column)
-        block[column][lane] = lane < width ? from[(start + lane) * COLUMNS + column] : 0.0;
-    shift_block(block, steps);
-    for (int lane = 0; lane < width; ++lane)
-      for (int column = 0; column < COLUMNS; ++column)
-        to[(start + lane) * COLUMNS + column] = block[column][lane];
-  }
-}
-
-Output<double> shift_moments(Input moments_of, Input shift_of) {
-  const double* moments = check<double>(moments_of, "moments", {ANY, COLUMNS});
-  const double* shift = check<double>(shift_of, "shift", {3});
-  const int64_t count = rows_of(moments_of);
-  auto shifted = make_buffer<double>(count * COLUMNS);
-  {
-    nb::gil_scoped_release unlocked;
-    shift_rows(moments, count, shift, shifted.get());
-  }
-  return give(std::move(shifted), {static_cast<size_t>(count), COLUMNS});
 }
 
 // Express rows in cells of twice the size; powers of two are exact.
@@ -150,15 +115,6 @@ HPC_CLONES void scale_rows(double* rows, int64_t count) {
   }
   for (int64_t row = 0; row < count; ++row)
     for (int column = 0; column < COLUMNS; ++column) rows[row * COLUMNS + column] *= factors[column];
-}
-
-Output<double> scale_moments(Input moments_of) {
-  const double* moments = check<double>(moments_of, "moments", {ANY, COLUMNS});
-  const int64_t count = rows_of(moments_of);
-  auto scaled = make_buffer<double>(count * COLUMNS);
-  std::copy(moments, moments + count * COLUMNS, scaled.get());
-  scale_rows(scaled.get(), count);
-  return give(std::move(scaled), {static_cast<size_t>(count), COLUMNS});
 }
 
 // Rank cells by parent, then by octant.
@@ -228,7 +184,7 @@ HPC_CLONES void merge_rows(const double* moments, const Family* families, int64_
   }
 }
 
-nb::tuple merge_cells(Input cells_of, Input moments_of) {
+nb::tuple merge_cells(Integers cells_of, Doubles moments_of) {
   const int64_t* cells = check_keys(cells_of, "cells");
   const int64_t count = rows_of(cells_of);
   const double* moments = check<double>(moments_of, "moments", {count, COLUMNS});
@@ -260,11 +216,9 @@ const int64_t* check_offsets(const Input& offsets_of, int64_t cells, int64_t poi
 }
 
 void bind_moments(nb::module_& module) {
-  module.def("accumulate_moments", &accumulate_moments);
-  module.def("accumulate_weighted", &accumulate_weighted);
-  module.def("shift_moments", &shift_moments);
-  module.def("scale_moments", &scale_moments);
-  module.def("merge_cells", &merge_cells);
+  module.def("accumulate_moments", &accumulate_moments, "local_positions"_a, "normals"_a, "offsets"_a,
+             "weights"_a.none() = nb::none(), "threads"_a = 1);
+  module.def("merge_cells", &merge_cells, "cells"_a, "moments"_a);
 }
 
 }  // namespace hpc

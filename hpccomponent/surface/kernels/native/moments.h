@@ -77,25 +77,6 @@ constexpr int NORMAL_SHIFTS[9][4] = {{38, 35, 0, 2}, {39, 36, 1, 2}, {40, 37, 2,
 
 using Block = double[COLUMNS][LANES];
 
-HPC_INLINE void add_scaled(double* to, const double* from, const double* factor, double constant) {
-  EACH_LANE to[lane] += constant * factor[lane] * from[lane];
-}
-
-// Add step[axis][lane] to every point of each lane's row.
-HPC_INLINE void shift_block(Block& rows, const double (&step)[3][LANES]) {
-  for (int axis = 0; axis < 3; ++axis) {
-    double powers[4][LANES];
-    EACH_LANE {
-      powers[0][lane] = step[axis][lane];
-      for (int p = 1; p < 4; ++p) powers[p][lane] = powers[p - 1][lane] * step[axis][lane];
-    }
-    for (const ShiftTerm& term : SHIFTS.terms[axis])
-      add_scaled(rows[term.column], rows[term.source], powers[term.power - 1], term.factor);
-  }
-  for (const auto& term : NORMAL_SHIFTS)
-    add_scaled(rows[term[0]], rows[term[1]], step[term[2]], term[3]);
-}
-
 template <int AXIS, int TERM>
 HPC_INLINE void shift_term(Block& sum, const Block& difference) {
   constexpr double HALVES[4] = {0.5, 0.25, 0.125, 0.0625};

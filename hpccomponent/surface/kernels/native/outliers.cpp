@@ -1,4 +1,4 @@
-// Points that do not belong and normals that point the wrong way (see outliers.py, normals.py).
+// Points that do not belong and normals that point the wrong way (see counting.py, normals.py).
 #include "families.h"
 #include "threads.h"
 
@@ -31,7 +31,7 @@ class Neighbourhood {
   std::vector<Finger> fingers_;  // one for each column of cells: each walks on as the keys rise
 };
 
-nb::tuple count_cells(Input positions, Input origin_of, double edge) {
+nb::tuple count_cells(Doubles positions, Doubles origin_of, double edge) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const double* origin = check<double>(origin_of, "origin", {3});
   check_positive(edge, "edge");
@@ -64,7 +64,7 @@ const int64_t* check_rows(const Input& array, const char* name, int64_t end) {
   return rows;
 }
 
-Output<int64_t> sum_neighbours(Input cells, Input values, Input wanted) {
+Output<int64_t> sum_neighbours(Integers cells, Integers values, Integers wanted) {
   const int64_t* keys = check_keys(cells, "cells");
   const int64_t count = rows_of(cells);
   const int64_t* value = check<int64_t>(values, "values", {count, ANY});
@@ -240,7 +240,7 @@ Output<uint8_t> poll_all(Input positions, Input normals, Input cells, Input cell
   return give(std::move(verdicts), {static_cast<size_t>(points)});
 }
 
-Output<uint8_t> poll_normals(Input positions, Input normals, Input cells, Input cell_of, Input asked_of,
+Output<uint8_t> poll_normals(Doubles positions, Contiguous normals, Integers cells, Integers cell_of, Input asked_of,
                              double reach, double tolerance, double drift, int64_t threads) {
   const auto run = normals.dtype() == nb::dtype<float>() ? &poll_all<float> : &poll_all<double>;
   return run(positions, normals, cells, cell_of, asked_of, reach, tolerance, drift, threads);
@@ -249,9 +249,10 @@ Output<uint8_t> poll_normals(Input positions, Input normals, Input cells, Input 
 }  // namespace
 
 void bind_outliers(nb::module_& module) {
-  module.def("count_cells", &count_cells);
-  module.def("sum_neighbours", &sum_neighbours);
-  module.def("poll_normals", &poll_normals);
+  module.def("count_cells", &count_cells, "positions"_a, "low"_a, "edge"_a);
+  module.def("sum_neighbours", &sum_neighbours, "keys"_a, "values"_a, "wanted"_a);
+  module.def("poll_normals", &poll_normals, "positions"_a, "normals"_a, "keys"_a, "cell_of"_a, "asked"_a, "reach"_a,
+             "tolerance"_a, "drift"_a, "threads"_a = 1);
 }
 
 }  // namespace hpc

@@ -8,6 +8,7 @@
 
 #include "clones.h"
 #include "families.h"
+#include "field.h"
 #include "seeds.h"
 
 namespace hpc {
@@ -282,23 +283,21 @@ nb::tuple place_packed(Input records_of, Input blocks_of, Input corners_of, doub
 }
 
 Output<int64_t> seed_packed(Input records_of, Input blocks_of, Input corners_of, double edge, Input offsets_of,
-                            Input wanted_of, Input origin_of, double brick, Input bricks) {
+                            Input wanted_of, nb::handle grid_of) {
   const Scattered packed(records_of, blocks_of, corners_of, edge);
   const bool* wanted = check<bool>(wanted_of, "wanted", {ANY});
   const int64_t cells = rows_of(wanted_of);
   const int64_t* offsets = check_offsets(offsets_of, cells, packed.points);
-  const double* origin = check<double>(origin_of, "origin", {3});
-  check_positive(brick, "edge");
-  const int64_t* sides = check_sides(bricks);
+  const Grid grid = take_grid(grid_of);
   Large<int64_t> seeds;
   {
     nb::gil_scoped_release unlocked;
-    BrickSet held(sides);
+    BrickSet held(grid.bricks);
     double positions[3 * CHUNK];
     Place places[CHUNK];
     int width = 0;
     const auto add = [&] {
-      find_places(positions, width, origin, brick, places);
+      find_places(positions, width, grid.origin, BRICK * grid.step, places);
       for (int i = 0; i < width; ++i) held.add(places[i]);
       width = 0;
     };
@@ -318,13 +317,17 @@ Output<int64_t> seed_packed(Input records_of, Input blocks_of, Input corners_of,
 }  // namespace
 
 void bind_packing(nb::module_& module) {
-  module.def("pack_records", &pack_records);
-  module.def("unpack_records", &unpack_records);
-  module.def("unpack_within", &unpack_within);
-  module.def("sort_packed", &sort_packed);
-  module.def("count_packed", &count_packed);
-  module.def("place_packed", &place_packed);
-  module.def("seed_packed", &seed_packed);
+  module.def("pack_records", &pack_records, "positions"_a, "normals"_a, "origin"_a, "edge"_a);
+  module.def("unpack_records", &unpack_records, "records"_a, "counts"_a, "corners"_a, "edge"_a);
+  module.def("unpack_within", &unpack_within, "records"_a, "counts"_a, "corners"_a, "edge"_a, "low"_a, "high"_a);
+  module.def("sort_packed", &sort_packed, "records"_a, "counts"_a, "corners"_a, "edge"_a, "origin"_a, "cell_size"_a,
+             "depth"_a, "wanted"_a, "numbers"_a);
+  module.def("count_packed", &count_packed, "records"_a, "counts"_a, "corners"_a, "edge"_a, "origin"_a,
+             "cell_size"_a);
+  module.def("place_packed", &place_packed, "records"_a, "blocks"_a, "corners"_a, "edge"_a, "origin"_a,
+             "cell_size"_a);
+  module.def("seed_packed", &seed_packed, "records"_a, "blocks"_a, "corners"_a, "edge"_a, "offsets"_a, "wanted"_a,
+             "grid"_a);
 }
 
 }  // namespace hpc

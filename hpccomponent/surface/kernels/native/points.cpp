@@ -1,6 +1,7 @@
 // Points on a lattice: counting occupied boxes, sorting by cell, the bricks that hold a point.
 #include "clones.h"
 #include "families.h"
+#include "field.h"
 #include "keys.h"
 #include "seeds.h"
 
@@ -102,7 +103,7 @@ HPC_CLONES void bound(const double* points, int64_t count, double* least, double
   }
 }
 
-nb::tuple bound_points(Input positions) {
+nb::tuple bound_points(Doubles positions) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const int64_t count = rows_of(positions);
   if (!count) refuse("positions: expected at least one point");
@@ -120,7 +121,7 @@ inline bool is_sampled(int64_t key, int64_t one_in) {
   return mixed * static_cast<uint64_t>(one_in) >> 31 == 0;
 }
 
-nb::tuple count_boxes(Input positions, Input low, double edge, int64_t one_in) {
+nb::tuple count_boxes(Doubles positions, Doubles low, double edge, int64_t one_in) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const double* origin = check<double>(low, "low", {3});
   check_positive(edge, "edge");
@@ -141,7 +142,7 @@ nb::tuple count_boxes(Input positions, Input low, double edge, int64_t one_in) {
   return nb::make_tuple(kept, boxes);
 }
 
-Output<int64_t> sample_boxes(Input positions, Input low, double edge, int64_t one_in) {
+Output<int64_t> sample_boxes(Doubles positions, Doubles low, double edge, int64_t one_in) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const double* origin = check<double>(low, "low", {3});
   check_positive(edge, "edge");
@@ -173,7 +174,7 @@ Ranking rank_points(const double* points, int64_t count, const double* origin, d
 
 namespace {
 
-nb::tuple sort_points(Input positions, Input origin_of, double size) {
+nb::tuple sort_points(Doubles positions, Doubles origin_of, double size) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const int64_t count = rows_of(positions);
   const double* origin = check<double>(origin_of, "origin", {3});
@@ -235,7 +236,7 @@ nb::tuple take_cells(Input positions, Input normals, Input origin_of, double siz
                         give(std::move(numbers), {found}));
 }
 
-nb::tuple gather_points(Input positions, Input normals, Input rows_wanted, Input origin_of, double size) {
+nb::tuple gather_points(Doubles positions, Doubles normals, Input rows_wanted, Doubles origin_of, double size) {
   const double* point = check<double>(positions, "positions", {ANY, 3});
   const int64_t known = rows_of(positions);
   const double* normal = check<double>(normals, "normals", {known, 3});
@@ -266,17 +267,15 @@ nb::tuple gather_points(Input positions, Input normals, Input rows_wanted, Input
   return nb::make_tuple(give(std::move(local), {n, 3}), give(std::move(gathered), {n, 3}));
 }
 
-Output<int64_t> seed_bricks(Input positions, Input origin_of, double edge, Input bricks) {
+Output<int64_t> seed_bricks(nb::handle grid_of, Doubles positions) {
+  const Grid grid = take_grid(grid_of);
   const double* point = check<double>(positions, "positions", {ANY, 3});
-  const double* origin = check<double>(origin_of, "origin", {3});
-  check_positive(edge, "edge");
-  const int64_t* sides = check_sides(bricks);
   const int64_t count = rows_of(positions);
   Large<int64_t> seeds;
   {
     nb::gil_scoped_release unlocked;
-    BrickSet held(sides);
-    visit_places(point, count, origin, edge, [&](int64_t, const Place& place) { held.add(place); });
+    BrickSet held(grid.bricks);
+    visit_places(point, count, grid.origin, BRICK * grid.step, [&](int64_t, const Place& place) { held.add(place); });
     seeds = held.keys();
   }
   return give(std::move(seeds));
@@ -303,21 +302,14 @@ HPC_CLONES void centre_points(double* points, int64_t count, const double* origi
   }
 }
 
-const int64_t* check_sides(const Input& bricks) {
-  const int64_t* sides = check<int64_t>(bricks, "bricks", {3});
-  for (int axis = 0; axis < 3; ++axis)
-    if (sides[axis] < 1 || sides[axis] > 2048) refuse("bricks: expected 1 to 2048 along each axis");
-  return sides;
-}
-
 void bind_points(nb::module_& module) {
-  module.def("bound_points", &bound_points);
-  module.def("count_boxes", &count_boxes);
-  module.def("sample_boxes", &sample_boxes);
-  module.def("sort_points", &sort_points);
-  module.def("take_cells", &take_cells);
-  module.def("gather_points", &gather_points);
-  module.def("seed_bricks", &seed_bricks);
+  module.def("bound_points", &bound_points, "positions"_a);
+  module.def("count_boxes", &count_boxes, "positions"_a, "low"_a, "edge"_a, "one_in"_a);
+  module.def("sample_boxes", &sample_boxes, "positions"_a, "low"_a, "edge"_a, "one_in"_a);
+  module.def("sort_points", &sort_points, "positions"_a, "origin"_a, "cell_size"_a);
+  module.def("take_cells", &take_cells, "positions"_a, "normals"_a, "origin"_a, "cell_size"_a, "wanted"_a, "groups"_a);
+  module.def("gather_points", &gather_points, "positions"_a, "normals"_a, "rows"_a, "origin"_a, "cell_size"_a);
+  module.def("seed_bricks", &seed_bricks, "grid"_a, "positions"_a);
 }
 
 }  // namespace hpc

@@ -1,4 +1,4 @@
-// The Poisson equation of the far field (see far_field.py), solved by Fourier transforms.
+// The Poisson equation of the far field (see coarse_grid.py), solved by Fourier transforms.
 //
 // Rows along z are transformed first, two real ones in each complex lane; then the frequencies
 // along z are independent of one another, and a few of them at a time fit into the cache.
@@ -204,7 +204,7 @@ HPC_CLONES void integrate_block(Slab& slab, Spectrum* components, int64_t block)
   }
 }
 
-Output<float> integrate_normals(Input places_of, Input normals_of, double smoothing, Input held_of, int64_t nodes,
+Output<float> integrate_normals(Doubles places_of, Doubles normals_of, double smoothing, Integers held_of, int64_t nodes,
                                 int64_t threads) {
   const double* places = check<double>(places_of, "places", {ANY, 3});
   const int64_t count = rows_of(places_of);
@@ -236,6 +236,9 @@ Output<float> integrate_normals(Input places_of, Input normals_of, double smooth
 
 }  // namespace
 
-void bind_poisson(nb::module_& module) { module.def("integrate_normals", &integrate_normals); }
+void bind_poisson(nb::module_& module) {
+  module.def("integrate_normals", &integrate_normals, "places"_a, "normals"_a, "smoothing"_a, "held"_a, "nodes"_a,
+             "threads"_a = 1);
+}
 
 }  // namespace hpc

@@ -4,7 +4,6 @@
 #include "clones.h"
 #include "families.h"
 #include "moments.h"
-#include "threads.h"
 
 namespace hpc {
 namespace {
@@ -94,26 +93,28 @@ void rate_range(const Rated& all, int64_t start, int64_t stop) {
 }
 
 Output<double> rate_points(Input local_of, Input offsets_of, Input cells_of, int64_t depth, Input corners_of,
-                           Input coefficients_of, Input variances_of, int64_t threads) {
+                           Input coefficients_of, Input variances_of) {
   const double* local = check<double>(local_of, "local_positions", {ANY, 3});
   const int64_t* cells = check_keys(cells_of, "cells");
   const int64_t* corners = check_keys(corners_of, "corners");
   const int64_t points = rows_of(local_of), count = rows_of(cells_of), known = rows_of(corners_of);
   const int64_t* offsets = check_offsets(offsets_of, count, points);
   if (depth < 0 || depth > 20) refuse("depth: expected 0 to 20");
-  const int workers = check_threads(threads);
   auto squares = make_buffer<double>(points);
   const Rated all{local, offsets, cells, corners, check<float>(coefficients_of, "coefficients", {known, BASIS}),
                   check<float>(variances_of, "variances", {known}), known, static_cast<int>(depth), squares.get()};
   {
     nb::gil_scoped_release unlocked;
-    run_ranges(count, workers, [&](int64_t start, int64_t stop) { rate_range(all, start, stop); });
+    rate_range(all, 0, count);
   }
   return give(std::move(squares), {static_cast<size_t>(points)});
 }
 
 }  // namespace
 
-void bind_robust(nb::module_& module) { module.def("rate_points", &rate_points); }
+void bind_robust(nb::module_& module) {
+  module.def("rate_points", &rate_points, "local"_a, "offsets"_a, "cells"_a, "depth"_a, "corners"_a, "coefficients"_a,
+             "variances"_a);
+}
 
 }  // namespace hpc

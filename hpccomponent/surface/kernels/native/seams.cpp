@@ -1,4 +1,6 @@
 // The open seams of a part of a mesh, and what its bricks hold (see seams.py).
+#include <nanobind/stl/pair.h>
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -162,7 +164,8 @@ const int32_t* check_rows(const Input& rows_of_, const char* name, std::initiali
   return rows;
 }
 
-nb::tuple find_seams(Input faces_of, int64_t own, int64_t foreign, Input vertex_of_, Input is_open_of) {
+nb::object find_seams(Input faces_of, std::pair<int64_t, int64_t> counts, Input vertex_of_, Input is_open_of) {
+  const auto [own, foreign] = counts;
   const bool* is_open = check<bool>(is_open_of, "is_open", {ANY});
   const int64_t count = rows_of(is_open_of);
   const Faces faces = check_nodes(faces_of, own, foreign, count);
@@ -178,8 +181,8 @@ nb::tuple find_seams(Input faces_of, int64_t own, int64_t foreign, Input vertex_
     components = found.labels.number(labels.get());
     join_open(faces, found);
   }
-  return nb::make_tuple(components, give(std::move(labels), {static_cast<size_t>(vertices)}), give_list(found.pieces),
-                        give_list(found.sides, 3), give_list(found.bare));
+  return python_object("types.mesh", "Seams")(components, give(std::move(labels), {static_cast<size_t>(vertices)}),
+                                       give_list(found.pieces), give_list(found.sides, 3), give_list(found.bare));
 }
 
 // A component in a brick.
@@ -261,7 +264,8 @@ int64_t sum_counts(const int32_t* counts, int64_t bricks, const char* name) {
   return total;
 }
 
-nb::tuple give_entries(const std::vector<Entry>& entries) {
+nb::object give_sums(Buffer<int32_t> starts, int64_t bricks, const std::vector<Entry>& entries, Buffer<double> bounds,
+                     int64_t components) {
   const int64_t count = static_cast<int64_t>(entries.size());
   auto labels = make_buffer<int32_t>(count), vertices = make_buffer<int32_t>(count), faces = make_buffer<int32_t>(count);
   auto sums = make_buffer<double>(4 * count);
@@ -272,21 +276,23 @@ nb::tuple give_entries(const std::vector<Entry>& entries) {
     std::copy(entries[e].sums, entries[e].sums + 4, sums.get() + 4 * e);
   }
   const size_t rows = entries.size();
-  return nb::make_tuple(give(std::move(labels), {rows}), give(std::move(vertices), {rows}),
-                        give(std::move(faces), {rows}), give(std::move(sums), {rows, 4}));
+  return python_object("types.mesh", "BrickSums")(
+      give(std::move(starts), {static_cast<size_t>(bricks) + 1}), give(std::move(labels), {rows}),
+      give(std::move(vertices), {rows}), give(std::move(faces), {rows}), give(std::move(sums), {rows, 4}),
+      give(std::move(bounds), {static_cast<size_t>(components), 6}));
 }
 
-nb::tuple sum_bricks(Input vertices_of, Input faces_of, Input vertex_counts_of, Input face_counts_of, Input labels_of,
-                     int64_t components) {
+nb::object sum_bricks(Doubles vertices_of, Input faces_of, std::pair<Input, Input> counts_of, Input labels_of,
+                      int64_t components) {
   const double* vertices = check<double>(vertices_of, "vertices", {ANY, 3});
   if (components < 0 || labels_of.ndim() != 1 || components > rows_of(labels_of)) refuse("components: expected a count");
   const int32_t* labels = check_rows(labels_of, "labels", {ANY}, components);
   const int64_t own = rows_of(vertices_of), all = rows_of(labels_of);
   if (own > all) refuse("labels: too few");
   const Faces faces = check_nodes(faces_of, own, all - own, own);
-  const int32_t* vertex_counts = check<int32_t>(vertex_counts_of, "vertex_counts", {ANY});
-  const int64_t bricks = rows_of(vertex_counts_of);
-  const int32_t* face_counts = check<int32_t>(face_counts_of, "face_counts", {bricks});
+  const int32_t* vertex_counts = check<int32_t>(counts_of.first, "vertex_counts", {ANY});
+  const int64_t bricks = rows_of(counts_of.first);
+  const int32_t* face_counts = check<int32_t>(counts_of.second, "face_counts", {bricks});
   if (sum_counts(vertex_counts, bricks, "vertex_counts") != own ||
       sum_counts(face_counts, bricks, "face_counts") != faces.count)
     refuse("counts: they do not add up");
@@ -311,15 +317,14 @@ nb::tuple sum_bricks(Input vertices_of, Input faces_of, Input vertex_counts_of, 
     }
     starts[bricks] = static_cast<int32_t>(entries.size());
   }
-  return nb::make_tuple(give(std::move(starts), {static_cast<size_t>(bricks) + 1}), give_entries(entries),
-                        give(std::move(bounds), {static_cast<size_t>(components), 6}));
+  return give_sums(std::move(starts), bricks, entries, std::move(bounds), components);
 }
 
 }  // namespace
 
 void bind_seams(nb::module_& module) {
-  module.def("find_seams", &find_seams);
-  module.def("sum_bricks", &sum_bricks);
+  module.def("find_seams", &find_seams, "faces"_a, "counts"_a, "vertex_of"_a, "is_open"_a);
+  module.def("sum_bricks", &sum_bricks, "vertices"_a, "faces"_a, "counts"_a, "labels"_a, "components"_a);
 }
 
 }  // namespace hpc

@@ -23,9 +23,6 @@ struct CaseTable {
     for (int code = 0; code < CASES; ++code) {
       count[code] = 0;
       while (count[code] < TRIANGLES && edges[(code * TRIANGLES + count[code]) * 3] >= 0) ++count[code];
-      for (int i = 0; i < 3 * count[code]; ++i)
-        if (edges[code * TRIANGLES * 3 + i] < 0 || edges[code * TRIANGLES * 3 + i] >= 12)
-          refuse("table: expected edges 0 to 11");
     }
   }
 };
@@ -53,7 +50,7 @@ struct Bricks {
   std::vector<uint8_t> taken;
 };
 
-// Return how far along an edge the surface crosses it (see extraction.py).
+// Return how far along an edge the surface crosses it (see marching_cubes.py).
 double cross_edge(const float* values, int node, int stride, int place) {
   const float* four = values + node + (std::min(std::max(place - 1, 0), NODES - 4) - place) * stride;
   double rises[3];
@@ -182,11 +179,13 @@ void drop_torn(Bricks& all, Extracted& mesh) {
   mesh.face_count = kept;
 }
 
-// What a brick is to a tile (see bricks.py).
+// What a brick is to a tile (see types/grid.py).
 enum Kind : uint8_t { OUT = 0, BESIDE = 1, FOREIGN = 2, OPEN = 3, OWN = 4 };
 
 // The kinds of the bricks within a box of the grid.
 struct Kinds {
+  Integers first_of;
+  Input kinds_of;
   const int64_t* first;
   const uint8_t* kinds;
   int64_t sides[3];
@@ -345,7 +344,7 @@ class Growth {
   std::vector<Buffer<float>> chunks_;
 };
 
-nb::tuple give_mesh(Bricks& all, Extracted&& mesh, Large<int64_t>&& exits) {
+nb::object give_mesh(Bricks& all, Extracted&& mesh, Large<int64_t>&& exits) {
   const size_t count = all.keys.size();
   Large<int64_t> keys(all.keys.begin(), all.keys.end());
   auto taken = make_buffer<bool>(static_cast<int64_t>(count));
@@ -356,27 +355,30 @@ nb::tuple give_mesh(Bricks& all, Extracted&& mesh, Large<int64_t>&& exits) {
     faces[i] = all.bricks[i].faces;
   }
   const size_t vertex_count = static_cast<size_t>(mesh.vertex_count), face_count = static_cast<size_t>(mesh.face_count);
-  return nb::make_tuple(give(std::move(keys)), give(std::move(taken), {count}), give(std::move(vertices), {count}),
-                        give(std::move(faces), {count}), give(std::move(mesh.vertices), {vertex_count, 3}),
-                        give(std::move(mesh.faces), {face_count, 3}), give(std::move(exits)));
+  return python_object("types.mesh", "BrickMesh")(
+      give(std::move(keys)), give(std::move(taken), {count}), give(std::move(vertices), {count}),
+      give(std::move(faces), {count}), give(std::move(mesh.vertices), {vertex_count, 3}),
+      give(std::move(mesh.faces), {face_count, 3}), give(std::move(exits)));
 }
 
-Kinds take_kinds(const Input& first_of, const Input& kinds_of, const Grid& grid) {
-  Kinds kinds{check<int64_t>(first_of, "first", {3}), check<uint8_t>(kinds_of, "kinds", {ANY, ANY, ANY}), {}};
+Kinds take_kinds(nb::handle given, const Grid& grid) {
+  Kinds kinds{field_of<Integers>(given, "first"), field_of<Bytes>(given, "kinds"), nullptr, nullptr, {}};
+  kinds.first = check<int64_t>(kinds.first_of, "first", {3});
+  kinds.kinds = check<uint8_t>(kinds.kinds_of, "kinds", {ANY, ANY, ANY});
   for (int axis = 0; axis < 3; ++axis) {
-    kinds.sides[axis] = static_cast<int64_t>(kinds_of.shape(static_cast<size_t>(axis)));
+    kinds.sides[axis] = static_cast<int64_t>(kinds.kinds_of.shape(static_cast<size_t>(axis)));
     if (kinds.first[axis] < 0 || kinds.first[axis] > grid.bricks[axis] - kinds.sides[axis])
       refuse("kinds: a brick lies off the grid");
   }
   return kinds;
 }
 
-nb::tuple grow_surface(nb::tuple arguments, Input origin, double step, Input sides, Input first_of, Input kinds_of,
-                       Input table_of, int64_t threads) {
-  const Grid grid = take_grid(origin, step, sides);
-  const Field field = take_field(arguments, grid);
-  const Kinds kinds = take_kinds(first_of, kinds_of, grid);
-  const CaseTable table(table_of);
+nb::object grow_surface(nb::handle field_given, nb::handle grid_given, nb::handle kinds_given, int64_t threads) {
+  const Grid grid = take_grid(grid_given);
+  const Field field = take_field(field_given, grid);
+  const Kinds kinds = take_kinds(kinds_given, grid);
+  const Input triangles = nb::cast<Input>(python_object("kernels.case_table", "case_triangles")());
+  const CaseTable table(triangles);
   const int workers = check_threads(threads);
   Extracted mesh;
   Bricks all;
@@ -399,7 +401,7 @@ nb::tuple grow_surface(nb::tuple arguments, Input origin, double step, Input sid
 }  // namespace
 
 void bind_surface(nb::module_& module) {
-  module.def("grow_surface", &grow_surface);
+  module.def("grow_surface", &grow_surface, "field"_a, "grid"_a, "kinds"_a, "threads"_a = 1);
 }
 
 }  // namespace hpc

@@ -8,7 +8,7 @@
 namespace hpc {
 namespace {
 
-nb::tuple label_components(Input faces_of, int64_t vertices) {
+nb::tuple label_components(Integers faces_of, int64_t vertices) {
   const int64_t* faces = check_faces(faces_of, vertices);
   const int64_t count = rows_of(faces_of);
   auto label = make_buffer<int32_t>(vertices);
@@ -75,7 +75,7 @@ void survey_edge(const int64_t* faces, const Side* sides, int64_t count, int64_t
   corners.join(a_head, runs_back ? b : b_head);
 }
 
-nb::tuple survey_mesh(Input faces_of, int64_t vertices) {
+nb::object survey_mesh(Integers faces_of, int64_t vertices) {
   const int64_t* faces = check_faces(faces_of, vertices);
   const int64_t count = rows_of(faces_of);
   auto edges_of = make_buffer<int32_t>(vertices);
@@ -95,12 +95,12 @@ nb::tuple survey_mesh(Input faces_of, int64_t vertices) {
     }
     for (int64_t i = 0; i < 3 * count; ++i) fans += corners.find(static_cast<int32_t>(i)) == i;
   }
-  return nb::make_tuple(survey.boundary, survey.overfull, survey.degenerate, survey.misoriented, fans,
-                        give(std::move(edges_of), {static_cast<size_t>(vertices)}));
+  return python_object("types.mesh", "Survey")(survey.boundary, survey.overfull, survey.degenerate, survey.misoriented, fans,
+                                        give(std::move(edges_of), {static_cast<size_t>(vertices)}));
 }
 
 // The volume relative to a reference point, face after face.
-double signed_volume(Input vertices_of, Input faces_of, Input reference_of) {
+double signed_volume(Doubles vertices_of, Integers faces_of, Doubles reference_of) {
   const double* vertices = check<double>(vertices_of, "vertices", {ANY, 3});
   const int64_t* faces = check_faces(faces_of, rows_of(vertices_of));
   const double* reference = check<double>(reference_of, "reference", {3});
@@ -132,9 +132,9 @@ const int64_t* check_faces(const Input& faces_of, int64_t vertices) {
 }
 
 void bind_topology(nb::module_& module) {
-  module.def("label_components", &label_components);
-  module.def("survey_mesh", &survey_mesh);
-  module.def("signed_volume", &signed_volume);
+  module.def("label_components", &label_components, "faces"_a, "vertices"_a);
+  module.def("survey_mesh", &survey_mesh, "faces"_a, "vertices"_a);
+  module.def("signed_volume", &signed_volume, "vertices"_a, "faces"_a, "reference"_a);
 }
 
 }  // namespace hpc

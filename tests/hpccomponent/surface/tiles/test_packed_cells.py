@@ -19,7 +19,7 @@ from hpccomponent.surface.cloud.arrangement import (
     unpacking_arguments,
 )
 from hpccomponent.surface.fitting.cell_points import CloudRows
-from hpccomponent.surface.kernels import native, portable
+from hpccomponent.surface.kernels import portable
 from hpccomponent.surface.kernels.portable.cells import sort_points, take_cells
 from hpccomponent.surface.tiles import packed_cells
 from hpccomponent.surface.tiles.packed_cells import sort_tile
@@ -27,7 +27,7 @@ from hpccomponent.surface.types.grid import Grid
 from hpccomponent.surface.types.lattice import pack_places, unique_keys
 from hpccomponent.surface.types.points import PointCloud
 
-BUILDS = [portable] if load_native() is None else [portable, native]
+BUILDS = [build for build in (portable, load_native()) if build is not None]
 
 
 @pytest.fixture(params=BUILDS, ids=[module.__name__.rsplit(".", 1)[1] for module in BUILDS])

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from hpccomponent.surface.kernels import portable
-from hpccomponent.surface.kernels.case_table import case_triangles
 from hpccomponent.surface.kernels.portable import (
     bricks,
     cells,
@@ -31,18 +30,6 @@ from hpccomponent.surface.types.mesh import BrickMesh, Survey
 coordinates = arrays.arrays(
     np.int64, st.tuples(st.integers(1, 60), st.just(3)), elements=st.integers(-40, 40)
 )
-
-
-def field_values(which: Any) -> tuple[Any, ...]:
-    far = which.far
-    levels = tuple((level.keys, level.coefficients, level.trust) for level in which.levels)
-    found = which.features
-    features = () if found is None else (found.keys, found.pieces, found.joints)
-    return which.origin, which.cell_size, levels, far.values, far.origin, far.step, features
-
-
-def grid_values(which: Any) -> tuple[Any, ...]:
-    return which.origin, which.step, np.array(which.bricks, np.int64)
 
 
 @given(coordinates, st.integers(-2, 1), st.integers(0, 3))
@@ -179,17 +166,12 @@ def test_moments_of_points(native: ModuleType, seed: int, counts: list[int]) -> 
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     local = random.uniform(-0.5, 0.5, size=(offsets[-1], 3))
     normals = random.normal(size=(offsets[-1], 3))
-    found = native.accumulate_moments(local, normals, offsets, 1)
+    found = native.accumulate_moments(local, normals, offsets)
     np.testing.assert_array_equal(found, moments.accumulate_moments(local, normals, offsets))
     weights = random.uniform(size=offsets[-1])
-    weighted = native.accumulate_weighted(local, normals, weights, offsets, 1)
+    weighted = native.accumulate_moments(local, normals, offsets, weights)
     wanted = moments.accumulate_moments(local, normals, offsets, weights)
     np.testing.assert_array_equal(weighted, wanted)
-    shift = random.normal(size=3)
-    scale = 1e-12 * max(1.0, np.abs(found).max())
-    shifted = native.shift_moments(found, shift)
-    np.testing.assert_allclose(shifted, moments.shift_moments(found, shift), 1e-10, scale * 100)
-    np.testing.assert_array_equal(native.scale_moments(found), moments.scale_moments(found))
 
 
 @pytest.mark.parametrize("depth", [0, 1])
@@ -200,9 +182,8 @@ def test_distances_from_a_blend(native: ModuleType, cloud: Any, depth: int) -> N
     coefficients = random.normal(size=(len(corners), 10)).astype(np.float32)
     variances = random.uniform(size=len(corners)).astype(np.float32)
     level = cloud.local, cloud.offsets, cloud.cells, depth, corners, coefficients, variances
-    found = native.rate_points(*level, 1)
+    found = native.rate_points(*level)
     np.testing.assert_allclose(found, portable.rate_points(*level), rtol=1e-9, atol=1e-12)
-    np.testing.assert_array_equal(found, native.rate_points(*level, 3))
     assert (found == 0.0).any()
 
 
@@ -276,7 +257,7 @@ def test_bricks(native: ModuleType, any_ball: Any) -> None:
     places = np.stack(np.meshgrid(*map(np.arange, grid.bricks), indexing="ij"), axis=-1)
     places = np.ascontiguousarray(places.reshape(-1, 3))[::3]
     places = np.ascontiguousarray(places)
-    found = native.evaluate_bricks(field_values(function), *grid_values(grid), places, 1)
+    found = native.evaluate_bricks(function, grid, places, 1)
     expected = portable.evaluate_bricks(function, grid, places)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
     assert ((found < 0) == (expected < 0)).all()
@@ -290,10 +271,10 @@ def test_bricks_with_edges(native: ModuleType, any_ball: Any) -> None:
     joints = (np.arange(len(keys)) % 4).astype(np.uint8)
     edged = replace(function, features=Features(keys, pieces, joints))
     places = np.array([[1, 1, 1], [0, 1, 1], [1, 0, 0]])
-    found = native.evaluate_bricks(field_values(edged), *grid_values(grid), places, 1)
+    found = native.evaluate_bricks(edged, grid, places, 1)
     expected = portable.evaluate_bricks(edged, grid, places)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
-    plain = native.evaluate_bricks(field_values(function), *grid_values(grid), places, 1)
+    plain = native.evaluate_bricks(function, grid, places, 1)
     assert np.abs(found - plain).max() > 0.1
 
 
@@ -324,12 +305,12 @@ def test_surface(native: ModuleType, any_ball: Any) -> None:
     function, grid = any_ball
     normals = np.random.default_rng(2).normal(size=(20, 3))
     surface_points = 0.8 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    seeds = native.seed_bricks(surface_points, grid.origin, 8 * grid.step, grid_values(grid)[2])
+    seeds = native.seed_bricks(grid, surface_points)
     np.testing.assert_array_equal(seeds, bricks.seed_bricks(grid, surface_points))
 
     def evaluate(places: Any) -> Any:
         places = np.ascontiguousarray(places)
-        return native.evaluate_bricks(field_values(function), *grid_values(grid), places, 1)
+        return native.evaluate_bricks(function, grid, places, 1)
 
     whole = np.full(grid.bricks, grid_types.OPEN, np.uint8)
     whole[tuple(lattice.unpack_keys(seeds).T)] = grid_types.OWN
@@ -340,8 +321,8 @@ def test_surface(native: ModuleType, any_ball: Any) -> None:
     for kinds in (grid_types.BrickKinds(np.zeros(3, np.int64), k) for k in (half, whole)):
         places, values, taken, exits = bricks.grow_bricks(evaluate, kinds, grid.bricks)
         expected = extraction.extract_surface(grid, places, values, taken)
-        arguments = (field_values(function), *grid_values(grid), kinds.first, kinds.kinds)
-        found = BrickMesh(*native.grow_surface(*arguments, case_triangles(), 1))
+        found = native.grow_surface(function, grid, kinds)
+        assert isinstance(found, BrickMesh)
         np.testing.assert_array_equal(found.exits, exits)
         for name in ("bricks", "taken", "vertex_counts", "face_counts", "vertices", "faces"):
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
@@ -375,7 +356,8 @@ def test_connectivity(native: ModuleType, faces: Any) -> None:
     wanted_count, wanted_label = connectivity.label_components(faces, 13)
     assert count == wanted_count
     np.testing.assert_array_equal(label, wanted_label)
-    found = Survey(*native.survey_mesh(faces, 13))
+    found = native.survey_mesh(faces, 13)
+    assert isinstance(found, Survey)
     wanted = connectivity.survey_mesh(faces, 13)
     for name in ("boundary", "overfull", "degenerate", "misoriented", "fans"):
         assert getattr(found, name) == getattr(wanted, name), name

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import astuple
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hpccomponent.surface.kernels.case_table import case_triangles
 from hpccomponent.surface.kernels.portable import cells
-from hpccomponent.surface.types.grid import OPEN, OWN
+from hpccomponent.surface.types.grid import OPEN, OWN, BrickKinds
 
 THREADS = (2, 3, 16)
 WEIGHTS = (0.2, 0.3, 1000.0)
@@ -25,7 +25,8 @@ def same(first: Any, second: Any) -> None:
 @pytest.mark.parametrize("threads", THREADS)
 def test_threads(native: ModuleType, cloud: Any, threads: int) -> None:
     points = (cloud.local, cloud.sorted_normals, cloud.offsets)
-    same([native.accumulate_moments(*points, 1)], [native.accumulate_moments(*points, threads)])
+    one, several = (native.accumulate_moments(*points, threads=count) for count in (1, threads))
+    same([one], [several])
     around = (cloud.touched, cloud.cells, cloud.moments)
     same([native.corner_moments(*around, 1)], [native.corner_moments(*around, threads)])
     noise = np.linspace(0.0, 0.02, len(cloud.touched), dtype=np.float32)
@@ -46,23 +47,17 @@ def test_threads(native: ModuleType, cloud: Any, threads: int) -> None:
 @pytest.mark.parametrize("threads", THREADS)
 def test_threads_of_the_extraction(native: ModuleType, ball: Any, threads: int) -> None:
     function, grid = ball
-    far = function.far
     kinds = np.full(grid.bricks, OPEN, np.uint8)
     kinds[4, 3, 3] = OWN
-    levels = tuple((level.keys, level.coefficients, level.trust) for level in function.levels)
-    arguments = (
-        (function.origin, function.cell_size, levels, far.values, far.origin, far.step, ()),
-        grid.origin, grid.step, np.array(grid.bricks),
-        np.zeros(3, np.int64), kinds, case_triangles(),
-    )  # fmt: skip
+    arguments = function, grid, BrickKinds(np.zeros(3, np.int64), kinds)
     mesh = native.grow_surface(*arguments, 1)
-    assert len(mesh[5])
-    same(mesh, native.grow_surface(*arguments, threads))
+    assert len(mesh.faces)
+    same(astuple(mesh), astuple(native.grow_surface(*arguments, threads)))
 
 
 @pytest.mark.parametrize("parts", [2, 7])
 def test_batches(native: ModuleType, cloud: Any, parts: int) -> None:
-    whole = native.accumulate_moments(cloud.local, cloud.sorted_normals, cloud.offsets, 1)
+    whole = native.accumulate_moments(cloud.local, cloud.sorted_normals, cloud.offsets)
     cuts = np.linspace(0, len(cloud.cells), parts + 1).astype(int)
     pieces = []
     for start, stop in itertools.pairwise(cuts):
@@ -70,7 +65,7 @@ def test_batches(native: ModuleType, cloud: Any, parts: int) -> None:
         rows = slice(bounds[0], bounds[-1])
         offsets = bounds - bounds[0]
         pieces.append(
-            native.accumulate_moments(cloud.local[rows], cloud.sorted_normals[rows], offsets, 1)
+            native.accumulate_moments(cloud.local[rows], cloud.sorted_normals[rows], offsets)
         )
     assert np.concatenate(pieces).tobytes() == whole.tobytes()
 

@@ -12,22 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from hpccomponent.surface.kernels import portable
 from hpccomponent.surface.kernels.case_table import case_triangles
+from hpccomponent.surface.types.field import FarField, Features, Field, FieldLevel
+from hpccomponent.surface.types.grid import BrickKinds, Grid
 from hpccomponent.surface.types.lattice import pack_places
 
-KERNELS = (
-    "accumulate_moments", "balance_vertices", "corner_moments", "count_boxes", "count_cells",
-    "evaluate_bricks", "poll_normals", "sum_neighbours",
-    "evaluate_residuals", "find_keys", "fit_corners", "fit_features", "grow_surface",
-    "inherit_level", "label_components", "merge_cells",
-    "parent_keys", "sample_grid", "scale_moments", "seed_bricks", "shift_moments",
-    "signed_volume", "sort_points", "spread_keys", "survey_mesh", "unite_keys", "gather_points",
-    "bound_points", "sample_boxes", "integrate_normals", "sample_corners",
-    "find_seams", "sum_bricks", "accumulate_weighted", "rate_points",
-    "pack_records", "unpack_records", "unpack_within", "take_cells", "mark_ancestors", "look_near",
-    "mark_near", "sort_packed", "place_packed", "seed_packed", "count_packed",
-    "label_cells",
-)  # fmt: skip
+KERNELS = sorted({*portable.__all__} - {"bound_free_memory", "keep_memory"})
 
 numbers = st.one_of(
     st.integers(-3, 70), st.sampled_from([2**31, 2**62, -(2**63), 0.0, -1.0, 1e-300, 1e300]),
@@ -53,8 +44,21 @@ def hostile_arrays(draw: st.DrawFn) -> Any:
     return values
 
 
+sides = st.tuples(*[st.integers(-1, 9)] * 3)
 anything = st.one_of(numbers, hostile_arrays(), st.just(case_triangles()), st.none(), st.text())
-arguments = st.one_of(anything, st.lists(anything, min_size=7, max_size=7).map(tuple))
+arguments = st.one_of(anything, st.tuples(anything, anything))
+origins = st.one_of(anything, st.just(np.zeros(3)))
+keys = st.one_of(anything, st.just(np.array([1, 5])))
+levels = st.builds(FieldLevel, keys, anything, anything)
+features = st.builds(Features, keys, anything, anything)
+cubes = st.one_of(anything, st.just(np.ones((4, 4, 4), np.float32)))
+fields = st.builds(
+    Field, origins, numbers, st.lists(levels, max_size=2).map(tuple),
+    st.one_of(anything, st.builds(FarField, cubes, origins, numbers)),
+    st.one_of(st.none(), features),
+)  # fmt: skip
+grids = st.builds(Grid, origins, numbers, st.one_of(anything, sides))
+brick_kinds = st.builds(BrickKinds, origins, hostile_arrays())
 
 
 @given(st.sampled_from(KERNELS), st.lists(arguments, min_size=1, max_size=8))
@@ -62,6 +66,17 @@ arguments = st.one_of(anything, st.lists(anything, min_size=7, max_size=7).map(t
 def test_random_arguments(native: ModuleType, name: str, values: list[Any]) -> None:
     with contextlib.suppress(TypeError, ValueError, OverflowError, RuntimeError, MemoryError):
         getattr(native, name)(*values)
+
+
+@given(*[st.one_of(anything, records) for records in (fields, grids, brick_kinds)])
+@settings(deadline=None, max_examples=400)
+def test_random_records(native: ModuleType, field: Any, grid: Any, kinds: Any) -> None:
+    with contextlib.suppress(TypeError, ValueError):
+        native.evaluate_bricks(field, grid, np.zeros((1, 3), np.int64))
+    with contextlib.suppress(TypeError, ValueError):
+        native.grow_surface(field, grid, kinds)
+    with contextlib.suppress(TypeError, ValueError):
+        native.seed_bricks(grid, np.ones((2, 3)))
 
 
 @given(st.data())
@@ -76,9 +91,9 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
     means = np.ones((len(keys), 10), np.float32)
     records = np.ones((rows, 6), np.float32)
     calls = [
-        ("accumulate_moments", points, points, random.integers(-9, 30, size=5), 1),
-        ("accumulate_weighted", points, points, points[:, 0].copy(), np.array([0, rows]), 1),
-        ("rate_points", points, np.arange(len(keys) + 1), keys, 1, keys, means, means[:, 0], 1),
+        ("accumulate_moments", points, points, random.integers(-9, 30, size=5)),
+        ("accumulate_moments", points, points, np.array([0, rows]), points[:, 0].copy()),
+        ("rate_points", points, np.arange(len(keys) + 1), keys, 1, keys, means, means[:, 0]),
         ("sort_points", points, points[0] if rows else np.zeros(3), 0.1),
         ("pack_records", points, points, points[0] if rows else np.zeros(3), 0.1),
         ("unpack_records", records, random.integers(-1, rows + 1, size=2), points[:2].copy(), 0.1),
@@ -124,9 +139,7 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
             0.1,
             random.integers(-1, rows + 1, size=2),
             draw(st.sampled_from([np.ones(1, np.bool_), np.array(True)])),
-            np.ones(3),
-            0.1,
-            random.integers(-1, 9, size=3),
+            Grid(np.ones(3), 0.01, draw(sides)),
         ),
         ("look_near", keys, np.ones(3), 0.1, means.astype(np.uint8)[None], np.ones(3), 1.0, 0.5, 2),
         (
@@ -153,7 +166,7 @@ def test_plausible_arguments(native: ModuleType, data: st.DataObject) -> None:
         ),
         ("merge_cells", keys, np.ones((len(keys), 44))),
         ("sample_grid", np.ones((4, 4, 4), np.float32), points),
-        ("seed_bricks", points, np.zeros(3), 0.5, random.integers(-1, 9, size=3)),
+        ("seed_bricks", Grid(np.zeros(3), 0.06, draw(sides)), points),
         ("survey_mesh", random.integers(-1, 9, size=(rows, 3)), draw(st.integers(-2, 9))),
         ("balance_vertices", points, random.integers(-1, 9, size=(rows, 3)), 0.5),
         ("label_components", random.integers(0, 9, size=(rows, 3)), 9),
@@ -178,16 +191,16 @@ def test_coarse_cells_beyond_the_lattice(native: ModuleType) -> None:
 def test_messages_name_the_argument(native: ModuleType) -> None:
     points = np.zeros((4, 3))
     with pytest.raises(ValueError, match=r"offsets: .* number of points"):
-        native.accumulate_moments(points, points, np.array([0, 9]), 1)
+        native.accumulate_moments(points, points, np.array([0, 9]))
     with pytest.raises(ValueError, match=r"normals: .* shape"):
-        native.accumulate_moments(points, points[:2], np.array([0, 4]), 1)
-    with pytest.raises(ValueError, match=r"local_positions: .* dtype"):
-        native.accumulate_moments(points.astype(np.float32), points, np.array([0, 4]), 1)
+        native.accumulate_moments(points, points[:2], np.array([0, 4]))
+    with pytest.raises(ValueError, match=r"positions: .* dtype"):
+        native.pack_records(points.astype(np.float32), points, points[0], 1.0)
     with pytest.raises(ValueError, match="C-contiguous"):
-        native.accumulate_moments(points[:, ::-1], points, np.array([0, 4]), 1)
+        native.pack_records(points[:, ::-1], points, points[0], 1.0)
     with pytest.raises(ValueError, match=r"keys: .* sorted"):
         native.spread_keys(np.array([3, 2]), 0, 1)
     with pytest.raises(ValueError, match="threads"):
-        native.accumulate_moments(points, points, np.array([0, 4]), 0)
+        native.accumulate_moments(points, points, np.array([0, 4]), threads=0)
     with pytest.raises(ValueError, match="not finite"):
         native.sort_points(points * np.nan, np.zeros(3), 1.0)
