@@ -36,7 +36,7 @@ class Components:
     vertices, faces : ndarray of int32, shape (e,)
         How many.
     sums : ndarray of float64, shape (e, 4)
-        See `hpccomponent.surface.kernels.portable.seams.BrickSums`.
+        See `BrickSums`.
     supports : ndarray of int32, shape (e,)
         How many of the vertices are supported (see `MeshPart`).
     """

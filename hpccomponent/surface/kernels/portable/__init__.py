@@ -1,7 +1,8 @@
 """The kernels in numpy: the specification of the native ones, and what runs without a compiler."""
 
-from hpccomponent.surface.kernels.portable.ancestors import mark_ancestors
-from hpccomponent.surface.kernels.portable.bricks import seed_bricks
+from hpccomponent.surface.kernels.portable.bricks import (
+    seed_bricks,
+)
 from hpccomponent.surface.kernels.portable.cells import (
     corner_moments,
     fit_corners,
@@ -18,8 +19,10 @@ from hpccomponent.surface.kernels.portable.coarse_grid import (
     sample_grid,
 )
 from hpccomponent.surface.kernels.portable.connectivity import (
+    find_seams,
     label_components,
     signed_volume,
+    sum_bricks,
     survey_mesh,
 )
 from hpccomponent.surface.kernels.portable.counting import (
@@ -30,15 +33,37 @@ from hpccomponent.surface.kernels.portable.counting import (
     sample_boxes,
     sum_neighbours,
 )
-from hpccomponent.surface.kernels.portable.features import fit_features
-from hpccomponent.surface.kernels.portable.field import evaluate_bricks
-from hpccomponent.surface.kernels.portable.halo import look_near, mark_near
-from hpccomponent.surface.kernels.portable.hermite import evaluate_residuals
-from hpccomponent.surface.kernels.portable.keys import find_keys, spread_keys, unite_keys
-from hpccomponent.surface.kernels.portable.marching_cubes import balance_vertices, grow_surface
-from hpccomponent.surface.kernels.portable.memory import bound_free_memory, keep_memory
-from hpccomponent.surface.kernels.portable.moments import accumulate_moments
-from hpccomponent.surface.kernels.portable.normals import poll_normals
+from hpccomponent.surface.kernels.portable.features import (
+    fit_features,
+)
+from hpccomponent.surface.kernels.portable.field import (
+    evaluate_bricks,
+)
+from hpccomponent.surface.kernels.portable.hermite import (
+    evaluate_residuals,
+)
+from hpccomponent.surface.kernels.portable.keys import (
+    find_keys,
+    look_near,
+    mark_ancestors,
+    mark_near,
+    spread_keys,
+    unite_keys,
+)
+from hpccomponent.surface.kernels.portable.marching_cubes import (
+    balance_vertices,
+    grow_surface,
+)
+from hpccomponent.surface.kernels.portable.memory import (
+    bound_free_memory,
+    keep_memory,
+)
+from hpccomponent.surface.kernels.portable.moments import (
+    accumulate_moments,
+)
+from hpccomponent.surface.kernels.portable.normals import (
+    poll_normals,
+)
 from hpccomponent.surface.kernels.portable.packing import (
     count_packed,
     pack_records,
@@ -48,8 +73,9 @@ from hpccomponent.surface.kernels.portable.packing import (
     unpack_records,
     unpack_within,
 )
-from hpccomponent.surface.kernels.portable.robust import rate_points
-from hpccomponent.surface.kernels.portable.seams import find_seams, sum_bricks
+from hpccomponent.surface.kernels.portable.robust import (
+    rate_points,
+)
 
 __all__ = [
     "accumulate_moments", "balance_vertices", "bound_free_memory", "bound_points",

@@ -6,7 +6,7 @@ import pytest
 from hpccomponent.surface import kernels
 from hpccomponent.surface.fitting.ancestors import corners_at
 from hpccomponent.surface.fitting.pyramid import lay_vertices
-from hpccomponent.surface.kernels.portable.ancestors import mark_ancestors
+from hpccomponent.surface.kernels.portable.keys import mark_ancestors
 from hpccomponent.surface.types.lattice import pack_places, unique_keys, unpack_keys
 from hpccomponent.surface.types.points import IntArray
 

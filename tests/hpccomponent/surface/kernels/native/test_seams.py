@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hpccomponent.surface.kernels.portable import seams
+from hpccomponent.surface.kernels import portable
 from hpccomponent.surface.types.mesh import BrickSums, Seams
 
 
@@ -42,7 +42,7 @@ def random_parts(draw: st.DrawFn) -> dict[str, Any]:
 @settings(max_examples=300)
 def test_seams(native: ModuleType, part: dict[str, Any]) -> None:
     arguments = (part["faces"], part["vertex_of"], part["is_open"])
-    expected = seams.find_seams(arguments[0], part["counts"], *arguments[1:])
+    expected = portable.find_seams(arguments[0], part["counts"], *arguments[1:])
     found = native.find_seams(arguments[0], part["counts"], *arguments[1:])
     assert isinstance(found, Seams)
     assert found.components == expected.components
@@ -63,7 +63,7 @@ def test_sums(native: ModuleType, part: dict[str, Any]) -> None:
     rest = (labels, 3)
     if len(labels) < 3:
         return
-    expected = seams.sum_bricks(part["vertices"], faces, counts, *rest)
+    expected = portable.sum_bricks(part["vertices"], faces, counts, *rest)
     found = native.sum_bricks(part["vertices"], faces, counts, *rest)
     assert isinstance(found, BrickSums)
     for name in ("starts", "labels", "vertices", "faces", "bounds"):
