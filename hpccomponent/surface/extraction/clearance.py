@@ -82,8 +82,6 @@ class SupportRule:
         tree : cKDTree
             Of all points around.
         rows : ndarray of int64, shape (k,)
-        threads : int
-            The result does not depend on it.
 
         Returns
         -------
@@ -112,9 +110,6 @@ def measure_clearance(
         In length units of the input.
     cloud : PointCloud
         With normals; all points within `rule.reach` of a place, in any order.
-    rule : SupportRule
-    threads : int
-        The result does not depend on it.
 
     Returns
     -------
@@ -151,8 +146,6 @@ def find_bare(places: FloatArray, cloud: PointCloud, rule: SupportRule) -> BoolA
 
     Parameters
     ----------
-    places, cloud
-        See `measure_clearance`.
     rule : SupportRule
         With one radius for all points.
 

@@ -109,7 +109,6 @@ def drop_copies(
 
     Parameters
     ----------
-    part : MeshPart
     taken : ndarray of bool, shape (b,)
         Which of its bricks the part gives.
     places : ndarray of float64, shape (g, 3)
@@ -169,11 +168,6 @@ def survey_opening(
         Of its vertices and then the foreign ones.
     rim : ndarray of int64, shape (r,)
         Rows of vertices that other parts may name; -1 for those that another part has.
-
-    Returns
-    -------
-    survey : OpeningSurvey
-    seams : OpeningSeams
     """
     own, bare = len(part.vertices), clearances >= 1.0
     tails = _as_nodes(part)
@@ -213,17 +207,12 @@ def cut_opening(
     ----------
     part : MeshPart
         Without guests.
-    survey : OpeningSurvey
     stays : ndarray of bool, shape (c,)
         The bare patches that stay: holes that are filled.
     foreign_numbers : ndarray of int64, shape (g,)
         Of the foreign vertices, in their bricks of the open mesh.
     seam_cuts : ndarray of int64, shape (m, 2)
         Brick and number of the cuts through the edges of `OpeningSeams.edges`.
-
-    Returns
-    -------
-    MeshPart
     """
     numbers = _Numbers(part, survey)
     stays_there = np.append(stays, True)[survey.labels]  # label -1 is the last one

@@ -80,8 +80,6 @@ def place_vertices(part: MeshPart, places: PartPlaces, bricks: IntArray) -> tupl
 
     Parameters
     ----------
-    part : MeshPart
-    places : PartPlaces
     bricks : ndarray of int64, shape (k,)
         Rows of bricks that are taken from this part, sorted.
 
@@ -108,8 +106,6 @@ def place_faces(
 
     Parameters
     ----------
-    part : MeshPart
-    places : PartPlaces
     bricks : ndarray of int64, shape (k,)
         Rows of bricks that are taken from this part, sorted.
 

@@ -78,15 +78,10 @@ def cut_part(
 
     Parameters
     ----------
-    mesh : BrickMesh
     kinds : BrickKinds, optional
         All bricks that hold points are the tile's own where it is left out.
     supported : ndarray of bool, shape (v,), optional
         Of the mesh's vertices (see `MeshPart`); none where it is left out.
-
-    Returns
-    -------
-    MeshPart
     """
     taken = mesh.taken
     bricks = mesh.bricks[taken]
@@ -211,8 +206,6 @@ def _name_foreign(
 
     Returns
     -------
-    foreign_bricks, foreign_numbers
-        See `MeshPart`.
     meant : ndarray of int32, shape (g,)
         What the corner of a face says that means it.
     """

@@ -34,8 +34,6 @@ class PartSummary:
         The component of each foreign vertex.
     entry_starts : ndarray of int32, shape (b + 1,)
         Where the entries of each brick begin: the components that it has vertices or faces of.
-    entry_labels, entry_vertices, entry_faces, entry_sums
-        See `seams.BrickSums`.
     entry_supports : ndarray of int32, shape (e,)
         How many of the vertices of each entry are supported.
     mixed_labels : ndarray of int32
@@ -98,10 +96,6 @@ class _Nodes:
 
 def summarize_part(part: MeshPart) -> PartSummary:
     """Sum up a part for `plan_weld`.
-
-    Parameters
-    ----------
-    part : MeshPart
 
     Returns
     -------

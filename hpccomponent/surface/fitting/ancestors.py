@@ -42,7 +42,6 @@ def corners_at(ancestors: IntArray, marks: Marks) -> IntArray:
     ancestors : ndarray of int64, shape (a,)
         Sorted keys of cells of the level, which is not the finest.
     marks : ndarray of uint32, shape (a,)
-        See `mark_ancestors`.
 
     Returns
     -------

@@ -98,7 +98,6 @@ class PartMoments:
     Parameters
     ----------
     parts : list of ndarray of float64, shape (k, 44)
-        See `CellMoments`.
     rows : list of ndarray of int64, shape (k,)
         The cells of each part, sorted; every cell is in one of them.
     """
@@ -145,7 +144,6 @@ class CellRows(Protocol):
 
         Parameters
         ----------
-        rows : slice
         origin, cell_size
             Of the lattice.
 
@@ -160,7 +158,6 @@ class CellRows(Protocol):
 
         Parameters
         ----------
-        grid : Grid
         offsets : ndarray of int64, shape (c + 1,)
             Cell i holds the points offsets[i] to offsets[i + 1], and these are all.
         wanted : ndarray of bool, shape (c,)
@@ -258,10 +255,6 @@ class SortedPoints:
         ----------
         cells : slice
             With start and stop.
-
-        Returns
-        -------
-        SortedPoints
         """
         return replace(self, offsets=self.offsets[cells.start : cells.stop + 1])
 
@@ -322,8 +315,6 @@ def merge_parents(
         Sorted keys of a level's cells.
     points : SortedPoints, CellMoments or PartMoments
         In these.
-    threads : int
-        The result does not depend on it.
 
     Returns
     -------

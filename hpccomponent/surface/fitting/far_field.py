@@ -74,8 +74,6 @@ class FarFieldPart:
         The lowest node of the box.
     nodes : int
         Along each side of the whole.
-    origin, step
-        See `FarField`.
     """
 
     values: Float32Array
@@ -90,13 +88,8 @@ def crop_far_field(far: FarField, low: FloatArray, high: FloatArray) -> FarField
 
     Parameters
     ----------
-    far : FarField
     low, high : ndarray of float64, shape (3,)
         Corners of the box, in length units of the input.
-
-    Returns
-    -------
-    FarFieldPart
     """
     nodes = len(far.values)
     first, end = crop_nodes(far.origin, far.step, nodes, low, high)
@@ -113,7 +106,6 @@ def crop_nodes(
     ----------
     origin : ndarray of float64, shape (3,)
         Where node (0, 0, 0) lies.
-    step : float
     nodes : int
         Along each side.
     low, high : ndarray of float64, shape (3,)
@@ -130,10 +122,6 @@ def crop_nodes(
 
 def restore_far_field(part: FarFieldPart) -> FarField:
     """Put a box of a far field back to its place; all around it is 0.
-
-    Parameters
-    ----------
-    part : FarFieldPart
 
     Returns
     -------
@@ -176,10 +164,6 @@ def far_step(low: FloatArray, high: FloatArray, nodes: int) -> float:
         Of the box, in length units of the input.
     nodes : int
         Along each side.
-
-    Returns
-    -------
-    float
     """
     return _PADDING * float((high - low).max()) / nodes
 
@@ -230,10 +214,6 @@ def solve_far_field(
     threads : int
         The field does not depend on it.
 
-    Returns
-    -------
-    FarField
-
     Notes
     -----
     The cost is that of four FFTs of all nodes; see `coarse_grid.integrate_normals`.
@@ -260,11 +240,6 @@ def spread_samples(
     centroids: FloatArray, normals: FloatArray, size: float
 ) -> tuple[FloatArray, FloatArray]:
     """Spread samples that stand for more than one cell over their share of the surface.
-
-    Parameters
-    ----------
-    centroids, normals, size
-        See `solve_far_field`.
 
     Returns
     -------

@@ -45,12 +45,6 @@ def find_features(
         Sorted keys of the occupied cells.
     points : SortedPoints
         In these.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    Features
     """
     asked = vertices[misfits > _ROUND]
     low, high = unpack_keys(vertices[[0, -1]])[:, 0].tolist()
@@ -63,16 +57,7 @@ def find_features(
 
 
 def join_features(parts: list[Features]) -> Features:
-    """Join the features of runs of vertices, one after the other.
-
-    Parameters
-    ----------
-    parts : list of Features
-
-    Returns
-    -------
-    Features
-    """
+    """Join the features of runs of vertices, one after the other."""
     none = Features(
         np.empty(0, np.int64), np.empty((0, PIECES, BASIS), np.float32), np.empty(0, np.uint8)
     )

@@ -60,9 +60,6 @@ def fit_above(
     ----------
     pyramid : Pyramid
         From level 0 on. What is above it is taken out: nobody asks for it any more.
-    weights, parents, threads
-        See `pyramid.fit_levels`.
-    far : FarField
 
     Returns
     -------
@@ -93,8 +90,6 @@ class SlabFields:
         Of level 1, where there is one.
     above : tuple of FieldLevel
         All coarser levels, finest first.
-    far : FarField
-    grid : Grid
     threads : int
         The fields do not depend on it.
     """
@@ -162,10 +157,6 @@ class SlabFields:
         ----------
         first, end : int
             Layers of bricks along x, from `first` to before `end`.
-
-        Returns
-        -------
-        Field
         """
         pyramid, grid = self.pyramid, self.grid
         nodes = BRICK * np.array([first - 1, end + 1]) * grid.step
@@ -189,16 +180,8 @@ def _fit_finest(
 
     Parameters
     ----------
-    pyramid : Pyramid
-        See `SlabFields`.
-    weights, far, threads
-        See `fit_above`.
     parents : Parents or None
         Of level 1, where there is one.
-
-    Returns
-    -------
-    FieldLevel
     """
     vertices = pyramid.vertices[0]
     coefficients = np.empty((len(vertices), BASIS), np.float32)
@@ -229,16 +212,8 @@ def find_trust(
 
     Parameters
     ----------
-    pyramid : Pyramid
     quadrics : list of VertexQuadrics
         Of its finest levels.
-    far : FarField
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    tuple of FieldLevel
     """
     found = []
     for index, of_level in enumerate(quadrics):

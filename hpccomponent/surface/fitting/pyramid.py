@@ -175,10 +175,6 @@ class Parents:
         ----------
         first, last : int
             In cells of this level.
-
-        Returns
-        -------
-        Parents
         """
         run = find_layers(self.keys, first, last)
         return Parents(
@@ -195,10 +191,6 @@ def count_levels(longest: float, cell_size: float) -> int:
         Longest side of the cloud, in length units of the input.
     cell_size : float
         Edge of the finest cells, in length units of the input.
-
-    Returns
-    -------
-    int
     """
     return 1 + max(0, int(np.floor(np.log2(longest / cell_size / _COARSEST_CELLS))))
 
@@ -218,12 +210,6 @@ def build_pyramid(
         Edge of the finest cells, in length units of the input.
     height : int
         How many levels there are (see `count_levels`).
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    Pyramid
     """
     finest = Level(*sort_cloud(cloud, origin, cell_size), np.empty(0))
     levels = raise_levels(finest, height, threads)
@@ -236,11 +222,8 @@ def raise_levels(finest: Level, levels: int, threads: int = 1) -> list[Level]:
 
     Parameters
     ----------
-    finest : Level
     levels : int
         How many there shall be, `finest` included.
-    threads : int
-        The result does not depend on it.
 
     Returns
     -------
@@ -263,7 +246,6 @@ def lay_vertices(finest: IntArray, levels: int) -> list[IntArray]:
     ----------
     finest : ndarray of int64, shape (v,)
         Sorted keys of corners of the finest of these levels.
-    levels : int
 
     Returns
     -------
@@ -293,8 +275,6 @@ def fit_levels(
         Of each level of the whole cloud, finest first.
     parents : Parents, optional
         The level above the coarsest of `pyramid`, where there is one.
-    threads : int
-        The result does not depend on it.
     lowest : int
         How many levels, the finest ones, are left as they are.
 

@@ -82,12 +82,6 @@ def weigh_points(
         See `Blend`; of the level above.
     tolerance : float
         In variances: a point that lies so far off counts half.
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    SortedPoints
     """
     weights = np.empty(len(points.held))
 

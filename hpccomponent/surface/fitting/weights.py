@@ -85,11 +85,8 @@ def weigh_levels(
     ----------
     cell_size : float
         Edge of the finest cells, in length units of the input.
-    levels : int
     noise : float
         Standard deviation of the positions along the normals, in length units of the input.
-    tolerance : float
-        See `Weights`.
 
     Returns
     -------

@@ -21,13 +21,8 @@ def run_batches(
     ----------
     function : callable
         Releases Python's lock for most of its time, as the kernels do.
-    batches : sequence
     threads : int
         How many calls run at once.
-
-    Returns
-    -------
-    list
     """
     if threads <= 1 or len(batches) <= 1:
         return [function(batch) for batch in batches]

@@ -24,13 +24,7 @@ class TileCache:
         return len(self._tiles)
 
     def put(self, ticket: str, tile: PreparedTile) -> None:
-        """Keep a tile; where there is no room the oldest goes.
-
-        Parameters
-        ----------
-        ticket : str
-        tile : PreparedTile
-        """
+        """Keep a tile; where there is no room the oldest goes."""
         while len(self._tiles) >= self._capacity:
             self._tiles.pop(next(iter(self._tiles), ""), None)
         self._tiles[ticket] = tile
@@ -55,10 +49,6 @@ class TileCache:
 
         A step that fails gives the tile up: who asks for it prepares it anew, and meets the error
         if it stays.
-
-        Parameters
-        ----------
-        ticket : str
 
         Returns
         -------

@@ -56,7 +56,6 @@ def plan_whole(grid: Grid, positions: FloatArray) -> BrickKinds:
 
     Parameters
     ----------
-    grid : Grid
     positions : ndarray of float64, shape (n, 3)
         Of all points, in length units of the input.
 
@@ -99,7 +98,6 @@ def plan_tile(grid: Grid, own: IntArray, earlier: IntArray, later: IntArray) -> 
 
     Parameters
     ----------
-    grid : Grid
     own, earlier, later : ndarray of int64
         Sorted keys of the bricks that hold points of the tile, and points around it that belong to
         tiles before and after it.
@@ -133,7 +131,6 @@ def plan_gap(
 
     Parameters
     ----------
-    grid : Grid
     exits : ndarray of int64, shape (e,)
         Keys of the bricks to begin with.
     seeds : ndarray of int64
@@ -144,10 +141,6 @@ def plan_gap(
         Edge of these cells.
     reach : float
         How far a point matters, all in length units of the input.
-
-    Returns
-    -------
-    BrickKinds
     """
     edge = BRICK * grid.step
     known_all = np.ones(grid.bricks, np.bool_)
@@ -175,8 +168,6 @@ def near_bricks(
 
     Parameters
     ----------
-    kinds : BrickKinds
-    grid : Grid
     cells : ndarray of int64, shape (c,)
         Sorted keys.
     origin : ndarray of float64, shape (3,)

@@ -78,13 +78,6 @@ def sort_tile(
 ) -> tuple[IntArray, IntArray, PackedRows, ByteArray]:
     """Sort those of some packed points that lie in some coarse cells by the finest cells.
 
-    Parameters
-    ----------
-    arrangement : Arrangement
-    packed : PackedPoints
-    origin, cell_size, depth, wanted, numbers
-        See `sort_packed`.
-
     Returns
     -------
     cells : ndarray of int64, shape (c,)

@@ -40,12 +40,7 @@ class Plan:
     noise : float
         Standard deviation of the positions along the normals, in length units of the input.
     grid_origin : ndarray of float64, shape (3,)
-    step : float
-    bricks : tuple of int
-        See `field.Grid`.
     block_origin : ndarray of float64, shape (3,)
-    block_edge : float
-        See `arrangement.Arrangement`.
     far : int
         The level whose cells the far field is made of; of tiles, no coarser than theirs.
     tolerance : float
@@ -155,7 +150,6 @@ class CoarseLattice:
     cells : ndarray of int64, shape (c,)
     moments : ndarray of float64, shape (c, m)
     squares : ndarray of float64, shape (c,)
-        See `pyramid.Level`.
     vertices : ndarray of int64, shape (v,)
         That its points lay there (see `ancestors.corners_at`).
     """

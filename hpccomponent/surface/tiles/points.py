@@ -80,7 +80,6 @@ class TilePoints:
 
         Parameters
         ----------
-        grid : Grid
         group : int
             The number that `groups` has for it.
 
@@ -135,10 +134,6 @@ def take_points(points: CellPoints, plan: Plan) -> TilePoints:
         There may be none.
     plan : Plan
         Of the whole cloud.
-
-    Returns
-    -------
-    TilePoints
     """
     if isinstance(points, PointsThere):
         cloud, cells = open_place(points.cloud), list(points.groups)
@@ -178,7 +173,6 @@ def read_cells(
 
     Parameters
     ----------
-    cloud : ArrangedCloud
     origin : ndarray of float64, shape (3,)
         Where corner (0, 0, 0) of the cells lies.
     size : float
@@ -214,13 +208,8 @@ def pack_cloud(arrangement: Arrangement, cloud: PointCloud) -> PackedPoints:
 
     Parameters
     ----------
-    arrangement : Arrangement
     cloud : PointCloud
         Arranged, with normals.
-
-    Returns
-    -------
-    PackedPoints
     """
     if not len(cloud):
         none = np.empty(0, np.int64)

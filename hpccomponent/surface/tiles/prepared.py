@@ -37,7 +37,6 @@ class PreparedTile:
 
     Parameters
     ----------
-    plan : Plan
     points : tuple
         `CellPoints` of the tile and its halo.
     threads : int
@@ -74,7 +73,6 @@ class PreparedTile:
         Returns
         -------
         kinds : BrickKinds or None
-            See `reach.plan_tile`.
         corners : list of ndarray of int64
             See `lay_corners`; empty where there are no such bricks.
         """
@@ -96,10 +94,8 @@ def lay_corners(plan: Plan, cells: IntArray, kinds: BrickKinds) -> Generator[str
 
     Parameters
     ----------
-    plan : Plan
     cells : ndarray of int64, shape (c,)
         Sorted keys of the finest cells with points.
-    kinds : BrickKinds
 
     Yields
     ------
@@ -136,10 +132,6 @@ def lay_corners(plan: Plan, cells: IntArray, kinds: BrickKinds) -> Generator[str
 
 def finish(steps: Generator[object, None, Found]) -> Found:
     """Do all that is left of some steps.
-
-    Parameters
-    ----------
-    steps : generator
 
     Returns
     -------

@@ -39,7 +39,6 @@ def cut_slabs(fields: SlabFields, kinds: BrickKinds) -> list[int]:
 
     Parameters
     ----------
-    fields : SlabFields
     kinds : BrickKinds
         Of the bricks.
 
@@ -56,13 +55,6 @@ def grow_slabs(
     fields: SlabFields, kinds: BrickKinds, bounds: list[int]
 ) -> Iterator[tuple[MeshPart, IntArray]]:
     """Extract the surface in a tile's own bricks, and in all that it reaches from them.
-
-    Parameters
-    ----------
-    fields : SlabFields
-    kinds : BrickKinds
-    bounds : list of int
-        See `cut_slabs`.
 
     Yields
     ------
@@ -110,13 +102,11 @@ def grow_tile(fields: SlabFields, kinds: BrickKinds) -> tuple[MeshPart, IntArray
     ----------
     fields : SlabFields
         What it is made of is let go when the last slab is there: the part takes its place.
-    kinds : BrickKinds
 
     Returns
     -------
     part : MeshPart
     exits : ndarray of int64, shape (e,)
-        See `bricks.grow_bricks`.
     """
     found = list(grow_slabs(fields, kinds, cut_slabs(fields, kinds)))
     fields.let_go()

@@ -82,7 +82,6 @@ class Field:
         Edge of a cell of the finest lattice, in length units of the input.
     levels : tuple of FieldLevel
         Finest first; the cells of each are twice as large as those of the one before.
-    far : FarField
     features : Features, optional
         Vertices of the finest level whose joined quadrics take the place of their own one.
     """

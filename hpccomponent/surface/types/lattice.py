@@ -106,10 +106,6 @@ def keys_lie_within(keys: IntArray, first: IntArray, last: IntArray) -> bool:
     keys : ndarray of int64, shape (k,)
     first, last : ndarray of int64, shape (3,)
         The lowest place and the highest.
-
-    Returns
-    -------
-    bool
     """
     for axis, shift in enumerate((2 * BITS, BITS, 0)):
         biased = keys >> shift & _MASK  # one axis at a time: there may be many keys
@@ -126,7 +122,6 @@ def shift_within(places: FloatArray, step: int) -> IntArray:
     ----------
     places : ndarray of float64, shape (..., 3)
         Whole numbers; they may lie beyond.
-    step : int
 
     Returns
     -------
@@ -227,10 +222,6 @@ def find_layers(keys: IntArray, first: int, last: int) -> slice:
         Sorted.
     first, last : int
         Of the range, both included.
-
-    Returns
-    -------
-    slice
 
     Examples
     --------

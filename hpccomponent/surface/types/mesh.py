@@ -65,7 +65,6 @@ class BrickMesh:
     faces : ndarray of int64, shape (f, 3)
         Brick after brick, rows of `vertices`, anticlockwise as seen from outside (positive).
     exits : ndarray of int64, shape (e,)
-        See `bricks.grow_bricks`.
     """
 
     bricks: IntArray

@@ -57,10 +57,6 @@ class PointCloud:
     def view(self, rows: slice) -> PointCloud:
         """Return a run of the points, without a copy.
 
-        Parameters
-        ----------
-        rows : slice
-
         Returns
         -------
         PointCloud

@@ -32,7 +32,6 @@ def seed_bricks(grid: Grid, positions: FloatArray) -> IntArray:
 
     Parameters
     ----------
-    grid : Grid
     positions : ndarray of float64, shape (n, 3)
         In length units of the input, inside the grid.
 
@@ -54,7 +53,6 @@ def grow_bricks(
     ----------
     evaluate : callable
         From places of bricks, shape (b, 3), to their node values, shape (b, 9, 9, 9).
-    kinds : BrickKinds
     bricks : tuple of int
         Bricks of the grid along x, y and z.
 

@@ -127,8 +127,6 @@ def gather_points(
     positions, normals : ndarray of float64, shape (n, 3)
     rows : ndarray of uint32, shape (r,)
     origin : ndarray of float64, shape (3,)
-    cell_size : float
-        See `sort_points`.
 
     Returns
     -------
@@ -230,7 +228,6 @@ def fit_corners(
         Sorted keys of corners; each has a point around it.
     cells : ndarray of int64, shape (c,)
     moments : ndarray of float64, shape (c, 44)
-        See `corner_moments`.
     prior : ndarray of float32, shape (t, 10)
     noise : ndarray of float32, shape (t,)
         Variance of the positions around each corner, in cells squared.

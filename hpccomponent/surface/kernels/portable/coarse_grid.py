@@ -140,6 +140,5 @@ def sample_corners(
     Returns
     -------
     ndarray of float64, shape (v,)
-        See `sample_grid`.
     """
     return sample_grid(values, origin + spacing * unpack_keys(keys))

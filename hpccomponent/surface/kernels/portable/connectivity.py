@@ -72,10 +72,6 @@ def survey_mesh(faces: IntArray, vertices: int) -> Survey:
     vertices : int
         How many there are, v.
 
-    Returns
-    -------
-    Survey
-
     Notes
     -----
     A vertex is manifold where the corners of the faces around it, joined across shared edges,
@@ -184,10 +180,6 @@ def find_seams(
         The vertex of each node; node i < v is vertex i.
     is_open : ndarray of bool, shape (n,)
         Nodes that are open however their faces stand.
-
-    Returns
-    -------
-    Seams
     """
     count = len(is_open)
     nodes = np.where(faces < 0, counts[0] + ~faces, faces)
@@ -240,10 +232,6 @@ def sum_bricks(
         The component of each vertex, foreign ones too.
     components : int
         How many there are, c.
-
-    Returns
-    -------
-    BrickSums
     """
     brick_of = [np.repeat(np.arange(len(each)), each) for each in counts]
     own = len(vertices)

@@ -30,7 +30,7 @@ __all__ = [
 def count_cells(
     positions: FloatArray, low: FloatArray, edge: float
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Count the points in each occupied cell, in numpy (see `kernels`).
+    """Count the points in each occupied cell.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def count_cells(
 
 
 def sum_neighbours(keys: IntArray, values: IntArray, wanted: IntArray) -> IntArray:
-    """Sum values over the 27 cells around some cells, in numpy (see `kernels`).
+    """Sum values over the 27 cells around some cells.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def label_cells(keys: IntArray) -> tuple[int, Int32Array]:
 def count_boxes(
     positions: FloatArray, low: FloatArray, edge: float, one_in: int
 ) -> tuple[int, int]:
-    """Count points and occupied boxes, over a sample of the boxes, in numpy (see `kernels`).
+    """Count points and occupied boxes, over a sample of the boxes.
 
     Parameters
     ----------
@@ -117,10 +117,6 @@ def count_boxes(
         Of a box, in length units of the input.
     one_in : int
         About one box in so many is in the sample, chosen by a hash.
-
-    Returns
-    -------
-    points, boxes : int
     """
     keys = pack_places(np.floor(cells_of(positions, low, edge)).astype(np.int64))
     keys = keys[is_sampled(keys, one_in)]
@@ -128,7 +124,7 @@ def count_boxes(
 
 
 def bound_points(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the corners of the box around some points, in numpy (see `kernels`).
+    """Return the corners of the box around some points.
 
     Parameters
     ----------
@@ -152,7 +148,6 @@ def is_sampled(boxes: IntArray, one_in: int) -> BoolArray:
     ----------
     boxes : ndarray of int64, shape (n,)
         Packed places.
-    one_in : int
 
     Returns
     -------
@@ -166,15 +161,12 @@ def is_sampled(boxes: IntArray, one_in: int) -> BoolArray:
 
 
 def sample_boxes(positions: FloatArray, low: FloatArray, edge: float, one_in: int) -> IntArray:
-    """Return the points in a sample of boxes, in numpy (see `kernels`).
+    """Return the points in a sample of boxes.
 
     Parameters
     ----------
     positions : ndarray of float64, shape (n, 3)
     low : ndarray of float64, shape (3,)
-    edge : float
-    one_in : int
-        See `count_boxes`.
 
     Returns
     -------

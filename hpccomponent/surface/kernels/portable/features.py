@@ -154,9 +154,6 @@ def blend_features(
 
     Parameters
     ----------
-    features : Features
-    channels, rows, lower, local
-        See `blend_quadrics`.
     keys : ndarray of int64, shape (b, k, k, k)
         Of the vertices around each brick.
 

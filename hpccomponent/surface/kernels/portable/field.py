@@ -37,8 +37,6 @@ def evaluate_bricks(field: Field, grid: Grid, places: IntArray, threads: int = 1
 
     Parameters
     ----------
-    field : Field
-    grid : Grid
     places : ndarray of int64, shape (b, 3)
         Which bricks.
 

@@ -27,15 +27,13 @@ __all__ = [
 
 
 def find_keys(keys: IntArray, wanted: IntArray, threads: int = 1) -> IntArray:
-    """Return where each of some keys stands among sorted keys; see `lattice.find_keys`.
+    """Return where each of some keys stands among sorted keys.
 
     Parameters
     ----------
     keys : ndarray of int64, shape (k,)
         Sorted, unique.
     wanted : ndarray of int64, shape (...)
-    threads : int
-        Has no effect here.
 
     Returns
     -------
@@ -75,7 +73,7 @@ def mark_ancestors(cells: IntArray, depth: int, ancestors: IntArray) -> NDArray[
 
 
 def mark_near(keys: IntArray, cells: IntArray, low: IntArray, high: IntArray) -> BoolArray:
-    """Tell which of some keys lie in boxes around some cells, in numpy.
+    """Tell which of some keys lie in boxes around some cells.
 
     Parameters
     ----------
@@ -105,12 +103,10 @@ def look_near(
     margin: float,
     beyond: int,
 ) -> BoolArray:
-    """Look up the middles of cells among bricks, in numpy; see `near_bricks`.
+    """Look up the middles of cells among bricks, see `halo.near_bricks`.
 
     Parameters
     ----------
-    cells, origin, cell_size
-        As of `near_bricks`.
     pairs : ndarray of uint8, shape (x, y, z)
         Of each brick, bit a + 2 b + 4 c: whether it, or the next a, b and c ones along x, y and z,
         may be evaluated.
@@ -118,7 +114,6 @@ def look_near(
         Where brick (`beyond`, `beyond`, `beyond`) of these begins, in length units of the input.
     edge, margin : float
         Of a brick, and how near a place must be to one, half an edge at most; likewise.
-    beyond : int
 
     Returns
     -------

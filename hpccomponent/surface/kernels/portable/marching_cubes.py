@@ -41,7 +41,6 @@ def extract_surface(
 
     Parameters
     ----------
-    grid : Grid
     places : ndarray of int64, shape (b, 3)
         Sorted, as `grow_bricks` gives them.
     values : ndarray of float32, shape (b, 9, 9, 9)
@@ -82,19 +81,7 @@ def extract_surface(
 
 
 def grow_surface(field: Field, grid: Grid, kinds: BrickKinds, threads: int = 1) -> BrickMesh:
-    """Extract the surface in a tile's own bricks, and in all that it reaches from them.
-
-    Parameters
-    ----------
-    field : Field
-    grid : Grid
-    kinds : BrickKinds
-
-    Returns
-    -------
-    BrickMesh
-        See `extract_surface`.
-    """
+    """Extract the surface in a tile's own bricks, and in all that it reaches from them."""
     del threads  # numpy runs on one
     places, values, taken, exits = grow_bricks(
         lambda bricks: evaluate_bricks(field, grid, bricks), kinds, grid.bricks

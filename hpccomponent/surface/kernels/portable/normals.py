@@ -30,7 +30,7 @@ def poll_normals(
     drift: float,
     threads: int = 1,
 ) -> ByteArray:
-    """Ask the neighbours of each point what they think of its normal, in numpy (see `kernels`).
+    """Ask the neighbours of each point what they think of its normal.
 
     Parameters
     ----------

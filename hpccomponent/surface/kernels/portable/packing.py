@@ -39,15 +39,13 @@ _ROWS_AT_ONCE = 1 << 14  # what is made of them stays in the cache
 def pack_records(
     positions: FloatArray, normals: FloatArray, origin: FloatArray, edge: float
 ) -> tuple[IntArray, IntArray, Float32Array]:
-    """Sort points by blocks and pack them, in numpy.
+    """Sort points by blocks and pack them.
 
     Parameters
     ----------
     positions, normals : ndarray of float64, shape (n, 3)
         Snapped.
     origin : ndarray of float64, shape (3,)
-    edge : float
-        See `Arrangement`.
 
     Returns
     -------
@@ -69,7 +67,7 @@ def pack_records(
 def unpack_records(
     records: Float32Array, counts: IntArray, corners: FloatArray, edge: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the positions and normals of points that were packed, in numpy.
+    """Return the positions and normals of points that were packed.
 
     Parameters
     ----------
@@ -104,12 +102,10 @@ def unpack_within(
     low: FloatArray,
     high: FloatArray,
 ) -> tuple[FloatArray, IntArray]:
-    """Return the packed positions in a box, and which they are, in numpy.
+    """Return the packed positions in a box, and which they are.
 
     Parameters
     ----------
-    records, counts, corners, edge
-        See `unpack_records`.
     low, high : ndarray of float64, shape (3,)
         Corners of the box, which belong to it; in length units of the input.
 
@@ -132,12 +128,10 @@ def count_packed(
     origin: FloatArray,
     cell_size: float,
 ) -> tuple[IntArray, IntArray]:
-    """Count packed points in the occupied cells of a lattice, in numpy.
+    """Count packed points in the occupied cells of a lattice.
 
     Parameters
     ----------
-    records, counts, corners, edge
-        See `arrangement.unpack_records`.
     origin : ndarray of float64, shape (3,)
         Corner of a cell.
     cell_size : float
@@ -164,12 +158,10 @@ def sort_packed(
     wanted: IntArray,
     numbers: ByteArray,
 ) -> tuple[IntArray, IntArray, Float32Array, NDArray[np.uint32], ByteArray]:
-    """Sort packed points by the finest cell, in numpy; see `sort_tile`, whose results these are.
+    """Sort packed points by the finest cell, as `packed_cells.sort_tile` describes.
 
     Parameters
     ----------
-    records, counts, corners, edge
-        See `arrangement.unpack_records`.
     origin : ndarray of float64, shape (3,)
         Where corner (0, 0, 0) of the lattice lies.
     cell_size : float
@@ -216,12 +208,10 @@ def place_packed(
     origin: FloatArray,
     cell_size: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return packed points relative to the centres of their cells, in numpy.
+    """Return packed points relative to the centres of their cells.
 
     Parameters
     ----------
-    records, blocks, corners, edge
-        See `PackedRows`.
     origin, cell_size
         See `cells.gather_points`, whose results these are.
 
@@ -243,17 +233,14 @@ def seed_packed(
     wanted: BoolArray,
     grid: Grid,
 ) -> IntArray:
-    """Return the bricks that hold a point in some cells, in numpy.
+    """Return the bricks that hold a point in some cells.
 
     Parameters
     ----------
-    records, blocks, corners, edge
-        See `PackedRows`.
     offsets : ndarray of int64, shape (c + 1,)
         Cell i holds the points offsets[i] to offsets[i + 1].
     wanted : ndarray of bool, shape (c,)
         Which cells.
-    grid : Grid
 
     Returns
     -------
