@@ -76,9 +76,11 @@ def grow_bricks(
     new = kinds.own()
     while len(new):
         reached = part.add(new)
-        found = kinds.at(reached)
-        new = np.setdiff1d(reached[(found == OWN) | (found == OPEN)], part.keys())
-        beyond.append(reached[(found != OWN) & (found != OPEN)])
+        kind = kinds.at(reached)
+        may_grow = (kind == OWN) | (kind == OPEN)
+        new = np.setdiff1d(reached[may_grow], part.keys())
+        beyond.append(reached[~may_grow])
+    # What the surface reaches beyond: exits where no tile has the brick, the rim where one has.
     taken = part.keys()
     edge = unique_keys(np.concatenate(beyond))
     exits = edge[np.isin(kinds.at(edge), (OUT, BESIDE))]

@@ -1,7 +1,6 @@
-"""From points to cells with moments, and from cells to quadrics at their corners, in numpy.
+"""From points to cells with moments, and from cells to quadrics at their corners.
 
-These are the readable versions of what the native build does in C++ (see `kernels`): one level
-of the pyramid at a time, all its rows at once.
+One level of the pyramid at a time, all its rows at once.
 """
 
 from __future__ import annotations
@@ -108,9 +107,9 @@ def take_cells(
         The number of each point's cell.
     """
     places = np.floor(cells_of(positions, origin, cell_size)).astype(np.int64)
-    found = find_keys(wanted, pack_places(places))
-    rows = np.flatnonzero(found < len(wanted))
-    return positions[rows], normals[rows], groups[found[rows]]
+    cells = find_keys(wanted, pack_places(places))  # (n,): the row of each point's cell
+    rows = np.flatnonzero(cells < len(wanted))
+    return positions[rows], normals[rows], groups[cells[rows]]
 
 
 def gather_points(
@@ -157,11 +156,12 @@ def merge_cells(cells: IntArray, moments: FloatArray) -> tuple[IntArray, FloatAr
     places = unpack_keys(cells)
     keys = pack_places(places >> 1)
     parents = unique_keys(keys)
-    owners = find_keys(parents, keys)
-    which = (places & 1) @ np.array([1, 2, 4])
+    owners = find_keys(parents, keys)  # (c,): the row of each cell's parent
+    which = (places & 1) @ np.array([1, 2, 4])  # (c,): which octant of it, x fastest
     merged = np.zeros((len(parents), COLUMNS))
     for child, octant in enumerate(OCTANTS):
         chosen = which == child
+        # A parent has one child of each octant at most: no row is named twice.
         merged[owners[chosen]] += shift_moments(moments[chosen], octant - 0.5)
     return parents, scale_moments(merged)
 
@@ -203,6 +203,7 @@ def corner_moments(
     del threads  # numpy runs on one
     total = np.zeros((len(touched), COLUMNS))
     for octant in OCTANTS:
+        # (t,): the cell of which each corner is that octant's; it lies half a cell away.
         rows = find_keys(cells, step_keys(touched, -octant))
         present = rows < len(cells)
         total[present] += shift_moments(moments[rows[present]], 0.5 - octant)
@@ -252,7 +253,7 @@ def fit_corners(
     counts, variances, misfits = np.empty((3, len(touched)), np.float32)
     for start in range(0, len(touched), _CHUNK_VERTICES):
         rows = slice(start, start + _CHUNK_VERTICES)
-        around = corner_moments(touched[rows], cells, moments)
+        around = corner_moments(touched[rows], cells, moments)  # (t, 44), about the corners
         priors = prior[rows].astype(np.float64)
         mu = weigh_priors(around, priors, noise[rows].astype(np.float64), lam, least_mu, most_mu)
         fitted = fit_vertices(around, priors, lam, mu)
@@ -288,6 +289,8 @@ def inherit_level(
     values : ndarray of float32, shape (v, k)
     """
     del threads  # numpy runs on one
+    # A corner on an odd place has two parents along an axis; on an even one the same twice: eight
+    # of weight 1/8 whatever the place.
     means = np.zeros((len(vertices), BASIS))
     inherited = np.zeros((len(vertices), values.shape[1]))
     places = unpack_keys(vertices)

@@ -1,4 +1,4 @@
-"""A coarse cubic grid in numpy: spreading, integrating and interpolating (see `kernels`)."""
+"""A coarse cubic grid: spreading, integrating and interpolating."""
 
 from __future__ import annotations
 
@@ -65,15 +65,18 @@ def integrate_normals(
     kept = slice(*held[0]), slice(*held[1])
     full = (2.0 * np.pi * np.fft.fftfreq(nodes)).astype(np.float32)
     kx, ky, kz = full[:, None, None], full[None, :, None], full[None, None, : nodes // 2]
+    # Three of (planes, nodes, nodes / 2): each component's spectrum along z.
     rows = [_transform_rows(places, normals[:, axis], nodes, kept) for axis in range(3)]
+    # (nodes, nodes, nodes / 2): k . V^, of which y and z share the transform along x.
     total: NDArray[Any] = ky * np.fft.fft(rows[1], axis=1) + np.fft.fft(kz * rows[2], axis=1)
     total = np.fft.fft(_pad_planes(total, nodes, kept), axis=0)
     total += kx * np.fft.fft(_pad_planes(np.fft.fft(rows[0], axis=1), nodes, kept), axis=0)
     square = kx**2 + ky**2 + kz**2
-    square[0, 0, 0] = 1.0
+    square[0, 0, 0] = 1.0  # the mean, which no gradient tells: it is set to 0 below
     total *= np.exp(np.float32(-0.5 * smoothing**2) * square) / square
     total *= np.complex64(-1j)
     total[0, 0, 0] = 0.0
+    # Back axis by axis; what lies outside of the kept planes and rows is not transformed.
     total = np.fft.ifft(total, axis=0)[kept[0]]
     total = np.fft.ifft(total, axis=1)[:, kept[1]]
     return np.fft.irfft(total, nodes, axis=2).astype(np.float32, copy=False)
@@ -87,6 +90,7 @@ def _transform_rows(
     Half a turn a node, the highest frequency, has no slope and is left out.
     """
     corners = _corner_weights(places, nodes)
+    # (8 n,): each sample adds to the eight nodes around it.
     where = np.concatenate([node for node, _ in corners])
     values = np.concatenate([weights * component for _, weights in corners])
     grid = np.bincount(where, values, nodes**3).astype(np.float32).reshape((nodes,) * 3)[kept]

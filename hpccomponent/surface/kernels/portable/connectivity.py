@@ -112,6 +112,7 @@ def signed_volume(vertices: FloatArray, faces: IntArray, reference: FloatArray) 
 
 def _group_edges(faces: IntArray, vertices: int) -> _Edges:
     """Sort the sides of the faces by the edge that they lie on."""
+    # (3 f,): both ends of each side, and one number for the edge that it lies on.
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     key = np.minimum(tail, head) * vertices + np.maximum(tail, head)
     order = np.argsort(key, kind="stable")
@@ -124,6 +125,7 @@ def _group_edges(faces: IntArray, vertices: int) -> _Edges:
 
 def _count_fans(faces: IntArray, edges: _Edges) -> int:
     """Count the pieces that the corners of all faces form when joined across shared edges."""
+    # Of each edge with two sides or more: the first two, and the corners at their ends.
     inner = edges.starts[edges.counts >= 2]
     first, second = edges.order[inner], edges.order[inner + 1]
     flat = faces.ravel()
@@ -182,12 +184,16 @@ def find_seams(
         Nodes that are open however their faces stand.
     """
     count = len(is_open)
+    # (f, 3) and (3 f,): the node at each corner, and those after and before it in its face.
     nodes = np.where(faces < 0, counts[0] + ~faces, faces)
     flat = nodes.reshape(-1).astype(np.int64)
     after, before = (np.roll(nodes, step, axis=1).reshape(-1).astype(np.int64) for step in (-1, 1))
+    # (3 f,): the corner that comes next around the same node, across the edge that arrives; a
+    # corner is bad if it has none, or follows none or several.
     follower = _follow(flat * count + after, flat * count + before)
     hits = np.bincount(follower[follower >= 0], minlength=len(flat))
     bad = (follower < 0) | (hits != 1) | (after == flat) | (before == flat)
+    # (n,): nodes all of whose corners are good, and make one ring.
     is_closed = np.bincount(flat, minlength=count) > 0
     is_closed[flat[bad]] = False
     is_closed &= ~is_open
@@ -195,6 +201,8 @@ def find_seams(
     rings = _join_corners(ringed, follower[ringed], len(flat))
     is_closed &= np.bincount(flat[np.unique(rings[ringed])], minlength=count) == 1
 
+    # Corners at open nodes, joined across the edges whose other end is closed: `first` is the
+    # first corner of each one's piece, and pieces are numbered by node, then by that.
     open_corners = np.flatnonzero(~is_closed[flat])
     inner = open_corners[is_closed[before[open_corners]]]
     first = _join_corners(inner, follower[inner], len(flat))
@@ -203,6 +211,7 @@ def find_seams(
     piece = np.full(len(flat), -1, np.int32)
     piece[heads] = np.arange(len(heads))
     piece[open_corners] = piece[first[open_corners]]
+    # (q,): sides between open nodes, by the corner that each begins at and the one it ends at.
     loose = open_corners[~is_closed[after[open_corners]]]
     ends = np.where(loose % 3 == 2, loose - 2, loose + 1)
     sides = np.stack([loose, piece[loose], piece[ends]], axis=1).astype(np.int32)
@@ -236,35 +245,39 @@ def sum_bricks(
     brick_of = [np.repeat(np.arange(len(each)), each) for each in counts]
     own = len(vertices)
     heads = np.where(faces[:, 0] < 0, own + ~faces[:, 0], faces[:, 0])
-    keys = np.concatenate(
+    # (v + f,): brick and component of each vertex and each face, as one number.
+    pairs = np.concatenate(
         [
             brick_of[0] * components + labels[:own],
             brick_of[1] * components + labels[heads],
         ]
     )
-    found, first, entry = np.unique(keys, return_index=True, return_inverse=True)
-    order = np.lexsort((first, found // max(components, 1)))
-    rank = np.empty(len(found), np.int64)
-    rank[order] = np.arange(len(found))
-    entry, found = rank[entry], found[order]
+    # (e,): the entries, in the order in which the vertices and then the faces of a brick come to
+    # them; and (v + f,): which entry each vertex and each face belongs to.
+    entries, first, entry = np.unique(pairs, return_index=True, return_inverse=True)
+    order = np.lexsort((first, entries // max(components, 1)))
+    rank = np.empty(len(entries), np.int64)
+    rank[order] = np.arange(len(entries))
+    entry, entries = rank[entry], entries[order]
     of_vertex, of_face = entry[:own], entry[own:]
-    bricks = np.bincount(found // max(components, 1), minlength=len(counts[0]))
+    bricks = np.bincount(entries // max(components, 1), minlength=len(counts[0]))
 
+    # Faces with foreign vertices have no volume here: their corners' places are not known.
     known = (faces >= 0).all(axis=1)
     a, b, c = (vertices[faces[known, k]] for k in range(3))
     volumes = (a * np.cross(b, c)).sum(axis=1)
-    sums = np.empty((len(found), 4))
-    sums[:, 0] = np.bincount(of_face[known], volumes, len(found))
+    sums = np.empty((len(entries), 4))
+    sums[:, 0] = np.bincount(of_face[known], volumes, len(entries))
     for column, values in enumerate(vertices.T, start=1):
-        sums[:, column] = np.bincount(of_vertex, values, len(found))
+        sums[:, column] = np.bincount(of_vertex, values, len(entries))
     bounds = np.tile(np.repeat([np.inf, -np.inf], 3), (components, 1))
     np.minimum.at(bounds[:, :3], labels[:own], vertices)
     np.maximum.at(bounds[:, 3:], labels[:own], vertices)
     return BrickSums(
         np.r_[0, np.cumsum(bricks)].astype(np.int32),
-        (found % max(components, 1)).astype(np.int32),
-        np.bincount(of_vertex, minlength=len(found)).astype(np.int32),
-        np.bincount(of_face, minlength=len(found)).astype(np.int32),
+        (entries % max(components, 1)).astype(np.int32),
+        np.bincount(of_vertex, minlength=len(entries)).astype(np.int32),
+        np.bincount(of_face, minlength=len(entries)).astype(np.int32),
         sums,
         bounds,
     )
@@ -278,8 +291,8 @@ def _follow(leaving: IntArray, arriving: IntArray) -> IntArray:
     order = np.argsort(leaving, kind="stable")
     ranked = leaving[order]
     at = np.minimum(np.searchsorted(ranked, arriving), len(ranked) - 1)
-    found: IntArray = np.where(ranked[at] == arriving, order[at], -1) if len(ranked) else at
-    return found
+    followers: IntArray = np.where(ranked[at] == arriving, order[at], -1) if len(ranked) else at
+    return followers
 
 
 def _join_corners(left: IntArray, right: IntArray, corners: int) -> IntArray:

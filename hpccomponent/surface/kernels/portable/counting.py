@@ -1,4 +1,4 @@
-"""Points counted and sampled in boxes and cells, in numpy."""
+"""Points counted and sampled in boxes and cells."""
 
 from __future__ import annotations
 
@@ -98,8 +98,8 @@ def label_cells(keys: IntArray) -> tuple[int, Int32Array]:
     links = [np.zeros((0, 3), np.int64)]
     for step in NEIGHBOURS[len(NEIGHBOURS) // 2 + 1 :]:
         other = find_keys(keys, step_keys(keys, step))
-        own = np.flatnonzero(other < len(keys))
-        links.append(np.stack([own, other[own], other[own]], axis=1))
+        rows = np.flatnonzero(other < len(keys))
+        links.append(np.stack([rows, other[rows], other[rows]], axis=1))  # faces, a corner twice
     return label_components(np.concatenate(links), len(keys))
 
 

@@ -135,10 +135,10 @@ def fit_features(
         rows = np.arange(start, min(start + _BATCH, len(vertices)))
         for reach in _REACHES:
             around = _gather(vertices[rows], cells, offsets, local_positions, normals, reach)
-            asked, found, pieces_of, joints_of = _find(around, noise)
-            pieces[rows[asked[found]]] = pieces_of
-            joints[rows[asked[found]]] = joints_of
-            rows = rows[asked[~found]]
+            asked, is_joined, pieces_of, joints_of = _find(around, noise)
+            pieces[rows[asked[is_joined]]] = pieces_of
+            joints[rows[asked[is_joined]]] = joints_of
+            rows = rows[asked[~is_joined]]  # what has no model is asked again, within less
     return pieces, joints
 
 
@@ -163,11 +163,14 @@ def blend_features(
         To be added to the weighted sums of the quadrics.
     """
     sums = np.zeros((len(rows), *[NODES] * 3))
+    # (b, k, k, k): where the vertices stand among the features; then one after the other.
     at = find_keys(features.keys, keys)
     brick, *layers = np.nonzero((at < len(features.keys)) & (rows < channels.shape[1] - 1))
     smooth = local * local * (3.0 - 2.0 * local)
     for number, place in enumerate(zip(brick, *layers, strict=True)):
         b = brick[number]
+        # Three of (9,) each: the vertex's weight at the nodes along an axis, 0 beyond a cell, and
+        # where they lie as seen from it, in cells.
         weights, heights = [], []
         for axis in range(3):
             above = place[1 + axis] - lower[axis, b]
@@ -181,10 +184,11 @@ def blend_features(
             np.broadcast_arrays(1.0, x, y, z, x * x, y * y, z * z, x * y, y * z, z * x)
         )
         row = at[place]
+        # (3, nodes): the pieces; their joint takes the place of the vertex's own quadric.
         values = np.tensordot(features.pieces[row].astype(np.float64), basis, 1)
         joined = _join(values[0], values[1], values[2], np.array(features.joints[row]))
-        own = np.tensordot(channels[:BASIS, rows[place]], basis, 1)
-        sums[(b, *nodes)] += share * (joined - own)
+        smooth_value = np.tensordot(channels[:BASIS, rows[place]], basis, 1)
+        sums[(b, *nodes)] += share * (joined - smooth_value)
     return sums
 
 
@@ -198,12 +202,16 @@ def _gather(
 ) -> _Around:
     """Gather the points of the cells around some vertices, in the order of the cells."""
     steps = np.stack(np.meshgrid(*[np.arange(-reach, reach)] * 3, indexing="ij"), axis=-1)
-    steps = steps.reshape(-1, 3)
+    steps = steps.reshape(-1, 3)  # (s, 3): from a vertex to the cells around it
+    # (v, s): the row of each of these cells, how many points it has, and the first of them.
     rows = find_keys(cells, pack_places(unpack_keys(vertices)[:, None] + steps))
     counts = np.where(rows < len(cells), np.diff(offsets, append=offsets[-1])[rows], 0)
     starts = offsets[np.minimum(rows, len(cells))]
+    # Of a vertex with too many points, every second, or third, is taken.
     totals = counts.sum(axis=1)
     every = np.maximum(1, -(-totals // _MOST))
+    # (n,): all points of all vertices: the vertex, the how-manieth of it, the row of the point,
+    # and from the vertex to the middle of its cell.
     vertex = np.repeat(np.arange(len(vertices)), totals)
     number = np.arange(len(vertex)) - np.repeat(np.cumsum(totals) - totals, totals)
     flat = counts.reshape(-1)
@@ -212,6 +220,7 @@ def _gather(
     shift = np.repeat(np.tile(steps + 0.5, (len(vertices), 1)), flat, axis=0)
     kept = number % every[vertex] == 0
     vertex, place = vertex[kept], (number // every[vertex])[kept]
+    # (v, p, 3): padded to the most points of a vertex; those that are none weigh 0.
     most = int(place.max(initial=0)) + 1
     at, normal = np.zeros((2, len(vertices), most, 3))
     weights = np.zeros((len(vertices), most))
@@ -224,6 +233,7 @@ def _gather(
 
 def _find(around: _Around, noise: float) -> tuple[IntArray, BoolArray, Float32Array, ByteArray]:
     """Return where one quadric is not enough, which of these have joined ones, and these."""
+    # Whether normals turn at all, also near the vertex: else one quadric does. All of shape (v,).
     totals = around.totals
     means = (around.weights[:, :, None] * around.normals).sum(axis=1)
     spread = 1.0 - (means**2).sum(axis=1) / np.maximum(totals, 1e-300) ** 2
@@ -232,6 +242,8 @@ def _find(around: _Around, noise: float) -> tuple[IntArray, BoolArray, Float32Ar
     turned = 1.0 - (inner**2).sum(axis=1) / np.maximum(near.sum(axis=1), 1.0) ** 2
     is_asked = (totals >= _LEAST_WEIGHT) & (spread >= _LEAST_SPREAD) & (turned >= _LEAST_NEAR)
     rows = np.flatnonzero(is_asked)
+    # (m,) from here on: the variance that one quadric leaves, per degree of freedom, and by how
+    # much that of the pieces must be smaller.
     around, totals, means = around.take(rows), totals[rows], _unit(means[rows])
     one = _fit_one(around, noise) / np.maximum(1.0, totals - BASIS)
     bound = _GAIN + _GAIN_PER_ROOT / np.sqrt(totals)
@@ -242,6 +254,7 @@ def _find(around: _Around, noise: float) -> tuple[IntArray, BoolArray, Float32Ar
     if not len(rows):
         pieces = np.empty((0, PIECES, BASIS), np.float32)
         return rows, np.empty(0, np.bool_), pieces, np.empty(0, np.uint8)
+    # The best two pieces, and the best three; a third one must be worth it.
     two = _split(around, _seed_two(around, means), noise)
     three = _split(around, _seed_three(around, two.axes), noise)
     of_two = two.sums / np.maximum(1.0, totals - 2.0 * _HEIGHT)
@@ -251,6 +264,8 @@ def _find(around: _Around, noise: float) -> tuple[IntArray, BoolArray, Float32Ar
     is_three = (totals >= _LEAST_OF_THREE) & is_turned & (of_three < np.inf)
     is_three &= of_two >= _ENOUGH * noise + _SMALLEST
     is_three &= of_three + added < (of_two + added) / _THIRD
+    # The better model is believed if its pieces turn enough, leave much less than one quadric, and
+    # leave what looks like noise.
     variance = np.where(is_three, of_three, of_two)
     apart = np.where(is_three, _are_apart(three.axes), _are_apart(two.axes))
     left = np.where(is_three[:, None], three.left, two.left)
@@ -259,6 +274,7 @@ def _find(around: _Around, noise: float) -> tuple[IntArray, BoolArray, Float32Ar
     unsure = np.flatnonzero(good & ~adequate)
     adequate[unsure] = _correlate(around.take(unsure), left[unsure]) < _CORRELATION
     good &= adequate
+    # (m, 3, 10): the pieces in the order of their joint; of two, the second stands twice.
     first = np.where(is_three, three.first, two.first)
     size = np.where(is_three, 3, 2)
     second, third = (first + 1) % size, np.where(is_three, (first + 2) % 3, (first + 1) % 2)
@@ -298,8 +314,9 @@ def _split(around: _Around, axes: FloatArray, noise: float) -> _Models:
     """Take each point to a piece, by normals at first, then by what it is to their quadrics."""
     size = axes.shape[1]
     alive = np.ones(len(axes), np.bool_)
-    of = np.zeros(around.weights.shape, np.int64)
+    of = np.zeros(around.weights.shape, np.int64)  # (m, p): the piece of each point
     for turn in range(_ROUNDS):
+        # (m, k, p): what each point would cost each piece.
         if turn < _BY_PIECES:
             costs = 2.0 - 2.0 * np.einsum("mpi,mki->mkp", around.normals, axes)
         else:
@@ -308,12 +325,15 @@ def _split(around: _Around, axes: FloatArray, noise: float) -> _Models:
             turns = 2.0 - 2.0 * np.einsum("mpi,mkpi->mkp", around.normals, turned)
             costs = _TURN * turns + distances**2
         of = costs.argmin(axis=1)
+        # (m, k, p): the weight of each point in the piece that has it. A model with too light a
+        # piece is given up; the axes of others become the means of their normals.
         members = (of[:, None] == np.arange(size)[:, None]) * around.weights[:, None]
         alive &= (members.sum(axis=2) >= _LEAST_OF_PIECE).all(axis=1)
         new = _unit(np.einsum("mkp,mpi->mki", members, around.normals))
         axes = np.where(alive[:, None, None], new, axes)
     pieces = _fit_pieces(around, of, axes, noise)
     distances, _ = _measure(pieces, around.at)
+    # Every way to join the pieces, of which the one that leaves least is kept.
     best, first, joints = np.full(len(axes), np.inf), *np.zeros((2, len(axes)), np.int64)
     left = np.zeros_like(around.weights)
     for a in range(3 if size == 3 else 1):
@@ -338,7 +358,7 @@ def _join(a: FloatArray, b: FloatArray, c: FloatArray, joints: IntArray | ByteAr
 def _fit_one(around: _Around, noise: float) -> FloatArray:
     """Return the sum of squared distances to one quadric fitted to all points."""
     p, w = around.at, around.weights
-    basis, slopes = _basis(p), _basis_slopes(p)
+    basis, slopes = _basis(p), _basis_slopes(p)  # (m, p, 10) and (m, p, 3, 10)
     lam = max(noise / _NORMAL_VARIANCE, _LEAST_LAM)
     left, _ = _sum_squares(basis, w, np.zeros_like(w))
     right = np.zeros((len(w), BASIS))
@@ -357,17 +377,20 @@ def _fit_pieces(around: _Around, of: IntArray, axes: FloatArray, noise: float) -
     """Fit a height over the plane across its axis to the points of each piece, (m, k, 10)."""
     exact = max(noise, _EXACT)
     lam, ridge = exact / _NORMAL_VARIANCE, exact / _CURVATURE**2
-    found = []
+    pieces = []
     for piece in range(axes.shape[1]):
         axis = axes[:, piece]
         t, u = _across(axis)
         w = around.weights * (of == piece)
+        # (m, p): the points and their normals in the frame of the plane, and their height over it.
         x, y, height = (np.einsum("mpi,mi->mp", around.at, a) for a in (t, u, axis))
         nx, ny, along = (np.einsum("mpi,mi->mp", around.normals, a) for a in (t, u, axis))
         one, none = np.ones_like(x), np.zeros_like(x)
+        # Slopes of the height that normals tell, but for those that are nearly in the plane.
         told = along > _CONE
         along = np.where(told, along, 1.0)
         slope_weight = lam * w * np.where(told, (along - _CONE) / (1.0 - _CONE), 0.0)
+        # (m, 6, 6) and (m, 6): the height and both slopes, in 1, x, y, xx, xy, yy.
         left, right = np.zeros((len(axis), 6, 6)), np.zeros((len(axis), 6))
         for row, weight, value in (
             ([one, x, y, x * x, x * y, y * y], w, height),
@@ -379,6 +402,8 @@ def _fit_pieces(around: _Around, of: IntArray, axes: FloatArray, noise: float) -
             right += products
         left += np.diag([1e-6] * 3 + [ridge] * 3)
         b = np.linalg.solve(left, right[:, :, None])[:, :, 0]
+        # f = height above the plane - the fitted one, as a quadric in x, y, z: the square part is
+        # the height's Hessian in the plane's two vectors.
         bent = np.stack(
             [np.stack([b[:, 3], b[:, 4] / 2], 1), np.stack([b[:, 4] / 2, b[:, 5]], 1)], 1
         )
@@ -387,8 +412,8 @@ def _fit_pieces(around: _Around, of: IntArray, axes: FloatArray, noise: float) -
         linear = axis - b[:, 1:2] * t - b[:, 2:3] * u
         mixed = [2.0 * square[:, i, j] for i, j in ((0, 1), (1, 2), (2, 0))]
         pure = [square[:, i, i] for i in range(3)]
-        found.append(np.column_stack([-b[:, 0], linear, *pure, *mixed]))
-    return np.stack(found, axis=1)
+        pieces.append(np.column_stack([-b[:, 0], linear, *pure, *mixed]))
+    return np.stack(pieces, axis=1)
 
 
 def _sum_squares(
@@ -425,6 +450,7 @@ def _correlate(around: _Around, left: FloatArray) -> FloatArray:
     """Return how much what is left at a point is like what is left at the nearest other one."""
     if not len(left):
         return np.empty(0)
+    # (m, p, p): squared distances of the points from one another; none from itself.
     gaps = ((around.at[:, :, None] - around.at[:, None]) ** 2).sum(axis=3)
     real = around.weights > 0.0
     gaps = np.where(real[:, None], gaps, np.inf)

@@ -54,6 +54,7 @@ def evaluate_bricks(field: Field, grid: Grid, places: IntArray, threads: int = 1
     """
     del threads  # numpy runs on one
     values = np.empty((len(places), NODES, NODES, NODES), np.float32)
+    # Layers of the finest lattice that a brick touches: they say how many bricks fit the cache.
     reach = BRICK * grid.step / field.cell_size
     layers = min(2 * NODES, int(reach) + 3)
     chunk = max(1, _CHUNK_NODES // max(NODES * layers**2, NODES**3))
@@ -68,12 +69,14 @@ def _evaluate_chunk(
     field: Field, channels: list[FloatArray], grid: Grid, places: IntArray
 ) -> Float32Array:
     """Evaluate a few bricks."""
-    nodes = BRICK * places.T[:, :, None] + np.arange(NODES)
+    nodes = BRICK * places.T[:, :, None] + np.arange(NODES)  # (3, b, 9): of the whole grid
+    # (b, 9, 9, 9): what the levels so far amount to, and the share left to those behind them.
     total, rest = np.zeros((len(places), *[NODES] * 3)), np.ones((len(places), *[NODES] * 3))
     for depth, level in enumerate(field.levels):
         scale = 2.0**depth
         lower, local = _locate(nodes, grid, field.origin, field.cell_size * scale)
         layers, lower = needed_layers(lower)
+        # (b, k, k, k, 3): the vertices around each brick, and where they stand in the level.
         corners = np.stack(np.broadcast_arrays(*cross_axes(layers)), axis=-1)
         keys = pack_places(corners)
         rows = find_keys(level.keys, keys)
@@ -81,6 +84,7 @@ def _evaluate_chunk(
         if depth == 0 and field.features is not None:
             given = channels[depth], rows, keys, lower, local
             quadric += blend_features(field.features, *given)
+        # Weights add up to `presence` where vertices are missing; in cells of the finest lattice.
         near = scale * quadric / np.where(presence > 0.0, presence, 1.0)
         total += rest * trust * near
         rest *= 1.0 - trust
@@ -176,7 +180,8 @@ def blend_quadrics(
     (x, y, z) become quadrics in (y, z), in z, and numbers, each c0 + u (c1 + u c2) times its
     weight, lower plus upper layer. About 20 operations per node instead of 250.
     """
-    weight = local * local * (3.0 - 2.0 * local)
+    weight = local * local * (3.0 - 2.0 * local)  # (3, b, 9)
+    # Channels: 12 of vertices, (12, v + 1); 8 of (b, 9, k, k); 5 of (b, 9, 9, k); 3 of (b, 9^3).
     sums = _collapse_axis(channels, _x_index(rows, lower[0]), local[0], weight[0], 0)
     sums = _collapse_axis(sums, _y_index(lower[1], rows.shape[3]), local[1], weight[1], 1)
     return _collapse_axis(sums, _z_index(lower[2], rows.shape[3]), local[2], weight[2], 2)
@@ -264,6 +269,7 @@ def _collapse_axis(
     shape = [len(local), 1, 1, 1]
     shape[1 + axis] = NODES
     flat, t, w = sums.reshape(len(sums), -1), local.reshape(shape), weight.reshape(shape)
+    # The place is seen from the layer below (t) and from the one above (t - 1).
     below = restrict(np.take(flat, index[0], axis=1), t, axis) * (1.0 - w)
     above = restrict(np.take(flat, index[1], axis=1), t - 1.0, axis) * w
     return below + above

@@ -105,8 +105,8 @@ def fit_vertices(
     lam, mu = np.broadcast_to(lam, len(prior)), np.broadcast_to(mu, len(prior))
     for start in range(0, len(moments), _CHUNK_ROWS):
         rows = slice(start, start + _CHUNK_ROWS)
-        columns = np.ascontiguousarray(moments[rows].T)
-        priors = np.ascontiguousarray(prior[rows].T)
+        columns = np.ascontiguousarray(moments[rows].T)  # (44, v): vertices are the lanes
+        priors = np.ascontiguousarray(prior[rows].T)  # (10, v)
         matrix, right = _normal_equations(columns, priors, lam[rows], mu[rows])
         coefficients[rows] = _solve_cholesky(matrix, right).T
     return coefficients
@@ -116,18 +116,20 @@ def _normal_equations(
     columns: FloatArray, prior: FloatArray, lam: FloatArray, mu: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the lower triangles (10, 10, v) and the right sides (10, v)."""
-    inverse = 1.0 / columns[0]
+    inverse = 1.0 / columns[0]  # (v,): a mean over the points, whatever their number
     matrix = np.zeros((BASIS, BASIS, columns.shape[1]))
     right = np.zeros((BASIS, columns.shape[1]))
+    # The positions ask for f = 0, and add nothing here; the constant has no gradient.
     right[1:] = lam * columns[MONOMIALS:]
     for i, j in _PAIRS:
-        entry = columns[_VALUE[i, j]].copy()
+        entry = columns[_VALUE[i, j]].copy()  # (v,): sum phi_i phi_j
         for factor, column in _GRADIENT[i, j]:
-            entry += (lam * factor) * columns[column]
+            entry += (lam * factor) * columns[column]  # of the gradients
         entry += mu * _GRAM[i, j]
         matrix[i, j] = entry * inverse
     for i in range(BASIS):
         matrix[i, i] += _RIDGE
+        # mu P times the prior; of P most entries are 0 by symmetry.
         for j in np.flatnonzero(_GRAM[i]).tolist():
             right[i] += (mu * _GRAM[i, j]) * prior[j]
     right *= inverse
@@ -136,14 +138,16 @@ def _normal_equations(
 
 def _solve_cholesky(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solve the systems by L D L^T, in place; lower triangles, the last axis the systems."""
+    # Column j of L below its diagonal of ones; D stays on the matrix's diagonal.
     for j in range(BASIS):
         column = matrix[j + 1 :, j] / matrix[j, j]
         for k in range(j + 1, BASIS):
             matrix[k:, k] -= column[k - j - 1 :] * matrix[k, j]
         right[j + 1 :] -= column * right[j]
         matrix[j + 1 :, j] = column
-    for j in range(BASIS):
+    for j in range(BASIS):  # `right` is L^-1 b: divided by D,
         right[j] /= matrix[j, j]
+    # and solved for L^T from the last coefficient up.
     for j in range(BASIS - 1, -1, -1):
         right[:j] -= matrix[j, :j] * right[j]
     return right
@@ -176,10 +180,11 @@ def _inherit_columns(c: FloatArray, shifts: FloatArray) -> FloatArray:
     """Express quadrics (10, v) about places that are `shifts` (3, v) further on."""
     x, y, z = shifts
     child = np.empty_like(c)
-    child[4:] = 0.5 * c[4:]
+    child[4:] = 0.5 * c[4:]  # second degree: (1/2)^2 of the argument, times 2
     child[1] = c[1] + c[4] * x + 0.5 * (c[7] * y + c[9] * z)
     child[2] = c[2] + c[5] * y + 0.5 * (c[7] * x + c[8] * z)
     child[3] = c[3] + c[6] * z + 0.5 * (c[8] * y + c[9] * x)
+    # The value at the step: 2 f(step / 2).
     linear = c[1] * x + c[2] * y + c[3] * z
     square = c[4] * (x * x) + c[5] * (y * y) + c[6] * (z * z)
     mixed = c[7] * (x * y) + c[8] * (y * z) + c[9] * (z * x)
@@ -314,12 +319,15 @@ def weigh_priors(
     prior counts like so many points.
     """
     counts = moments[:, 0]
+    # (v,): how far the points lie from the prior, of which the noise and its chance are no error.
     missed = _mean_squares(moments, prior)
     scale = noise.copy()
     excess = missed - noise * (1.0 + np.sqrt(2.0 / counts))
     rich = np.flatnonzero(counts >= _LEAST_POINTS)
     if len(rich):
         many = counts[rich]
+        # (r, 10): what the points alone would have, and the noise by what that leaves over, held
+        # to what is known from further up as by so many points more.
         fitted = fit_vertices(moments[rich], prior[rich], lam, least)
         left = _mean_squares(moments[rich], fitted)
         told = (left * many + _TOLD_POINTS * noise[rich]) / (many - BASIS + _TOLD_POINTS)

@@ -63,6 +63,7 @@ def mark_ancestors(cells: IntArray, depth: int, ancestors: IntArray) -> NDArray[
         (1) or last (2) among the finest in the ancestor; 0 for what is the ancestor of none.
     """
     places = unpack_keys(cells)
+    # (c, 3): where each lies in its ancestor along each axis: first 0, between 1, last 2.
     within, last = places & ((1 << depth) - 1), (1 << depth) - 1
     ways = np.where(within == 0, 0, np.where(within == last, 2, 1))
     bits = np.uint32(1) << (ways @ np.array([1, 3, 9])).astype(np.uint32)
@@ -119,7 +120,9 @@ def look_near(
     -------
     ndarray of bool, shape (c,)
     """
-    places = origin + cell_size * (unpack_keys(cells) + 0.5)
+    places = origin + cell_size * (unpack_keys(cells) + 0.5)  # (c, 3): the middles
+    # (c,): the brick that begins below the margin, and bit by axis whether the margin reaches into
+    # the next one too: so one lookup answers for eight bricks.
     index = np.zeros(len(places), np.int64)
     spans = np.zeros(len(places), np.uint8)
     inside = np.ones(len(places), np.bool_)
@@ -130,5 +133,5 @@ def look_near(
         low += beyond
         inside &= (low >= 0) & (low < length - 1)
         index = index * length + np.clip(low, 0, length - 1)
-    found: BoolArray = inside & (pairs.reshape(-1)[index] >> spans & 1).astype(np.bool_)
-    return found
+    near: BoolArray = inside & (pairs.reshape(-1)[index] >> spans & 1).astype(np.bool_)
+    return near

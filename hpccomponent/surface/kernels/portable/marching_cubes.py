@@ -102,13 +102,15 @@ def _place_vertices(
 ) -> tuple[Int32Array, FloatArray]:
     """Number the crossed edges, shape (b, 3, 8, 8, 8), and place a vertex on each."""
     lower = (slice(None), *[slice(0, BRICK)] * 3)
+    # (b, 3, 8, 8, 8): whether the edge from each node along each axis is crossed.
     crossed = np.empty((len(places), 3, BRICK, BRICK, BRICK), np.bool_)
     for axis in range(3):
         upper = _shifted(axis)
         np.not_equal(inside[lower], inside[upper], out=crossed[:, axis])
+    # Vertices are numbered in that order; edges that are not crossed hold the one before.
     numbers = (np.cumsum(crossed.reshape(-1)) - 1).astype(np.int32).reshape(crossed.shape)
     brick, axis_of, *node = np.nonzero(crossed)
-    local = np.stack(node, axis=1)
+    local = np.stack(node, axis=1)  # (v, 3): the lower node of each crossed edge, in its brick
     coordinates = (BRICK * places[brick] + local).astype(np.float64)
     coordinates[np.arange(len(brick)), axis_of] += _cross_edges(values, brick, local, axis_of)
     return numbers, grid.origin + coordinates * grid.step
@@ -131,9 +133,11 @@ def _cross_edges(
     def at(along: IntArray) -> FloatArray:
         nodes[rows, axis] = along
         x, y, z = nodes.T
-        found: FloatArray = values[brick, x, y, z].astype(np.float64)
-        return found
+        value: FloatArray = values[brick, x, y, z].astype(np.float64)
+        return value
 
+    # Four nodes in a row around the edge, as far as the brick has them: (3, v) rises between
+    # them, and two second differences.
     start = np.clip(place - 1, 0, NODES - 4)
     rises = np.diff([at(start + i) for i in range(4)], axis=0)
     lower, upper = np.diff(rises, axis=0)
@@ -142,6 +146,7 @@ def _cross_edges(
     smaller = np.where(np.abs(lower) < np.abs(upper), lower, upper)
     most = np.abs(rise)
     bend = np.where(lower * upper > 0.0, 0.5 * np.clip(smaller, -most, most), 0.0)
+    # first + slope t + bend t^2 = 0, by the root that loses no digits where bend is small.
     slope = rise - bend
     root = np.sqrt(slope * slope - 4.0 * bend * first)
     share: FloatArray = 2.0 * np.abs(first) / (root + np.abs(slope))
@@ -157,14 +162,16 @@ def _assemble_faces(
     places: IntArray, inside: BoolArray, numbers: Int32Array
 ) -> tuple[IntArray, IntArray]:
     """Look up the triangles of every cell that the surface crosses, and the brick of each."""
+    # (b, 8, 8, 8): bit c is set where corner c of the cell is inside.
     cases = np.zeros((len(places), BRICK, BRICK, BRICK), np.uint8)
     for corner, octant in enumerate(OCTANTS):
         index = (slice(None), *[slice(int(o), int(o) + BRICK) for o in octant])
         cases |= inside[index].astype(np.uint8) << np.uint8(corner)
     brick, *cell = np.nonzero((cases != 0) & (cases != 255))
-    case = cases[brick, cell[0], cell[1], cell[2]]
+    case = cases[brick, cell[0], cell[1], cell[2]]  # (m,): of the cells that are crossed
     vertex_of_edge = _edge_numbers(places, brick, np.stack(cell, axis=1), numbers)
     counts = triangle_counts()[case]
+    # (f,): the cell of each triangle, and which of that cell's triangles it is.
     owner = np.repeat(np.arange(len(case)), counts)
     first = np.cumsum(counts) - counts
     turn = np.arange(len(owner)) - first[owner]
@@ -182,16 +189,18 @@ def _edge_numbers(
     """
     keys = pack_places(places)
     missing = len(keys)
+    # (b, 8): the rows of the bricks that own edges of a brick's cells: itself, and those above.
     neighbours = np.stack([find_keys(keys, step_keys(keys, o)) for o in OCTANTS], axis=1)
-    found = np.empty((len(brick), len(EDGES)), np.int32)
+    on_edges = np.empty((len(brick), len(EDGES)), np.int32)
     for edge, (axis, corner) in enumerate(EDGES):
+        # The edge belongs to the brick of its lower node, which may be the next one.
         node = cell + OCTANTS[corner]
         over = node == BRICK
         owner = neighbours[brick, over @ np.array([1, 2, 4])]
         x, y, z = np.where(over, 0, node).T
         number = numbers[np.where(owner == missing, 0, owner), axis, x, y, z]
-        found[:, edge] = np.where(owner == missing, -1, number)
-    return found
+        on_edges[:, edge] = np.where(owner == missing, -1, number)
+    return on_edges
 
 
 def balance_vertices(vertices: FloatArray, faces: IntArray, step: float) -> FloatArray:
@@ -228,12 +237,12 @@ def balance_vertices(vertices: FloatArray, faces: IntArray, step: float) -> Floa
     """
     crosses = _face_crosses(vertices, faces)
     normals = _vertex_normals(vertices, faces, crosses, _SLIVER * step * step)
-    gaps = np.zeros(len(faces))
+    gaps = np.zeros(len(faces))  # (f,): 24 times the mean gap of each face
     for p, q in ((0, 1), (1, 2), (2, 0)):
         tail, head = faces[:, p], faces[:, q]
         rise = (normals[head] - normals[tail]) * (vertices[head] - vertices[tail])
         gaps += rise.sum(axis=1)
-    areas = np.linalg.norm(crosses, axis=1)
+    areas = np.linalg.norm(crosses, axis=1)  # (f,): twice the areas, which is as good a weight
     weights = np.maximum(_gather(faces, areas, len(vertices)), 1e-300)
     shifts = _gather(faces, areas * (gaps / 24.0), len(vertices)) / weights
     return _hold_folds(vertices, vertices + normals * shifts[:, None], faces, crosses)
@@ -249,6 +258,7 @@ def _vertex_normals(
     vertices: FloatArray, faces: IntArray, crosses: FloatArray, excess: float
 ) -> FloatArray:
     """Return unit normals, each face counting 1 / (product of its two squared edges there)."""
+    # Edge k runs from corner k to the next: corner k has the edges k and k - 1.
     edges = [vertices[faces[:, k - 2]] - vertices[faces[:, k]] for k in range(3)]
     squares = [(edge**2).sum(axis=1) for edge in edges]
     squares = [square + max(excess, 1e-150) for square in squares]

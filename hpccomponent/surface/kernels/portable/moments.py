@@ -132,10 +132,12 @@ def accumulate_moments(
     moments = np.empty((cells, COLUMNS))
     start = 0
     while start < cells:
+        # As many whole cells as hold a chunk of points, one at least.
         limit = offsets[start] + _CHUNK_POINTS
         stop = max(start + 1, int(np.searchsorted(offsets, limit, side="right")) - 1)
         stop = min(stop, cells)
         points = slice(int(offsets[start]), int(offsets[stop]))
+        # (n,): the cell of each point, counted from the first of the chunk.
         owners = np.repeat(np.arange(stop - start), np.diff(offsets[start : stop + 1]))
         moments[start:stop] = _sum_chunk(
             local_positions[points],
@@ -152,12 +154,14 @@ def _sum_chunk(
     positions: FloatArray, normals: FloatArray, weights: FloatArray, owners: IntArray, cells: int
 ) -> FloatArray:
     """Sum the moments of some cells, points of cell i marked with owner i."""
-    coordinates = np.ascontiguousarray(positions.T)
+    coordinates = np.ascontiguousarray(positions.T)  # (3, n): one contiguous row for each axis
     x, y, z = coordinates
     nx, ny, nz = weights * np.ascontiguousarray(normals.T)
+    # 35 of (n,): the monomials of each point, of which the first is 1 times its weight.
     columns = [weights]
     for source, axis in _PRODUCTS:
         columns.append(columns[source] * coordinates[axis])
+    # 9 more: n . grad phi for x, y, z; xx, yy, zz; and xy, yz, zx.
     columns += [nx, ny, nz, 2.0 * x * nx, 2.0 * y * ny, 2.0 * z * nz]
     columns += [y * nx + x * ny, z * ny + y * nz, z * nx + x * nz]
     # bincount adds one point after the other; reduceat would add pairwise.

@@ -1,4 +1,4 @@
-"""The poll that tells wrong normals, in numpy."""
+"""The poll that tells wrong normals."""
 
 from __future__ import annotations
 
@@ -55,17 +55,20 @@ def poll_normals(
     """
     del threads  # numpy runs on one
     normals = normals.astype(np.float64, copy=False)
+    # Cell i holds the points order[offsets[i]] to order[offsets[i + 1]].
     order = np.argsort(cell_of, kind="stable")
     offsets = np.searchsorted(cell_of[order], np.arange(len(keys) + 1))
     suspects = _find_suspects(normals, keys, cell_of, np.diff(offsets), asked)
     verdicts = np.full(len(positions), FINE, np.uint8)
     for start in range(0, len(suspects), _CHUNK):
         points = suspects[start : start + _CHUNK]
+        # (3, m): who agrees, who opposes, and the sum of the latter's offsets.
         votes = np.zeros((3, len(points)))
         for step in NEIGHBOURS:
             cells = find_keys(keys, step_keys(keys[cell_of[points]], step))
             first = offsets[cells]
             counts = np.append(offsets, offsets[-1])[cells + 1] - first
+            # (q,): each point that is asked about with each point of its neighbours' cell.
             asker = np.repeat(np.arange(len(points)), counts)
             rank = np.arange(len(asker)) - np.repeat(np.cumsum(counts) - counts, counts)
             others = order[np.repeat(first, counts) + rank]
@@ -78,6 +81,7 @@ def _find_suspects(
     normals: FloatArray, keys: IntArray, cell_of: IntArray, counts: IntArray, asked: ByteArray
 ) -> IntArray:
     """Return the points whose normals are at odds with the mean of their neighbourhood."""
+    # (c + 1, 4): the sum of the normals in each cell, and their number; 0 of a cell without any.
     sums = np.zeros((len(keys) + 1, 4))
     for axis in range(3):
         sums[:-1, axis] = np.bincount(cell_of, normals[:, axis], len(keys))
@@ -107,13 +111,15 @@ def _count_votes(
 ) -> FloatArray:
     """Count for each point who on its sheet agrees and opposes; sum the latter's offsets."""
     points, asker, others = pairs
-    own = points[asker]
-    away = positions[others] - positions[own]
-    offset = _dot(normals[own], away)
+    asked = points[asker]
+    # (q,): how far the neighbour is off the point's sheet; it counts where it lies on it, as seen
+    # by either normal.
+    away = positions[others] - positions[asked]
+    offset = _dot(normals[asked], away)
     near = np.abs(offset) <= tolerance
     near &= _dot(away, away) <= reach * reach
     near &= np.abs(_dot(normals[others], away)) <= tolerance
-    cosine = _dot(normals[own], normals[others])
+    cosine = _dot(normals[asked], normals[others])
     oppose = near & (cosine < -_ALIKE)
     agree = np.bincount(asker[near & (cosine > _ALIKE)], minlength=len(points))
     opponents = np.bincount(asker[oppose], minlength=len(points))

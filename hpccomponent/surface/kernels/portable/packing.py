@@ -1,4 +1,4 @@
-"""Packed points: sorted, counted, unpacked and placed, in numpy."""
+"""Packed points: sorted, counted, unpacked and placed."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ def pack_records(
     keys, offsets, rows = sort_points(positions, origin, edge)
     records = np.empty((len(rows), 6), np.float32)
     for start in range(0, len(rows), _ROWS_AT_ONCE):
-        some = slice(start, start + _ROWS_AT_ONCE)
-        places = (positions[some] - origin) / edge
-        records[some, :3] = places - np.floor(places)
-        records[some, 3:] = normals[some]
+        chunk = slice(start, start + _ROWS_AT_ONCE)
+        places = (positions[chunk] - origin) / edge
+        records[chunk, :3] = places - np.floor(places)  # 0 to 1 within the block
+        records[chunk, 3:] = normals[chunk]
     return keys, np.diff(offsets), records.take(rows, axis=0)
 
 
@@ -87,10 +87,10 @@ def unpack_records(
     block_of = np.repeat(np.arange(len(corners)), counts)
     positions = np.empty((len(block_of), 3))
     for start in range(0, len(block_of), _ROWS_AT_ONCE):
-        some = slice(start, start + _ROWS_AT_ONCE)
-        part = positions[some]
-        np.multiply(records[some, :3], edge, out=part, dtype=np.float64)
-        part += corners.take(block_of[some], axis=0)
+        chunk = slice(start, start + _ROWS_AT_ONCE)
+        part = positions[chunk]
+        np.multiply(records[chunk, :3], edge, out=part, dtype=np.float64)
+        part += corners.take(block_of[chunk], axis=0)
     return positions, records[:, 3:].astype(np.float64)
 
 
@@ -188,14 +188,14 @@ def sort_packed(
     """
     positions, _ = unpack_records(records, counts, corners, edge)
     places = np.floor(cells_of(positions, origin, cell_size)).astype(np.int64)
-    found = find_keys(wanted, pack_places(places >> depth))
-    kept = np.flatnonzero(found < len(wanted))
+    coarse = find_keys(wanted, pack_places(places >> depth))  # (n,): of each point's coarse cell
+    kept = np.flatnonzero(coarse < len(wanted))
     keys = pack_places(places[kept])
     order = np.argsort(keys, kind="stable")
-    cells, rows = unique_keys(keys), kept[order]
+    cells, rows = unique_keys(keys), kept[order]  # (c,) and (m,): cells, and points by cell
     starts = np.searchsorted(keys[order], cells)
     block_of = np.repeat(np.arange(len(counts), dtype=np.uint32), counts)
-    groups = numbers[found[rows[starts]]]
+    groups = numbers[coarse[rows[starts]]]
     offsets = np.append(starts, len(rows)).astype(np.int64)
     return cells, offsets, records[rows], block_of[rows], groups
 

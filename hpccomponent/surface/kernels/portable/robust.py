@@ -1,4 +1,4 @@
-"""How far points lie from the blend of a level's quadrics, in numpy."""
+"""How far points lie from the blend of a level's quadrics."""
 
 from __future__ import annotations
 
@@ -54,9 +54,10 @@ def rate_points(
         0 where a corner is missing.
     """
     places = unpack_keys(cells)
+    # (c,) and (c, 3): the coarse cell that each fine one lies in, and which of its fine cells.
     above, within = pack_places(places >> depth), places & ((1 << depth) - 1)
     owners = np.repeat(np.arange(len(cells)), np.diff(offsets))
-    t = (within[owners] + local + 0.5) / (1 << depth)
+    t = (within[owners] + local + 0.5) / (1 << depth)  # (n, 3): in the coarse cell, 0 to 1
     smooth = t * t * (3.0 - 2.0 * t)
     value, variance = np.zeros((2, len(local)))
     slope = np.zeros((len(local), 3))
@@ -65,6 +66,7 @@ def rate_points(
         rows = find_keys(corners, step_keys(above, octant))[owners]
         known &= rows < len(corners)
         rows = np.where(rows < len(corners), rows, 0)
+        # (n,): the weight of this corner, and what its quadric and its slope are at the point.
         share = np.where(octant == 1, smooth, 1.0 - smooth).prod(axis=1)
         x, y, z = (t - octant).T
         c = coefficients[rows].T.astype(np.float64)
