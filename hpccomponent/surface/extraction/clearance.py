@@ -89,14 +89,14 @@ class SupportRule:
         """
         if self.most <= self.radius:
             return np.full(len(rows), self.radius)
-        found, _ = tree.query(
+        distances, _ = tree.query(
             tree.data[rows],
             [_NEIGHBOURS + 1],
             distance_upper_bound=self._farthest * (1.0 + 1e-9),
             workers=threads,
         )
-        wanted: FloatArray = self.spacings * _DENSITY * found[:, 0]
-        return wanted.clip(self.radius, self.most)
+        radii: FloatArray = self.spacings * _DENSITY * distances[:, 0]
+        return radii.clip(self.radius, self.most)
 
 
 def measure_clearance(
@@ -122,8 +122,10 @@ def measure_clearance(
 
     tree = cKDTree(cloud.positions, balanced_tree=False, compact_nodes=False)
     bound = _MOST * rule.most
-    found, _ = tree.query(places, [_AGREEING], distance_upper_bound=bound, workers=threads)
-    nearest = found[:, 0]
+    # (v,): the distance of the third nearest point bounds a place's clearance on both sides: most
+    # places are sure of theirs by that.
+    distances, _ = tree.query(places, [_AGREEING], distance_upper_bound=bound, workers=threads)
+    nearest = distances[:, 0]
     clearance = np.where(nearest < bound, _LEAST, _MOST)
     unsure = np.flatnonzero((nearest > _LEAST * _FLATNESS * rule.radius) & (nearest < bound))
     if not len(unsure):
@@ -131,12 +133,13 @@ def measure_clearance(
     from_places, _ = cKDTree(places[unsure]).query(
         cloud.positions, distance_upper_bound=bound, workers=threads
     )
-    rows = np.flatnonzero(from_places < bound)
+    rows = np.flatnonzero(from_places < bound)  # points that may matter to one that is unsure
     radii = rule.radii(tree, rows, threads)
+    # (u, 3): the least squared clearances of each, of which the third counts.
     least = np.full((len(unsure), _AGREEING), _MOST * _MOST)
-    for some in _by_radius(radii, rule.radius):
-        near = cloud.take(rows[some])
-        _lower(least, places[unsure], near, radii[some], _FLATNESS * rule.radius)
+    for alike in _by_radius(radii, rule.radius):
+        points = cloud.take(rows[alike])
+        _lower(least, places[unsure], points, radii[alike], _FLATNESS * rule.radius)
     clearance[unsure] = np.clip(np.sqrt(least[:, -1]), _LEAST, _MOST)
     return clearance.astype(np.float32)
 
@@ -175,26 +178,29 @@ def _lower(
     size, origin = _MOST * float(radii.max()), cloud.positions[0]
     sorted_points = kernels.sort_points(cloud.positions, origin, size)
     for start in range(0, len(places), _PLACES_AT_ONCE):
-        some = places[start : start + _PLACES_AT_ONCE]
-        cells = np.floor((some - origin) / size).astype(np.int64)
+        batch = places[start : start + _PLACES_AT_ONCE]
+        cells = np.floor((batch - origin) / size).astype(np.int64)
+        # (q,): each place with each point near it; (q,) how far it is off the point's plane, and
+        # how far away, squared.
         at, point = _pair(cells, *sorted_points)
-        offsets = some[at] - cloud.positions[point]
+        offsets = batch[at] - cloud.positions[point]
         off, along = np.zeros(len(at)), np.zeros(len(at))
         for axis in range(3):  # sums in one order, whatever the shape
             off += offsets[:, axis] * cloud.normals[point, axis]
             along += offsets[:, axis] * offsets[:, axis]
         off *= off
         squares = (along - off) / (radii[point] * radii[point]) + off / (thickness * thickness)
-        near = squares < _MOST * _MOST
-        at, squares = at[near], squares[near]
+        is_near = squares < _MOST * _MOST
+        at, squares = at[is_near], squares[is_near]
+        # Sorted by place and clearance: the first three of each go into its row.
         order = np.lexsort((squares, at))
         at, squares = at[order], squares[order]
         turn = np.arange(len(at)) - np.searchsorted(at, at)
         first = turn < _AGREEING
-        found = np.full((len(some), _AGREEING), _MOST * _MOST)
-        found[at[first], turn[first]] = squares[first]
-        both = np.concatenate([least[start : start + len(some)], found], axis=1)
-        least[start : start + len(some)] = np.sort(both, axis=1)[:, :_AGREEING]
+        here = np.full((len(batch), _AGREEING), _MOST * _MOST)
+        here[at[first], turn[first]] = squares[first]
+        both = np.concatenate([least[start : start + len(batch)], here], axis=1)
+        least[start : start + len(batch)] = np.sort(both, axis=1)[:, :_AGREEING]
 
 
 def _pair(
@@ -203,10 +209,10 @@ def _pair(
     """Return each place with the points in its cell and the 26 around it."""
     at, points = [], []
     for step in np.ndindex(3, 3, 3):
-        found = find_keys(keys, pack_places(cells + np.array(step) - 1))
-        here = np.flatnonzero(found < len(keys))
-        first = offsets[found[here]]
-        counts = offsets[found[here] + 1] - first
+        cell = find_keys(keys, pack_places(cells + np.array(step) - 1))
+        here = np.flatnonzero(cell < len(keys))
+        first = offsets[cell[here]]
+        counts = offsets[cell[here] + 1] - first
         turn = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
         at.append(np.repeat(here, counts))
         points.append(rows[np.repeat(first, counts) + turn].astype(np.int64))

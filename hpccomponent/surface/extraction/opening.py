@@ -123,18 +123,22 @@ def drop_copies(
     """
     if taken.all():
         return replace(part, guests=np.zeros(len(taken), np.bool_)), places
+    # (v,): the vertices that stay its own; then the corners of the faces that stay.
     own = np.repeat(taken, part.vertex_counts)
     corners = part.faces[np.repeat(taken, part.face_counts)].reshape(-1)
     starts, count = starts_of(part.vertex_counts), len(part.vertices)
     used = unique_keys(corners).astype(np.int64)
     named, outer = ~used[used < 0], used[used >= 0]
     outer = outer[~own[outer]]
-    of = np.searchsorted(starts, outer, side="right") - 1
-    bricks = np.concatenate([part.foreign_bricks[named], part.bricks[of]])
-    numbers = np.concatenate([part.foreign_numbers[named], (outer - starts[of]).astype(np.int32)])
+    owners = np.searchsorted(starts, outer, side="right") - 1
+    # Foreign from now on: what was foreign and is still used, and what the others' bricks hold.
+    bricks = np.concatenate([part.foreign_bricks[named], part.bricks[owners]])
+    outer_numbers = (outer - starts[owners]).astype(np.int32)
+    numbers = np.concatenate([part.foreign_numbers[named], outer_numbers])
     order = np.lexsort((numbers, bricks))
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
+    # (v + g,): what a corner becomes: a row, or ~ of a foreign vertex.
     meaning = np.empty(count + len(part.foreign_bricks), np.int64)
     meaning[:count] = np.cumsum(own) - 1
     meaning[outer] = ~rank[len(named) :]
@@ -170,12 +174,13 @@ def survey_opening(
         Rows of vertices that other parts may name; -1 for those that another part has.
     """
     own, bare = len(part.vertices), clearances >= 1.0
+    # (3 f,): both ends of each side of a face, as nodes.
     tails = _as_nodes(part)
     heads = np.roll(tails, -1, axis=1)
     tails, heads = tails.reshape(-1), heads.reshape(-1)
     within = bare[tails] & bare[heads]
     labels, patches = _label_bare(tails[within], heads[within], bare)
-    across = np.flatnonzero(bare[tails] != bare[heads])
+    across = np.flatnonzero(bare[tails] != bare[heads])  # sides that the line crosses
     tails, heads = tails[across], heads[across]
     loops = _bound_loops(np.concatenate([part.vertices, places]), labels, patches, tails, heads)
     brick_of = np.repeat(np.arange(len(part.bricks)), part.face_counts)[across // 3]
@@ -235,8 +240,10 @@ class _Numbers:
         self.bricks = np.repeat(np.arange(bricks), part.vertex_counts)
         self.is_bare = survey.labels[:own] >= 0
         before = starts_of(self.is_bare)
+        # (v,): how many bare and supported vertices stand before each in its brick.
         bare_before = before[:-1] - before[starts[self.bricks]]
         supported_before = np.arange(own) - starts[self.bricks] - bare_before
+        # (b,): supported vertices come first, then the cuts, then the bare ones.
         supported = part.vertex_counts - np.diff(before[starts])
         cut_counts = np.bincount(survey.cut_bricks, minlength=bricks)
         turn = np.arange(len(survey.cut_bricks)) - starts_of(cut_counts)[survey.cut_bricks]
@@ -255,6 +262,7 @@ class _Cuts:
         self._count = len(survey.clearances)
         points = np.concatenate([part.vertices, survey.places])
         clearance = survey.clearances.astype(np.float64)
+        # (k, 1): where along the edge the clearance is 1.
         share = (1.0 - clearance[low]) / (clearance[high] - clearance[low])
         share = share.clip(_SHORTEST, 1.0 - _SHORTEST)[:, None]
         self.places = points[low] + share * (points[high] - points[low])
@@ -266,6 +274,7 @@ class _Cuts:
 
     def find(self, tails: IntArray, heads: IntArray) -> tuple[IntArray, FloatArray]:
         """Return the names, brick and number, and the places of the cuts of some edges."""
+        # An edge is known by its ends in one order; those in the other are looked for turned round.
         rows = find_keys(self._keys, tails * self._count + heads)
         missing = rows == len(self._keys)
         turned = heads[missing] * self._count + tails[missing]
@@ -283,9 +292,9 @@ def _label_bare(tails: IntArray, heads: IntArray, bare: BoolArray) -> tuple[Int3
     """Label the bare vertices by the patches that edges make of them."""
     labels = np.full(len(bare), -1, np.int32)
     joined = np.stack([tails, heads, heads], axis=1)  # edges as faces with a corner twice
-    found, numbers = number_keys(kernels.label_components(joined, len(bare))[1][bare])
+    patches, numbers = number_keys(kernels.label_components(joined, len(bare))[1][bare])
     labels[bare] = numbers
-    return labels, len(found)
+    return labels, len(patches)
 
 
 def _bound_loops(
@@ -321,6 +330,7 @@ def _find_cuts(
     """Return brick and ends of each cut, sorted, and whether its edge has one side here."""
     forward = ranks[tails] < ranks[heads]
     low, high = np.where(forward, tails, heads), np.where(forward, heads, tails)
+    # (s, 3): brick of the face and both ends of each side, sorted; a cut for each brick of an edge.
     order = np.lexsort((ranks[high], ranks[low], brick_of))
     sides = np.stack([brick_of, low, high], axis=1)[order]
     first = np.ones(len(sides), np.bool_)
@@ -353,7 +363,7 @@ def _cut_faces(
     """Return brick row and named corners, shape (f, 3, 2), of what stays of the faces."""
     nodes = _as_nodes(part)
     inside = stays[nodes]
-    kinds = inside.sum(axis=1)
+    kinds = inside.sum(axis=1)  # (f,): how many corners stay
     whole = np.flatnonzero(kinds == 3)
 
     tips = np.flatnonzero(kinds == 1)  # one corner stays: so does a triangle at it
@@ -369,6 +379,7 @@ def _cut_faces(
     first = np.stack([names[a], names[b], third], axis=1)
     second = np.stack([start, from_b, from_a], axis=1)
 
+    # In the order of the faces that they come from, which is that of the bricks.
     source = np.concatenate([whole, tips, bases, bases])
     order = np.argsort(source, kind="stable")
     brick_of = np.repeat(np.arange(len(part.bricks)), part.face_counts)
@@ -414,13 +425,13 @@ def _assemble(
     """Make a part of named corners; bricks that have nothing are left out."""
     filled = (vertex_counts > 0) | (face_counts > 0)
     bricks, vertex_counts, face_counts = bricks[filled], vertex_counts[filled], face_counts[filled]
-    of, numbers = corners.reshape(-1, 2).T
-    rows = find_keys(bricks, of)
+    brick_keys, numbers = corners.reshape(-1, 2).T  # (3 f,): the name of each corner
+    rows = find_keys(bricks, brick_keys)
     is_own = rows < len(bricks)
     faces = np.empty(len(rows), np.int64)
     faces[is_own] = starts_of(vertex_counts)[rows[is_own]] + numbers[is_own]
-    outer = of[~is_own]
-    foreign_keys, brick_names = number_keys(outer)
+    # The foreign ones, each once: sorted by brick and number, both in one integer.
+    foreign_keys, brick_names = number_keys(brick_keys[~is_own])
     pairs, named = number_keys(brick_names << 32 | numbers[~is_own])
     faces[~is_own] = ~named
     return MeshPart(

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpccomponent.protocol.records import record
 from hpccomponent.surface.extraction.parts import Int32Array, MeshPart
-from hpccomponent.surface.types.points import FloatArray, IntArray
+from hpccomponent.surface.types.points import BoolArray, FloatArray, IntArray
 
 __all__ = ["PartPlaces", "Runs", "place_faces", "place_vertices", "starts_of"]
+
+Row = TypeVar("Row", bound=np.generic)
+Counts = Int32Array | IntArray | BoolArray
 
 
 @record("surface.part_places")
@@ -59,7 +62,7 @@ class Runs:
         starts = self.starts.tolist()
         return zip(starts, starts[1:], self.numbers.tolist(), strict=False)
 
-    def put(self, rows: NDArray[Any], mesh: NDArray[Any], before: int = 0) -> None:
+    def put(self, rows: NDArray[Row], mesh: NDArray[Row], before: int = 0) -> None:
         """Put rows to their places in the mesh, or in a piece of it.
 
         Parameters
@@ -128,7 +131,7 @@ def place_faces(
     return faces, corners, _join(counts, places.face_starts[bricks])
 
 
-def starts_of(counts: NDArray[np.integer[Any] | np.bool_]) -> IntArray:
+def starts_of(counts: Counts) -> IntArray:
     """Return where each brick's rows begin, and the last one's end.
 
     Parameters
@@ -145,22 +148,23 @@ def starts_of(counts: NDArray[np.integer[Any] | np.bool_]) -> IntArray:
     return starts
 
 
-def _join(counts: NDArray[np.integer[Any]], numbers: IntArray) -> Runs:
+def _join(counts: Counts, numbers: IntArray) -> Runs:
     """Return the rows of bricks as runs: those of one brick stay together, and often of several."""
-    there = counts > 0
-    counts, numbers = counts[there], numbers[there]
+    is_filled = counts > 0
+    counts, numbers = counts[is_filled], numbers[is_filled]
     starts = starts_of(counts)
     first = np.ones(len(counts), np.bool_)
     np.not_equal(numbers[1:], numbers[:-1] + counts[:-1], out=first[1:])
     return Runs(np.append(starts[:-1][first], starts[-1]), numbers[first])
 
 
-def _take(values: NDArray[Any], starts: IntArray, bricks: IntArray) -> NDArray[Any]:
+def _take(values: NDArray[Row], starts: IntArray, bricks: IntArray) -> NDArray[Row]:
     """Return the rows of some bricks; of all bricks, no copy."""
     if len(bricks) == len(starts) - 1:
         return values
     if not len(bricks):
         return values[:0]
+    # Bricks that stand side by side make one run of rows.
     cuts = np.flatnonzero(np.diff(bricks) != 1) + 1
     first = starts[bricks[np.r_[0, cuts]]].tolist()
     last = starts[bricks[np.r_[cuts, len(bricks)] - 1] + 1].tolist()
@@ -189,6 +193,8 @@ def _number(part: MeshPart, places: PartPlaces, first: int, last: int) -> IntArr
     starts = starts_of(part.vertex_counts)
     low = int(np.searchsorted(starts, first, side="right")) - 1
     high = int(np.searchsorted(starts, last, side="left"))
+    # (k,): from a row of the part to a number of the mesh, brick by brick, as if none of the part's
+    # vertices was dropped; those that are, are counted off below.
     shift = places.vertex_starts[low:high] - starts[low:high]
     shift += np.searchsorted(places.dropped, starts[low:high])
     shifts = np.repeat(shift, part.vertex_counts[low:high])

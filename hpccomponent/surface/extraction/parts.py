@@ -83,14 +83,16 @@ def cut_part(
     supported : ndarray of bool, shape (v,), optional
         Of the mesh's vertices (see `MeshPart`); none where it is left out.
     """
-    taken = mesh.taken
+    taken = mesh.taken  # (b,): bricks that are no rim
     bricks = mesh.bricks[taken]
     guests = np.zeros(len(bricks), np.bool_) if kinds is None else kinds.at(bricks) != OWN
+    # (v,): the row that each vertex of the mesh has in the part, -1 where it belongs to the rim.
     is_inner = np.repeat(taken, mesh.vertex_counts)
     rows = np.cumsum(is_inner, dtype=np.int32) - np.int32(1)
     rows[~is_inner] = -1
     faces = mesh.faces.take(np.flatnonzero(np.repeat(taken, mesh.face_counts)), axis=0)
     corners = rows.take(faces)
+    # Corners at the rim name the foreign vertices, which stand in the order of the mesh.
     outside = np.flatnonzero(corners < 0)
     outer, names = number_keys(faces.reshape(-1)[outside])
     corners.reshape(-1)[outside] = ~names
@@ -128,6 +130,7 @@ def join_parts(parts: list[MeshPart]) -> MeshPart:
     parts = sorted(parts, key=lambda part: int(part.bricks[0]) if len(part.bricks) else 0)
     bricks = np.concatenate([part.bricks for part in parts])
     of_vertices = np.concatenate([part.vertex_counts for part in parts])
+    # How the bricks are sorted, and the first vertex of each, part after part.
     order, starts = np.argsort(bricks, kind="stable"), np.cumsum(of_vertices) - of_vertices
     foreign_bricks, foreign_numbers, meant = _name_foreign(
         bricks[order],
@@ -135,14 +138,16 @@ def join_parts(parts: list[MeshPart]) -> MeshPart:
         np.concatenate([part.foreign_bricks for part in parts]),
         np.concatenate([part.foreign_numbers for part in parts]),
     )
+    # (f, 3): each part's rows go behind those of the parts before it; its foreign vertices become
+    # rows where another part has them.
     faces = np.concatenate([part.faces for part in parts])
     face, vertex, name = 0, 0, 0
     for part in parts:
-        own = faces[face : face + len(part.faces)].reshape(-1)
-        outside = np.flatnonzero(own < 0)
-        named = meant[name : name + len(part.foreign_bricks)][~own[outside]]
-        own += np.int32(vertex)
-        own[outside] = named
+        corners = faces[face : face + len(part.faces)].reshape(-1)
+        outside = np.flatnonzero(corners < 0)
+        named = meant[name : name + len(part.foreign_bricks)][~corners[outside]]
+        corners += np.int32(vertex)
+        corners[outside] = named
         face, vertex = face + len(part.faces), vertex + len(part.vertices)
         name += len(part.foreign_bricks)
     joined = MeshPart(
@@ -213,7 +218,8 @@ def _name_foreign(
     is_here = at < len(bricks)
     meant = np.empty(len(names), np.int32)
     meant[is_here] = starts[at[is_here]] + numbers[is_here]
+    # The others, each once: sorted by brick and number, both in one integer.
     outer, owners = number_keys(names[~is_here])
-    pairs, found = number_keys(owners << 32 | numbers[~is_here])
-    meant[~is_here] = ~found
+    pairs, ranks = number_keys(owners << 32 | numbers[~is_here])
+    meant[~is_here] = ~ranks
     return outer[pairs >> 32], (pairs & 0xFFFFFFFF).astype(np.int32), meant

@@ -95,24 +95,26 @@ def sharpen_vertices(
     if not len(features.keys) or not len(faces):
         return balanced
     origin, cell_size = lattice
-    places = (vertices - origin) / cell_size
+    places = (vertices - origin) / cell_size  # (v, 3): in cells
     farthest = _FARTHEST * step / cell_size
     pieces = cut_equal(len(faces), -(-len(faces) // _AT_ONCE))
     crossings = _join([_find_crossings(places, faces[piece], features) for piece in pieces])
     crossings = crossings.take(crossings.distances.min(axis=1) <= farthest)
     if not len(crossings.ends):
         return balanced
+    # (k,) and (k, 3): the vertices that move, and where to.
     rows, goals = _find_goals(crossings, _choose_ends(crossings, len(vertices)))
-    near = ((goals - places[rows]) ** 2).sum(axis=1) <= farthest * farthest
-    rows, goals = rows[near], origin + cell_size * goals[near]
+    is_near = ((goals - places[rows]) ** 2).sum(axis=1) <= farthest * farthest
+    rows, goals = rows[is_near], origin + cell_size * goals[is_near]
     is_moved = np.zeros(len(vertices), np.bool_)
     is_moved[rows] = True
+    # Beside an edge vertices are where marching cubes has put them, elsewhere balanced.
     around = faces[is_moved[faces].any(axis=1)]
-    held, moved = balanced.copy(), balanced.copy()
-    held[around] = moved[around] = vertices[around]
+    before, moved = balanced.copy(), balanced.copy()
+    before[around] = moved[around] = vertices[around]
     moved[rows] = goals
-    normals = _find_normals(crossings, is_moved, held, around)
-    return _hold_faces(held, moved, around, normals, _LEAST_AREA * step * step)
+    normals = _find_normals(crossings, is_moved, before, around)
+    return _hold_faces(before, moved, around, normals, _LEAST_AREA * step * step)
 
 
 def _join(parts: list[_Crossings]) -> _Crossings:
@@ -132,18 +134,21 @@ def _find_crossings(places: FloatArray, faces: IntArray, features: Features) -> 
     """
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     ends = ends[ends[:, 0] < ends[:, 1]]  # each is there once in either direction
+    # (m, 3): the lattice vertex next to each mesh edge's middle; only those with pieces matter.
     centre = np.rint(0.5 * (places[ends[:, 0]] + places[ends[:, 1]]))
     feature = find_keys(features.keys, pack_places(centre.astype(np.int64)))
-    found = feature < len(features.keys)
-    ends, centre, feature = ends[found], centre[found], feature[found]
+    has_pieces = feature < len(features.keys)
+    ends, centre, feature = ends[has_pieces], centre[has_pieces], feature[has_pieces]
     pieces, joints = features.pieces[feature].astype(np.float64), features.joints[feature]
     start, end = places[ends[:, 0]] - centre, places[ends[:, 1]] - centre
+    # (m, 3): the pieces at both ends, and which of them is the surface there.
     at_start, at_end = _evaluate(pieces, start), _evaluate(pieces, end)
     one, other = _find_active(at_start, pieces, joints), _find_active(at_end, pieces, joints)
     rows = np.arange(len(ends))
     off = np.maximum(np.abs(at_start[rows, one]), np.abs(at_end[rows, other]))
     rows = np.flatnonzero((one != other) & (off < _NEAR))
     one, other = one[rows], other[rows]
+    # Where along the mesh edge both pieces are equal: from there to where both are 0.
     before = at_start[rows, one] - at_start[rows, other]
     after = at_end[rows, one] - at_end[rows, other]
     share = np.clip(before / np.where(before == after, 1.0, before - after), 0.0, 1.0)
@@ -201,6 +206,7 @@ def _meet(
     """
     good = np.ones(len(at), np.bool_)
     for _ in range(_NEWTON):
+        # The least step s with a . s = -f and b . s = -g lies in the plane of both gradients.
         a, b = _differentiate(first, at), _differentiate(second, at)
         aa, ab, bb = (a * a).sum(axis=1), (a * b).sum(axis=1), (b * b).sum(axis=1)
         determinant = aa * bb - ab * ab
@@ -222,12 +228,14 @@ def _choose_ends(crossings: _Crossings, vertices: int) -> BoolArray:
     lie on one edge.
     """
     ends, nearer = crossings.ends, crossings.nearer()
+    # (v,): chosen vertices, and those that are the farther end of some crossing.
     chosen, farther = np.zeros((2, vertices), np.bool_)
     rows = np.arange(len(ends))
     best = ends[rows, nearer]
     farther[ends[rows, 1 - nearer]] = True
     chosen[best[~farther[best]]] = True
     chosen[best[~chosen[ends].any(axis=1)]] = True
+    # Spare are those whose crossings all have another chosen end; of two spare ones, one stays.
     spare = chosen.copy()
     spare[ends[chosen[ends] & ~chosen[ends[:, ::-1]]]] = False
     both = spare[ends].all(axis=1)
@@ -240,6 +248,7 @@ def _find_goals(crossings: _Crossings, chosen: BoolArray) -> tuple[IntArray, Flo
     ends, of = crossings.ends.reshape(-1), np.repeat(np.arange(len(crossings.ends)), 2)
     kept = chosen[ends]
     ends, of = ends[kept], of[kept]
+    # By vertex, and the nearest meeting first: the others count if they lie on the same edge.
     order = np.lexsort((of, crossings.distances.reshape(-1)[kept], ends))
     ends, of = ends[order], of[order]
     rows, first, group = np.unique(ends, return_index=True, return_inverse=True)
@@ -268,7 +277,7 @@ def _find_normals(
 
 
 def _hold_faces(
-    held: FloatArray, moved: FloatArray, faces: IntArray, normals: FloatArray, least_area: float
+    before: FloatArray, moved: FloatArray, faces: IntArray, normals: FloatArray, least_area: float
 ) -> FloatArray:
     """Put vertices back that turn faces away from their normals, or take their area.
 
@@ -278,10 +287,10 @@ def _hold_faces(
         after = _face_crosses(moved, faces)
         wrong = (normals * after).sum(axis=1) <= 0.0
         wrong |= (after * after).sum(axis=1) < 4.0 * least_area * least_area
-        shifts = ((moved - held) ** 2).sum(axis=1)[faces]
+        shifts = ((moved - before) ** 2).sum(axis=1)[faces]  # (f, 3): of the corners, squared
         wrong = np.flatnonzero(wrong & (shifts > 0.0).any(axis=1))
         back = faces[wrong] if last else faces[wrong, shifts[wrong].argmax(axis=1)]
-        moved[back] = held[back]
+        moved[back] = before[back]
     return moved
 
 

@@ -41,7 +41,7 @@ class PartSummary:
     bounds : ndarray of float64, shape (c, 6)
         Lowest and highest coordinates of the vertices of each component.
     piece_vertices : ndarray of int32, shape (p,)
-        The open vertex of each piece of corners (see `seams.Seams`).
+        The open vertex of each piece of corners (see `Seams`).
     piece_units : ndarray of int32, shape (p,)
         Which guest brick the piece lies in; -1 in the part's own bricks.
     sides : ndarray of int32, shape (q, 3)
@@ -108,6 +108,8 @@ def summarize_part(part: MeshPart) -> PartSummary:
     seams = kernels.find_seams(nodes.faces, all_vertices, nodes.vertex_of, nodes.is_open)
     counts = (part.vertex_counts, part.face_counts)
     sums = kernels.sum_bricks(part.vertices, part.faces, counts, seams.labels, seams.components)
+    # Vertices that other parts may have to be compared at: open ones, bare ones, and those of
+    # faces with foreign vertices; of these the part's own make the rim.
     pieces, bare = nodes.vertex_of[seams.pieces], nodes.vertex_of[seams.bare]
     at_seam = unique_keys(np.flatnonzero(part.faces.reshape(-1) < 0) // 3)
     rim = unique_keys(np.concatenate([pieces, bare, part.faces[at_seam].reshape(-1)]))
@@ -151,6 +153,8 @@ def _name_nodes(part: MeshPart) -> _Nodes:
     of_guest = np.repeat(part.guests, part.face_counts)
     units = np.repeat(np.arange(len(part.bricks)), part.face_counts)[of_guest]
     is_open[:own] = in_guest
+    # Of the guests' faces: each (unit, vertex), as one number, becomes a node; vertices of guest
+    # bricks too, whether a face uses them or not.
     corners = part.faces[of_guest]
     corners = np.where(corners < 0, own + ~corners, corners)
     named = np.concatenate(
@@ -159,10 +163,11 @@ def _name_nodes(part: MeshPart) -> _Nodes:
             brick_of[in_guest] * all_vertices + np.flatnonzero(in_guest),
         ]
     )
-    found, nodes = number_keys(named)
-    unit, vertex = np.divmod(found, all_vertices)
+    pairs, nodes = number_keys(named)
+    unit, vertex = np.divmod(pairs, all_vertices)
     faces = part.faces.copy()
     faces[of_guest] = all_vertices + nodes[: 3 * len(units)].reshape(-1, 3)
+    # A unit is sure only of vertices of its own brick.
     is_own = (vertex < own) & (np.append(brick_of, -1)[np.minimum(vertex, own)] == unit)
     return _Nodes(
         faces,
@@ -177,11 +182,12 @@ def _count_supported(
 ) -> Int32Array:
     """Count the supported vertices of each entry; `labels` are those of the part's vertices."""
     rows, bricks = np.flatnonzero(part.supported), np.arange(len(part.bricks))
+    # (e,) and (s,): brick and component of each entry and of each supported vertex, as one number.
     entries = np.repeat(bricks, np.diff(starts)) << 32 | entry_labels
     order = np.argsort(entries)
     of_vertices = np.repeat(bricks, part.vertex_counts)[rows] << 32 | labels[rows]
-    found = order[find_keys(entries[order], of_vertices)]
-    return np.bincount(found, minlength=len(entries)).astype(np.int32)
+    entry_of = order[find_keys(entries[order], of_vertices)]
+    return np.bincount(entry_of, minlength=len(entries)).astype(np.int32)
 
 
 def _mixed_labels(

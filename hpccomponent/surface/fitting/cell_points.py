@@ -66,27 +66,17 @@ class CellMoments:
         return np.concatenate(counts, dtype=np.float64)
 
     def sum(self, cells: slice) -> FloatArray:
-        """Return the moments of a run of cells.
-
-        Parameters
-        ----------
-        cells : slice
-            With start and stop.
-
-        Returns
-        -------
-        ndarray of float64, shape (k, 44)
-        """
-        found: list[FloatArray | Float32Array] = [np.empty((0, COLUMNS))]
+        """Return the moments of a run of cells, which has a start and a stop: (k, 44)."""
+        pieces: list[FloatArray | Float32Array] = [np.empty((0, COLUMNS))]
         start = 0
         for piece in self.pieces:
             first, stop = max(cells.start - start, 0), min(cells.stop - start, len(piece))
             if first < stop:
-                found.append(piece[first:stop])
+                pieces.append(piece[first:stop])
             start += len(piece)
-        if len(found) == 2:
-            return found[1].astype(np.float64, copy=False)
-        return np.concatenate(found, dtype=np.float64)
+        if len(pieces) == 2:
+            return pieces[1].astype(np.float64, copy=False)
+        return np.concatenate(pieces, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,17 +104,7 @@ class PartMoments:
         return counts
 
     def sum(self, cells: slice) -> FloatArray:
-        """Return the moments of a run of cells.
-
-        Parameters
-        ----------
-        cells : slice
-            With start and stop.
-
-        Returns
-        -------
-        ndarray of float64, shape (k, 44)
-        """
+        """Return the moments of a run of cells, which has a start and a stop: (k, 44)."""
         sums = np.empty((cells.stop - cells.start, COLUMNS))
         for moments, rows in zip(self.parts, self.rows, strict=True):
             first, end = np.searchsorted(rows, (cells.start, cells.stop))
@@ -140,21 +120,10 @@ class CellRows(Protocol):
     def place(
         self, rows: slice, origin: FloatArray, cell_size: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return some points relative to the centres of their cells; see `cells.gather_points`.
-
-        Parameters
-        ----------
-        origin, cell_size
-            Of the lattice.
-
-        Returns
-        -------
-        local, normals : ndarray of float64, shape (n, 3)
-            The positions in cells.
-        """
+        """Return positions relative to the centres of their cells, in cells, and normals."""
 
     def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: BoolArray) -> IntArray:
-        """Return the bricks that hold a point of some cells; see `bricks.seed_bricks`.
+        """Return the bricks that hold a point of some cells.
 
         Parameters
         ----------
@@ -172,7 +141,7 @@ class CellRows(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CloudRows:
-    """Points of a cloud in the order of their cells; see `CellRows`.
+    """Points of a cloud in the order of their cells: `CellRows`.
 
     Parameters
     ----------
@@ -232,39 +201,18 @@ class SortedPoints:
         return np.diff(self.offsets).astype(np.float64)
 
     def sum(self, cells: slice) -> FloatArray:
-        """Return the moments of a run of cells.
-
-        Parameters
-        ----------
-        cells : slice
-            With start and stop.
-
-        Returns
-        -------
-        ndarray of float64, shape (k, 44)
-        """
+        """Return the moments of a run of cells, which has a start and a stop: (k, 44)."""
         local, normals, offsets = self.place(cells)
         start, stop = self.offsets[cells.start], self.offsets[cells.stop]
         weights = None if self.weights is None else self.weights[start:stop]
         return kernels.accumulate_moments(local, normals, offsets, weights)
 
     def run(self, cells: slice) -> SortedPoints:
-        """Return the points in a run of cells alone; nothing is copied.
-
-        Parameters
-        ----------
-        cells : slice
-            With start and stop.
-        """
+        """Return the points in a run of cells alone; nothing is copied."""
         return replace(self, offsets=self.offsets[cells.start : cells.stop + 1])
 
     def place(self, cells: slice) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return the points in a run of cells, relative to these.
-
-        Parameters
-        ----------
-        cells : slice
-            With start and stop.
 
         Returns
         -------

@@ -104,10 +104,6 @@ def crop_nodes(
 
     Parameters
     ----------
-    origin : ndarray of float64, shape (3,)
-        Where node (0, 0, 0) lies.
-    nodes : int
-        Along each side.
     low, high : ndarray of float64, shape (3,)
         Corners of the box, in length units of the input.
 
@@ -156,34 +152,12 @@ def choose_nodes(low: FloatArray, high: FloatArray, cell_size: float, noise: flo
 
 
 def far_step(low: FloatArray, high: FloatArray, nodes: int) -> float:
-    """Return the step of the far field that covers a box, in length units of the input.
-
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Of the box, in length units of the input.
-    nodes : int
-        Along each side.
-    """
+    """Return the step of the far field that covers a box, in length units of the input."""
     return _PADDING * float((high - low).max()) / nodes
 
 
 def lay_far_field(low: FloatArray, high: FloatArray, nodes: int) -> tuple[FloatArray, float]:
-    """Lay the nodes of a far field around a box.
-
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box, in length units of the input.
-    nodes : int
-        Along each side.
-
-    Returns
-    -------
-    origin : ndarray of float64, shape (3,)
-        Where node (0, 0, 0) lies.
-    step : float
-    """
+    """Return where node (0, 0, 0) of the far field that covers a box lies, and its step."""
     step = far_step(low, high, nodes)
     return 0.5 * (low + high) - 0.5 * step * nodes, step
 
@@ -211,22 +185,22 @@ def solve_far_field(
         Gaussian that the samples are smeared with, too; at least one grid step is taken.
     nodes : int
         Along each side, a power of two.
-    threads : int
-        The field does not depend on it.
 
     Notes
     -----
-    The cost is that of four FFTs of all nodes; see `coarse_grid.integrate_normals`.
+    The cost is that of four FFTs of all nodes.
     """
     low, high = box
     origin, step = lay_far_field(low, high, nodes)
     centroids, normals = spread_samples(centroids, normals, size)
     centroids = np.clip(centroids, low, high)
-    places = (centroids - origin) / step
+    places = (centroids - origin) / step  # (s, 3): in steps from node (0, 0, 0)
+    # (g, g, g): an indicator whose gradient the normals are; 0 where neither box nor samples are.
     held = _held_rows((low - origin) / step, (high - origin) / step, nodes)
     chi = np.zeros((nodes,) * 3, np.float32)
     kept = chi[tuple(slice(*bounds) for bounds in held)]
     kept[:] = integrate_normals(places, normals, max(1.0, size / step), held, nodes, threads)
+    # Made a distance: 0 at the samples in their mean, and of slope 1 across them, a step each way.
     unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     chi -= np.float32(sample_grid(chi, places).mean())
     rise = sample_grid(chi, places + unit) - sample_grid(chi, places - unit)
@@ -262,9 +236,11 @@ def spread_samples(
     areas = _find_areas(centroids / size, axes)
     alone = (areas <= 1.0) | (lengths < _LEAST_LENGTH)
     sparse = np.flatnonzero(~alone)
+    # (d,): each sample once for each cell that it stands for, and the how-manieth of these it is.
     counts = np.ceil(areas[sparse]).astype(np.int64)
     of = np.repeat(sparse, counts)
     number = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)
+    # (d, 2): a sunflower of as much area, in a plane across the normal.
     share = (number + 0.5) / np.repeat(counts, counts)
     turns = (size * np.sqrt(areas[of] * share / np.pi))[:, None] * _turn(int(_LARGEST_AREA))[number]
     across = np.cross(axes[of], np.eye(3)[np.argmin(np.abs(axes[of]), axis=1)])
@@ -285,26 +261,30 @@ def _find_areas(places: FloatArray, axes: FloatArray) -> FloatArray:
     """
     shifted = places - np.floor(places.min(axis=0, initial=np.inf))
     keys = pack_places(np.floor(shifted).astype(np.int64))
-    areas, left = np.ones(len(places)), np.arange(len(places))
+    # (c,), and the rows of samples around which too few have been found so far.
+    areas, open_rows = np.ones(len(places)), np.arange(len(places))
+    # (c, 6): of each normal n, the entries of n n^T: their sum tells the mean cos^2 to any axis.
     products = np.stack([axes[:, i] * axes[:, j] for i, j in _PAIRS], axis=1)
     for level in range(1, _WIDEST + 1):
         cells, number = number_keys(ancestor_keys(keys, level))
+        # (k + 1, 10): how many, their normals and these products, in each cell; 0 of a missing one.
         sums = np.zeros((len(cells) + 1, 10))
         sums[:-1, 0] = np.bincount(number)
         for column, values in enumerate((*axes.T, *products.T), start=1):
             sums[:-1, column] = np.bincount(number, values)
-        lower = np.floor(shifted[left] / 2.0**level - 0.5).astype(np.int64)
-        around = np.zeros((len(left), 10))
+        lower = np.floor(shifted[open_rows] / 2.0**level - 0.5).astype(np.int64)
+        around = np.zeros((len(open_rows), 10))
         for octant in OCTANTS:
             around += sums[find_keys(cells, pack_places(lower + octant))]
         count = np.maximum(around[:, 0], 1.0)
-        sheet = 0.5 * (count + (around[:, 1:4] * axes[left]).sum(axis=1))
-        straight = (around[:, 4:] * products[left] * _TWICE).sum(axis=1) / count  # mean cos^2
+        # (m,): samples of the same sheet, (1 + cos) / 2 each; and whether it is a sheet at all.
+        sheet = 0.5 * (count + (around[:, 1:4] * axes[open_rows]).sum(axis=1))
+        straight = (around[:, 4:] * products[open_rows] * _TWICE).sum(axis=1) / count  # mean cos^2
         is_sheet = np.clip((straight - _OF_TUBE) / (_OF_SHEET - _OF_TUBE), 0.0, 1.0)
         enough = sheet >= _ENOUGH
         squares = _PER_SQUARE * 4.0 ** (level + 1) * is_sheet[enough]
-        areas[left[enough]] = squares / sheet[enough]
-        left = left[~enough]
+        areas[open_rows[enough]] = squares / sheet[enough]
+        open_rows = open_rows[~enough]
     return np.minimum(areas, _LARGEST_AREA)
 
 

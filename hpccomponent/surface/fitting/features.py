@@ -47,13 +47,14 @@ def find_features(
         In these.
     """
     asked = vertices[misfits > _ROUND]
+    # Keys sort by x first: one run of cells has all that lie within reach.
     low, high = unpack_keys(vertices[[0, -1]])[:, 0].tolist()
     run = find_layers(cells, low - _REACH, high + _REACH - 1)
     local, normals, offsets = points.place(run)
     given = asked, cells[run], offsets, local, normals, noise
     pieces, joints = kernels.fit_features(*given, threads)
-    found = joints < _NONE
-    return Features(asked[found], pieces[found], joints[found])
+    is_joined = joints < _NONE
+    return Features(asked[is_joined], pieces[is_joined], joints[is_joined])
 
 
 def join_features(parts: list[Features]) -> Features:

@@ -90,8 +90,6 @@ class SlabFields:
         Of level 1, where there is one.
     above : tuple of FieldLevel
         All coarser levels, finest first.
-    threads : int
-        The fields do not depend on it.
     """
 
     pyramid: Pyramid
@@ -123,8 +121,8 @@ class SlabFields:
             return np.zeros(len(places), np.bool_)
         cells = self.pyramid.levels[0].cells
         inside = np.floor((places - self.pyramid.origin) / self.pyramid.cell_size)
-        found: BoolArray = find_keys(cells, pack_places(inside.astype(np.int64))) < len(cells)
-        return found
+        supported: BoolArray = find_keys(cells, pack_places(inside.astype(np.int64))) < len(cells)
+        return supported
 
     def cut(self, first: int, end: int, quadrics: int) -> list[int]:
         """Cut layers of bricks along x into slabs.
@@ -188,6 +186,7 @@ def _fit_finest(
     trust = np.empty(len(vertices), np.float32)
     features: list[Features] = []
     for first, end in pairwise(_cut_layers(vertices)):
+        # The cells around some layers of vertices, and the parents of these, are runs too.
         low, high = unpack_keys(vertices[[first, end - 1]])[:, 0].tolist()
         finest = pyramid.levels[0]
         points = finest.points
@@ -197,9 +196,9 @@ def _fit_finest(
         part = replace(pyramid, levels=[level], vertices=[vertices[first:end]])
         near = parents and parents.between(low // 2, -(-high // 2))
         quadrics, _ = fit_levels(part, weights, near, threads)
-        (found,) = find_trust(part, quadrics, far, threads)
-        coefficients[first:end] = found.coefficients
-        trust[first:end] = found.trust
+        (fitted,) = find_trust(part, quadrics, far, threads)
+        coefficients[first:end] = fitted.coefficients
+        trust[first:end] = fitted.trust
         of_run = vertices[first:end], quadrics[0].misfits, weights[0].noise
         features.append(find_features(*of_run, finest.cells, points, threads))
     return FieldLevel(vertices, coefficients, trust), join_features(features)
@@ -215,7 +214,7 @@ def find_trust(
     quadrics : list of VertexQuadrics
         Of its finest levels.
     """
-    found = []
+    levels = []
     for index, of_level in enumerate(quadrics):
         level, keys, depth = pyramid.levels[index], pyramid.vertices[index], pyramid.first + index
         crowds = (
@@ -229,8 +228,8 @@ def find_trust(
         rows = cut_equal(len(keys), -(-len(keys) // _TRUST_ROWS))
         parts = run_batches(partial(_trust_rows, *given), rows, threads)
         trust = np.concatenate([np.empty(0, np.float32), *parts])
-        found.append(FieldLevel(keys, of_level.coefficients, trust))
-    return tuple(found)
+        levels.append(FieldLevel(keys, of_level.coefficients, trust))
+    return tuple(levels)
 
 
 def _trust_rows(

@@ -290,11 +290,14 @@ def fit_levels(
         cells, vertices = pyramid.levels[index].cells, pyramid.vertices[index]
         depth = pyramid.first + index
         quadrics = _inherit_level(vertices, parents, threads)
+        # (t,): the corners of the occupied cells, and where they stand among the vertices.
         touched = kernels.spread_keys(cells, 0, 1)
         rows = kernels.find_keys(vertices, touched, threads)
         asked = rows < len(vertices)
         if not asked.all():
             touched, rows = touched[asked], rows[asked]
+        # (t,): the variance of the points around each, in cells squared, which tells how far off a
+        # prior is only by chance.
         local = depth < pyramid.height - _LOCAL_FROM
         noise = _find_noise(CHANCE_SHARE * weights[depth].noise, quadrics.variances[rows], local)
         arguments = touched, rows, quadrics, noise, weights[depth], threads
@@ -320,6 +323,7 @@ def _inherit_level(vertices: IntArray, parents: Parents | None, threads: int) ->
     if parents is None:
         coefficients, variances = (np.zeros((len(vertices), k), np.float32) for k in (BASIS, 3))
         return VertexQuadrics(coefficients, none, none.copy(), variances, none.copy())
+    # (p, 3): averaged as the quadrics are.
     values = np.column_stack((parents.support, _FINER_UNITS * parents.variances))
     given = vertices, parents.keys, parents.coefficients, values
     means, inherited = kernels.inherit_level(*given, threads)
@@ -354,6 +358,7 @@ def _fit_level(
 
     def fit(cut: slice) -> None:
         touched, at = corners[cut], rows[cut]
+        # The run of cells that these corners touch: keys sort by x first.
         first = step_keys(touched[0], -OCTANTS[-1])
         bounds = np.searchsorted(level.cells, (first, touched[-1] + 1))
         near = slice(int(bounds[0]), int(bounds[1]))
@@ -365,7 +370,7 @@ def _fit_level(
         quadrics.coefficients[at] = coefficients
         quadrics.misfits[at] = misfits
         quadrics.counts[at] = counts if level.is_finest else counts * find_agreement(misfits)
-        known = ~np.isnan(variances)
+        known = ~np.isnan(variances)  # where points are many; elsewhere the parents' stand
         quadrics.variances[at[known], 0] = variances[known]
 
     if len(rows):
@@ -387,10 +392,12 @@ def _fit_weighed(
     """
     finest = pyramid.levels[0]
     assert isinstance(finest.points, SortedPoints)  # noqa: S101 - the finest level has points
+    # A first fit, over the parents' quadrics, which stay the prior of the second one.
     first = replace(quadrics, coefficients=quadrics.coefficients.copy())
     _fit_level(pyramid.levels[1], corners, rows, first, noise, weights, threads)
     _drop_points(pyramid, 1)  # before they are summed anew
     counts, variances = first.counts.copy(), first.variances.copy()
+    # (t,): what a point may be off, of which a part is the noise, and a part missed detail.
     spread = np.maximum(noise, _DETAIL * variances[rows, 0])
     blend = corners, first.coefficients.take(rows, axis=0), spread
     points = weigh_points(finest.cells, finest.points, blend, weights.tolerance, threads)

@@ -42,7 +42,7 @@ _LEAST_TOLERANCE, _TO_TOLERANCE = 2.0, 4.0
 def measure_points(
     cells: IntArray, points: SortedPoints, part: slice, depth: int, blend: Blend
 ) -> FloatArray:
-    """Return `rate_points` of a run of cells, see `kernels`.
+    """Return how far the points in a run of cells lie from a blend, as `rate_points` does.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def measure_points(
     depth : int
         So many levels further up is the level that is blended.
     blend : tuple
-        See `Blend`; of that level.
+        Of that level.
 
     Returns
     -------
@@ -79,7 +79,7 @@ def weigh_points(
     points : SortedPoints
         In these.
     blend : tuple
-        See `Blend`; of the level above.
+        Of the level above.
     tolerance : float
         In variances: a point that lies so far off counts half.
     """
@@ -87,8 +87,8 @@ def weigh_points(
 
     def weigh(part: slice) -> None:
         squares = measure_points(cells, points, part, 1, blend)
-        own = slice(int(points.offsets[part.start]), int(points.offsets[part.stop]))
-        weights[own] = 1.0 / (1.0 + squares / tolerance)
+        rows = slice(int(points.offsets[part.start]), int(points.offsets[part.stop]))
+        weights[rows] = 1.0 / (1.0 + squares / tolerance)
 
     parts = max(threads, -(-len(cells) // _CELLS_AT_ONCE))
     run_batches(weigh, cut_equal(len(cells), parts), threads)
@@ -112,6 +112,7 @@ def tell_kurtosis(squares: FloatArray, cells: IntArray, offsets: IntArray) -> fl
     float
         3 of Gaussian ones, and where there are too few points to tell.
     """
+    # (n,): the block of each point; then, of each block, how many, sum r^2 and sum r^4.
     blocks = number_keys(ancestor_keys(cells, _BLOCK))[1]
     owners = np.repeat(blocks, np.diff(offsets))
     counts = np.bincount(owners)
@@ -120,6 +121,7 @@ def tell_kurtosis(squares: FloatArray, cells: IntArray, offsets: IntArray) -> fl
     rich = (counts >= _LEAST_POINTS) & (second > 0.0)
     if not rich.any():
         return 3.0
+    # n r^4 / (r^2)^2 of each block, times its n: the mean over all points.
     sums = fourth[rich] * (counts[rich] / second[rich]) ** 2
     return float(sums.sum() / counts[rich].sum())
 

@@ -6,10 +6,9 @@ The constants are the method's: nobody has to set them, and all of them are here
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpccomponent.surface.types.points import Float32Array, FloatArray
 
@@ -24,6 +23,8 @@ __all__ = [
     "trust_vertices",
     "weigh_levels",
 ]
+
+Variances = TypeVar("Variances", FloatArray, Float32Array)
 
 FIELD_LEVELS = 4
 """So many levels, finest first, lie above the far field; coarser ones only serve as priors."""
@@ -108,7 +109,7 @@ def weigh_levels(
     return weights
 
 
-def tell_noise(finer: NDArray[Any], coarser: NDArray[Any]) -> NDArray[Any]:
+def tell_noise(finer: Variances, coarser: Variances) -> Variances:
     """Tell noise from detail by the residual variances in cells of one size and of its double.
 
     Parameters
@@ -127,7 +128,7 @@ def tell_noise(finer: NDArray[Any], coarser: NDArray[Any]) -> NDArray[Any]:
     that is detail that their quadrics miss, and the smaller ones leave a good part of it too.
     """
     bias = np.maximum(0.0, coarser - _SAME_NOISE * finer) / _BIAS_GROWTH
-    noise: NDArray[Any] = np.maximum(0.0, finer - bias)
+    noise: Variances = np.maximum(0.0, finer - bias)
     return noise
 
 
@@ -219,8 +220,10 @@ def trust_vertices(
     Coarse quadrics fill in where finer cells hold too few points; where these hold enough, the
     space between them is empty because the surface does not pass there.
     """
+    # (v,): by the points around, as far as finer cells do not hold enough of them already.
     trust = np.minimum(1.0, counts / _FULL_COUNT + inherited / _FULL_INHERITED)
     trust *= np.clip((_CROWDED_AT - crowds) / (_CROWDED_AT - _CROWDED_FROM), 0.0, 1.0)
+    # (v,): how far the far field overrules a quadric of the other sign, unless points support it.
     sure = (np.abs(far) - _OVERRULED_FROM) / (_OVERRULED_AT - _OVERRULED_FROM)
     overruled = np.clip(sure, 0.0, 1.0) * (np.sign(values) != np.sign(far))
     own = 0.0 if depth else np.clip(counts / _OWN_COUNT, 0.0, 1.0)
