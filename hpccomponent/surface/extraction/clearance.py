@@ -82,10 +82,6 @@ class SupportRule:
         tree : cKDTree
             Of all points around.
         rows : ndarray of int64, shape (k,)
-
-        Returns
-        -------
-        ndarray of float64, shape (k,)
         """
         if self.most <= self.radius:
             return np.full(len(rows), self.radius)

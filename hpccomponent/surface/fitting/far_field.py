@@ -196,10 +196,10 @@ def solve_far_field(
     centroids = np.clip(centroids, low, high)
     places = (centroids - origin) / step  # (s, 3): in steps from node (0, 0, 0)
     # (g, g, g): an indicator whose gradient the normals are; 0 where neither box nor samples are.
-    held = _held_rows((low - origin) / step, (high - origin) / step, nodes)
+    bounds = _bound_rows((low - origin) / step, (high - origin) / step, nodes)
     chi = np.zeros((nodes,) * 3, np.float32)
-    kept = chi[tuple(slice(*bounds) for bounds in held)]
-    kept[:] = integrate_normals(places, normals, max(1.0, size / step), held, nodes, threads)
+    kept = chi[tuple(slice(*run) for run in bounds)]
+    kept[:] = integrate_normals(places, normals, max(1.0, size / step), bounds, nodes, threads)
     # Made a distance: 0 at the samples in their mean, and of slope 1 across them, a step each way.
     unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     chi -= np.float32(sample_grid(chi, places).mean())
@@ -299,7 +299,7 @@ def _turn(count: int) -> FloatArray:
     return np.array([(turn.real, turn.imag) for turn in turns])
 
 
-def _held_rows(low: FloatArray, high: FloatArray, nodes: int) -> IntArray:
+def _bound_rows(low: FloatArray, high: FloatArray, nodes: int) -> IntArray:
     """Return the first and the end of the planes and of the rows that hold a box and two nodes."""
     first = np.maximum(np.floor(low).astype(np.int64) - 2, 0)
     end = np.minimum(np.ceil(high).astype(np.int64) + 3, nodes)

@@ -28,10 +28,6 @@ def sum_squares(children: IntArray, counts: FloatArray, parents: IntArray) -> Fl
         Points in each.
     parents : ndarray of int64, shape (p,)
         Sorted keys of the next coarser level, all parents among them.
-
-    Returns
-    -------
-    ndarray of float64, shape (p,)
     """
     owners = kernels.find_keys(parents, ancestor_keys(children))
     return np.bincount(owners, counts**2, len(parents)).astype(np.float64)
@@ -76,10 +72,6 @@ def surrounded_vertices(vertices: IntArray, cells: IntArray) -> BoolArray:
         Sorted keys of corners; those of the cells that are missing are passed over.
     cells : ndarray of int64, shape (c,)
         Keys of the occupied cells of the same level.
-
-    Returns
-    -------
-    ndarray of bool, shape (v,)
 
     Notes
     -----

@@ -30,30 +30,14 @@ class TileCache:
         self._tiles[ticket] = tile
 
     def pop(self, ticket: str | None) -> PreparedTile | None:
-        """Take a tile out.
-
-        Parameters
-        ----------
-        ticket : str or None
-            None for no tile.
-
-        Returns
-        -------
-        PreparedTile or None
-            None where it is not here any more.
-        """
+        """Take a tile out; None where it is not here any more."""
         return None if ticket is None else self._tiles.pop(ticket, None)
 
     def advance(self, ticket: str) -> bool:
         """Do a step of a tile ahead of time.
 
         A step that fails gives the tile up: who asks for it prepares it anew, and meets the error
-        if it stays.
-
-        Returns
-        -------
-        bool
-            Whether there are more.
+        if it stays. The result tells whether there are more steps.
         """
         if ticket not in self._tiles:
             return False

@@ -42,10 +42,6 @@ def mark_near(
         Sorted keys of one lattice.
     low, high : ndarray of int64, shape (3,), or int
         How many cells a box reaches down and up along each axis.
-
-    Returns
-    -------
-    ndarray of bool, shape (k,)
     """
     sides = (np.ascontiguousarray(np.broadcast_to(side, 3), np.int64) for side in (low, high))
     return kernels.mark_near(keys, cells, *sides)
@@ -107,17 +103,19 @@ def plan_tile(grid: Grid, own: IntArray, earlier: IntArray, later: IntArray) -> 
     BrickKinds or None
         None where every brick of the tile belongs to one before it.
     """
-    own = own[find_keys(earlier, own) == len(earlier)]
+    own = own[find_keys(earlier, own) == len(earlier)]  # a brick is that of the first tile in it
     if not len(own):
         return None
     places = unpack_keys(own)
+    # A box of bricks, two beyond the tile's own, which are marked in it; what is next to these may
+    # grow, and what is next to that may only be evaluated.
     first = np.maximum(places.min(axis=0) - 2, 0)
     end = np.minimum(places.max(axis=0) + 3, grid.bricks)
     mask = np.zeros(end - first, np.bool_)
     mask[tuple((places - first).T)] = True
-    near = _dilate(mask)
-    kinds = BrickKinds(first, np.where(_dilate(near), BESIDE, OUT).astype(np.uint8))
-    kinds.kinds[near] = OPEN
+    beside = _dilate(mask)
+    kinds = BrickKinds(first, np.where(_dilate(beside), BESIDE, OUT).astype(np.uint8))
+    kinds.kinds[beside] = OPEN
     for foreign in (earlier, later):
         kinds.mark(foreign[kinds.at(foreign) != OUT], FOREIGN)
     kinds.kinds[mask] = OWN
@@ -143,6 +141,7 @@ def plan_gap(
         How far a point matters, all in length units of the input.
     """
     edge = BRICK * grid.step
+    # (x, y, z) of the grid: bricks of which every point that matters is known here.
     known_all = np.ones(grid.bricks, np.bool_)
     low = np.floor((missing - reach - grid.origin) / edge).astype(np.int64)
     high = np.floor((missing + size + reach - grid.origin) / edge).astype(np.int64) + 1
@@ -150,10 +149,10 @@ def plan_gap(
         known_all[first[0] : end[0], first[1] : end[1], first[2] : end[2]] = False
     inner = ~_dilate(~known_all)
     kinds = np.where(inner, OPEN, np.where(known_all, BESIDE, OUT)).astype(np.uint8)
-    found = BrickKinds(np.zeros(3, np.int64), kinds)
-    found.mark(seeds[found.at(seeds) != OUT], FOREIGN)
-    found.mark(exits, OWN)
-    return found
+    gap = BrickKinds(np.zeros(3, np.int64), kinds)
+    gap.mark(seeds[gap.at(seeds) != OUT], FOREIGN)
+    gap.mark(exits, OWN)
+    return gap
 
 
 def near_bricks(

@@ -63,8 +63,8 @@ class PackedRows:
 
     def seed_bricks(self, grid: Grid, offsets: IntArray, wanted: BoolArray) -> IntArray:
         """See `cell_points.CellRows`."""
-        held = self.records, self.blocks, self.corners, self.edge
-        return kernels.seed_packed(*held, offsets, wanted, grid)
+        packed = self.records, self.blocks, self.corners, self.edge
+        return kernels.seed_packed(*packed, offsets, wanted, grid)
 
 
 def sort_tile(

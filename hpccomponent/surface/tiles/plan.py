@@ -120,11 +120,9 @@ class CoarseLevels:
     parents : Parents
         What the finest of them offers to the next finer level.
     trust : ndarray of float32, shape (v,), or None
-        See `field.FieldLevel`: the parents' own; None where they are too coarse for the field.
+        As of `FieldLevel`: the parents' own; None where they are too coarse for the field.
     coarser : tuple of FieldLevel
         What else of them the field is made of, finest first.
-    far : FarFieldPart
-        The far field.
     """
 
     parents: Parents

@@ -189,8 +189,9 @@ def read_cells(
     """
     wanted, numbers = _number_cells(cells)
     blocks = _find_blocks(cloud.arrangement, wanted, origin, size)
-    found = kernels.take_cells(*cloud.take_blocks(blocks), origin, size, wanted, numbers)
-    positions, normals, groups = found
+    positions, normals, groups = kernels.take_cells(
+        *cloud.take_blocks(blocks), origin, size, wanted, numbers
+    )
     return PointCloud(positions, normals), groups
 
 

@@ -39,13 +39,11 @@ class PreparedTile:
     ----------
     points : tuple
         `CellPoints` of the tile and its halo.
-    threads : int
-        Nothing here depends on it.
 
     Attributes
     ----------
     groups : ndarray of uint8, shape (c,)
-        Of the finest cells; see `tile_points.TilePoints`.
+        Of the finest cells (see `TilePoints`).
     levels : list of Level
         Up to the coarse level; `mesh_tile` asks for those below it.
     """
@@ -131,13 +129,7 @@ def lay_corners(plan: Plan, cells: IntArray, kinds: BrickKinds) -> Generator[str
 
 
 def finish(steps: Generator[object, None, Found]) -> Found:
-    """Do all that is left of some steps.
-
-    Returns
-    -------
-    object
-        What the generator returns.
-    """
+    """Do all that is left of some steps, and return what the generator does."""
     while True:
         try:
             next(steps)

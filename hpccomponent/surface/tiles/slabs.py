@@ -35,18 +35,7 @@ SLAB_QUADRICS = 1_000_000
 
 
 def cut_slabs(fields: SlabFields, kinds: BrickKinds) -> list[int]:
-    """Return the bounds of the slabs that some bricks are cut into, layers along x.
-
-    Parameters
-    ----------
-    kinds : BrickKinds
-        Of the bricks.
-
-    Returns
-    -------
-    list of int
-        The bounds of the slabs, in layers of bricks.
-    """
+    """Return the bounds of the slabs that some bricks are cut into, in layers along x."""
     first = int(kinds.first[0])
     return fields.cut(first, first + len(kinds.kinds), SLAB_QUADRICS)
 
@@ -63,22 +52,22 @@ def grow_slabs(
     exits : ndarray of int64
         Sorted keys of the bricks where its surface leaves the tile (see `bricks.grow_bricks`).
     """
-    left = BrickKinds(kinds.first, kinds.kinds.copy())  # those that a part has are another's
+    untaken = BrickKinds(kinds.first, kinds.kinds.copy())  # those that a part has are another's
     reached = kinds.own()
     while len(reached):
         for first, end in pairwise(bounds):
-            slab = cut_slab(left, first, end)
+            slab = cut_slab(untaken, first, end)
             slab.mark(reached[slab.at(reached) == OPEN], OWN)
             if not (slab.kinds == OWN).any():
                 continue
             mesh = _grow_slab(fields, slab, first, end)
             part, exits = cut_part(mesh, kinds, fields.mark_supported(mesh.vertices)), mesh.exits
             del mesh  # makes room for what is made of the part
-            left.mark(part.bricks, FOREIGN)
+            untaken.mark(part.bricks, FOREIGN)
             goes_on = kinds.at(exits) == OPEN
             reached = np.concatenate([reached, exits[goes_on]])
             yield part, exits[~goes_on]
-        reached = reached[left.at(reached) == OPEN]
+        reached = reached[untaken.at(reached) == OPEN]
 
 
 def _grow_slab(fields: SlabFields, slab: BrickKinds, first: int, end: int) -> BrickMesh:
@@ -107,9 +96,10 @@ def grow_tile(fields: SlabFields, kinds: BrickKinds) -> tuple[MeshPart, IntArray
     -------
     part : MeshPart
     exits : ndarray of int64, shape (e,)
+        As of `grow_slabs`.
     """
-    found = list(grow_slabs(fields, kinds, cut_slabs(fields, kinds)))
+    grown = list(grow_slabs(fields, kinds, cut_slabs(fields, kinds)))
     fields.let_go()
     del fields  # with the levels and the far field, where the caller has handed them over
-    exits = unique_keys(np.concatenate([np.empty(0, np.int64), *(exits for _, exits in found)]))
-    return join_parts([part for part, _ in found]), exits
+    exits = unique_keys(np.concatenate([np.empty(0, np.int64), *(exits for _, exits in grown)]))
+    return join_parts([part for part, _ in grown]), exits

@@ -35,7 +35,7 @@ class Grid:
     step : float
         Edge of a cell, in length units of the input.
     bricks : tuple of int
-        Bricks along x, y and z.
+        Along x, y and z.
     """
 
     origin: FloatArray
@@ -63,22 +63,13 @@ class BrickKinds:
     kinds: ByteArray
 
     def at(self, keys: IntArray) -> ByteArray:
-        """Return the kinds of some bricks.
-
-        Parameters
-        ----------
-        keys : ndarray of int64, shape (k,)
-
-        Returns
-        -------
-        ndarray of uint8, shape (k,)
-        """
+        """Return the kinds of some bricks."""
         places = unpack_keys(keys) - self.first
         inside = ((places >= 0) & (places < self.kinds.shape)).all(axis=1)
-        found = np.full(len(keys), OUT, np.uint8)
+        kinds = np.full(len(keys), OUT, np.uint8)
         x, y, z = places[inside].T
-        found[inside] = self.kinds[x, y, z]
-        return found
+        kinds[inside] = self.kinds[x, y, z]
+        return kinds
 
     def mark(self, keys: IntArray, kind: int) -> None:
         """Set the kind of some bricks; of those outside the box it is `OUT`, whatever is set.

@@ -122,10 +122,6 @@ def shift_within(places: FloatArray, step: int) -> IntArray:
     ----------
     places : ndarray of float64, shape (..., 3)
         Whole numbers; they may lie beyond.
-
-    Returns
-    -------
-    ndarray of int64, shape (..., 3)
     """
     return np.clip(places + step, -_BIAS, _BIAS - 1).astype(np.int64)
 
@@ -138,10 +134,6 @@ def ancestor_keys(keys: IntArray, levels: int = 1) -> IntArray:
     keys : ndarray of int64, shape (...)
     levels : int
         0 to 20.
-
-    Returns
-    -------
-    ndarray of int64, shape (...)
 
     Examples
     --------
@@ -156,17 +148,7 @@ def ancestor_keys(keys: IntArray, levels: int = 1) -> IntArray:
 
 
 def step_keys(keys: IntArray, step: IntArray) -> IntArray:
-    """Return the keys of the places `step` further on.
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (...)
-    step : ndarray of int64, shape (3,)
-
-    Returns
-    -------
-    ndarray of int64, shape (...)
-    """
+    """Return the keys of the places `step` further on."""
     return keys + int(np.dot(step, _STRIDES))
 
 
@@ -209,8 +191,8 @@ def find_keys(keys: IntArray, wanted: IntArray) -> IntArray:
     rows = np.searchsorted(keys, wanted)
     if not len(keys):
         return rows
-    found = keys[np.minimum(rows, len(keys) - 1)] == wanted
-    return np.where(found, rows, len(keys))
+    is_there = keys[np.minimum(rows, len(keys) - 1)] == wanted
+    return np.where(is_there, rows, len(keys))
 
 
 def find_layers(keys: IntArray, first: int, last: int) -> slice:
@@ -383,10 +365,6 @@ def cells_of(positions: FloatArray, origin: FloatArray, cell_size: float) -> Flo
         Where corner (0, 0, 0) lies.
     cell_size : float
         In length units of the input.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 3)
     """
     return (positions - origin) / cell_size
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +11,7 @@ from hpccomponent.surface.types.points import Float32Array, FloatArray, IntArray
 __all__ = ["integrate_normals", "sample_corners", "sample_grid"]
 
 Held = tuple[slice, slice]
+Spectrum = NDArray[np.complex64] | NDArray[np.complex128]  # numpy 1 transforms in double precision
 
 
 def _corner_weights(places: FloatArray, nodes: int) -> list[tuple[IntArray, FloatArray]]:
@@ -68,7 +67,7 @@ def integrate_normals(
     # Three of (planes, nodes, nodes / 2): each component's spectrum along z.
     rows = [_transform_rows(places, normals[:, axis], nodes, kept) for axis in range(3)]
     # (nodes, nodes, nodes / 2): k . V^, of which y and z share the transform along x.
-    total: NDArray[Any] = ky * np.fft.fft(rows[1], axis=1) + np.fft.fft(kz * rows[2], axis=1)
+    total: Spectrum = ky * np.fft.fft(rows[1], axis=1) + np.fft.fft(kz * rows[2], axis=1)
     total = np.fft.fft(_pad_planes(total, nodes, kept), axis=0)
     total += kx * np.fft.fft(_pad_planes(np.fft.fft(rows[0], axis=1), nodes, kept), axis=0)
     square = kx**2 + ky**2 + kz**2
@@ -82,9 +81,7 @@ def integrate_normals(
     return np.fft.irfft(total, nodes, axis=2).astype(np.float32, copy=False)
 
 
-def _transform_rows(
-    places: FloatArray, component: FloatArray, nodes: int, kept: Held
-) -> NDArray[Any]:
+def _transform_rows(places: FloatArray, component: FloatArray, nodes: int, kept: Held) -> Spectrum:
     """Spread one component and transform it along z, within the planes that hold samples.
 
     Half a turn a node, the highest frequency, has no slope and is left out.
@@ -99,7 +96,7 @@ def _transform_rows(
     return rows
 
 
-def _pad_planes(planes: NDArray[Any], nodes: int, kept: Held) -> NDArray[Any]:
+def _pad_planes(planes: Spectrum, nodes: int, kept: Held) -> Spectrum:
     """Put the planes that hold samples between those that hold none."""
     padded = np.zeros((nodes, *planes.shape[1:]), np.complex64)
     padded[kept[0]] = planes
@@ -140,9 +137,5 @@ def sample_corners(
         Where corner (0, 0, 0) lies, in grid steps from node (0, 0, 0).
     spacing : float
         Of the corners, in grid steps.
-
-    Returns
-    -------
-    ndarray of float64, shape (v,)
     """
     return sample_grid(values, origin + spacing * unpack_keys(keys))

@@ -148,10 +148,6 @@ def is_sampled(boxes: IntArray, one_in: int) -> BoolArray:
     ----------
     boxes : ndarray of int64, shape (n,)
         Packed places.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
     """
     if one_in == 1:
         return np.ones(len(boxes), bool)

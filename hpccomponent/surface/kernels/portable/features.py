@@ -85,7 +85,7 @@ class _Models:
     first: IntArray  # the piece outside of the inner joint
     joints: IntArray
     sums: FloatArray  # of squared distances; infinite where there is no such model
-    left: FloatArray  # (m, p)
+    residuals: FloatArray  # (m, p), distances of the points from the joined pieces
 
 
 def fit_features(
@@ -268,11 +268,11 @@ def _find(around: _Around, noise: float) -> tuple[IntArray, BoolArray, Float32Ar
     # leave what looks like noise.
     variance = np.where(is_three, of_three, of_two)
     apart = np.where(is_three, _are_apart(three.axes), _are_apart(two.axes))
-    left = np.where(is_three[:, None], three.left, two.left)
+    residuals = np.where(is_three[:, None], three.residuals, two.residuals)
     adequate = (variance < _ADEQUATE * noise + _SMALLEST) | (variance < _RELATIVE * one)
     good = (variance < np.inf) & apart & (one > bound * np.maximum(variance, least))
     unsure = np.flatnonzero(good & ~adequate)
-    adequate[unsure] = _correlate(around.take(unsure), left[unsure]) < _CORRELATION
+    adequate[unsure] = _correlate(around.take(unsure), residuals[unsure]) < _CORRELATION
     good &= adequate
     # (m, 3, 10): the pieces in the order of their joint; of two, the second stands twice.
     first = np.where(is_three, three.first, two.first)
@@ -335,7 +335,7 @@ def _split(around: _Around, axes: FloatArray, noise: float) -> _Models:
     distances, _ = _measure(pieces, around.at)
     # Every way to join the pieces, of which the one that leaves least is kept.
     best, first, joints = np.full(len(axes), np.inf), *np.zeros((2, len(axes)), np.int64)
-    left = np.zeros_like(around.weights)
+    residuals = np.zeros_like(around.weights)
     for a in range(3 if size == 3 else 1):
         b = (a + 1) % size
         c = (a + 2) % 3 if size == 3 else b
@@ -345,8 +345,8 @@ def _split(around: _Around, axes: FloatArray, noise: float) -> _Models:
             sums = (around.weights * f * f).sum(axis=1)
             better = alive & (sums < best)
             best[better], first[better], joints[better] = sums[better], a, joint
-            left[better] = f[better]
-    return _Models(axes, pieces, first, joints, best, left)
+            residuals[better] = f[better]
+    return _Models(axes, pieces, first, joints, best, residuals)
 
 
 def _join(a: FloatArray, b: FloatArray, c: FloatArray, joints: IntArray | ByteArray) -> FloatArray:
@@ -446,9 +446,9 @@ def _measure(pieces: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray
     return values / steep, slopes / steep[..., None]
 
 
-def _correlate(around: _Around, left: FloatArray) -> FloatArray:
-    """Return how much what is left at a point is like what is left at the nearest other one."""
-    if not len(left):
+def _correlate(around: _Around, residuals: FloatArray) -> FloatArray:
+    """Return how much the residual of a point is like that of the nearest other one, on average."""
+    if not len(residuals):
         return np.empty(0)
     # (m, p, p): squared distances of the points from one another; none from itself.
     gaps = ((around.at[:, :, None] - around.at[:, None]) ** 2).sum(axis=3)
@@ -456,9 +456,9 @@ def _correlate(around: _Around, left: FloatArray) -> FloatArray:
     gaps = np.where(real[:, None], gaps, np.inf)
     index = np.arange(gaps.shape[1])
     gaps[:, index, index] = np.inf
-    nearest = np.take_along_axis(left, gaps.argmin(axis=2), axis=1)
-    squares = np.maximum((around.weights * left * left).sum(axis=1), 1e-30)
-    like: FloatArray = (around.weights * left * nearest).sum(axis=1) / squares
+    nearest = np.take_along_axis(residuals, gaps.argmin(axis=2), axis=1)
+    squares = np.maximum((around.weights * residuals * residuals).sum(axis=1), 1e-30)
+    like: FloatArray = (around.weights * residuals * nearest).sum(axis=1) / squares
     return like
 
 

@@ -329,9 +329,9 @@ def weigh_priors(
         # (r, 10): what the points alone would have, and the noise by what that leaves over, held
         # to what is known from further up as by so many points more.
         fitted = fit_vertices(moments[rich], prior[rich], lam, least)
-        left = _mean_squares(moments[rich], fitted)
-        told = (left * many + _TOLD_POINTS * noise[rich]) / (many - BASIS + _TOLD_POINTS)
-        excess[rich] = missed[rich] - left - told * (_CHANCE_GAIN / many)
+        missed_by_fit = _mean_squares(moments[rich], fitted)
+        told = (missed_by_fit * many + _TOLD_POINTS * noise[rich]) / (many - BASIS + _TOLD_POINTS)
+        excess[rich] = missed[rich] - missed_by_fit - told * (_CHANCE_GAIN / many)
         scale[rich] = _OWN_WEIGHT * told
     weights: FloatArray = np.clip(scale / np.maximum(excess, _LEAST_EXCESS), least, most)
     return weights

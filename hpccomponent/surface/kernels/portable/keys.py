@@ -82,10 +82,6 @@ def mark_near(keys: IntArray, cells: IntArray, low: IntArray, high: IntArray) ->
         Sorted keys of one lattice.
     low, high : ndarray of int64, shape (3,)
         How many cells a box reaches down and up along each axis.
-
-    Returns
-    -------
-    ndarray of bool, shape (k,)
     """
     for axis, unit in enumerate(np.eye(3, dtype=np.int64)):
         steps = [step_keys(cells, unit * step) for step in range(-low[axis], high[axis] + 1)]

@@ -283,12 +283,12 @@ def _hold_folds(
     vertices: FloatArray, moved: FloatArray, faces: IntArray, crosses: FloatArray
 ) -> FloatArray:
     """Put the vertices of faces that turn over back, a few times: what is held may turn others."""
-    held = np.zeros(len(vertices), np.bool_)
+    is_held = np.zeros(len(vertices), np.bool_)
     for _ in range(_ROUNDS):
         folded = (crosses * _face_crosses(moved, faces)).sum(axis=1) <= 0.0
-        folded &= ~held[faces].all(axis=1)
+        folded &= ~is_held[faces].all(axis=1)
         if not folded.any():
             break
-        held[faces[folded]] = True
-        moved = np.where(held[:, None], vertices, moved)
+        is_held[faces[folded]] = True
+        moved = np.where(is_held[:, None], vertices, moved)
     return moved

@@ -177,10 +177,6 @@ def shift_moments(moments: FloatArray, shift: FloatArray) -> FloatArray:
     shift : ndarray of float64, shape (3,)
         The old centre as seen from the new one, in cells: it is added to every point.
 
-    Returns
-    -------
-    ndarray of float64, shape (c, 44)
-
     Notes
     -----
     Binomials, one axis after the other: x, y, z.
@@ -210,10 +206,6 @@ def scale_moments(moments: FloatArray) -> FloatArray:
     Parameters
     ----------
     moments : ndarray of float64, shape (c, 44)
-
-    Returns
-    -------
-    ndarray of float64, shape (c, 44)
     """
     degrees = [sum(exponent) for exponent in EXPONENTS] + [0, 0, 0, 1, 1, 1, 1, 1, 1]
     return moments * 0.5 ** np.array(degrees, dtype=np.float64)
