@@ -75,14 +75,7 @@ class SupportRule:
         return self.most / (self.spacings * _DENSITY) if self.most > self.radius else 0.0
 
     def radii(self, tree: cKDTree, rows: IntArray, threads: int) -> FloatArray:
-        """Return the radii of some points.
-
-        Parameters
-        ----------
-        tree : cKDTree
-            Of all points around.
-        rows : ndarray of int64, shape (k,)
-        """
+        """Return the radii of some rows of the points that a tree holds, with all around them."""
         if self.most <= self.radius:
             return np.full(len(rows), self.radius)
         distances, _ = tree.query(
@@ -141,17 +134,7 @@ def measure_clearance(
 
 
 def find_bare(places: FloatArray, cloud: PointCloud, rule: SupportRule) -> BoolArray:
-    """Tell which of a few places on a surface no points support.
-
-    Parameters
-    ----------
-    rule : SupportRule
-        With one radius for all points.
-
-    Returns
-    -------
-    ndarray of bool, shape (v,)
-    """
+    """Tell which of a few places on a surface no points support, by one radius for all points."""
     least = np.full((len(places), _AGREEING), _MOST * _MOST)
     if len(places) and len(cloud):
         radii = np.full(len(cloud), rule.radius)

@@ -132,17 +132,7 @@ def place_faces(
 
 
 def starts_of(counts: Counts) -> IntArray:
-    """Return where each brick's rows begin, and the last one's end.
-
-    Parameters
-    ----------
-    counts : ndarray of int or bool, shape (b,)
-        Rows of each brick.
-
-    Returns
-    -------
-    ndarray of int64, shape (b + 1,)
-    """
+    """Return where each brick's rows begin, and the last one's end: (b + 1,) by counts of (b,)."""
     starts = np.zeros(len(counts) + 1, np.int64)
     np.cumsum(counts, out=starts[1:])
     return starts

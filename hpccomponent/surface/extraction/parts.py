@@ -115,15 +115,8 @@ def cut_part(
 def join_parts(parts: list[MeshPart]) -> MeshPart:
     """Join parts that have no brick in common; what they use of one another is no longer foreign.
 
-    Parameters
-    ----------
-    parts : list of MeshPart
-        Any number, in any order.
-
-    Returns
-    -------
-    MeshPart
-        What `cut_part` makes of the surface in the bricks of all.
+    They may be any number, in any order: the result is what `cut_part` makes of the surface in the
+    bricks of all.
     """
     if len(parts) < 2:
         return parts[0] if parts else MeshPart.empty()

@@ -130,7 +130,6 @@ class CellRows(Protocol):
         offsets : ndarray of int64, shape (c + 1,)
             Cell i holds the points offsets[i] to offsets[i + 1], and these are all.
         wanted : ndarray of bool, shape (c,)
-            Which cells.
 
         Returns
         -------
@@ -231,23 +230,7 @@ class SortedPoints:
 def sort_cloud(
     cloud: PointCloud, origin: FloatArray, cell_size: float
 ) -> tuple[IntArray, SortedPoints]:
-    """Sort points by the cell that they lie in.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        With normals.
-    origin : ndarray of float64, shape (3,)
-        Where corner (0, 0, 0) of the lattice lies.
-    cell_size : float
-        In length units of the input.
-
-    Returns
-    -------
-    cells : ndarray of int64, shape (c,)
-        Sorted keys of the occupied cells.
-    points : SortedPoints
-    """
+    """Sort points with normals by the cell that they lie in; return the cells' sorted keys too."""
     cells, offsets, rows = kernels.sort_points(cloud.positions, origin, cell_size)
     return cells, SortedPoints(CloudRows(cloud, rows), origin, cell_size, offsets)
 

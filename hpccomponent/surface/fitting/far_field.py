@@ -84,13 +84,7 @@ class FarFieldPart:
 
 
 def crop_far_field(far: FarField, low: FloatArray, high: FloatArray) -> FarFieldPart:
-    """Cut out the nodes that interpolation within a box asks for.
-
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box, in length units of the input.
-    """
+    """Cut out the nodes that interpolation within a box asks for."""
     nodes = len(far.values)
     first, end = crop_nodes(far.origin, far.step, nodes, low, high)
     box = tuple(slice(a, b) for a, b in zip(first, end, strict=True))
@@ -100,30 +94,14 @@ def crop_far_field(far: FarField, low: FloatArray, high: FloatArray) -> FarField
 def crop_nodes(
     origin: FloatArray, step: float, nodes: int, low: FloatArray, high: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Return the nodes that interpolation within a box asks for.
-
-    Parameters
-    ----------
-    low, high : ndarray of float64, shape (3,)
-        Corners of the box, in length units of the input.
-
-    Returns
-    -------
-    first, end : ndarray of int64, shape (3,)
-    """
+    """Return the first and the end of the nodes that interpolation within a box asks for."""
     first = np.clip(np.floor((low - origin) / step).astype(np.int64) - 1, 0, nodes - 2)
     end = np.clip(np.ceil((high - origin) / step).astype(np.int64) + 2, first + 2, nodes)
     return first, end
 
 
 def restore_far_field(part: FarFieldPart) -> FarField:
-    """Put a box of a far field back to its place; all around it is 0.
-
-    Returns
-    -------
-    FarField
-        The same as the whole within the box that was cut out, bit for bit.
-    """
+    """Put a box of a far field back to its place, bit for bit; all around it is 0."""
     values = np.zeros((part.nodes,) * 3, np.float32)
     box = tuple(slice(a, a + side) for a, side in zip(part.first, part.values.shape, strict=True))
     values[box] = part.values

@@ -149,13 +149,7 @@ class SlabFields:
         return bounds
 
     def fit(self, first: int, end: int) -> Field:
-        """Return the field of a slab, and of the bricks beside it.
-
-        Parameters
-        ----------
-        first, end : int
-            Layers of bricks along x, from `first` to before `end`.
-        """
+        """Return the field of layers of bricks, from `first` to before `end`, and beside these."""
         pyramid, grid = self.pyramid, self.grid
         nodes = BRICK * np.array([first - 1, end + 1]) * grid.step
         places = (grid.origin[0] + nodes - pyramid.origin[0]) / pyramid.cell_size
@@ -174,13 +168,7 @@ def _fit_finest(
     far: FarField,
     threads: int = 1,
 ) -> tuple[FieldLevel, Features]:
-    """Fit the finest level, some layers of vertices at a time.
-
-    Parameters
-    ----------
-    parents : Parents or None
-        Of level 1, where there is one.
-    """
+    """Fit the finest level, some layers of vertices at a time; `parents` are those of level 1."""
     vertices = pyramid.vertices[0]
     coefficients = np.empty((len(vertices), BASIS), np.float32)
     trust = np.empty(len(vertices), np.float32)
@@ -209,10 +197,7 @@ def find_trust(
 ) -> tuple[FieldLevel, ...]:
     """Tell how far each quadric of some levels is to be trusted (see `weights`).
 
-    Parameters
-    ----------
-    quadrics : list of VertexQuadrics
-        Of its finest levels.
+    `quadrics` are those of the finest of these levels.
     """
     levels = []
     for index, of_level in enumerate(quadrics):

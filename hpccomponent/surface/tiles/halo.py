@@ -48,18 +48,7 @@ def mark_near(
 
 
 def plan_whole(grid: Grid, positions: FloatArray) -> BrickKinds:
-    """Let the surface of a whole cloud grow wherever it gets.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        Of all points, in length units of the input.
-
-    Returns
-    -------
-    BrickKinds
-        Of all bricks of the grid: `OWN` or `OPEN`.
-    """
+    """Let the surface of a whole cloud grow wherever it gets: all bricks are `OWN` or `OPEN`."""
     kinds = BrickKinds(np.zeros(3, np.int64), np.full(grid.bricks, OPEN, np.uint8))
     kinds.mark(kernels.seed_bricks(grid, positions), OWN)
     return kinds

@@ -76,18 +76,7 @@ class TilePoints:
     groups: ByteArray
 
     def seed_bricks(self, grid: Grid, group: int) -> IntArray:
-        """Return the bricks that hold a point of a group.
-
-        Parameters
-        ----------
-        group : int
-            The number that `groups` has for it.
-
-        Returns
-        -------
-        ndarray of int64, shape (b,)
-            Sorted keys.
-        """
+        """Return the sorted keys of the bricks that hold a point of a group."""
         points = self.finest.points
         assert isinstance(points, SortedPoints)  # noqa: S101 - the finest level has points
         return points.held.seed_bricks(grid, points.offsets, self.groups == group)
@@ -126,15 +115,7 @@ def _count_bytes(value: Any) -> int:
 
 
 def take_points(points: CellPoints, plan: Plan) -> TilePoints:
-    """Return the points that a task has been given.
-
-    Parameters
-    ----------
-    points : CellPoints
-        There may be none.
-    plan : Plan
-        Of the whole cloud.
-    """
+    """Return the points that a task has been given; there may be none."""
     if isinstance(points, PointsThere):
         cloud, cells = open_place(points.cloud), list(points.groups)
         if isinstance(cloud, DiskCloud):
@@ -205,13 +186,7 @@ def _number_cells(cells: list[IntArray]) -> tuple[IntArray, ByteArray]:
 
 
 def pack_cloud(arrangement: Arrangement, cloud: PointCloud) -> PackedPoints:
-    """Return points as they travel.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        Arranged, with normals.
-    """
+    """Return the points of an arranged cloud with normals as they travel."""
     if not len(cloud):
         none = np.empty(0, np.int64)
         return PackedPoints(none, none, *np.empty((2, 0, 3), np.float32))

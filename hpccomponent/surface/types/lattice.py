@@ -84,16 +84,7 @@ def pack_places(places: IntArray) -> IntArray:
 
 
 def unpack_keys(keys: IntArray) -> IntArray:
-    """Return the integer triples of packed keys.
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (...)
-
-    Returns
-    -------
-    ndarray of int64, shape (..., 3)
-    """
+    """Return the integer triples of packed keys, of shape (..., 3)."""
     parts = [(keys >> shift & _MASK) - _BIAS for shift in (2 * BITS, BITS, 0)]
     return np.stack(parts, axis=-1)
 
@@ -153,17 +144,7 @@ def step_keys(keys: IntArray, step: IntArray) -> IntArray:
 
 
 def find_first(keys: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the different keys, and where each is first.
-
-    Parameters
-    ----------
-    keys : ndarray of int64, shape (k,)
-
-    Returns
-    -------
-    found : ndarray of int64, shape (u,)
-        Sorted, each once.
-    rows : ndarray of int64, shape (u,)
+    """Return the different keys, sorted, and the row where each is first.
 
     Examples
     --------
@@ -217,17 +198,7 @@ def find_layers(keys: IntArray, first: int, last: int) -> slice:
 
 
 def merge_counts(keys: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
-    """Sum counts by key.
-
-    Parameters
-    ----------
-    keys, counts : ndarray of int64, shape (k,)
-
-    Returns
-    -------
-    merged, sums : ndarray of int64, shape (u,)
-        The keys, sorted, each once, and the sum of each one's counts.
-    """
+    """Return the different keys, sorted, and the sum of each one's counts."""
     order, ordered, begins = _order(keys)
     sums = np.add.reduceat(counts[order], np.flatnonzero(begins), dtype=np.int64)
     return ordered[begins], sums
@@ -235,14 +206,6 @@ def merge_counts(keys: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
 
 def unique_keys(keys: NDArray[KeyT]) -> NDArray[KeyT]:
     """Return the keys, sorted, each once.
-
-    Parameters
-    ----------
-    keys : ndarray of int64 or int32, shape (k,)
-
-    Returns
-    -------
-    ndarray of the same type, shape (u,)
 
     Notes
     -----
@@ -272,18 +235,7 @@ def _begins(ordered: NDArray[KeyT]) -> BoolArray:
 
 
 def number_keys(keys: NDArray[KeyT]) -> tuple[NDArray[KeyT], IntArray]:
-    """Number the different keys.
-
-    Parameters
-    ----------
-    keys : ndarray of int64 or int32, shape (k,)
-
-    Returns
-    -------
-    found : ndarray of the same type, shape (u,)
-        Sorted, each once.
-    numbers : ndarray of int64, shape (k,)
-        Where each key stands among them.
+    """Return the different keys, sorted, and where among them each key stands.
 
     Examples
     --------
@@ -297,18 +249,7 @@ def number_keys(keys: NDArray[KeyT]) -> tuple[NDArray[KeyT], IntArray]:
 
 
 def unite_keys(first: IntArray, second: IntArray) -> IntArray:
-    """Return the union of two sets of keys.
-
-    Parameters
-    ----------
-    first, second : ndarray of int64, shape (k,)
-        Sorted, unique.
-
-    Returns
-    -------
-    ndarray of int64, shape (u,)
-        Sorted, unique.
-    """
+    """Return the union of two sets of keys; all are sorted and unique."""
     return unique_keys(np.concatenate([first, second]))
 
 

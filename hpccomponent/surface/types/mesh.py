@@ -65,6 +65,7 @@ class BrickMesh:
     faces : ndarray of int64, shape (f, 3)
         Brick after brick, rows of `vertices`, anticlockwise as seen from outside (positive).
     exits : ndarray of int64, shape (e,)
+        Sorted keys of the bricks beyond that the surface reaches, and no tile has.
     """
 
     bricks: IntArray
@@ -82,10 +83,8 @@ class Survey:
 
     Parameters
     ----------
-    boundary : int
-        Edges with one face.
-    overfull : int
-        Edges with more than two faces.
+    boundary, overfull : int
+        Edges with one face, and with more than two.
     degenerate : int
         Edges from a vertex to itself.
     misoriented : int
