@@ -28,11 +28,8 @@ class SimulatedCloud:
 
     Parameters
     ----------
-    name : str
     group : str
         What it tests; see `GROUPS`.
-    shape : str
-    settings : ScanSettings
     """
 
     name: str
@@ -55,8 +52,6 @@ class FileCloud:
 
     Parameters
     ----------
-    name : str
-    group : str
     file, truth_file : str
         Names in that folder.
     """

@@ -76,7 +76,6 @@ class Forecast:
 
     Parameters
     ----------
-    machines, tiles : int
     worker_s, head_s, folder_s : float
         Of the longest of each; work and folder overlap, the head's does not.
     halo_share : float
@@ -123,8 +122,6 @@ def fit_rates(results: Sequence[dict[str, Any]], halo: float) -> Rates:
     ----------
     results : sequence of dict
         What ``scaling.py`` wrote; with ``serial`` and ``shared`` runs.
-    halo : float
-        See `Rates`.
     """
     runs = [(run, result["grid"]) for result in results for run in result["runs"]]
     serial = [run for run, _ in runs if run["variant"] == "serial"]
@@ -162,9 +159,6 @@ def forecast(
 
     Parameters
     ----------
-    rates : Rates
-    points, grid : float
-    machines : int
     cores : int
         Of each machine, all of them at work.
     folder_mb_s : float

@@ -58,7 +58,6 @@ def ratios(everything: list[Outcomes], rival: str, key: str) -> list[float]:
 
     Parameters
     ----------
-    everything : list of list of dict
     rival : str
         A contender, or ``best of them``: whoever has the smallest value on that cloud.
     key : str

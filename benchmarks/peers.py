@@ -58,7 +58,6 @@ class Contender:
 
     Parameters
     ----------
-    name : str
     command : list of str
         With ``{input}`` and ``{output}`` where the files go.
     """
@@ -86,7 +85,6 @@ def measure_process(command: list[str], log: Path) -> Usage:
 
     Parameters
     ----------
-    command : list of str
     log : Path
         Where its output goes.
 
@@ -112,20 +110,14 @@ def run_contender(
 
     Parameters
     ----------
-    contender : Contender
     cloud : str
         The cloud's name.
     source : Path
         Its points.
-    truth : Truth
     folder : Path
         Where mesh, log and outcome are kept.
     samples : int
         Points on either surface for the distances.
-
-    Returns
-    -------
-    Outcome
     """
     stem = _stem(folder, cloud, contender)
     target = stem.with_suffix(".ply")

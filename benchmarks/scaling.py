@@ -54,7 +54,6 @@ class Run:
 
     Parameters
     ----------
-    variant : str
     machines : int
         Workers; 0: one process without any.
     cores : float or None
@@ -96,7 +95,6 @@ class Bench:
     ----------
     folder : Path
         For keys, points, meshes.
-    cloud : Path
     options : sequence of str
         Of ``hpcapp reconstruct``, where there are workers.
     """

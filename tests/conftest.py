@@ -94,7 +94,6 @@ class StandingCluster:
         Gets ``inventory.json``, and a folder for each loader.
     names : sequence of str
         The workers'; those after `running` have died.
-    running : int
     before : mapping of str to sequence of str
         By a worker's name, what comes before the command of its loader.
     tasks : mapping of str to sequence of str

@@ -74,15 +74,10 @@ def make_app(job: WatchedJob, token: str, strangers: Strangers) -> ASGIApp:
 
     Parameters
     ----------
-    job : WatchedJob
     token : str
         Every request must name it: ``?token=...``, or ``Authorization: Bearer ...``.
     strangers : Strangers
         Whose connections have not had it yet.
-
-    Returns
-    -------
-    ASGI application
     """
     views = _Views(job, token)
     return Starlette(

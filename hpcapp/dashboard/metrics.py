@@ -21,14 +21,6 @@ Key = TypeVar("Key", bound=Hashable)
 def write_metrics(job: WatchedJob) -> bytes:
     """Return the metrics of a job in the text format of Prometheus.
 
-    Parameters
-    ----------
-    job : WatchedJob
-
-    Returns
-    -------
-    bytes
-
     References
     ----------
     https://prometheus.io/docs/instrumenting/exposition_formats/

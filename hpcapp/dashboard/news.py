@@ -13,12 +13,7 @@ MOST_SPANS = 2000  # at once
 
 
 class Reader:
-    """Remembers what a page has been told.
-
-    Parameters
-    ----------
-    job : WatchedJob
-    """
+    """Remembers what a page has been told."""
 
     def __init__(self, job: WatchedJob) -> None:
         self._job = job

@@ -36,11 +36,6 @@ def parse_address(text: str) -> tuple[str, int]:
     text : str
         ``HOST:PORT``; port 0 is any free one.
 
-    Returns
-    -------
-    host : str
-    port : int
-
     Raises
     ------
     UsageError
@@ -63,12 +58,6 @@ def parse_address(text: str) -> tuple[str, int]:
 @contextmanager
 def open_dashboard(address: str, job: WatchedJob) -> Iterator[str]:
     """Serve the page of a job while the block runs, and until open pages know how it has ended.
-
-    Parameters
-    ----------
-    address : str
-        See `parse_address`.
-    job : WatchedJob
 
     Yields
     ------

@@ -46,7 +46,6 @@ class Viewers:
 
     Parameters
     ----------
-    clock : Clock, optional
     patience_s : float
         How long pages that are open may ask for nothing at the end, in seconds.
     """
@@ -79,35 +78,19 @@ class Viewers:
                 page.streams = (page.streams or 0) + 1
 
     def leave(self, name: str) -> None:
-        """Note that a page is told no more.
-
-        Parameters
-        ----------
-        name : str
-        """
+        """Note that a page is told no more."""
         with self._changing():
             if page := self._pages.get(name):
                 page.streams = (page.streams or 1) - 1
 
     def fetch(self, name: str, part: int) -> None:
-        """Note that a page has a part, and all before it.
-
-        Parameters
-        ----------
-        name : str
-        part : int
-        """
+        """Note that a page has a part, and all before it."""
         with self._changing():
             if page := self._pages.get(name):
                 page.parts = max(page.parts, part + 1)
 
     def tell_end(self, name: str) -> None:
-        """Note that a page knows how the job has ended.
-
-        Parameters
-        ----------
-        name : str
-        """
+        """Note that a page knows how the job has ended."""
         with self._changing():
             if page := self._pages.get(name):
                 page.is_told = True

@@ -25,7 +25,6 @@ class Stage:
 
     Parameters
     ----------
-    name : str
     done, total : int
         Parts; 0 where it does not tell.
     begin : float
@@ -77,12 +76,7 @@ class WatchedJob:
         self._count = 0
 
     def say(self, line: str) -> None:
-        """Take a line of the log.
-
-        Parameters
-        ----------
-        line : str
-        """
+        """Take a line of the log."""
         self._count += 1
         self.lines.append((self._count, line))
 
@@ -116,50 +110,26 @@ class _Lines(logging.Handler):
 
 
 class WatchedProgress:
-    """Tells a watched job of stages and parts, and another display too.
-
-    Parameters
-    ----------
-    job : WatchedJob
-    display : Progress
-        The other one.
-    """
+    """Tells a watched job of stages and parts, and another display too."""
 
     def __init__(self, job: WatchedJob, display: Progress) -> None:
         self._job = job
         self._display = display
 
     def begin(self, stage: str) -> None:
-        """Show a new stage.
-
-        Parameters
-        ----------
-        stage : str
-        """
+        """Show a new stage."""
         self._job.stage = Stage(stage, 0, 0, self._job.timeline.now())
         self._display.begin(stage)
 
     def advance(self, done: int, total: int) -> None:
-        """Show how far the stage has come.
-
-        Parameters
-        ----------
-        done, total : int
-            Parts of the current stage.
-        """
+        """Show how many parts of the current stage are done."""
         now = self._job.stage
         if now is not None:
             self._job.stage = Stage(now.name, done, total, now.begin)
         self._display.advance(done, total)
 
     def end(self, stage: str, seconds: float) -> None:
-        """Show that a stage is over.
-
-        Parameters
-        ----------
-        stage : str
-        seconds : float
-        """
+        """Show that a stage is over."""
         self._job.stage = None
         self._display.end(stage, seconds)
 

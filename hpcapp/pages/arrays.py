@@ -77,16 +77,7 @@ def pack_array(name: str, values: NDArray[Any]) -> str:
 
 
 def pack_text(text: str) -> str:
-    """Return a text as `window.unpack` of a page reads it.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    str
-    """
+    """Return a text as `window.unpack` of a page reads it."""
     return _pack(text.encode())
 
 

@@ -36,10 +36,6 @@ def describe_job(
         The texts of the scene's markers.
     has_mesh : bool
         Whether what the mesh is, is said.
-
-    Returns
-    -------
-    list of Section
     """
     sections = [
         Section("Mesh", make_table(_pick(report, _MESH)) if has_mesh else ""),

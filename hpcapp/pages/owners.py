@@ -117,7 +117,6 @@ def take_labels(mesh: Mesh, workers: Sequence[str]) -> tuple[Mesh, list[Field]]:
 
     Parameters
     ----------
-    mesh : Mesh
     workers : sequence of str
         Of each tile; empty where it is not known.
 

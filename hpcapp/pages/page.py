@@ -29,14 +29,7 @@ _MODULES = (
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A part of a page beside the mesh.
-
-    Parameters
-    ----------
-    title : str
-    body : str
-        HTML.
-    """
+    """A part of a page beside the mesh; `body` is HTML."""
 
     title: str
     body: str
@@ -50,22 +43,16 @@ def build_page(
     *,
     is_small: bool = False,
 ) -> str:
-    """Return a page.
+    """Return a page as HTML; the same scene and sections give the same text.
 
     Parameters
     ----------
     title, summary : str
         Its heading, and the line below.
-    scene : Scene
     sections : sequence of Section
         Below the controls.
     is_small : bool
         Whether it is shown within another page.
-
-    Returns
-    -------
-    str
-        HTML; the same scene and sections give the same text.
     """
     description, colourings, arrays = pack_scene(scene)
     modules = "\n".join(
@@ -89,36 +76,13 @@ def build_page(
 
 
 def write_page(path: Path, page: str) -> None:
-    """Write a page.
-
-    Parameters
-    ----------
-    path : Path
-        Appears whole or not at all.
-    page : str
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write a page, which appears whole or not at all; `OutputError` where it cannot be written."""
     with replacing(path) as file:
         file.write(page.encode(errors="backslashreplace"))  # a name that is not UTF-8
 
 
 def make_table(rows: Mapping[str, Any]) -> str:
-    """Return names and values as a table.
-
-    Parameters
-    ----------
-    rows : mapping of str to object
-        Numbers are written with six digits.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Return names and values as an HTML table; numbers are written with six digits."""
     lines = []
     for name, value in rows.items():
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -128,20 +92,14 @@ def make_table(rows: Mapping[str, Any]) -> str:
 
 
 def make_list(texts: Sequence[str], kind: str = "", first_marker: int | None = None) -> str:
-    """Return lines as a list.
+    """Return lines as an HTML list.
 
     Parameters
     ----------
-    texts : sequence of str
     kind : str
         The class of its items.
     first_marker : int, optional
         The items are the scene's markers, from this one on, and lead there.
-
-    Returns
-    -------
-    str
-        HTML.
     """
     items = []
     for number, text in enumerate(texts):

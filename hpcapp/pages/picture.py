@@ -23,13 +23,10 @@ def write_picture(
     size: int = 800,
     up: str = "z",
 ) -> None:
-    """Draw a mesh or a cloud into a PNG file.
+    """Draw a mesh or a cloud into a PNG file, which appears whole or not at all.
 
     Parameters
     ----------
-    path : Path
-        Appears whole or not at all.
-    shown : Mesh or PointCloud
     eye : tuple of float, optional
         Azimuth and elevation, in degrees; for a mesh `EYE` by default.
     size : int

@@ -15,12 +15,10 @@ __all__ = ["write_png"]
 
 
 def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write a picture as PNG.
+    """Write a picture as PNG, which appears whole or not at all.
 
     Parameters
     ----------
-    path : Path
-        Appears whole or not at all.
     picture : ndarray of uint8, shape (height, width, 3)
 
     Raises

@@ -47,17 +47,12 @@ class _Known:
 
 
 def read_report(path: Path) -> dict[str, Any]:
-    """Read a report from a file.
+    """Read a report from a file, and check it.
 
     Parameters
     ----------
     path : Path
         What ``reconstruct --json`` has printed.
-
-    Returns
-    -------
-    dict
-        Checked by `check_report`.
 
     Raises
     ------
@@ -76,13 +71,6 @@ def read_report(path: Path) -> dict[str, Any]:
 
 def check_report(report: Mapping[str, Any], source: str) -> None:
     """Refuse a report that a page cannot say.
-
-    Parameters
-    ----------
-    report : mapping
-        JSON values.
-    source : str
-        Where it is from, for the message.
 
     Raises
     ------

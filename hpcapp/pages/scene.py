@@ -78,7 +78,6 @@ class Scene:
         Of its vertices.
     points : PointCloud or None
         At most some `MOST_POINTS` of them are drawn.
-    markers : sequence of Marker
     up : {"x", "y", "z"}
         The axis that points up at first.
     colouring : str, optional
@@ -94,16 +93,7 @@ class Scene:
 
 
 def fields_of(mesh: Mesh) -> list[Field]:
-    """Return the attributes of a mesh as fields.
-
-    Parameters
-    ----------
-    mesh : Mesh
-
-    Returns
-    -------
-    list of Field
-    """
+    """Return the attributes of a mesh as fields."""
     return [Field(f"attribute-{name}", name, mesh.attributes[name]) for name in mesh.attributes]
 
 
@@ -112,15 +102,10 @@ def label_field(name: str, label: str, numbers: NDArray[Any], words: str) -> Fie
 
     Parameters
     ----------
-    name, label : str
     numbers : ndarray of int, shape (v,)
         From 0.
     words : str
         In front of each number in the legend.
-
-    Returns
-    -------
-    Field
     """
     labels = [f"{words} {number}" for number in range(int(numbers.max(initial=0)) + 1)]
     return Field(name, label, numbers, labels=labels)
@@ -128,10 +113,6 @@ def label_field(name: str, label: str, numbers: NDArray[Any], words: str) -> Fie
 
 def pack_scene(scene: Scene) -> tuple[str, list[dict[str, Any]], str]:
     """Return a scene as a page holds it.
-
-    Parameters
-    ----------
-    scene : Scene
 
     Returns
     -------

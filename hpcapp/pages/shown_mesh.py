@@ -51,21 +51,11 @@ class Mesh(plain.Mesh):
 
     @classmethod
     def of(cls, mesh: plain.Mesh) -> Mesh:
-        """Return a mesh that shows itself.
-
-        Parameters
-        ----------
-        mesh : hpccomponent.surface.types.mesh.Mesh
-
-        Returns
-        -------
-        Mesh
-            With the same arrays.
-        """
+        """Return a mesh with the same arrays that shows itself."""
         return cls(*(getattr(mesh, field.name) for field in fields(plain.Mesh)))
 
     def show(self, points: PointCloud | None = None, *, open_browser: bool = True) -> Path:
-        """Open a page with the mesh in a browser.
+        """Open a page with the mesh in a browser, and return its path in the temporary folder.
 
         Parameters
         ----------
@@ -73,11 +63,6 @@ class Mesh(plain.Mesh):
             Shown beside it.
         open_browser : bool
             Whether to open the page, or to write it only.
-
-        Returns
-        -------
-        Path
-            Of the page, in the temporary folder.
         """
         beside = None
         if points is not None:
@@ -129,18 +114,7 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
 
 
 def show_page(path: Path, *, is_opened: bool) -> Path:
-    """Open a page in a browser.
-
-    Parameters
-    ----------
-    path : Path
-    is_opened : bool
-        Whether a browser is wanted at all.
-
-    Returns
-    -------
-    Path
-    """
+    """Open a page in a browser, if one is wanted at all."""
     if is_opened and not webbrowser.open(path.resolve().as_uri()):
         log.warning("warning: no browser was found: open %s by hand", path)
     return path

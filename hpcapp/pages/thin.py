@@ -29,7 +29,6 @@ def thin_mesh(mesh: Mesh | MeshStream, most: int = MOST_FACES) -> Mesh:
 
     Parameters
     ----------
-    mesh : Mesh or MeshStream
     most : int
         Faces of the copy at most; a mesh with as many or fewer is returned as it is.
 
@@ -52,16 +51,7 @@ def thin_mesh(mesh: Mesh | MeshStream, most: int = MOST_FACES) -> Mesh:
 
 
 def gather_mesh(stream: MeshStream) -> Mesh:
-    """Return a mesh that comes in blocks as one in memory.
-
-    Parameters
-    ----------
-    stream : MeshStream
-
-    Returns
-    -------
-    Mesh
-    """
+    """Return a mesh that comes in blocks as one in memory."""
     blocks = list(stream.vertices())
     normals = [one.normals for one in blocks if one.normals is not None]
     colours = [one.colours for one in blocks if one.colours is not None]

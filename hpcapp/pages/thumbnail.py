@@ -21,13 +21,10 @@ _NEAR, _FAR = 40, 215  # greys
 
 
 def write_thumbnail(path: Path, cloud: PointCloud, scanner: FloatArray | None = None) -> None:
-    """Draw a cloud into a PNG file.
+    """Draw a cloud into a PNG file, which appears whole or not at all.
 
     Parameters
     ----------
-    path : Path
-        Appears whole or not at all.
-    cloud : PointCloud
     scanner : ndarray of float64, shape (3,), optional
         Where the scanner stood, in the input's coordinates: the points are seen from there.
 

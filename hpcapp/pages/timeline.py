@@ -34,18 +34,13 @@ MASTER = "master"
 
 
 def draw_timeline(spans: Sequence[Mapping[str, Any]]) -> str:
-    """Draw spans as SVG, with a legend.
+    """Draw spans as SVG in HTML, with a legend; nothing where there are no spans.
 
     Parameters
     ----------
     spans : sequence of mapping
         With ``name``, ``worker``, ``begin`` and ``end`` (in seconds) and ``outcome``: see
         `hpcapp.timeline.Span`. Of very many the longest are drawn.
-
-    Returns
-    -------
-    str
-        HTML; empty where there are no spans.
     """
     if not spans:
         return ""

@@ -82,18 +82,12 @@ def simplify_mesh(mesh: Mesh, target: Target) -> Mesh:
     ----------
     mesh : Mesh
         Closed, or open: the vertices of its boundary stay where they are.
-    target : Target
 
     Returns
     -------
     Mesh
         Manifold and closed where `mesh` is. Its normals, colours and attributes are those of the
         nearest vertices of `mesh`.
-
-    Raises
-    ------
-    UsageError
-        See `Target.check`.
 
     Notes
     -----
@@ -158,7 +152,6 @@ def simplify_faces(
     ----------
     vertices : ndarray of float64, shape (v, 3)
     faces : ndarray of int64, shape (f, 3)
-    target : Target
 
     Returns
     -------

@@ -46,11 +46,6 @@ def simplify_stream(mesh: Mesh | MeshStream, target: Target, run_faces: int = RU
         As of `simplify_mesh`; it depends on the order of the vertices and faces, and on nothing
         else: not on blocks, tiles or memory.
 
-    Raises
-    ------
-    UsageError
-        See `Target.check`.
-
     Notes
     -----
     Runs of a million faces come first, each within half of the tolerance. The vertices on the rim

@@ -168,10 +168,6 @@ def is_supported(vertices: FloatArray) -> BoolArray:
 def drop_small_components(mesh: Mesh) -> Mesh:
     """Drop components with few faces and no points beside the largest one.
 
-    Parameters
-    ----------
-    mesh : Mesh
-
     Returns
     -------
     Mesh

@@ -20,7 +20,6 @@ class DiskCloudWriter:
     ----------
     folder : Path
         Exists, and holds no other cloud.
-    arrangement : Arrangement
     origin : ndarray of float64, shape (3,)
         What was subtracted from the input's coordinates.
     """

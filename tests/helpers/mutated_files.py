@@ -45,7 +45,6 @@ def mutate(content: bytes, seed: int) -> bytes:
     ----------
     content : bytes
         Of a LAZ or an E57 file.
-    seed : int
     """
     random = np.random.default_rng(seed)
     if content.startswith(b"ASTM-E57"):
@@ -163,12 +162,7 @@ def _change_number(held: bytearray, xml: int, length: int, random: np.random.Gen
 
 
 def read_pages(content: bytes) -> bytearray:
-    """Return what the pages of an E57 file hold.
-
-    Parameters
-    ----------
-    content : bytes
-    """
+    """Return what the pages of an E57 file hold."""
     return bytearray(b"".join(content[at : at + _HELD] for at in range(0, len(content), _PAGE)))
 
 
@@ -181,10 +175,6 @@ def page_e57(held: bytes | bytearray) -> bytes:
 
 def watch_reading(paths: Iterator[Path]) -> Iterator[tuple[str, str, float]]:
     """Read files, each removed afterwards, and tell how that ended.
-
-    Parameters
-    ----------
-    paths : iterator of Path
 
     Yields
     ------
@@ -270,8 +260,6 @@ def write_mutations(files: Sequence[Path], count: int, folder: Path) -> Iterator
 
     Parameters
     ----------
-    files : sequence of Path
-    count : int
     folder : Path
         Where to.
     """

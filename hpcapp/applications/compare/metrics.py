@@ -73,17 +73,12 @@ def measure_mesh(
     ----------
     mesh : Mesh
         In the frame of the truth, with at least one face.
-    truth : Truth
     samples : int
         Points on either surface, spread evenly over its area.
     seed : int
         The same seed gives the same measures.
     thresholds : sequence of float
         Of the F-scores, in per cent of the diagonal.
-
-    Returns
-    -------
-    Measures
     """
     percent = 100.0 / (truth.diagonal or 1.0)
     wanted = truth.sample(samples, seed)
@@ -128,16 +123,6 @@ def _f_score(forward: FloatArray, backward: FloatArray, threshold: float) -> flo
 
 
 def as_json(measures: Measures) -> dict[str, Any]:
-    """Return measures as plain values.
-
-    Parameters
-    ----------
-    measures : Measures
-
-    Returns
-    -------
-    dict
-        NaN becomes None, which JSON knows.
-    """
+    """Return measures as plain values; NaN becomes None, which JSON knows."""
     plain = asdict(measures)
     return {name: None if value != value else value for name, value in plain.items()}

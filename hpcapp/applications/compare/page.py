@@ -26,17 +26,7 @@ _LENGTHS = (
 
 
 def list_measures(facts: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Return the rows of a table: name, per cent of the diagonal (or the number), length.
-
-    Parameters
-    ----------
-    facts : dict
-        See `metrics.as_json`.
-
-    Returns
-    -------
-    list of tuple of str
-    """
+    """Return the rows of a table: name, per cent of the diagonal (or the number), length."""
     unit = facts["diagonal"] / 100.0
     rows = [
         (label, _say(facts[name], ".5f"), _say(facts[name], ".6g", unit))
@@ -57,17 +47,7 @@ def list_measures(facts: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def say_openness(facts: dict[str, Any]) -> str | None:
-    """Say why distances from the mesh are missing; None where they are there.
-
-    Parameters
-    ----------
-    facts : dict
-        See `metrics.as_json`.
-
-    Returns
-    -------
-    str or None
-    """
+    """Say why distances from the mesh are missing; None where they are there."""
     if facts["accuracy"] is not None:
         return None
     return (
@@ -83,24 +63,14 @@ def _say(value: float | None, digits: str, unit: float = 1.0) -> str:
 def make_comparison(
     path: Path, truth_name: str, mesh: Mesh, truth: Truth, facts: dict[str, Any]
 ) -> str:
-    """Return a page with the mesh, coloured by its distance from the truth.
+    """Return a page (HTML) with the mesh, coloured by its distance from the truth.
 
     Parameters
     ----------
-    path : Path
-        Of the mesh.
     truth_name : str
         As the user typed it.
-    mesh : Mesh
     truth : Truth
         In the mesh's frame.
-    facts : dict
-        See `metrics.as_json`.
-
-    Returns
-    -------
-    str
-        HTML.
     """
     thin = thin_mesh(mesh, _MOST_FACES)
     distance = Field("distance", "Distance to the truth", truth.distance(thin.vertices), low=0.0)

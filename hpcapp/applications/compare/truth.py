@@ -50,17 +50,7 @@ class Truth(Protocol):
         ...
 
     def sample(self, count: int, seed: int) -> PointCloud:
-        """Return points spread evenly over it, with its normals where they are known.
-
-        Parameters
-        ----------
-        count : int
-        seed : int
-
-        Returns
-        -------
-        PointCloud
-        """
+        """Return points spread evenly over it, with its normals where they are known."""
         ...
 
     def distance(self, points: FloatArray) -> FloatArray:
@@ -79,12 +69,7 @@ class Truth(Protocol):
 
 
 class ShapeTruth:
-    """An analytic shape as the truth; see `Truth`.
-
-    Parameters
-    ----------
-    shape : Shape
-    """
+    """An analytic shape as the truth; see `Truth`."""
 
     is_closed = True
 
@@ -174,12 +159,6 @@ def sample_mesh(mesh: Mesh, count: int, seed: int = 0) -> PointCloud:
     ----------
     mesh : Mesh
         With at least one face of positive area.
-    count : int
-    seed : int
-
-    Returns
-    -------
-    PointCloud
     """
     rng = np.random.default_rng(seed)
     corners = mesh.vertices[mesh.faces]
@@ -204,10 +183,6 @@ def open_truth(name: str, origin: FloatArray) -> Truth:
         A mesh, points, or ``shape:NAME``; a file that holds faces is a mesh.
     origin : ndarray of float64, shape (3,)
         Of the frame that the truth is wanted in.
-
-    Returns
-    -------
-    Truth
 
     Raises
     ------
@@ -234,13 +209,8 @@ def read_mesh_at(path: Path, origin: FloatArray | None = None) -> Mesh:
 
     Parameters
     ----------
-    path : Path
     origin : ndarray of float64, shape (3,), optional
         Of that frame, in the coordinates of the file; by default zero.
-
-    Returns
-    -------
-    Mesh
 
     Raises
     ------
@@ -255,12 +225,6 @@ def read_mesh_at(path: Path, origin: FloatArray | None = None) -> Mesh:
 
 def check_usable(mesh: Mesh, path: Path) -> None:
     """Refuse a mesh of which no distances can be taken.
-
-    Parameters
-    ----------
-    mesh : Mesh
-    path : Path
-        Its file, for messages.
 
     Raises
     ------

@@ -22,10 +22,6 @@ _MOST_QUERIES = 20_000
 def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
     """Read a file's points, and tell what it holds.
 
-    Parameters
-    ----------
-    source : PointSource
-
     Returns
     -------
     facts : dict
@@ -35,8 +31,6 @@ def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
         of other columns that are kept; ``scans``: for each its ``points``, ``scanner`` and
         ``grid``, or None; ``grid`` of the first; ``crs``; ``unit``; ``dropped``: points that are
         no part of the cloud, by reason; ``warnings``; and all that `describe` tells.
-    cloud : PointCloud
-        The points.
 
     Raises
     ------

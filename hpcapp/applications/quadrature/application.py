@@ -54,11 +54,6 @@ class Integral:
 def estimated(integrand: str, left: FloatArray, right: FloatArray) -> Declared:
     """Return what `estimate` may return: no integral is larger than its box, or negative.
 
-    Parameters
-    ----------
-    integrand, left, right
-        As for `estimate`.
-
     Returns
     -------
     Declared
@@ -123,10 +118,6 @@ def integrate(
         Largest absolute error to accept.
     workforce : Workforce
         Where the intervals are estimated.
-
-    Returns
-    -------
-    Integral
 
     Raises
     ------

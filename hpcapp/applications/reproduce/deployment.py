@@ -46,18 +46,7 @@ class _Figures:
 
 
 def write_local_cluster(path: Path) -> None:
-    """Write the cluster file of the emulated machines.
-
-    Parameters
-    ----------
-    path : Path
-        Appears whole or not at all.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write the cluster file of the emulated machines; it appears whole or not at all."""
     with replacing(path) as file:
         file.write(LOCAL_CLUSTER.encode())
 
@@ -69,20 +58,10 @@ def make_table_1(
 
     Parameters
     ----------
-    subject : Subject
     cluster : Path
         The cluster file; machines that are up already stay up.
-    grid : int
-        Cells along the longest side.
-    up : {"x", "y", "z"}
-        The axis that points up in the picture.
     is_emulated : bool
         Whether the file is that of `write_local_cluster`.
-
-    Returns
-    -------
-    finding : Finding
-    picture : ndarray of uint8, shape (h, w, 3)
 
     Raises
     ------

@@ -15,8 +15,6 @@ class Finding:
     ----------
     title : str
         Which figure, and of what.
-    columns : tuple of str
-        Of the table.
     rows : tuple of tuple of str
         As many cells each as there are columns.
     sentence : str
@@ -38,10 +36,6 @@ class Finding:
         ----------
         picture : str
             The name of the picture's file, beside the page.
-
-        Returns
-        -------
-        str
 
         Examples
         --------

@@ -81,36 +81,13 @@ _ON_BUNNY_4 = (
 
 
 def make_figure_2(subject: Subject, up: str) -> tuple[Finding, NDArray[np.uint8]]:
-    """Cut a cloud by both readings of the normal cone.
-
-    Parameters
-    ----------
-    subject : Subject
-    up : {"x", "y", "z"}
-        The axis that points up in the picture.
-
-    Returns
-    -------
-    finding : Finding
-    picture : ndarray of uint8, shape (h, w, 3)
-    """
+    """Cut a cloud by both readings of the normal cone; the picture has shape (h, w, 3)."""
     sentence = _ON_BUNNY_2 if subject.is_papers else _OTHER_CLOUD
     return _make(f"Figure 2: patches of {subject.name}", _FIGURE_2, sentence, subject, up)
 
 
 def make_figure_4(subject: Subject, up: str) -> tuple[Finding, NDArray[np.uint8]]:
-    """Cut a cloud by the normal cone and by the most points of a patch; see `make_figure_2`.
-
-    Parameters
-    ----------
-    subject : Subject
-    up : {"x", "y", "z"}
-
-    Returns
-    -------
-    finding : Finding
-    picture : ndarray of uint8, shape (h, w, 3)
-    """
+    """Cut a cloud by the normal cone and by the most points of a patch."""
     sentence = _ON_BUNNY_4 if subject.is_papers else _OTHER_CLOUD
     title = f"Figure 4: patches of {subject.name} by their most points"
     return _make(title, _FIGURE_4, sentence, subject, up)

@@ -26,13 +26,7 @@ _NO_NUMBERS = (
 
 
 def check_plots() -> None:
-    """Refuse a figure that could not be drawn, before it is measured.
-
-    Raises
-    ------
-    UsageError
-        matplotlib is not installed.
-    """
+    """Refuse a figure before it is measured, where matplotlib is not installed."""
     if find_spec("matplotlib") is None:
         raise UsageError(
             "fig7 and fig8 are drawn by matplotlib, which is not installed",
@@ -53,10 +47,6 @@ def make_figure_7(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO)
         What the workers and the master share.
     file : binary file
         Receives the PNG.
-
-    Returns
-    -------
-    Finding
     """
     ways = _by_way(runs)
     figure, axes = _open_axes(ways, cores)
@@ -92,19 +82,7 @@ def make_figure_7(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO)
 
 
 def make_figure_8(runs: Sequence[Run], subject: str, cores: int, file: BinaryIO) -> Finding:
-    """Draw speed-up against the number of workers; see `make_figure_7`.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-    subject : str
-    cores : int
-    file : binary file
-
-    Returns
-    -------
-    Finding
-    """
+    """Draw speed-up against the number of workers; see `make_figure_7`."""
     ways = _by_way(runs)
     figure, axes = _open_axes(ways, cores)
     for way, lines in ways.items():

@@ -51,7 +51,6 @@ class Run:
         One of `WAYS`.
     workers : int
         0: the master does all by itself.
-    round : int
     start_s : float
         Until all workers have registered, in seconds; 0 without workers.
     first_fit_s : float
@@ -111,13 +110,10 @@ class Summary:
 
     Parameters
     ----------
-    workers : int
     start_s, first_fit_s, fit_s, job_s : Spread
         In seconds; see `Run`.
     fit_speedup, job_speedup : Spread
         Time of the master alone by time with workers, within each round; dimensionless.
-    bytes_sent : int
-        See `Run`.
     """
 
     workers: int
@@ -154,10 +150,6 @@ def measure(
         What stands behind 1 and more workers.
     done : callable
         Told (round, workers) before each opening of workers.
-
-    Yields
-    ------
-    Run
     """
     for number in range(rounds):
         counts = list(range(most_workers + 1))
@@ -189,23 +181,13 @@ def _run(
 
 
 def summarise(runs: Sequence[Run]) -> list[Summary]:
-    """Return what the runs of one way say.
+    """Return what the runs of one way say, by number of workers.
 
     Parameters
     ----------
     runs : sequence of Run
         With a run without workers in every round: speed-ups compare within a round, so that
         what slows a whole round cancels.
-
-    Returns
-    -------
-    list of Summary
-        By number of workers.
-
-    Raises
-    ------
-    UsageError
-        A round has no run without workers.
     """
     alone = {run.round: run for run in runs if run.workers == 0}
     if not {run.round for run in runs} <= set(alone):

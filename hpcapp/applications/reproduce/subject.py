@@ -36,7 +36,6 @@ class Subject:
     ----------
     name : str
         For people.
-    points : PointCloud
     path : Path
         The same points as a PLY, in a temporary folder.
     """
@@ -59,11 +58,6 @@ def open_subject(points: Path | None) -> Iterator[Subject]:
     ----------
     points : Path or None
         What the user named; None is a scan of a knot, simulated anew.
-
-    Yields
-    ------
-    Subject
-        Its file goes when the block ends.
 
     Raises
     ------
@@ -95,18 +89,7 @@ def _read(points: Path) -> PointCloud:
 
 
 def arrange_for(method: MethodSettings, points: PointCloud) -> MemoryCloud:
-    """Return points as a method takes them.
-
-    Parameters
-    ----------
-    method : MethodSettings
-    points : PointCloud
-        With unit normals.
-
-    Returns
-    -------
-    MemoryCloud
-    """
+    """Return points with unit normals as a method takes them."""
     if method.needs_whole_cloud:  # it cuts the cloud up by itself
         return MemoryCloud.as_they_are(points)
     return arrange_cloud(points)

@@ -28,18 +28,7 @@ _SENTENCE = (
 
 
 def mesh_by_default(subject: Subject, grid: int) -> Mesh:
-    """Return the mesh by the default method.
-
-    Parameters
-    ----------
-    subject : Subject
-    grid : int
-        Cells along the longest side.
-
-    Returns
-    -------
-    Mesh
-    """
+    """Return the mesh by the default method, with `grid` cells along the longest side."""
     return _mesh(subject, Hierarchical(), grid)
 
 
@@ -52,21 +41,7 @@ def _mesh(subject: Subject, method: MethodSettings, grid: int) -> Mesh:
 
 
 def make_figure_6(subject: Subject, grid: int, up: str) -> tuple[Finding, NDArray[np.uint8]]:
-    """Reconstruct by the paper's method and by the default one.
-
-    Parameters
-    ----------
-    subject : Subject
-    grid : int
-        Cells along the longest side, of both.
-    up : {"x", "y", "z"}
-        The axis that points up in the picture.
-
-    Returns
-    -------
-    finding : Finding
-    picture : ndarray of uint8, shape (h, w, 3)
-    """
+    """Reconstruct by the paper's method and by the default one; the picture has shape (h, w, 3)."""
     methods: tuple[tuple[str, MethodSettings], ...] = (
         ("the paper's, as printed", Paper()),
         ("the paper's, complement", Paper(cone="complement")),

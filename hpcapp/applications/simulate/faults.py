@@ -28,11 +28,6 @@ def draw_drift(
         The view of each, ascending; the errors of one view say nothing of another's.
     length : float
         The correlation length, in length units.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
 
     Notes
     -----
@@ -72,12 +67,9 @@ class Moves:
         ----------
         positions, normals : ndarray of float64, shape (n, 3)
         view : ndarray of int64, shape (n,)
+            Of each point.
         middle : ndarray of float64, shape (3,)
             What the views turn about.
-
-        Returns
-        -------
-        positions, normals : ndarray of float64, shape (n, 3)
         """
         turn = self.turns[view]
         moved = middle + _rotate(positions - middle, turn) + self.shifts[view]
@@ -89,17 +81,11 @@ def draw_moves(views: int, error: float, diagonal: float, rng: np.random.Generat
 
     Parameters
     ----------
-    views : int
     error : float
         Standard deviation of the shift along each axis, in length units; the rotation moves what
         is half a diagonal away as far.
     diagonal : float
         In length units.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    Moves
     """
     shifts = error * rng.standard_normal((views, 3))
     return Moves(shifts, 2.0 * error / diagonal * rng.standard_normal((views, 3)))
@@ -112,12 +98,10 @@ def strew_outliers(
 
     Parameters
     ----------
-    shape : Shape
     share : float
         Of the points. Half of the outliers lie 2 to 10 % of the diagonal away along their rays,
         half anywhere in twice the bounding box.
     positions, rays : ndarray of float64, shape (n, 3)
-    rng : numpy.random.Generator
 
     Returns
     -------

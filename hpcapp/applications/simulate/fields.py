@@ -42,17 +42,7 @@ class Field:
 
 
 def unite(*fields: Field) -> Field:
-    """Return the union of solids.
-
-    Parameters
-    ----------
-    *fields : Field
-        At least one.
-
-    Returns
-    -------
-    Field
-    """
+    """Return the union of one or more solids."""
 
     def value(points: FloatArray) -> FloatArray:
         least = fields[0].value(points)
@@ -72,64 +62,22 @@ def unite(*fields: Field) -> Field:
 
 
 def intersect(*fields: Field) -> Field:
-    """Return what is common to solids.
-
-    Parameters
-    ----------
-    *fields : Field
-        At least one.
-
-    Returns
-    -------
-    Field
-    """
+    """Return what is common to one or more solids."""
     return _complement(unite(*(_complement(field) for field in fields)))
 
 
 def cut(solid: Field, *tools: Field) -> Field:
-    """Return `solid` with every one of `tools` taken away.
-
-    Parameters
-    ----------
-    solid : Field
-    *tools : Field
-        What is taken away.
-
-    Returns
-    -------
-    Field
-    """
+    """Return `solid` with every one of `tools` taken away."""
     return _complement(unite(_complement(solid), *tools))
 
 
 def grow(solid: Field, thickness: float) -> Field:
-    """Return `solid` with a layer added all round; convex edges become round.
-
-    Parameters
-    ----------
-    solid : Field
-    thickness : float
-        Of the layer, in length units.
-
-    Returns
-    -------
-    Field
-    """
+    """Return `solid` with a layer of a thickness added all round; convex edges become round."""
     return Field(lambda points: solid.value(points) - thickness, solid.gradient)
 
 
 def mirror(octant: Field) -> Field:
-    """Return a solid that is symmetric in x, y and z, given in the octant of positive signs.
-
-    Parameters
-    ----------
-    octant : Field
-        Only asked for points without negative coordinates.
-
-    Returns
-    -------
-    Field
-    """
+    """Return a solid symmetric in x, y and z, whose octant is asked for no negative coordinates."""
 
     def gradient(points: FloatArray) -> FloatArray:
         return octant.gradient(np.abs(points)) * np.where(points < 0.0, -1.0, 1.0)
@@ -138,18 +86,12 @@ def mirror(octant: Field) -> Field:
 
 
 def smooth_unite(fillet: float, *fields: Field) -> Field:
-    """Return the union of solids with rounded joints.
+    """Return the union of solids with rounded joints, which are smooth to the second derivative.
 
     Parameters
     ----------
     fillet : float
         Where two values differ by less, in length units, the joint is filled.
-    *fields : Field
-
-    Returns
-    -------
-    Field
-        Twice continuously differentiable across the joint.
 
     Notes
     -----

@@ -16,7 +16,10 @@ Bounds = tuple[FloatArray, FloatArray]
 
 
 class Shape(Protocol):
-    """A solid whose surface is the zero set of a function that is known exactly."""
+    """A solid whose surface is the zero set of a function that is known exactly.
+
+    Methods take positions of shape (n, 3); values, of shape (n,), are in length units.
+    """
 
     @property
     def name(self) -> str:
@@ -34,60 +37,24 @@ class Shape(Protocol):
         ...
 
     def value(self, points: FloatArray) -> FloatArray:
-        """Return the implicit function: negative inside, never larger than the distance.
-
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, 3)
-
-        Returns
-        -------
-        ndarray of float64, shape (n,)
-            In length units.
-        """
+        """Return the implicit function: negative inside, never larger than the distance."""
         ...
 
     def normal(self, points: FloatArray) -> FloatArray:
         """Return the unit normals, pointing out of the solid, of the level sets at `points`.
 
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, 3)
-
-        Returns
-        -------
-        ndarray of float64, shape (n, 3)
-            On a sharp edge, that of one of its sides.
+        On a sharp edge, that of one of its sides.
         """
         ...
 
     def gradient(self, points: FloatArray) -> FloatArray:
-        """Return the gradient of `value`, which is no longer than 1.
-
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, 3)
-
-        Returns
-        -------
-        ndarray of float64, shape (n, 3)
-            Zero where the function has none.
-        """
+        """Return the gradient of `value`, no longer than 1; zero where the function has none."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImplicitShape:
-    """A `Shape` made of a field.
-
-    Parameters
-    ----------
-    name : str
-    genus : int
-    bounds : (low, high), each ndarray of float64, shape (3,)
-    field : Field
-        See `hpcapp.applications.simulate.fields`.
-    """
+    """A `Shape` made of a field."""
 
     name: str
     genus: int
@@ -95,44 +62,15 @@ class ImplicitShape:
     field: Field
 
     def value(self, points: FloatArray) -> FloatArray:
-        """Return the implicit function at `points`; see `Shape.value`.
-
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, 3)
-
-        Returns
-        -------
-        ndarray of float64, shape (n,)
-            In length units.
-        """
+        """Return the implicit function at `points`."""
         return self.field.value(points)
 
     def gradient(self, points: FloatArray) -> FloatArray:
-        """Return the gradient at `points`; see `Shape.gradient`.
-
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, 3)
-
-        Returns
-        -------
-        ndarray of float64, shape (n, 3)
-        """
+        """Return the gradient at `points`."""
         return self.field.gradient(points)
 
     def normal(self, points: FloatArray) -> FloatArray:
-        """Return the unit normals at `points`; see `Shape.normal`.
-
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, 3)
-
-        Returns
-        -------
-        ndarray of float64, shape (n, 3)
-            Zero where the field has no gradient.
-        """
+        """Return the unit normals at `points`; zero where the field has no gradient."""
         gradient = self.field.gradient(points)
         length = np.sqrt(np.einsum("ij,ij->i", gradient, gradient))
         unit: FloatArray = gradient / np.maximum(length, np.finfo(np.float64).tiny)[:, None]
@@ -140,31 +78,12 @@ class ImplicitShape:
 
 
 def diagonal_of(shape: Shape) -> float:
-    """Return the length of the bounding box's diagonal, in length units of the shape.
-
-    Parameters
-    ----------
-    shape : Shape
-
-    Returns
-    -------
-    float
-    """
+    """Return the length of the bounding box's diagonal, in length units of the shape."""
     low, high = shape.bounds
     return float(np.linalg.norm(high - low))
 
 
 def symmetric(*half: float) -> Bounds:
-    """Return the bounds of a shape about the origin.
-
-    Parameters
-    ----------
-    *half : float
-        Half the edges of its bounding box.
-
-    Returns
-    -------
-    low, high : ndarray of float64, shape (3,)
-    """
+    """Return the bounds of a shape about the origin, from half the edges of its bounding box."""
     extent = np.array(half)
     return -extent, extent

@@ -19,18 +19,7 @@ _TINY = 1e-300  # keeps 0/0 out of gradients at centres, where no direction is r
 
 
 def disc(center: Sequence[float], radius: float) -> Field:
-    """Return a disc.
-
-    Parameters
-    ----------
-    center : sequence of 2 floats
-    radius : float
-
-    Returns
-    -------
-    Field
-        Of plane positions, shape (n, 2).
-    """
+    """Return a disc, as a field of plane positions of shape (n, 2)."""
     x, y = center
 
     def arms(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -45,17 +34,12 @@ def disc(center: Sequence[float], radius: float) -> Field:
 
 
 def polygon(corners: Sequence[Sequence[float]]) -> Field:
-    """Return a polygon.
+    """Return a polygon, as a field of plane positions of shape (n, 2).
 
     Parameters
     ----------
     corners : sequence of (x, y)
         Counter-clockwise; the sides do not meet elsewhere.
-
-    Returns
-    -------
-    Field
-        Of plane positions, shape (n, 2).
 
     Notes
     -----
@@ -111,10 +95,6 @@ def extrude(outline: Field, half: float) -> Field:
         Of plane positions, shape (n, 2).
     half : float
         Half the length along z; the middle is at z = 0.
-
-    Returns
-    -------
-    Field
     """
 
     def value(points: FloatArray) -> FloatArray:
@@ -136,10 +116,6 @@ def revolve(outline: Field) -> Field:
     ----------
     outline : Field
         Of positions (distance from the axis, z), shape (n, 2); it does not reach below zero.
-
-    Returns
-    -------
-    Field
     """
 
     def halve(points: FloatArray) -> tuple[FloatArray, FloatArray]:

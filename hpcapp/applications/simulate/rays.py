@@ -35,7 +35,6 @@ def cross_rays(
 
     Parameters
     ----------
-    shape : Shape
     origins, directions : ndarray of float64, shape (n, 3)
         Rays; the directions have unit length, the origins lie outside the shape.
     reach : float
@@ -82,20 +81,7 @@ def run_in_blocks(function: Callable[[slice], Result], count: int) -> list[Resul
 def sample_lines(
     shape: Shape, count: int, rng: np.random.Generator, tracer: Tracer | None = None
 ) -> FloatArray:
-    """Return the points in which `count` random lines cross the surface.
-
-    Parameters
-    ----------
-    shape : Shape
-    count : int
-        How many lines.
-    rng : numpy.random.Generator
-    tracer : Tracer, optional
-        Of the shape; made if it is not given.
-
-    Returns
-    -------
-    ndarray of float64, shape (m, 3)
+    """Return the points in which `count` random lines cross the surface, shape (m, 3).
 
     Notes
     -----
@@ -122,10 +108,8 @@ def closest_points(
 
     Parameters
     ----------
-    shape : Shape
-    points : ndarray of float64, shape (n, 3)
-    guesses : ndarray of float64, shape (n, 3)
-        Points of the surface to start from, such as the nearest of an even sample.
+    points, guesses : ndarray of float64, shape (n, 3)
+        `guesses` are points of the surface to start from, as the nearest of an even sample.
     rounds : int
         How often the foot is moved along its tangent plane.
 
@@ -178,17 +162,7 @@ def _nearest_on_planes(points: FloatArray, feet: FloatArray, normals: FloatArray
 
 
 def frame_about(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return two unit vectors at right angles to each direction and to each other.
-
-    Parameters
-    ----------
-    directions : ndarray of float64, shape (n, 3)
-        Of unit length.
-
-    Returns
-    -------
-    side, up : ndarray of float64, shape (n, 3)
-    """
+    """Return two unit vectors square on each unit direction and on each other, shapes (n, 3)."""
     helper = np.zeros_like(directions)
     smallest = np.abs(directions).argmin(axis=1)
     helper[np.arange(len(directions)), smallest] = 1.0
@@ -197,16 +171,7 @@ def frame_about(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def unit_vectors(vectors: FloatArray) -> FloatArray:
-    """Return `vectors`, shape (n, 3), scaled to unit length; zero stays zero.
-
-    Parameters
-    ----------
-    vectors : ndarray of float64, shape (n, 3)
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 3)
-    """
+    """Return vectors of shape (n, 3) scaled to unit length; zero stays zero."""
     tiny = np.finfo(np.float64).tiny
     unit: FloatArray = vectors / np.maximum(_lengths(vectors), tiny)[:, None]
     return unit

@@ -43,15 +43,6 @@ class Relief:
 def displace(solid: Field, relief: Relief) -> Field:
     """Return a solid with a relief on its surface.
 
-    Parameters
-    ----------
-    solid : Field
-    relief : Relief
-
-    Returns
-    -------
-    Field
-
     Notes
     -----
     solid - height changes by up to 1 + steepest, and is divided by it. No surface is nearer than
@@ -91,10 +82,6 @@ def lumps(octaves: Sequence[tuple[float, float]], seed: int) -> Relief:
         Wavelength and height of each size, in length units.
     seed : int
         Turns and shifts them.
-
-    Returns
-    -------
-    Relief
 
     Notes
     -----
@@ -138,10 +125,6 @@ def studs(major: float, minor: float, around: tuple[int, int], height: float) ->
         Studs along the circle and about the tube.
     height : float
         In length units.
-
-    Returns
-    -------
-    Relief
 
     Notes
     -----

@@ -59,28 +59,22 @@ class _Hits:
 def simulate_scan(shape: Shape, settings: ScanSettings | None = None) -> PointCloud:
     """Scan an analytic shape.
 
-    Parameters
-    ----------
-        shape : Shape
-            See `hpcapp.applications.simulate.shapes.SHAPES`.
-        settings : ScanSettings, optional
-
     Returns
     -------
-        PointCloud
-            Exactly ``settings.points`` points with unit normals, view by view.
+    PointCloud
+        Exactly ``settings.points`` points with unit normals, view by view.
 
     Raises
     ------
-        UsageError
-            If hardly any ray comes back.
+    UsageError
+        Hardly any ray comes back.
 
     Examples
     --------
-        >>> from hpcapp.applications.simulate.shapes import SHAPES
-        >>> cloud = simulate_scan(SHAPES["torus"], ScanSettings(points=500, noise=0.001))
-        >>> len(cloud)
-        500
+    >>> from hpcapp.applications.simulate.shapes import SHAPES
+    >>> cloud = simulate_scan(SHAPES["torus"], ScanSettings(points=500, noise=0.001))
+    >>> len(cloud)
+    500
     """
     settings = settings or ScanSettings()
     rng = np.random.default_rng(settings.seed)
@@ -110,19 +104,9 @@ def simulate_scan(shape: Shape, settings: ScanSettings | None = None) -> PointCl
 
 
 def sample_surface(shape: Shape, count: int, seed: int = 0) -> PointCloud:
-    """Return exact points and normals, spread evenly over the whole surface.
+    """Return exactly `count` points of the surface with their normals, spread evenly.
 
-    Parameters
-    ----------
-    shape : Shape
-    count : int
-        Exactly as many points.
-    seed : int
-
-    Returns
-    -------
-    PointCloud
-        Off the surface by less than 1e-12 of the diagonal.
+    They are off the surface by less than 1e-12 of the diagonal.
     """
     rng = np.random.default_rng(seed)
     found = [np.empty((0, 3))]

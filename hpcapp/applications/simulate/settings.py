@@ -50,12 +50,6 @@ class ScanSettings:
         Share of the points whose normal has the wrong sign.
     normals : {"pca", "exact"}
         From the plane through 20 neighbours, turned towards the scanner; or the shape's own.
-    seed : int
-
-    Raises
-    ------
-    UsageError
-        If a setting is outside its range.
     """
 
     points: int = 100_000

@@ -23,21 +23,7 @@ SHAPES: Mapping[str, Shape] = MappingProxyType(
 
 
 def find_shape(name: str) -> Shape:
-    """Return the shape of that name.
-
-    Parameters
-    ----------
-    name : str
-        A key of `SHAPES`.
-
-    Returns
-    -------
-    Shape
-
-    Raises
-    ------
-    UsageError
-        If there is none.
+    """Return the shape of that name; `UsageError`, which names all, where there is none.
 
     Examples
     --------

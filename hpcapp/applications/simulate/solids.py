@@ -25,11 +25,6 @@ def ellipsoid(semi_axes: Sequence[float], center: Sequence[float] = (0.0, 0.0, 0
     ----------
     semi_axes : sequence of 3 floats
         Along x, y and z; three equal ones make a sphere and the exact distance.
-    center : sequence of 3 floats
-
-    Returns
-    -------
-    Field
     """
     axes = np.asarray(semi_axes, dtype=np.float64)
     middle = np.asarray(center, dtype=np.float64)
@@ -43,19 +38,7 @@ def ellipsoid(semi_axes: Sequence[float], center: Sequence[float] = (0.0, 0.0, 0
 
 
 def torus(major: float, minor: float) -> Field:
-    """Return a torus about the z axis: the exact distance to its circle, less `minor`.
-
-    Parameters
-    ----------
-    major : float
-        Radius of the circle.
-    minor : float
-        Radius of the tube.
-
-    Returns
-    -------
-    Field
-    """
+    """Return a torus about the z axis, of a circle and a tube: exact distance to its surface."""
 
     def value(points: FloatArray) -> FloatArray:
         x, y, z = points.T
@@ -83,10 +66,6 @@ def cone(
         Centres of the balls; neither ball may contain the other.
     start_radius, end_radius : float
         Equal radii make a capsule.
-
-    Returns
-    -------
-    Field
     """
     origin = np.asarray(start, dtype=np.float64)
     axis = np.asarray(end, dtype=np.float64) - origin
@@ -119,10 +98,6 @@ def tube(curve: Curve, radius: float, samples: int = 512) -> Field:
     samples : int
         How many points of the curve seed the search for the nearest one.
 
-    Returns
-    -------
-    Field
-
     Notes
     -----
     Two Newton steps from the nearest sample square the error of half a sample's spacing twice,
@@ -154,17 +129,7 @@ def tube(curve: Curve, radius: float, samples: int = 512) -> Field:
 
 
 def box(center: Sequence[float], half: Sequence[float]) -> Field:
-    """Return an axis-parallel box, exact distance.
-
-    Parameters
-    ----------
-    center, half : sequence of 3 floats
-        Its middle, and half its edges.
-
-    Returns
-    -------
-    Field
-    """
+    """Return an axis-parallel box from its middle and half its edges, exact distance."""
     middle, extent = np.asarray(center, dtype=np.float64), np.asarray(half, dtype=np.float64)
 
     def value(points: FloatArray) -> FloatArray:
@@ -183,16 +148,10 @@ def cylinder(center: Sequence[float], axis: int, radius: float, half: float = np
 
     Parameters
     ----------
-    center : sequence of 3 floats
     axis : int
         0, 1 or 2.
-    radius : float
     half : float
         Half its length; infinite for a drill.
-
-    Returns
-    -------
-    Field
     """
     middle = np.asarray(center, dtype=np.float64)
     first, second = (k for k in range(3) if k != axis)
@@ -224,10 +183,6 @@ def half_space(normal: Sequence[float], offset: float) -> Field:
         Out of the solid; of any length.
     offset : float
         Distance of the plane from the origin along the normal.
-
-    Returns
-    -------
-    Field
     """
     up = np.asarray(normal, dtype=np.float64)
     up = up / np.linalg.norm(up)
@@ -256,16 +211,7 @@ def corner_distance(*excess: FloatArray) -> FloatArray:
 
 
 def corner_slopes(*excess: FloatArray) -> list[FloatArray]:
-    """Return the derivatives of `corner_distance` by each excess.
-
-    Parameters
-    ----------
-    *excess : ndarray of float64, shape (n,)
-
-    Returns
-    -------
-    list of ndarray of float64, shape (n,)
-    """
+    """Return the derivatives of `corner_distance` by each excess, all of shape (n,)."""
     distance = corner_distance(*excess)
     deepest = np.argmax(excess, axis=0)
     is_inside = distance <= 0.0

@@ -69,7 +69,6 @@ class Tracer:
 
     Parameters
     ----------
-    shape : Shape
     rays : int
         About how many rays will be traced: a finer grid costs more and saves more.
 
@@ -100,19 +99,7 @@ class Tracer:
     def cross(
         self, origins: FloatArray, directions: FloatArray, reach: float, first_only: bool
     ) -> tuple[IntArray, FloatArray]:
-        """Return where rays cross the surface: see `hpcapp.applications.simulate.rays.cross_rays`.
-
-        Parameters
-        ----------
-        origins, directions : ndarray of float64, shape (n, 3)
-        reach : float
-        first_only : bool
-
-        Returns
-        -------
-        rays : ndarray of int64, shape (m,)
-        distances : ndarray of float64, shape (m,)
-        """
+        """Return where rays cross the surface, as `rays.cross_rays` does."""
         found = self._bracket(origins, directions, reach, first_only)
         order = np.lexsort((found.near, found.rays))
         rays, distances = found.rays[order], np.empty(len(order))

@@ -22,40 +22,12 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 def check_page(path: Path | None, flag: str) -> None:
-    """Refuse a page that could not be written, before the work.
-
-    Parameters
-    ----------
-    path : Path or None
-    flag : str
-        The option that names it.
-
-    Raises
-    ------
-    UsageError
-        Its suffix is none of a page.
-    OutputError
-        It cannot be written there.
-    """
+    """Refuse, before the work, a page whose suffix is wrong or that cannot be written there."""
     _check(path, flag, (".html", ".htm"), "page")
 
 
 def check_picture(path: Path | None, flag: str) -> None:
-    """Refuse a picture that could not be written, before the work.
-
-    Parameters
-    ----------
-    path : Path or None
-    flag : str
-        The option that names it.
-
-    Raises
-    ------
-    UsageError
-        Its suffix is not that of a PNG.
-    OutputError
-        It cannot be written there.
-    """
+    """Refuse, before the work, a picture that is no PNG or that cannot be written there."""
     _check(path, flag, (".png",), "picture")
 
 

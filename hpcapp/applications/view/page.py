@@ -25,16 +25,7 @@ __all__ = ["make_page", "read_shown"]
 
 
 def read_shown(path: Path) -> Mesh | PointCloud:
-    """Read a file as a mesh where it holds faces, and as points otherwise.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Mesh or PointCloud
-        Points without those that are not finite.
+    """Read a file as a mesh where it holds faces, and as finite points otherwise.
 
     Raises
     ------
@@ -55,24 +46,16 @@ def make_page(
     report: Path | None = None,
     up: str = "z",
 ) -> str:
-    """Return the page of a file.
+    """Return the page of a file, as HTML.
 
     Parameters
     ----------
     path : Path
         Its name is the title.
-    shown : Mesh or PointCloud
-        What is in it.
     points : Path, optional
-        Points beside a mesh.
+        Shown beside a mesh.
     report : Path, optional
-        The job's report that made the mesh, as JSON.
-    up : {"x", "y", "z"}
-
-    Returns
-    -------
-    str
-        HTML.
+        Of the job that made the mesh, as JSON.
 
     Raises
     ------

@@ -48,7 +48,6 @@ class Fault:
 
     Parameters
     ----------
-    name : str
     says : tuple of str
         What the one line must hold.
     config : str

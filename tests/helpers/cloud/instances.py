@@ -23,10 +23,8 @@ class Instance:
 
     Parameters
     ----------
-    model : moto's Instance
     ends_when_shut_down : bool
         Whether the cloud heeds ``InstanceInitiatedShutdownBehavior``.
-    token : str
     """
 
     def __init__(self, model: Any, ends_when_shut_down: bool, token: str) -> None:

@@ -20,12 +20,7 @@ REGION = "us-east-1"
 
 
 class Model:
-    """What exists.
-
-    Parameters
-    ----------
-    profile : str
-    """
+    """What exists."""
 
     def __init__(self, profile: str) -> None:
         self.account = str(100_000_000_000 + secrets.randbelow(900_000_000_000))

@@ -50,16 +50,7 @@ class RefusedError(Exception):
 
 
 class Rules:
-    """The behaviour of one cloud.
-
-    Parameters
-    ----------
-    model : Model
-    profile : str
-    pending : int, optional
-    lag, list_lag : int
-    has_vpc : bool
-    """
+    """The behaviour of one cloud."""
 
     def __init__(
         self,

@@ -35,13 +35,7 @@ def reason_to_skip() -> str:
 
 @dataclass
 class Site:
-    """A test bed, and the cluster file on its laptop.
-
-    Parameters
-    ----------
-    bed : TestBed
-    wheels : Path
-    """
+    """A test bed, and the cluster file on its laptop."""
 
     bed: TestBed
     wheels: Path

@@ -71,19 +71,7 @@ class Shown:
 
 
 def show_job(loaded: Loaded, outcome: Outcome, carrying: Carrying) -> Shown:
-    """Gather what the page of a job draws, at bounded memory.
-
-    Parameters
-    ----------
-    loaded : Loaded
-    outcome : Outcome
-    carrying : Carrying
-        What the vertices of the mesh carry.
-
-    Returns
-    -------
-    Shown
-    """
+    """Gather what the page of a job draws, at bounded memory."""
     stream = replace(carrying, has_normals=False).to_stream(outcome.result.surface.stream())
     owners = find_owners(outcome.result)
     if owners is not None:
@@ -100,16 +88,7 @@ def show_job(loaded: Loaded, outcome: Outcome, carrying: Carrying) -> Shown:
 
 
 def find_owners(result: Reconstruction) -> Owners | None:
-    """Return which tile each vertex of a job's mesh is from; None where there is only one.
-
-    Parameters
-    ----------
-    result : Reconstruction
-
-    Returns
-    -------
-    Owners or None
-    """
+    """Return which tile each vertex of a job's mesh is from; None where there is only one."""
     tiles = result.surface.owners() if int(result.facts.get("tiles", 1)) > 1 else None
     return None if tiles is None else Owners(tiles, result.surface.makers())
 
@@ -147,16 +126,8 @@ def show_files(mesh: Path, points: Path, report: Mapping[str, Any]) -> Shown:
 
     Parameters
     ----------
-    mesh : Path
-        What the job has made.
-    points : Path
-        What it was made of.
     report : mapping
         The job's report; with ``owners`` it tells which tiles the mesh is from.
-
-    Returns
-    -------
-    Shown
 
     Raises
     ------
@@ -173,20 +144,7 @@ def show_files(mesh: Path, points: Path, report: Mapping[str, Any]) -> Shown:
 
 
 def build_job_page(shown: Shown, report: Mapping[str, Any], title: str) -> str:
-    """Return the page of a job.
-
-    Parameters
-    ----------
-    shown : Shown
-    report : mapping
-        The job's report.
-    title : str
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Return the page of a job, as HTML."""
     spacing = report.get("spacing")
     fields = [Field("distance", "Distance to the points", shown.distances, low=0.0)]
     markers: list[Marker] = []
@@ -208,7 +166,6 @@ def find_guesses(mesh: Mesh, distances: FloatArray, spacing: float) -> list[Mark
 
     Parameters
     ----------
-    mesh : Mesh
     distances : ndarray of float64, shape (v,)
         Of its vertices from the nearest point, in length units.
     spacing : float
@@ -253,18 +210,5 @@ def find_guesses(mesh: Mesh, distances: FloatArray, spacing: float) -> list[Mark
 
 
 def write_job_page(path: Path, shown: Shown, report: Mapping[str, Any], title: str) -> None:
-    """Write the page of a job.
-
-    Parameters
-    ----------
-    path : Path
-        Appears whole or not at all.
-    shown, report, title
-        See `build_job_page`.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write the page of a job, which appears whole or not at all."""
     write_page(path, build_job_page(shown, report, title))

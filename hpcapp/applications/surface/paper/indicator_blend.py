@@ -51,10 +51,6 @@ def plan_grid(patches: Patches, grid: int) -> NodeGrid:
     grid : int
         Cells along the longest side of the boxes' bounding box; margins come on top.
 
-    Returns
-    -------
-    NodeGrid
-
     Raises
     ------
     UsageError
@@ -83,12 +79,8 @@ def sample_indicator_blend(
 
     Parameters
     ----------
-    patches : Patches
-        The boxes.
     coefficients : ndarray of float64, shape (p, 10)
-        Their quadrics, in patch coordinates.
-    nodes : NodeGrid
-        Where to sample.
+        The patches' quadrics, in patch coordinates.
     advance : callable
         Told (boxes done, boxes in all) now and then.
 

@@ -18,22 +18,15 @@ __all__ = ["extract_iso_surface"]
 def extract_iso_surface(
     values: NDArray[np.float32], nodes: NodeGrid, origin: FloatArray | None = None
 ) -> Mesh:
-    """Extract the 0-level iso-surface.
+    """Extract the 0-level iso-surface, its faces anticlockwise as seen from outside.
 
     Parameters
     ----------
     values : ndarray of float32, of the grid's shape
         Samples of an implicit function, negative inside; none of them exactly 0, or the surface
         has open edges.
-    nodes : NodeGrid
-        Where the samples lie.
     origin : ndarray of float64, shape (3,), optional
         The mesh's origin; zero if left out.
-
-    Returns
-    -------
-    Mesh
-        In length units of the input, its faces anticlockwise as seen from outside.
 
     Raises
     ------

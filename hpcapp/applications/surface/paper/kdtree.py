@@ -110,17 +110,10 @@ def partition_by_rule(
         In length units of the input.
     normals : ndarray of float64, shape (n, 3)
         Unit length.
-    rule : SplitRule
-        When a box is split.
     root : {"cube", "box", "tight"}
         "cube": the root is the cube about the centre of the bounding box whose side is the longest
         of the box; no other place for it gives the paper's 240 patches. "box": the bounding box.
         "tight": the same, and every box is shrunk onto its points before it is split.
-
-    Returns
-    -------
-    Patches
-        The boxes that hold points; empty ones are not patches.
 
     Raises
     ------
@@ -161,10 +154,6 @@ def partition_by_count(positions: FloatArray, patches: int, root: str = "cube") 
     ----------
     positions : ndarray of float64, shape (n, 3)
         In length units of the input.
-    patches : int
-        How many patches to make.
-    root : {"cube", "box", "tight"}
-        As in `partition_by_rule`.
 
     Returns
     -------

@@ -89,10 +89,6 @@ class PaperMethod:
         and of `max_points`.
     norm : {"consistent", "printed"}
         Which constraint the fit obeys; see `fit_patches`.
-    grid : int
-        Cells along the longest side.
-    show_part : callable
-        Told of the mesh; see `Resources`.
 
     Raises
     ------
@@ -127,26 +123,7 @@ class PaperMethod:
                 )
 
     def partition(self, cloud: ArrangedCloud, workforce: Workforce) -> PaperPartition:  # noqa: ARG002 - the protocol's; the tree grows on the master
-        """Cut the cloud into patches.
-
-        Parameters
-        ----------
-        cloud : ArrangedCloud
-            In memory, with unit normals.
-        workforce : Workforce
-            Not needed: the tree grows in this process.
-
-        Returns
-        -------
-        PaperPartition
-
-        Raises
-        ------
-        InputError
-            A cloud without points or without normals.
-        UsageError
-            More patches asked for than the cloud has distinct points.
-        """
+        """Cut a cloud with unit normals into patches, in this process."""
         points = cloud.points
         assert points is not None  # noqa: S101 - the settings ask for it
         if points.normals is None:
@@ -165,9 +142,6 @@ class PaperMethod:
         ----------
         partition : PaperPartition
             Its `fitted` is set here.
-        workforce : Workforce
-        advance : callable
-            Told (batches done, batches in all).
 
         Returns
         -------
@@ -186,27 +160,7 @@ class PaperMethod:
         workforce: Workforce,
         advance: Advance,
     ) -> WholeSurface:
-        """Sample the indicator blend on the grid, and extract its 0-level: here, as the paper.
-
-        Parameters
-        ----------
-        partition : PaperPartition
-        quadrics : ndarray of float64, shape (p, 10)
-            What `fit` has returned.
-        workforce : Workforce
-            Not needed.
-        advance : callable
-            Told (patches done, patches in all).
-
-        Returns
-        -------
-        WholeSurface
-
-        Raises
-        ------
-        JobError
-            There is no surface; see `extract_iso_surface`.
-        """
+        """Sample the indicator blend on the grid, and extract its 0-level: here, as the paper."""
         del workforce
         nodes = plan_grid(partition.patches, self.grid)
         values = sample_indicator_blend(partition.patches, quadrics, nodes, advance)
@@ -216,17 +170,7 @@ class PaperMethod:
         return WholeSurface(mesh)
 
     def facts(self, partition: PaperPartition) -> dict[str, Any]:
-        """Return the number of patches, the rule that made them, and the fit's residuals.
-
-        Parameters
-        ----------
-        partition : PaperPartition
-            After `fit`; before, there are no residuals.
-
-        Returns
-        -------
-        dict of str to object
-        """
+        """Return the number of patches, the rule that made them, and after `fit` its residuals."""
         rule: dict[str, Any] = {"root": self.root, "norm": self.norm}
         if self.patches is None:
             rule |= {"delta": self.delta, "cone": self.cone, "max_points": self.max_points}
@@ -256,8 +200,6 @@ def measure_residuals(partition: PaperPartition, quadrics: FloatArray) -> dict[s
 
     Parameters
     ----------
-    partition : PaperPartition
-        Points and patches.
     quadrics : ndarray of float64, shape (p, 10)
         Coefficients in patch coordinates.
 

@@ -25,8 +25,6 @@ def remove_outliers(cloud: PointCloud, neighbours: int = 16, deviations: float =
 
     Parameters
     ----------
-    cloud : PointCloud
-        With or without normals.
     neighbours : int
         How many nearest neighbours the mean distance is taken over.
     deviations : float
@@ -56,8 +54,6 @@ def denoise(cloud: PointCloud, neighbours: int = 24) -> PointCloud:
 
     Parameters
     ----------
-    cloud : PointCloud
-        With normals.
     neighbours : int
         How many nearest points, itself included, a neighbourhood has; at least 6. All points of
         a smaller cloud.
@@ -108,8 +104,6 @@ def resample(cloud: PointCloud, spacing: float | None = None) -> PointCloud:
 
     Parameters
     ----------
-    cloud : PointCloud
-        With or without normals.
     spacing : float, optional
         Side of the voxels, in length units of the input; the median distance between
         nearest neighbours if left out. Places sparser than that stay as they are.
@@ -143,18 +137,7 @@ def resample(cloud: PointCloud, spacing: float | None = None) -> PointCloud:
 
 
 def measure_spacing(positions: FloatArray) -> float:
-    """Return the median distance from a point to its nearest neighbour.
-
-    Parameters
-    ----------
-    positions : ndarray of float64, shape (n, 3)
-        At least two points, in length units of the input.
-
-    Returns
-    -------
-    float
-        In the same units; 0 where most points coincide with another.
-    """
+    """Return the median distance from each of two or more points to its nearest neighbour."""
     distances, _ = cKDTree(positions).query(positions, k=2)
     return float(np.median(distances[:, 1]))
 

@@ -78,51 +78,17 @@ class Paper:
         return False
 
     def estimate_memory(self, grid: int, cloud: PointCloud) -> float:
-        """Return what the nodes of the grid take, in bytes.
-
-        Parameters
-        ----------
-        grid : int
-            Cells along the longest side.
-        cloud : PointCloud
-            Not looked at.
-
-        Returns
-        -------
-        float
-        """
+        """Return what the nodes of the grid take, in bytes."""
         del cloud
         return _BYTES_PER_NODE * float(grid) ** 3
 
     def suggest_grid(self, cloud: ArrangedCloud) -> Resolution:
-        """Return a grid of 256, whose nodes a small machine holds.
-
-        Parameters
-        ----------
-        cloud : ArrangedCloud
-            Not looked at.
-
-        Returns
-        -------
-        Resolution
-        """
+        """Return a grid of 256, whose nodes a small machine holds."""
         del cloud
         return Resolution(_GRID, "the default of this method")
 
     def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
-        """Return the strategy, whose own grid has no margins.
-
-        Parameters
-        ----------
-        grid : int
-            Cells along the longest side, margins included.
-        resources : Resources
-            The mesh is its only part.
-
-        Returns
-        -------
-        PaperMethod
-        """
+        """Return the strategy, whose own grid has no margins."""
         from hpcapp.applications.surface.paper.method import PaperMethod
 
         return PaperMethod(
