@@ -32,7 +32,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from hpcapp.dashboard.metrics import write_metrics
 from hpcapp.dashboard.news import Reader
 from hpcapp.dashboard.parts import pack_part
-from hpcapp.dashboard.strangers import Strangers
+from hpcapp.dashboard.unauthenticated import UnauthenticatedConnections
 from hpcapp.dashboard.watched_job import WatchedJob
 from hpccomponent.terminal import visible_line
 
@@ -69,15 +69,15 @@ HEADERS = {
 }
 
 
-def make_app(job: WatchedJob, token: str, strangers: Strangers) -> ASGIApp:
+def make_app(job: WatchedJob, token: str, connections: UnauthenticatedConnections) -> ASGIApp:
     """Return the application that shows a job.
 
     Parameters
     ----------
     token : str
         Every request must name it: ``?token=...``, or ``Authorization: Bearer ...``.
-    strangers : Strangers
-        Whose connections have not had it yet.
+    connections : UnauthenticatedConnections
+        Those that have not named it yet.
     """
     views = _Views(job, token)
     return Starlette(
@@ -88,17 +88,17 @@ def make_app(job: WatchedJob, token: str, strangers: Strangers) -> ASGIApp:
             Route("/parts/{number}", views.part),
             Route("/metrics", views.metrics),
         ],
-        middleware=[Middleware(_Guard, token=token, strangers=strangers)],
+        middleware=[Middleware(_Guard, token=token, connections=connections)],
     )
 
 
 class _Guard:
     """Lets nobody in without the token, nor too many, and adds headers to every answer."""
 
-    def __init__(self, app: ASGIApp, token: str, strangers: Strangers) -> None:
+    def __init__(self, app: ASGIApp, token: str, connections: UnauthenticatedConnections) -> None:
         self._app = app
         self._token = token.encode()
-        self._strangers = strangers
+        self._connections = connections
         self._served = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -114,7 +114,7 @@ class _Guard:
             refusal = "this address lacks the token of the job\n"
             await PlainTextResponse(refusal, 403, CLOSE)(scope, receive, send_guarded)
             return
-        self._strangers.admit(scope["client"])
+        self._connections.discard(scope["client"])
         if self._served >= MOST_REQUESTS:
             await PlainTextResponse("come later\n", 503, CLOSE)(scope, receive, send_guarded)
             return

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import astuple
-from typing import Any
 
 from hpcapp.dashboard.watched_job import WatchedJob
 
@@ -21,7 +20,7 @@ class Reader:
         self._line = 0
         self._is_first = True
 
-    def look(self) -> dict[str, Any]:
+    def look(self) -> dict[str, object]:
         """Return what is new, as JSON values.
 
         Returns

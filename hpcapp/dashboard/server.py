@@ -10,12 +10,14 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from hpcapp.dashboard.watched_job import WatchedJob
 from hpccomponent.errors import UsageError
 
 if TYPE_CHECKING:
+    import asyncio
+
     import uvicorn
 
 __all__ = ["open_dashboard", "parse_address"]
@@ -109,14 +111,14 @@ def _make_server(job: WatchedJob, token: str) -> uvicorn.Server:
         import uvicorn
 
         from hpcapp.dashboard.app import make_app
-        from hpcapp.dashboard.strangers import Door, Strangers
+        from hpcapp.dashboard.unauthenticated import TrackedProtocol, UnauthenticatedConnections
     except ImportError as error:
         raise UsageError(f"the dashboard is not installed here ({error})", INSTALL) from None
-    strangers = Strangers()
+    connections = UnauthenticatedConnections()
     config = uvicorn.Config(
-        make_app(job, token, strangers),
+        make_app(job, token, connections),
         loop="asyncio",
-        http=cast(Any, partial(Door, strangers)),  # it is only called
+        http=cast("type[asyncio.Protocol]", partial(TrackedProtocol, connections)),  # it is called
         ws="none",
         lifespan="off",
         log_config=None,

@@ -114,8 +114,8 @@ class Viewers:
         end = self._clock.now() + MOST_S
         with self._change:
             while behind := self._count_behind(parts, is_over):
-                left = max(0.0, end - self._clock.now())
-                if not self._change.wait(min(self._patience_s, left)):
+                remaining_s = max(0.0, end - self._clock.now())
+                if not self._change.wait(min(self._patience_s, remaining_s)):
                     break
         return not behind
 

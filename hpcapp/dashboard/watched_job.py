@@ -6,12 +6,15 @@ import logging
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from hpcapp.dashboard.viewers import Viewers
 from hpcapp.progress import Progress
 from hpcapp.timeline import Timeline
+
+if TYPE_CHECKING:
+    from hpcapp.dashboard.parts import Part
 
 __all__ = ["Stage", "WatchedJob", "WatchedProgress"]
 
@@ -56,8 +59,7 @@ class WatchedJob:
     lines : deque of (int, str)
         The last lines of the log, each with its number.
     loads : list of callable
-        Each returns a part of the mesh: something with ``vertices`` and ``faces``, where a
-        negative corner is a vertex of another part.
+        Each returns a part of the mesh.
     parts : int
         How many have come.
     viewers : Viewers
@@ -70,7 +72,7 @@ class WatchedJob:
         self.state = "running"
         self.stage: Stage | None = None
         self.lines: deque[tuple[int, str]] = deque(maxlen=MOST_LINES)
-        self.loads: list[Callable[[], Any]] = []
+        self.loads: list[Callable[[], Part]] = []
         self.parts = 0
         self.viewers = Viewers()
         self._count = 0
@@ -123,9 +125,9 @@ class WatchedProgress:
 
     def advance(self, done: int, total: int) -> None:
         """Show how many parts of the current stage are done."""
-        now = self._job.stage
-        if now is not None:
-            self._job.stage = Stage(now.name, done, total, now.begin)
+        stage = self._job.stage
+        if stage is not None:
+            self._job.stage = replace(stage, done=done, total=total)
         self._display.advance(done, total)
 
     def end(self, stage: str, seconds: float) -> None:
@@ -133,7 +135,7 @@ class WatchedProgress:
         self._job.stage = None
         self._display.end(stage, seconds)
 
-    def show_part(self, load: Callable[[], Any]) -> None:
+    def show_part(self, load: Callable[[], Part]) -> None:
         """Show a part of the mesh.
 
         Parameters

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import base64
 import gzip
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,8 @@ from numpy.typing import NDArray
 from hpccomponent.surface.types.points import FloatArray
 
 __all__ = ["pack_array", "pack_text", "quantise"]
+
+Packable = NDArray[np.uint8 | np.uint16 | np.uint32]
 
 _LARGEST = 65535
 _LEVEL = 5  # of gzip: a million triangles in half a second
@@ -48,7 +49,7 @@ def quantise(positions: FloatArray, low: FloatArray, high: FloatArray) -> NDArra
     return np.clip(np.rint((positions - low) * scale), 0, _LARGEST).astype(np.uint16)
 
 
-def pack_array(name: str, values: NDArray[Any]) -> str:
+def pack_array(name: str, values: Packable) -> str:
     """Return an array as an element of a page.
 
     Parameters

@@ -5,10 +5,11 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import Any
 
 from hpcapp.pages.page import Section, make_list, make_table
-from hpcapp.pages.timeline import draw_timeline
+from hpcapp.pages.report import TaskSpan
+from hpcapp.pages.timeline import MASTER, draw_timeline
+from hpccomponent.foreign_json import convert
 from hpccomponent.terminal import visible_text
 
 __all__ = ["describe_job"]
@@ -23,7 +24,7 @@ _FAILED = ("lost", "failed", "refused", "repeated")
 
 
 def describe_job(
-    report: Mapping[str, Any], marked: Sequence[str] = (), *, has_mesh: bool = True
+    report: Mapping[str, object], marked: Sequence[str] = (), *, has_mesh: bool = True
 ) -> list[Section]:
     """Return what a job found, decided and did.
 
@@ -46,7 +47,7 @@ def describe_job(
         Section("Workers and traffic", make_table(_work(report))),
     ]
     if command := report.get("command"):
-        words = command if isinstance(command, str) else shlex.join(command)
+        words = command if isinstance(command, str) else shlex.join(convert(command, list[str]))
         sections.append(Section("To do it again", f"<pre>{escape(visible_text(words))}</pre>"))
     return [section for section in sections if section.body]
 
@@ -55,7 +56,7 @@ def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _readable(value: Any) -> Any:
+def _readable(value: object) -> object:
     """Return a JSON value as a cell shows it."""
     if isinstance(value, Mapping):
         return ", ".join(f"{_words(str(k))} {_say(_readable(v))}" for k, v in value.items()) or "-"
@@ -64,17 +65,17 @@ def _readable(value: Any) -> Any:
     return "-" if value is None else value
 
 
-def _say(value: Any) -> str:
+def _say(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _pick(report: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
+def _pick(report: Mapping[str, object], names: Iterable[str]) -> dict[str, object]:
     return {_words(name): _readable(report[name]) for name in names if name in report}
 
 
-def _decisions(report: Mapping[str, Any]) -> dict[str, Any]:
+def _decisions(report: Mapping[str, object]) -> dict[str, object]:
     """Return what was chosen and found on the way to the mesh."""
     rows = _pick(report, (name for name in report if name not in _ELSEWHERE))
     if isinstance(normals := report.get("normals"), Mapping):
@@ -84,7 +85,7 @@ def _decisions(report: Mapping[str, Any]) -> dict[str, Any]:
     return rows
 
 
-def _describe_input(report: Mapping[str, Any]) -> list[Section]:
+def _describe_input(report: Mapping[str, object]) -> list[Section]:
     given = report.get("input")
     if not isinstance(given, Mapping):
         return []
@@ -98,31 +99,33 @@ def _describe_input(report: Mapping[str, Any]) -> list[Section]:
     return [Section("Input", make_table(rows))]
 
 
-def _describe_warnings(report: Mapping[str, Any], marked: Sequence[str]) -> Section:
+def _describe_warnings(report: Mapping[str, object], marked: Sequence[str]) -> Section:
     """Return the warnings, those that are marked on the mesh first."""
-    others = list(map(str, report.get("warnings") or []))
+    others = convert(report.get("warnings") or [], list[str])
     body = make_list(marked, "warning", 0) if marked else ""
     body += make_list(others, "warning") if others else ""
     return Section("Warnings", body or "<p>none</p>")
 
 
-def _describe_time(report: Mapping[str, Any]) -> str:
+def _describe_time(report: Mapping[str, object]) -> str:
     """Draw the spans of the job; its stages one after the other where there are none."""
     spans = _spans(report)
     if not spans:
         begin = 0.0
-        for name, seconds in (report.get("stages") or {}).items():
-            end = begin + float(seconds)
-            spans.append({"name": name, "worker": "master", "begin": begin, "end": end})
+        for name, seconds in convert(report.get("stages") or {}, dict[str, float]).items():
+            end = begin + seconds
+            spans.append(TaskSpan(name, MASTER, begin, end))
             begin = end
     return draw_timeline(spans)
 
 
-def _spans(report: Mapping[str, Any]) -> list[dict[str, Any]]:
-    return list((report.get("timeline") or {}).get("spans") or [])
+def _spans(report: Mapping[str, object]) -> list[TaskSpan]:
+    timeline = report.get("timeline")
+    spans = timeline.get("spans") if isinstance(timeline, Mapping) else None
+    return convert(spans or [], list[TaskSpan])
 
 
-def _work(report: Mapping[str, Any]) -> dict[str, Any]:
+def _work(report: Mapping[str, object]) -> dict[str, object]:
     """Return who did the work, what travelled, what failed and what it cost."""
     rows = _pick(report, _WORK)
     if isinstance(choice := report.get("choice"), Mapping) and "reason" in choice:
@@ -133,7 +136,7 @@ def _work(report: Mapping[str, Any]) -> dict[str, Any]:
     spans = _spans(report)
     for outcome in _FAILED:
         if spans:
-            rows[f"tasks {outcome}"] = sum(span.get("outcome") == outcome for span in spans)
+            rows[f"tasks {outcome}"] = sum(span.outcome == outcome for span in spans)
     for name in ("verification", "losses", "cost"):
         if name in report:
             rows[name] = _readable(report[name])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta
@@ -40,7 +40,7 @@ class Owners:
     tiles: IntArray
     workers: Sequence[str] = ()
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return it for a report: tiles by runs of vertices, of which there are few.
 
         Examples
@@ -58,7 +58,7 @@ class Owners:
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
+class _OwnerRuns:
     """What `Owners.to_json` writes."""
 
     tiles: list[Annotated[int, Meta(ge=0, lt=1 << 31)]]
@@ -67,7 +67,7 @@ class _Told:
 
 
 def mark_tiles(
-    mesh: Mesh, path: Path, report: Mapping[str, Any], source: str
+    mesh: Mesh, path: Path, report: Mapping[str, object], source: str
 ) -> tuple[Mesh, Sequence[str]]:
     """Give a mesh that was read the attribute `TILE`, as the report of its job tells.
 
@@ -97,8 +97,8 @@ def mark_tiles(
     if "owners" not in report or path.suffix.lower() == ".stl":
         return mesh, ()
     try:
-        told = convert(report["owners"], _Told)
-        tiles, counts, workers = np.array(told.tiles, np.int32), told.vertices, told.workers
+        runs = convert(report["owners"], _OwnerRuns)
+        tiles, counts, workers = np.array(runs.tiles, np.int32), runs.vertices, runs.workers
         if len(counts) != len(tiles):
             raise ValueError
         if workers and int(tiles.max(initial=0)) >= len(workers):
@@ -127,15 +127,14 @@ def take_labels(mesh: Mesh, workers: Sequence[str]) -> tuple[Mesh, list[Field]]:
     labels : list of Field
         Tiles and workers; nothing where it has no such attribute.
     """
-    attributes: Mapping[str, Any] = mesh.attributes
-    if TILE not in attributes:
+    if TILE not in mesh.attributes:
         return mesh, []
-    owned = attributes[TILE]
-    rest = {name: column for name, column in attributes.items() if name != TILE}
-    labels = [label_field("tile", "Tile", owned, "tile")]
+    tiles = mesh.attributes[TILE]
+    rest = {name: column for name, column in mesh.attributes.items() if name != TILE}
+    labels = [label_field("tile", "Tile", tiles, "tile")]
     if workers:
         names = sorted(set(workers), key=lambda name: (len(name), name))
         places = {name: number for number, name in enumerate(names)}
         numbers = np.array([places[name] for name in workers])
-        labels.append(Field("worker", "Worker", numbers[owned], labels=names))
+        labels.append(Field("worker", "Worker", numbers[tiles], labels=names))
     return replace(mesh, attributes=rest), labels

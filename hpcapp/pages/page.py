@@ -9,7 +9,6 @@ from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Any
 
 from hpcapp.io.staging import replacing
 from hpcapp.pages.arrays import pack_text
@@ -66,7 +65,7 @@ def build_page(
         summary=escape(summary),
         style=_read("page.css"),
         controls=_make_controls(scene, colourings),
-        sections="\n".join(f"<h2>{escape(one.title)}</h2>\n{one.body}" for one in sections),
+        sections="\n".join(f"<h2>{escape(part.title)}</h2>\n{part.body}" for part in sections),
         licence=escape(_read("three/LICENSE")),
         scene=description,
         arrays=arrays,
@@ -81,7 +80,7 @@ def write_page(path: Path, page: str) -> None:
         file.write(page.encode(errors="backslashreplace"))  # a name that is not UTF-8
 
 
-def make_table(rows: Mapping[str, Any]) -> str:
+def make_table(rows: Mapping[str, object]) -> str:
     """Return names and values as an HTML table; numbers are written with six digits."""
     lines = []
     for name, value in rows.items():
@@ -103,15 +102,15 @@ def make_list(texts: Sequence[str], kind: str = "", first_marker: int | None = N
     """
     items = []
     for number, text in enumerate(texts):
-        goes = (
+        link = (
             "" if first_marker is None else f' data-marker="{first_marker + number}" tabindex="0"'
         )
-        items.append(f'<li class="{kind}"{goes}>{escape(text)}</li>')
+        items.append(f'<li class="{kind}"{link}>{escape(text)}</li>')
     tag = "ul" if first_marker is None else "ol"
     return f"<{tag}>\n" + "\n".join(items) + f"\n</{tag}>"
 
 
-def _say(value: Any) -> str:
+def _say(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):
@@ -123,7 +122,7 @@ def _read(name: str) -> str:
     return files("hpcapp.pages").joinpath("static", *name.split("/")).read_text(encoding="utf-8")
 
 
-def _make_controls(scene: Scene, colourings: Sequence[Mapping[str, Any]]) -> str:
+def _make_controls(scene: Scene, colourings: Sequence[tuple[str, str]]) -> str:
     """Return the controls that mean something for a scene."""
     rows: list[tuple[str, str]] = []
     boxes = [] if scene.mesh is None else [_box("show-mesh", "mesh", True)]
@@ -134,8 +133,7 @@ def _make_controls(scene: Scene, colourings: Sequence[Mapping[str, Any]]) -> str
     rows.append(("Show", " ".join(boxes)))
     if scene.mesh is not None:
         options = "".join(
-            f'<option value="{escape(one["name"])}">{escape(one["label"])}</option>'
-            for one in colourings
+            f'<option value="{escape(name)}">{escape(label)}</option>' for name, label in colourings
         )
         rows.append(("Colour", f'<select id="colouring">{options}</select>'))
         rows.append(("", '<span id="legend"></span>'))

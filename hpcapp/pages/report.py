@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from msgspec import Meta
 
@@ -13,7 +13,7 @@ from hpccomponent.errors import InputError
 from hpccomponent.files.paths import read_regular
 from hpccomponent.foreign_json import convert, decode
 
-__all__ = ["Seconds", "check_report", "read_report"]
+__all__ = ["Seconds", "TaskSpan", "check_report", "read_report"]
 
 Seconds = Annotated[float, Meta(ge=0.0, le=1e12)]
 _DEEPEST = 16  # of values in values
@@ -21,7 +21,9 @@ _ADVICE = "give what --json has printed"
 
 
 @dataclass(frozen=True, slots=True)
-class _Span:
+class TaskSpan:
+    """A span of a report's timeline, in seconds since the job's start."""
+
     name: str
     worker: str
     begin: Seconds
@@ -31,7 +33,7 @@ class _Span:
 
 @dataclass(frozen=True, slots=True)
 class _Timeline:
-    spans: list[_Span]
+    spans: list[TaskSpan]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,7 @@ class _Known:
     spacing: Annotated[float, Meta(ge=0.0, le=1e300)] | None = None
 
 
-def read_report(path: Path) -> dict[str, Any]:
+def read_report(path: Path) -> dict[str, object]:
     """Read a report from a file, and check it.
 
     Parameters
@@ -60,7 +62,7 @@ def read_report(path: Path) -> dict[str, Any]:
         It cannot be read, or is no report.
     """
     try:
-        report: dict[str, Any] = decode(read_regular(path), dict[str, Any])
+        report = decode(read_regular(path), dict[str, object])
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}", _ADVICE) from None
     except ValueError as error:
@@ -69,7 +71,7 @@ def read_report(path: Path) -> dict[str, Any]:
     return report
 
 
-def check_report(report: Mapping[str, Any], source: str) -> None:
+def check_report(report: Mapping[str, object], source: str) -> None:
     """Refuse a report that a page cannot say.
 
     Raises
@@ -84,8 +86,8 @@ def check_report(report: Mapping[str, Any], source: str) -> None:
         raise InputError(f"{source}: is no report of a job ({error})", _ADVICE) from None
 
 
-def _check_depth(report: Mapping[str, Any]) -> None:
-    level: list[Any] = [report]
+def _check_depth(report: Mapping[str, object]) -> None:
+    level: list[Mapping[str, object] | Sequence[object]] = [report]
     for _ in range(_DEEPEST):
         inside = [value.values() if isinstance(value, Mapping) else value for value in level]
         level = [v for values in inside for v in values if isinstance(v, Mapping | list | tuple)]

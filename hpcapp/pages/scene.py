@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpcapp.pages.arrays import pack_array, quantise
+from hpcapp.pages.arrays import Packable, pack_array, quantise
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.mesh import Mesh
 from hpccomponent.surface.types.points import FloatArray, PointCloud
@@ -21,6 +20,8 @@ MOST_POINTS = 200_000
 """Of a cloud, so many are shown beside a mesh, evenly picked."""
 _TOP = 0.95  # share of the vertices that a scale of colours covers: a few must not make all dark
 _LEVELS = 254  # the byte 255 means: no number
+
+Pack = Callable[[Packable], str]  # puts an array on the page, and returns its name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +44,7 @@ class Field:
 
     name: str
     label: str
-    values: NDArray[Any]
+    values: NDArray[np.generic]
     unit: str = ""
     low: float | None = None
     high: float | None = None
@@ -97,7 +98,7 @@ def fields_of(mesh: Mesh) -> list[Field]:
     return [Field(f"attribute-{name}", name, mesh.attributes[name]) for name in mesh.attributes]
 
 
-def label_field(name: str, label: str, numbers: NDArray[Any], words: str) -> Field:
+def label_field(name: str, label: str, numbers: NDArray[np.integer], words: str) -> Field:
     """Return whole numbers as a field of labels.
 
     Parameters
@@ -111,40 +112,41 @@ def label_field(name: str, label: str, numbers: NDArray[Any], words: str) -> Fie
     return Field(name, label, numbers, labels=labels)
 
 
-def pack_scene(scene: Scene) -> tuple[str, list[dict[str, Any]], str]:
+def pack_scene(scene: Scene) -> tuple[str, list[tuple[str, str]], str]:
     """Return a scene as a page holds it.
 
     Returns
     -------
     description : str
         JSON, safe inside of a ``script`` element.
-    colourings : list of dict
-        ``name`` and ``label`` of what the mesh can be coloured by; the first is shown first.
+    colourings : list of (str, str)
+        Name and label of what the mesh can be coloured by; the first is shown first.
     arrays : str
         Elements with the numbers.
     """
     arrays: list[str] = []
 
-    def pack(values: NDArray[Any]) -> str:
+    def pack(values: Packable) -> str:
         name = f"array-{len(arrays)}"
         arrays.append(pack_array(name, values))
         return name
 
     mesh = None if scene.mesh is None else _pack_mesh(scene.mesh, pack)
-    colourings = [] if scene.mesh is None else _pack_fields(scene, scene.mesh, pack)
+    fields = [] if scene.mesh is None else _pack_fields(scene, scene.mesh, pack)
     points = None if scene.points is None else _pack_points(scene.points, pack)
     described = {
         "mesh": mesh,
-        "fields": colourings,
+        "fields": fields,
         "points": points,
-        "markers": [{"place": one.place.tolist(), "text": one.text} for one in scene.markers],
+        "markers": [{"place": mark.place.tolist(), "text": mark.text} for mark in scene.markers],
         "up": scene.up,
     }
     text = json.dumps(described, separators=(",", ":"), allow_nan=False)
+    colourings = [(str(field["name"]), str(field["label"])) for field in fields]
     return text.replace("<", "\\u003c"), colourings, "\n".join(arrays)
 
 
-def _pack_mesh(mesh: Mesh, pack: Any) -> dict[str, Any]:
+def _pack_mesh(mesh: Mesh, pack: Pack) -> dict[str, object]:
     finite = mesh.vertices[np.isfinite(mesh.vertices).all(axis=1)]
     low, high = bound_points(finite) if len(finite) else np.zeros((2, 3))
     vertices = np.nan_to_num(mesh.vertices, nan=0.0)
@@ -156,7 +158,7 @@ def _pack_mesh(mesh: Mesh, pack: Any) -> dict[str, Any]:
     }
 
 
-def _pack_points(cloud: PointCloud, pack: Any) -> dict[str, Any] | None:
+def _pack_points(cloud: PointCloud, pack: Pack) -> dict[str, object] | None:
     """Pack a sample of points; None where no point is finite."""
     finite = np.flatnonzero(np.isfinite(cloud.positions).all(axis=1))
     if not len(finite):
@@ -174,47 +176,45 @@ def _pack_points(cloud: PointCloud, pack: Any) -> dict[str, Any] | None:
     }
 
 
-def _pack_fields(scene: Scene, mesh: Mesh, pack: Any) -> list[dict[str, Any]]:
+def _pack_fields(scene: Scene, mesh: Mesh, pack: Pack) -> list[Mapping[str, object]]:
     """Pack what a mesh can be coloured by, what is shown first in front."""
-    packed: list[dict[str, Any]] = []
+    packed: list[Mapping[str, object]] = []
     if mesh.colours is not None:
         colours = pack(mesh.colours.astype(np.uint8))
         packed.append({"name": "colours", "label": "Colours", "kind": "rgb", "array": colours})
     packed.append({"name": "plain", "label": "One colour", "kind": "plain"})
     packed.append({"name": "normals", "label": "Normals", "kind": "normals"})
     packed += [_pack_field(field, pack) for field in scene.fields]
-    packed.sort(key=lambda one: one["name"] != scene.colouring)  # stable
+    packed.sort(key=lambda field: field["name"] != scene.colouring)  # stable
     return packed
 
 
-def _pack_field(field: Field, pack: Any) -> dict[str, Any]:
-    packed: dict[str, Any] = {"name": field.name, "label": field.label}
+def _pack_field(field: Field, pack: Pack) -> Mapping[str, object]:
+    packed: dict[str, object] = {"name": field.name, "label": field.label}
     if field.labels is not None:
         most = max(len(field.labels) - 1, 0)
-        numbers = field.values.astype(np.uint8 if most < 256 else np.uint16)
-        return packed | {"kind": "label", "labels": list(field.labels), "array": pack(numbers)}
-    field = _with_ends(field)
-    assert field.low is not None  # noqa: S101 - it has been given its ends
-    assert field.high is not None  # noqa: S101
+        name = pack(field.values.astype(np.uint8) if most < 256 else field.values.astype(np.uint16))
+        return packed | {"kind": "label", "labels": list(field.labels), "array": name}
+    low, high = _find_ends(field)
     values = field.values.astype(np.float64)
     is_known = np.isfinite(values)
-    share = (values - field.low) / ((field.high - field.low) or 1.0)
+    share = (values - low) / ((high - low) or 1.0)
     levels = np.rint(_LEVELS * np.clip(np.where(is_known, share, 0.0), 0.0, 1.0))
     return packed | {
         "kind": "scale",
-        "low": field.low,
-        "high": field.high,
+        "low": low,
+        "high": high,
         "unit": field.unit,
         "lacks": not bool(is_known.all()),
         "array": pack(np.where(is_known, levels, 255).astype(np.uint8)),
     }
 
 
-def _with_ends(field: Field) -> Field:
-    """Return a field whose scale has two ends."""
+def _find_ends(field: Field) -> tuple[float, float]:
+    """Return the two ends of a field's scale."""
     known = field.values[np.isfinite(field.values.astype(np.float64))].astype(np.float64)
     if not len(known):
-        return replace(field, low=field.low or 0.0, high=field.high or 1.0)
+        return field.low or 0.0, field.high or 1.0
     low = float(known.min()) if field.low is None else field.low
     high = float(np.quantile(known, _TOP)) if field.high is None else field.high
-    return replace(field, low=low, high=high)
+    return low, high

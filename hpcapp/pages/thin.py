@@ -7,10 +7,8 @@ eye: the copy may be neither watertight nor manifold.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpcapp.io.meshes.mesh_stream import MeshStream, as_stream
 from hpccomponent.surface.types.lattice import pack_places
@@ -53,17 +51,17 @@ def thin_mesh(mesh: Mesh | MeshStream, most: int = MOST_FACES) -> Mesh:
 def gather_mesh(stream: MeshStream) -> Mesh:
     """Return a mesh that comes in blocks as one in memory."""
     blocks = list(stream.vertices())
-    normals = [one.normals for one in blocks if one.normals is not None]
-    colours = [one.colours for one in blocks if one.colours is not None]
+    normals = [block.normals for block in blocks if block.normals is not None]
+    colours = [block.colours for block in blocks if block.colours is not None]
     faces = list(stream.faces())
     return Mesh(
-        np.concatenate([one.positions for one in blocks]) if blocks else np.empty((0, 3)),
+        np.concatenate([block.positions for block in blocks]) if blocks else np.empty((0, 3)),
         np.concatenate(faces).astype(np.int64) if faces else np.empty((0, 3), np.int64),
         stream.origin,
         np.concatenate(normals) if normals else None,
         np.concatenate(colours) if colours else None,
         {
-            name: np.concatenate([one.attributes[name] for one in blocks])
+            name: np.concatenate([block.attributes[name] for block in blocks])
             for name in (stream.layout.attributes if blocks else ())
         },
     )
@@ -113,7 +111,7 @@ def _merge_vertices(stream: MeshStream, edge: float, keys: IntArray, corners: In
             column[first[new]] = block.attributes[name][where[new]]
         count += np.bincount(rows, minlength=len(keys))
     share = 1.0 / np.maximum(count, 1.0)[:, None]
-    colours: NDArray[Any] | None = np.rint(shades * share).astype(np.uint8) if has_colours else None
+    colours = np.rint(shades * share).astype(np.uint8) if has_colours else None
     return Mesh(sums * share, corners, stream.origin, None, colours, attributes)
 
 

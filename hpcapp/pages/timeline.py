@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any
+
+from hpcapp.pages.report import TaskSpan
 
 __all__ = ["draw_timeline"]
 
@@ -33,31 +34,30 @@ _MOST_ROWS = 64
 MASTER = "master"
 
 
-def draw_timeline(spans: Sequence[Mapping[str, Any]]) -> str:
+def draw_timeline(spans: Sequence[TaskSpan]) -> str:
     """Draw spans as SVG in HTML, with a legend; nothing where there are no spans.
 
     Parameters
     ----------
     spans : sequence of mapping
-        With ``name``, ``worker``, ``begin`` and ``end`` (in seconds) and ``outcome``: see
-        `hpcapp.timeline.Span`. Of very many the longest are drawn.
+        Of very many the longest are drawn.
     """
     if not spans:
         return ""
-    end = max(float(span["end"]) for span in spans) or 1e-9
-    workers = sorted({str(span["worker"]) for span in spans}, key=_order)
+    end = max(span.end for span in spans) or 1e-9
+    workers = sorted({span.worker for span in spans}, key=_order)
     names: dict[str, int] = {}
     for span in spans:
-        names.setdefault(str(span["name"]), len(names))
+        names.setdefault(span.name, len(names))
     rows = {worker: number for number, worker in enumerate(workers[:_MOST_ROWS])}
     height = _ROW * len(rows) + 18
-    drawn = sorted(spans, key=lambda span: span["begin"] - span["end"])[:_MOST_BARS]
+    drawn = sorted(spans, key=lambda span: span.begin - span.end)[:_MOST_BARS]
     parts = [f'<svg class="timeline" viewBox="0 0 {_WIDTH} {height}" role="img">']
     parts += [_tick(end, number, height) for number in range(_TICKS + 1)]
     for worker, row in rows.items():
         short = worker if len(worker) <= 14 else f"{worker[:13]}…"
         parts.append(f'<text x="0" y="{_ROW * row + 11}">{escape(short)}</text>')
-    parts += [_bar(span, rows, names, end) for span in drawn if str(span["worker"]) in rows]
+    parts += [_bar(span, rows, names, end) for span in drawn if span.worker in rows]
     parts.append("</svg>")
     notes = []
     if len(drawn) < len(spans):
@@ -91,26 +91,23 @@ def _colour(name: str, names: Mapping[str, int], outcome: str) -> str:
     return _FAILED.get(outcome) or _COLOURS[names[name] % len(_COLOURS)]
 
 
-def _bar(
-    span: Mapping[str, Any], rows: Mapping[str, int], names: Mapping[str, int], end: float
-) -> str:
-    begin, stop = float(span["begin"]), float(span["end"])
-    outcome = str(span.get("outcome", "done"))
-    said = "" if outcome == "done" else f", {outcome}"
-    text = escape(f"{span['name']}: {stop - begin:.3g} s from {begin:.3g} s{said}")
-    left, right = _at(begin, end), _at(stop, end)
+def _bar(span: TaskSpan, rows: Mapping[str, int], names: Mapping[str, int], end: float) -> str:
+    outcome = "" if span.outcome == "done" else f", {span.outcome}"
+    seconds = span.end - span.begin
+    text = escape(f"{span.name}: {seconds:.3g} s from {span.begin:.3g} s{outcome}")
+    left, right = _at(span.begin, end), _at(span.end, end)
     return (
-        f'<rect x="{left:.2f}" y="{_ROW * rows[str(span["worker"])] + 2}" '
+        f'<rect x="{left:.2f}" y="{_ROW * rows[span.worker] + 2}" '
         f'width="{max(right - left, 0.4):.2f}" height="{_ROW - 4}" '
-        f'fill="{_colour(str(span["name"]), names, outcome)}"><title>{text}</title></rect>'
+        f'fill="{_colour(span.name, names, span.outcome)}"><title>{text}</title></rect>'
     )
 
 
-def _legend(names: Mapping[str, int], spans: Sequence[Mapping[str, Any]]) -> str:
+def _legend(names: Mapping[str, int], spans: Sequence[TaskSpan]) -> str:
     """Name the bars, the longest first, and what has failed."""
     seconds = dict.fromkeys(names, 0.0)
     for span in spans:
-        seconds[str(span["name"])] += float(span["end"]) - float(span["begin"])
+        seconds[span.name] += span.end - span.begin
     rows = [
         f'<tr><th><svg width="10" height="10"><rect width="10" height="10" '
         f'fill="{_colour(name, names, "done")}"/></svg> {escape(name)}</th>'

@@ -8,13 +8,16 @@ from __future__ import annotations
 import logging
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from hpcapp.applications.view.command import check_page
 from hpccomponent.errors import InputError, UsageError
 from hpccomponent.terminal import echo, echo_json
+
+if TYPE_CHECKING:
+    from hpcapp.applications.compare.metrics import Measures
 
 __all__ = ["compare"]
 
@@ -76,37 +79,36 @@ def compare(
     from hpcapp.applications.compare.truth import check_usable, open_truth
     from hpcapp.io import read_mesh
 
-    found = read_mesh(mesh)
-    check_usable(found, mesh)
-    wanted = open_truth(truth, found.origin)
-    if wanted.diagonal == 0.0:
+    surface = read_mesh(mesh)
+    check_usable(surface, mesh)
+    reference = open_truth(truth, surface.origin)
+    if reference.diagonal == 0.0:
         raise InputError(
             f"{truth}: all of it is at one place, so that nothing can be measured by its size",
             "give a truth with an extent",
         )
-    measures = measure_mesh(found, wanted, samples, seed, thresholds)
-    facts = to_json(measures)
+    measures = measure_mesh(surface, reference, samples, seed, thresholds)
     if html is not None:
         from hpcapp.applications.compare.page import make_comparison
         from hpcapp.pages.page import write_page
 
-        write_page(html, make_comparison(mesh, truth, found, wanted, facts))
+        write_page(html, make_comparison(mesh, truth, surface, reference, measures))
     if as_json:
-        echo_json(facts)
+        echo_json(to_json(measures))
     else:
-        echo(_tabulate(facts))
+        echo(_tabulate(measures))
     if html is not None:
         log.info("%s: the mesh, coloured by its distance", html)
 
 
-def _tabulate(facts: dict[str, Any]) -> str:
+def _tabulate(measures: Measures) -> str:
     """Return the measures as a table for people."""
     from hpcapp.applications.compare.page import list_measures, say_openness
 
-    rows = list_measures(facts)
+    rows = list_measures(measures)
     width = max(len(name) for name, _, _ in rows)
     lines = [f"{'':{width}}  {'% of diagonal':>14}  {'length':>12}"]
     lines += [f"{name:{width}}  {share:>14}  {length:>12}".rstrip() for name, share, length in rows]
-    if openness := say_openness(facts):
+    if openness := say_openness(measures):
         lines.append(openness)
     return "\n".join(lines)

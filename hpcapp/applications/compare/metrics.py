@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
@@ -81,8 +80,8 @@ def measure_mesh(
         Of the F-scores, in per cent of the diagonal.
     """
     percent = 100.0 / (truth.diagonal or 1.0)
-    wanted = truth.sample(samples, seed)
-    backward, faces = NearestFace(mesh).query(wanted.positions)
+    reference = truth.sample(samples, seed)
+    backward, faces = NearestFace(mesh).query(reference.positions)
     backward *= percent
     if truth.is_closed:
         forward = percent * truth.distance(sample_mesh(mesh, samples, seed).positions)
@@ -99,17 +98,17 @@ def measure_mesh(
         float(np.quantile(both, 0.95)),
         float(both.max()),
         {f"{t:g}": _f_score(forward, backward, t) for t in thresholds},
-        _mean_angle(wanted.normals, face_normals(mesh)[faces]),
+        _mean_angle(reference.normals, face_normals(mesh)[faces]),
         truth.diagonal,
         check_mesh(mesh),
     )
 
 
-def _mean_angle(wanted: FloatArray | None, found: FloatArray) -> float:
+def _mean_angle(normals: FloatArray | None, face_normals: FloatArray) -> float:
     """Return the mean angle between unit vectors, in degrees."""
-    if wanted is None:
+    if normals is None:
         return float("nan")
-    cosine = np.einsum("ij,ij->i", wanted, found)
+    cosine = np.einsum("ij,ij->i", normals, face_normals)
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean())
 
 
@@ -122,7 +121,7 @@ def _f_score(forward: FloatArray, backward: FloatArray, threshold: float) -> flo
     return 2.0 * precision * recall / max(precision + recall, 1e-12)
 
 
-def as_json(measures: Measures) -> dict[str, Any]:
+def as_json(measures: Measures) -> dict[str, object]:
     """Return measures as plain values; NaN becomes None, which JSON knows."""
     plain = asdict(measures)
     return {name: None if value != value else value for name, value in plain.items()}

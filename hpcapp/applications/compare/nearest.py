@@ -82,7 +82,7 @@ class NearestFace:
 
     def _try(self, points: FloatArray, k: int) -> tuple[FloatArray, IntArray, FloatArray]:
         """Return the best of k candidates, which it is, and how far the last middle is."""
-        away, piece = (found.reshape(len(points), k) for found in self._tree.query(points, k=k))
+        away, piece = (column.reshape(len(points), k) for column in self._tree.query(points, k=k))
         pairs = _distance_to_triangles(np.repeat(points, k, axis=0), self._triangles[piece.ravel()])
         pairs = pairs.reshape(len(points), k)
         choice = pairs.argmin(axis=1)

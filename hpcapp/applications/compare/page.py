@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from html import escape
+from math import isnan
 from pathlib import Path
-from typing import Any
 
+from hpcapp.applications.compare.metrics import Measures
 from hpcapp.applications.compare.truth import Truth
 from hpcapp.pages.page import Section, build_page
 from hpcapp.pages.scene import MOST_POINTS, Field, Scene, fields_of
@@ -25,20 +27,20 @@ _LENGTHS = (
 )
 
 
-def list_measures(facts: dict[str, Any]) -> list[tuple[str, str, str]]:
+def list_measures(measures: Measures) -> list[tuple[str, str, str]]:
     """Return the rows of a table: name, per cent of the diagonal (or the number), length."""
-    unit = facts["diagonal"] / 100.0
+    unit = measures.diagonal / 100.0
     rows = [
-        (label, _say(facts[name], ".5f"), _say(facts[name], ".6g", unit))
+        (label, _say(getattr(measures, name), ".5f"), _say(getattr(measures, name), ".6g", unit))
         for name, label in _LENGTHS
     ]
     rows += [
         (f"F-score at {threshold} %", f"{score:.4f}", "")
-        for threshold, score in facts["f_scores"].items()
+        for threshold, score in measures.f_scores.items()
     ]
-    rows.append(("angle of normals, degrees", _say(facts["normal_deg"], ".3f"), ""))
-    rows.append(("diagonal", "100", f"{facts['diagonal']:.6g}"))
-    for name, value in facts["topology"].items():
+    rows.append(("angle of normals, degrees", _say(measures.normal_deg, ".3f"), ""))
+    rows.append(("diagonal", "100", f"{measures.diagonal:.6g}"))
+    for name, value in asdict(measures.topology).items():
         if isinstance(value, tuple):
             value = ", ".join(map(str, value))
         shown = ("yes" if value else "no") if isinstance(value, bool) else str(value)
@@ -46,9 +48,9 @@ def list_measures(facts: dict[str, Any]) -> list[tuple[str, str, str]]:
     return rows
 
 
-def say_openness(facts: dict[str, Any]) -> str | None:
+def say_openness(measures: Measures) -> str | None:
     """Say why distances from the mesh are missing; None where they are there."""
-    if facts["accuracy"] is not None:
+    if not isnan(measures.accuracy):
         return None
     return (
         "the truth is open: the mesh may be right where it has nothing, so that only distances "
@@ -56,12 +58,12 @@ def say_openness(facts: dict[str, Any]) -> str | None:
     )
 
 
-def _say(value: float | None, digits: str, unit: float = 1.0) -> str:
-    return "-" if value is None else format(value * unit, digits)
+def _say(value: float, digits: str, unit: float = 1.0) -> str:
+    return "-" if isnan(value) else format(value * unit, digits)
 
 
 def make_comparison(
-    path: Path, truth_name: str, mesh: Mesh, truth: Truth, facts: dict[str, Any]
+    path: Path, truth_name: str, mesh: Mesh, truth: Truth, measures: Measures
 ) -> str:
     """Return a page (HTML) with the mesh, coloured by its distance from the truth.
 
@@ -80,7 +82,7 @@ def make_comparison(
     lines = [
         f'<tr><th>{escape(name)}</th><td class="number">{share}</td>'
         f'<td class="number">{length}</td></tr>'
-        for name, share, length in list_measures(facts)
+        for name, share, length in list_measures(measures)
     ]
     head = "<tr><th></th><th>% of diagonal</th><th>length</th></tr>"
     table = f"<table>\n{head}\n" + "\n".join(lines) + "\n</table>"
@@ -88,7 +90,7 @@ def make_comparison(
         "<p>Distances are exact: from points spread evenly over one surface to the nearest place "
         "on the other. The points beside the mesh are the truth's.</p>"
     )
-    if openness := say_openness(facts):
+    if openness := say_openness(measures):
         notes = f"<p>{escape(openness)}</p>" + notes
     summary = f"compared with {truth_name}"
     return build_page(path.name, summary, scene, [Section("Distances", table + notes)])

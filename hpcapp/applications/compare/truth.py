@@ -219,8 +219,8 @@ def read_mesh_at(path: Path, origin: FloatArray | None = None) -> Mesh:
     """
     mesh = read_mesh(path)
     check_usable(mesh, path)
-    wanted = np.zeros(3) if origin is None else origin
-    return replace(mesh, vertices=mesh.vertices + (mesh.origin - wanted), origin=wanted)
+    target = np.zeros(3) if origin is None else origin
+    return replace(mesh, vertices=mesh.vertices + (mesh.origin - target), origin=target)
 
 
 def check_usable(mesh: Mesh, path: Path) -> None:

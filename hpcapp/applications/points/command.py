@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -45,14 +45,13 @@ def info(points: tuple[str, ...], sample: int | None, as_json: bool, png: Path |
     from hpcapp.applications.points.info import describe_file
     from hpcapp.io import open_points
     from hpcapp.io.points.inputs import gather_points
-    from hpcapp.io.points.point_source import Findings
     from hpcapp.pages.thumbnail import write_thumbnail
 
     with gather_points(points, sample) as path:
         source = open_points(path)
-        facts, cloud = describe_file(source)
+        facts, findings, cloud = describe_file(source)
     shown = points[0] if len(points) == 1 else f"{points[0]} and others"
-    for line in Findings(facts["warnings"], facts["dropped"]).lines():
+    for line in findings.lines():
         log.warning("warning: %s: %s", shown, line)
     if png is not None:
         scanner = source.scans[0].scanner if len(source.scans) == 1 else None
@@ -65,7 +64,7 @@ def info(points: tuple[str, ...], sample: int | None, as_json: bool, png: Path |
         echo(f"{name.replace('_', ' '):<{width}}  {visible_line(_readable(value))}")
 
 
-def _readable(value: Any) -> str:
+def _readable(value: object) -> str:
     """Return a JSON value as people read it."""
     if isinstance(value, bool):
         return "yes" if value else "no"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from hpcapp.io import PointSource, read_whole
 from hpcapp.io.points.column_roles import tell_use
+from hpcapp.io.points.point_source import Findings
 from hpccomponent.surface.cloud.repeated import find_repeated
 from hpccomponent.surface.kernels import bound_points
 from hpccomponent.surface.types.points import FloatArray, PointCloud
@@ -19,7 +19,7 @@ __all__ = ["describe", "describe_file"]
 _MOST_QUERIES = 20_000
 
 
-def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
+def describe_file(source: PointSource) -> tuple[dict[str, object], Findings, PointCloud]:
     """Read a file's points, and tell what it holds.
 
     Returns
@@ -38,13 +38,10 @@ def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
         The file is damaged.
     """
     cloud = read_whole(source)
-    facts = describe(cloud)
-    dropped = dict(source.findings.dropped)
-    if not_finite := _count_not_finite(cloud):
-        dropped["not finite"] = not_finite
-    return {
+    findings = Findings(list(source.findings.warnings), _count_dropped(source, cloud))
+    facts = {
         "format": source.format,
-        **facts,
+        **describe(cloud),
         "normals": source.normals_from if cloud.normals is not None else None,
         "is_oriented": source.oriented if cloud.normals is not None else None,
         "attributes": list(cloud.attributes),
@@ -60,20 +57,22 @@ def describe_file(source: PointSource) -> tuple[dict[str, Any], PointCloud]:
         "grid": None if source.scans[0].grid is None else list(source.scans[0].grid),
         "crs": source.crs,
         "unit": source.unit,
-        "dropped": dropped,
-        "warnings": list(source.findings.warnings),
-    }, cloud
+        "dropped": findings.dropped,
+        "warnings": findings.warnings,
+    }
+    return facts, findings, cloud
 
 
-def _count_not_finite(cloud: PointCloud) -> int:
-    """Count the points without a finite position, and a finite normal where there are normals."""
-    lost = ~np.isfinite(cloud.positions).all(axis=1)
+def _count_dropped(source: PointSource, cloud: PointCloud) -> dict[str, int]:
+    """Count, by reason, what its reader leaves out and the points (or normals) not finite."""
+    is_finite = np.isfinite(cloud.positions).all(axis=1)
     if cloud.normals is not None:
-        lost |= ~np.isfinite(cloud.normals).all(axis=1)
-    return int(lost.sum())
+        is_finite &= np.isfinite(cloud.normals).all(axis=1)
+    not_finite = len(cloud) - int(is_finite.sum())
+    return source.findings.dropped | ({"not finite": not_finite} if not_finite else {})
 
 
-def describe(cloud: PointCloud) -> dict[str, Any]:
+def describe(cloud: PointCloud) -> dict[str, object]:
     """Count and measure a point cloud.
 
     Parameters
@@ -112,7 +111,7 @@ def describe(cloud: PointCloud) -> dict[str, Any]:
     }
 
 
-def _measure(finite: FloatArray, origin: FloatArray) -> dict[str, Any]:
+def _measure(finite: FloatArray, origin: FloatArray) -> dict[str, object]:
     if not len(finite):
         return {"bounds": None, "extent": None, "diagonal": None}
     low, high = bound_points(finite)

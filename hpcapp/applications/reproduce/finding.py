@@ -39,8 +39,8 @@ class Finding:
 
         Examples
         --------
-        >>> found = Finding("Figure 0", ("a", "b"), (("1", "2"),), "As printed.", "A dot.")
-        >>> print(found.to_markdown("dot.png"))
+        >>> finding = Finding("Figure 0", ("a", "b"), (("1", "2"),), "As printed.", "A dot.")
+        >>> print(finding.to_markdown("dot.png"))
         # Figure 0
         <BLANKLINE>
         | a | b |

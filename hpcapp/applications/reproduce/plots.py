@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib.util import find_spec
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from hpcapp.applications.reproduce.finding import Finding
 from hpcapp.applications.reproduce.scaling import (
@@ -16,6 +16,10 @@ from hpcapp.applications.reproduce.scaling import (
     summarise,
 )
 from hpccomponent.errors import UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["check_plots", "make_figure_7", "make_figure_8"]
 
@@ -136,7 +140,7 @@ def _name(line: Summary) -> str:
     return "0 (the master alone)" if line.workers == 0 else str(line.workers)
 
 
-def _open_axes(ways: dict[str, list[Summary]], cores: int) -> tuple[Any, Any]:
+def _open_axes(ways: dict[str, list[Summary]], cores: int) -> tuple[Figure, Axes]:
     from matplotlib.figure import Figure  # optional and heavy
 
     figure = Figure(figsize=(6.4, 4.2), dpi=120, layout="constrained")
@@ -149,7 +153,7 @@ def _open_axes(ways: dict[str, list[Summary]], cores: int) -> tuple[Any, Any]:
     return figure, axes
 
 
-def _draw(axes: Any, lines: list[Summary], values: list[Spread], label: str, marker: str) -> None:
+def _draw(axes: Axes, lines: list[Summary], values: list[Spread], label: str, marker: str) -> None:
     """Draw medians, with bars from the smallest to the largest value."""
     middle = [value.median for value in values]
     bars = (
@@ -160,6 +164,6 @@ def _draw(axes: Any, lines: list[Summary], values: list[Spread], label: str, mar
     axes.errorbar(workers, middle, yerr=bars, marker=marker, capsize=3, label=label)
 
 
-def _save(figure: Any, axes: Any, file: BinaryIO) -> None:
+def _save(figure: Figure, axes: Axes, file: BinaryIO) -> None:
     axes.legend()
     figure.savefig(file, format="png")

@@ -198,16 +198,16 @@ def summarise(runs: Sequence[Run]) -> list[Summary]:
     ]
     return [
         Summary(
-            workers=own[0].workers,
-            start_s=Spread.of([run.start_s for run in own]),
-            first_fit_s=Spread.of([run.first_fit_s for run in own]),
-            fit_s=Spread.of([run.fit_s for run in own]),
-            job_s=Spread.of([run.job_s for run in own]),
-            fit_speedup=Spread.of([alone[run.round].fit_s / run.fit_s for run in own]),
-            job_speedup=Spread.of([alone[run.round].job_s / run.job_s for run in own]),
-            bytes_sent=own[0].bytes_sent,
+            workers=same[0].workers,
+            start_s=Spread.of([run.start_s for run in same]),
+            first_fit_s=Spread.of([run.first_fit_s for run in same]),
+            fit_s=Spread.of([run.fit_s for run in same]),
+            job_s=Spread.of([run.job_s for run in same]),
+            fit_speedup=Spread.of([alone[run.round].fit_s / run.fit_s for run in same]),
+            job_speedup=Spread.of([alone[run.round].job_s / run.job_s for run in same]),
+            bytes_sent=same[0].bytes_sent,
         )
-        for own in by_workers
+        for same in by_workers
     ]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -62,20 +61,20 @@ def make_page(
     InputError
         `points` or `report` cannot be used.
     """
-    told = {} if report is None else read_report(report)
-    sections = [] if report is None else describe_job(told, has_mesh=False)
+    facts = {} if report is None else read_report(report)
+    sections = [] if report is None else describe_job(facts, has_mesh=False)
     if isinstance(shown, PointCloud):
-        facts = _describe_box(shown.positions, shown.origin)
-        names = {"points": len(shown), "colours": shown.colours is not None,
+        row = {"points": len(shown), "colours": shown.colours is not None,
                  "normals": shown.normals is not None,
-                 "attributes": ", ".join(shown.attributes) or "none"}  # fmt: skip
+                 "attributes": ", ".join(shown.attributes) or "none",
+                **_describe_box(shown.positions, shown.origin)}  # fmt: skip
         summary = f"{len(shown):,} points"
-        sections.insert(0, Section("Points", make_table({**names, **facts})))
+        sections.insert(0, Section("Points", make_table(row)))
         return build_page(path.name, summary, Scene(None, points=shown, up=up), sections)
-    marked, workers = mark_tiles(shown, path, told, str(report))
+    marked, workers = mark_tiles(shown, path, facts, str(report))
     thin, labels = take_labels(thin_mesh(marked), workers)
     topology = check_mesh(shown)
-    found: dict[str, Any] = {
+    rows: dict[str, object] = {
         "vertices": topology.vertices,
         "faces": topology.faces,
         "watertight": topology.watertight,
@@ -84,8 +83,8 @@ def make_page(
         **_describe_box(shown.vertices, shown.origin),
     }
     if len(thin.faces) < len(shown.faces):
-        found["shown"] = f"a copy with {len(thin.faces):,} faces"
-    sections.insert(0, Section("Mesh", make_table(found)))
+        rows["shown"] = f"a copy with {len(thin.faces):,} faces"
+    sections.insert(0, Section("Mesh", make_table(rows)))
     cloud = None if points is None else _read_beside(points, shown)
     measured = [] if cloud is None else [_measure(thin, cloud)]
     fields = [*fields_of(thin), *measured, *labels]

@@ -16,7 +16,7 @@ import pytest
 
 from hpcapp.dashboard.app import MOST_REQUESTS
 from hpcapp.dashboard.server import open_dashboard, parse_address
-from hpcapp.dashboard.strangers import MOST_STRANGERS
+from hpcapp.dashboard.unauthenticated import MOST_UNAUTHENTICATED
 from hpcapp.dashboard.watched_job import WatchedJob, WatchedProgress
 from hpcapp.progress import SilentProgress
 from hpcapp.timeline import MASTER, Timeline, WorkerNow
@@ -218,10 +218,10 @@ def test_whoever_has_the_token_is_served_beside_any_number_of_idle_connections(
     address: str, connect: Callable[[], socket.socket]
 ) -> None:
     with urllib.request.urlopen(path_of(address, "events"), timeout=30) as watched:  # noqa: S310
-        idle = [connect() for _ in range(3 * MOST_STRANGERS)]
+        idle = [connect() for _ in range(3 * MOST_UNAUTHENTICATED)]
         assert get(path_of(address, "metrics"))[0] == 200
         assert watched.readline().startswith(b"data: ")
-    for client in idle[:MOST_STRANGERS]:  # the first have made room for the last
+    for client in idle[:MOST_UNAUTHENTICATED]:  # the first have made room for the last
         assert is_ended(client)
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from hpcapp.pages.job import describe_job
+from hpcapp.pages.report import TaskSpan
 from hpcapp.pages.timeline import draw_timeline
 
-REPORT: dict[str, Any] = {
+REPORT: dict[str, object] = {
     "summary": "4 vertices",
     "method": "hierarchical",
     "vertices": 4,
@@ -29,7 +28,7 @@ REPORT: dict[str, Any] = {
 }
 
 
-def bodies(report: dict[str, Any], marked: tuple[str, ...] = ()) -> dict[str, str]:
+def bodies(report: dict[str, object], marked: tuple[str, ...] = ()) -> dict[str, str]:
     return {section.title: section.body for section in describe_job(report, marked)}
 
 
@@ -81,19 +80,13 @@ def test_stages_stand_in_for_spans() -> None:
 
 
 def test_workers_are_in_the_order_of_their_numbers_behind_the_master() -> None:
-    spans = [
-        {"name": "t", "worker": worker, "begin": 0.0, "end": 1.0, "outcome": "done"}
-        for worker in ("w-10", "w-2", "master")
-    ]
+    spans = [TaskSpan("t", worker, 0.0, 1.0) for worker in ("w-10", "w-2", "master")]
     drawn = draw_timeline(spans)
     assert drawn.index(">master<") < drawn.index(">w-2<") < drawn.index(">w-10<")
 
 
 def test_of_very_many_spans_the_longest_are_drawn() -> None:
-    spans = [
-        {"name": "t", "worker": f"w-{n % 100}", "begin": 0.0, "end": 1.0 + n, "outcome": "done"}
-        for n in range(5000)
-    ]
+    spans = [TaskSpan("t", f"w-{n % 100}", 0.0, 1.0 + n) for n in range(5000)]
     drawn = draw_timeline(spans)
     assert drawn.count("<title>") <= 4000
     assert "the longest 4000 of 5000 spans and 64 of 100 workers" in drawn

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,9 +78,14 @@ class _Boxes:
     def __len__(self) -> int:
         return len(self.starts)
 
-    def take(self, selection: NDArray[Any]) -> _Boxes:
-        columns = (self.starts, self.counts, self.low, self.high, self.size)
-        return _Boxes(*(column[selection] for column in columns))
+    def take(self, selection: NDArray[np.bool_] | IntArray) -> _Boxes:
+        return _Boxes(
+            self.starts[selection],
+            self.counts[selection],
+            self.low[selection],
+            self.high[selection],
+            self.size[selection],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

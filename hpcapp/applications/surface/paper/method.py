@@ -15,7 +15,6 @@ What it can reproduce of the paper's figures, and what not: ``docs/explanation/p
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -149,9 +148,9 @@ class PaperMethod:
             Coefficients in patch coordinates.
         """
         batches = [self._batch(partition, rows) for rows in workforce.cut(len(partition.patches))]
-        fitted = np.concatenate(map_batches(workforce, fit_patches, batches, advance))
-        partition.fitted[:] = [fitted]
-        return fitted
+        quadrics = np.concatenate(map_batches(workforce, fit_patches, batches, advance))
+        partition.fitted[:] = [quadrics]
+        return quadrics
 
     def extract(
         self,
@@ -169,9 +168,9 @@ class PaperMethod:
         self.show_part(lambda: mesh)
         return WholeSurface(mesh)
 
-    def facts(self, partition: PaperPartition) -> dict[str, Any]:
+    def facts(self, partition: PaperPartition) -> dict[str, object]:
         """Return the number of patches, the rule that made them, and after `fit` its residuals."""
-        rule: dict[str, Any] = {"root": self.root, "norm": self.norm}
+        rule: dict[str, object] = {"root": self.root, "norm": self.norm}
         if self.patches is None:
             rule |= {"delta": self.delta, "cone": self.cone, "max_points": self.max_points}
         return {
@@ -182,7 +181,7 @@ class PaperMethod:
             **(measure_residuals(partition, partition.fitted[0]) if partition.fitted else {}),
         }
 
-    def _batch(self, partition: PaperPartition, rows: slice) -> tuple[Any, ...]:
+    def _batch(self, partition: PaperPartition, rows: slice) -> tuple[object, ...]:
         offsets = partition.patches.offsets[rows.start : rows.stop + 1]
         points = slice(offsets[0], offsets[-1])
         return (

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from hpcapp.applications.surface.method import MARGIN, Resolution
 from hpcapp.applications.surface.options import check_options, option
 
 if TYPE_CHECKING:
     from hpcapp.applications.surface.method import Method, Resources
+    from hpcapp.applications.surface.paper.method import PaperPartition
     from hpccomponent.surface.cloud.arranged import ArrangedCloud
-    from hpccomponent.surface.types.points import PointCloud
+    from hpccomponent.surface.types.points import FloatArray, PointCloud
 
 __all__ = ["Paper"]
 
@@ -87,7 +88,7 @@ class Paper:
         del cloud
         return Resolution(_GRID, "the default of this method")
 
-    def open(self, grid: int, resources: Resources) -> Method[Any, Any]:
+    def open(self, grid: int, resources: Resources) -> Method[PaperPartition, FloatArray]:
         """Return the strategy, whose own grid has no margins."""
         from hpcapp.applications.surface.paper.method import PaperMethod
 

@@ -75,10 +75,12 @@ def test_all_that_a_file_holds_is_told(tmp_path: Path) -> None:
     rows += ["0,0,0,0,0,0,0,9"] * 40 + ["nan,0,0,0,0,0,1,9"]
     names = "x,y,z,nx,ny,nz,classification,mark"
     path.write_text("\n".join([names, *rows]) + "\n")
-    facts, cloud = describe_file(open_points(path))
+    facts, findings, cloud = describe_file(open_points(path))
     assert json.loads(json.dumps(facts)) == facts
     assert facts["points"] == len(cloud) == 729
-    assert facts["dropped"] == {"repeated": 41, "not finite": 1}  # one of the grid is there, too
+    assert (
+        facts["dropped"] == findings.dropped == {"repeated": 41, "not finite": 1}
+    )  # one is in the grid
     assert facts["normals"] is None
     assert facts["columns"] == {
         "x": "position", "y": "position", "z": "position",
@@ -86,7 +88,9 @@ def test_all_that_a_file_holds_is_told(tmp_path: Path) -> None:
         "classification": "attribute", "mark": "attribute",
     }  # fmt: skip
     assert facts["attributes"] == ["classification", "mark"]
-    assert len(facts["scans"]) == 1
-    warned = "\n".join(facts["warnings"])
+    assert isinstance(scans := facts["scans"], list)
+    assert len(scans) == 1
+    assert facts["warnings"] == findings.warnings
+    warned = "\n".join(findings.warnings)
     assert "origin" in warned
     assert "normals" in warned
